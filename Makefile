@@ -1,0 +1,91 @@
+# Two commands matter: `make figures` and `make test`; each sets up .venv by itself. `make help` lists the rest.
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+ifeq ($(filter grouped-target,$(.FEATURES)),)
+  $(error GNU Make 4.3 or newer is needed, this is $(MAKE_VERSION))
+endif
+
+PYTHON ?= python3
+PY := .venv/bin/python
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export PYTHONHASHSEED := 0
+export SOURCE_DATE_EPOCH := 1700000000
+export IPYTHONDIR := $(CURDIR)/build/ipython
+export MPLCONFIGDIR := $(CURDIR)/build/matplotlib
+export JUPYTER_CONFIG_DIR := $(CURDIR)/build/jupyter/config
+export JUPYTER_DATA_DIR := $(CURDIR)/build/jupyter/data
+export JUPYTER_RUNTIME_DIR := $(CURDIR)/build/jupyter/runtime
+unexport JUPYTER_PATH PYTHONPATH
+
+LOCK_HASH := $(shell cat environment.lock pyproject.toml | sha256sum | cut -c1-16)
+VENV := .venv/ready-$(LOCK_HASH)
+NOT_BUILDING := help clean distclean lock
+
+ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
+  include build/chain.mk
+endif
+
+.PHONY: help figures test lab tune report verify bench study html lock strip clean distclean FORCE
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
+	@echo "figNN       one figure with what it needs, for example make fig06"
+
+figures: $(STAMPS)  ## run the notebooks whose inputs changed; writes data/ and figures/
+
+test: $(VENV)  ## run all tests, the notebooks with small parameters among them
+	$(PY) -m pytest
+
+lab: $(VENV)  ## open the notebooks in JupyterLab
+	$(PY) -m jupyterlab --notebook-dir=notebooks
+
+tune: $(VENV)  ## tune all controllers by particle swarm (long, resumes); figures follow
+	$(PY) -m railrepro.tuning
+
+report: $(STAMPS)  ## write REPLICATION.md from the measured results
+	$(PY) -m railrepro.claims
+
+verify: $(VENV)  ## rerun everything and compare with the committed numbers
+	$(PY) -m railrepro.pipeline verify
+
+bench: $(VENV)  ## measure speed, as ratios in one run
+	$(PY) -m railrepro.bench
+
+study: $(VENV)  ## robustness study over the unpublished parameters (long, resumes)
+	$(PY) -m railrepro.study
+
+html: $(STAMPS)  ## executed notebooks as an HTML book in build/html
+	$(PY) -m railrepro.pipeline html
+
+strip: $(VENV)  ## remove outputs from the notebooks
+	$(PY) -m railrepro.pipeline strip
+
+lock:  ## renew environment.lock from pyproject.toml
+	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; cd $$d; \
+	  uv=$$(command -v uv || echo $(CURDIR)/.venv/bin/uv); \
+	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
+	    > $(CURDIR)/environment.lock; rm -rf $$d
+
+clean:  ## remove executed notebooks, stamps and reports of runs
+	rm -rf build/stamps build/notebooks build/staging build/html build/verify build/chain.mk
+
+distclean: clean  ## also remove the environment and compiled code
+	rm -rf build .venv
+
+$(VENV): environment.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
+	@test -w . || { echo "no write permission in $(CURDIR); clone into a folder of your own"; exit 1; }
+	@echo "setting up .venv (once, about a minute)"
+	@rm -f .venv/ready-*
+	@test -x $(PY) || $(PYTHON) -m venv .venv
+	@awk '/^uv==/{f=1} f{print} f&&!/\\$$/{exit}' environment.lock > .venv/uv.txt
+	@.venv/bin/python -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .venv/uv.txt
+	@.venv/bin/uv pip sync -q --python $(PY) --require-hashes environment.lock
+	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
+	@touch $@
+
+build/chain.mk: notebooks/chain.toml railrepro/pipeline.py | $(VENV)
+	@mkdir -p build
+	@$(PY) -m railrepro.pipeline rules > $@.part && mv $@.part $@

@@ -1,0 +1,108 @@
+"""Adhesion control: one law for regular operation and for seeking the adhesion maximum, in traction and braking.
+
+The law moves the base torque by a fixed step each millisecond. Segment I (adhesion below the set point, stable branch):
+raise; segment II (inside the corridor): hold; segment III (adhesion above the set point, or any wheel past its
+maximum): lower. It knows estimates of adhesion and slip, nothing of the contact law.
+
+Serves the paper's section Adhesion Control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from railrepro.plant import EXCHANGE_PERIOD
+
+
+@dataclass(frozen=True)
+class AdhesionSettings:
+    """Parameters of the law.
+
+    Attributes
+    ----------
+    raise_step : float
+        Step up in segment I, the paper's p1 (N m per ms).
+    lower_step : float
+        Step down above the corridor, the paper's p2 (N m per ms).
+    drop_step : float
+        Step down in segment III past the maximum (N m per ms).
+    corridor : float
+        Half width of the tolerance corridor around the set point (-).
+    filter_time : float
+        Time constant of the derivative filters (s).
+    dead_zone : float
+        Slip rate below which the switching function is ignored (1/s).
+    active : bool
+        False gives the baseline without slip control: the torque follows the demand with `raise_step`.
+    """
+
+    raise_step: float = 2.0
+    lower_step: float = 5.0
+    drop_step: float = 15.0
+    corridor: float = 0.003
+    filter_time: float = 5e-3
+    dead_zone: float = 1e-3
+    active: bool = True
+
+    def gains(self) -> dict[str, float]:
+        """Run-time gains by name."""
+        names = ("raise_step", "lower_step", "drop_step", "corridor", "filter_time", "dead_zone")
+        return {f"adhesion.{name}": float(getattr(self, name)) for name in (*names, "active")}
+
+
+def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
+    """Next base torque of one running gear.
+
+    Parameters
+    ----------
+    f, s : list of SX
+        Estimated adhesion (traction-positive) and slip s = (v - w r)/v of the left and right wheel (-).
+    f_star : SX
+        Adhesion set point, traction-positive (-).
+    memory : dict of SX
+        u (N m), f_0, f_1, s_0, s_1: base torque and filtered estimates of the previous call.
+    gain : mapping
+        `AdhesionSettings.gains`.
+    tau_max : SX
+        Torque limit (N m).
+
+    Returns
+    -------
+    u : SX
+        Base torque per wheel (N m).
+    memory : dict of SX
+        Memory for the next call.
+    segment : SX
+        1, 2 or 3.
+
+    Source: eqs. (MAC_switching_function), (MAC_control_law), (RAC_law); with s as printed, the stable branch in
+    traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
+    """
+    sign = ca.if_else(f_star < 0, -1, 1)
+    pole = EXCHANGE_PERIOD / (gain["adhesion.filter_time"] + EXCHANGE_PERIOD)
+    filtered, unstable = {}, 0
+    for i in range(2):
+        filtered[f"f_{i}"] = memory[f"f_{i}"] + pole * (f[i] - memory[f"f_{i}"])
+        filtered[f"s_{i}"] = memory[f"s_{i}"] + pole * (s[i] - memory[f"s_{i}"])
+        f_rate = sign * (filtered[f"f_{i}"] - memory[f"f_{i}"]) / EXCHANGE_PERIOD
+        s_rate = -sign * (filtered[f"s_{i}"] - memory[f"s_{i}"]) / EXCHANGE_PERIOD
+        falling = ca.logic_and(f_rate * s_rate < 0, ca.fabs(s_rate) > gain["adhesion.dead_zone"])
+        unstable = ca.logic_or(unstable, ca.logic_and(falling, sign * s[i] < 0))
+    error = sign * (f_star - (f[0] + f[1]) / 2)
+    above, below = error < -gain["adhesion.corridor"], error > gain["adhesion.corridor"]
+    regular = ca.if_else(below, gain["adhesion.raise_step"], ca.if_else(above, -gain["adhesion.lower_step"], 0))
+    along = sign * memory["u"]
+    # Letting go of a wheel ends at zero torque and never pushes it the other way.
+    released = ca.fmax(along - gain["adhesion.drop_step"], 0)
+    moved = ca.if_else(ca.logic_and(unstable, along > 0), released, along + regular)
+    seeking = sign * ca.fmin(ca.fmax(moved, -tau_max), tau_max)
+
+    direct = f_star * gain["adhesion.torque_per_adhesion"]
+    step = gain["adhesion.raise_step"]
+    ramp = memory["u"] + ca.fmin(ca.fmax(direct - memory["u"], -step), step)
+    follow = ca.fmin(ca.fmax(ramp, -tau_max), tau_max)
+    u = ca.if_else(gain["adhesion.active"], seeking, follow)
+    segment = ca.if_else(ca.logic_or(unstable, above), 3, ca.if_else(below, 1, 2))
+    return u, filtered | {"u": u}, segment

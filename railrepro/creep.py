@@ -1,0 +1,182 @@
+"""Creep forces between wheel and rail: Kalker's coefficients, Polach's law, and FASTSIM as a second method.
+
+Serves eq. (kalker) and Fig. 2 of the paper, which name no law. Polach brings the falling branch that the adhesion
+task needs; its treatment of spin is the weak spot, and FASTSIM tells what that costs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+_RATIO = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1, 1 / 0.9, 1 / 0.8, 1 / 0.7, 1 / 0.6, 2, 2.5, 10 / 3, 5, 10])
+_C11 = (3.31, 3.37, 3.44, 3.53, 3.62, 3.72, 3.81, 3.91, 4.01, 4.12, 4.22, 4.36, 4.54, 4.78, 5.10, 5.57, 6.34, 7.78, 11.7)
+_C22 = (2.52, 2.63, 2.75, 2.88, 3.01, 3.14, 3.28, 3.41, 3.54, 3.67, 3.81, 3.99, 4.21, 4.50, 4.90, 5.48, 6.40, 8.14, 12.8)
+_C23 = (0.473, 0.603, 0.715, 0.823, 0.929, 1.03, 1.14, 1.25, 1.36, 1.47, 1.59, 1.75, 1.95, 2.23, 2.62, 3.24, 4.32, 6.63, 14.6)
+# Published values at a/b = 1 for nu = 0.28 over those for nu = 0.25: 4.231/4.12, 3.705/3.67, 1.488/1.47.
+_TO_STEEL = (4.231 / 4.12, 3.705 / 3.67, 1.488 / 1.47)
+_SPLINES = tuple(CubicSpline(np.log(_RATIO), np.log(values)) for values in (_C11, _C22, _C23))
+
+
+def kalker_coefficients(ratio) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Kalker's creep coefficients of an elliptic contact for steel (nu = 0.28).
+
+    Parameters
+    ----------
+    ratio : array_like
+        Semi-axis ratio a/b, 0.1 to 10 (a along, b across the rail); clipped to that range.
+
+    Returns
+    -------
+    c11, c22, c23 : ndarray (-)
+
+    Source: Kalker 1990, Table E3 for nu = 0.25; scaled to nu = 0.28 by the ratio at a/b = 1.
+    """
+    log_ratio = np.log(np.clip(ratio, 0.1, 10.0))
+    return tuple(np.exp(spline(log_ratio)) * scale for spline, scale in zip(_SPLINES, _TO_STEEL, strict=True))
+
+
+def polach(
+    nu_x, nu_y, spin, load, a, b, c11, c22, c23, shear_modulus, k_a, k_s, mu0, a_ratio, b_decay, slip_speed
+):  # fmt: skip
+    """Creep forces on a wheel after Polach, with falling friction, reduction factors and spin.
+
+    Works on floats, CasADi SX and (elementwise) arrays; values and derivatives stay finite at zero creepage and load.
+
+    Parameters
+    ----------
+    nu_x, nu_y : longitudinal and lateral creepage (-)
+    spin : spin creepage (1/m)
+    load : normal force (N)
+    a, b : semi-axes of the contact along and across the rail (m)
+    c11, c22, c23 : Kalker coefficients (-)
+    shear_modulus : G (Pa)
+    k_a, k_s : reduction factors in the area of adhesion and of slip (-)
+    mu0, a_ratio, b_decay : friction at rest (-), its ratio at high slip speed (-) and decay (s/m)
+    slip_speed : sliding speed of the contact (m/s)
+
+    Returns
+    -------
+    F_x, F_y : tangential force on the wheel (N); never longer than the friction force.
+
+    Source: Polach 2005, eqs. (2) and (3) (resultant), Polach 1999 (spin).
+    """
+    m = _functions(nu_x, nu_y, spin, load)
+    friction = mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio)
+    carried = load + 1.0
+    nu_yc = _with_spin(m, nu_y, spin * a)
+    square = nu_x**2 + nu_yc**2 + 1e-14
+    nu = m.sqrt(square)
+    stiffness = m.sqrt(((c11 * nu_x) ** 2 + (c22 * nu_yc) ** 2 + 1e-14 * c22**2) / square)
+    gradient = shear_modulus * np.pi * a * b * stiffness * nu / (4 * carried * (friction + 1e-9))
+    share = 2 / np.pi * (k_a * gradient / (1 + (k_a * gradient) ** 2) + m.arctan(k_s * gradient))
+    force = load * friction * share
+    # The reduction of the area of adhesion weakens the spin force as it weakens the others.
+    steepness = 8 * b * m.sqrt(a * b) * shear_modulus * c23 / (3 * carried * (friction + 1e-9))
+    spin_force = load * friction * k_a * _spin_share(m, nu_yc, nu, spin, a, b, steepness)
+    f_x, f_y = -force * nu_x / nu, -force * nu_y / nu - spin_force
+    # The spin term is an addition of its own; together they must not exceed friction.
+    excess = m.sqrt(f_x**2 + f_y**2 + 1e-6) / (load * friction + 1e-3)
+    over = excess**2 - 1
+    limit = 1 / m.sqrt(1 + (over + m.fabs(over)) / 2)
+    return f_x * limit, f_y * limit
+
+
+def _functions(*values):
+    """Elementary functions for the kind of the values: CasADi's for symbols, NumPy's for numbers."""
+    return ca if any(isinstance(value, ca.SX | ca.MX) for value in values) else np
+
+
+def _with_spin(m, nu_y, shift):
+    """Lateral creepage that includes spin where spin enlarges it."""
+    shifted = nu_y + shift
+    if m is ca:
+        return ca.if_else(ca.fabs(shifted) > ca.fabs(nu_y), shifted, nu_y)
+    return np.where(np.abs(shifted) > np.abs(nu_y), shifted, nu_y)
+
+
+def _spin_share(m, nu_yc, nu, spin, a, b, steepness):
+    """Lateral force from spin relative to the friction force (-)."""
+    factor = 1 + 6.3 * (1 - m.exp(-a / b))
+    gradient = steepness / factor * m.sqrt(nu_yc**2 + 1e-14)
+    delta = (gradient**2 - 1) / (gradient**2 + 1)
+    bracket = gradient * (-(delta**3) / 3 + delta**2 / 2 - 1 / 6) + (1 - delta**2 + 1e-14) ** 1.5 / 3
+    return 9 / 16 * a * factor * bracket * spin / nu
+
+
+def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
+    """Largest longitudinal adhesion of pure traction and its slip.
+
+    Parameters
+    ----------
+    adhesion : AdhesionSet
+    speed : float
+        Running speed (m/s).
+    load, a, b : float
+        Normal force (N), semi-axes (m).
+    coefficients : tuple
+        c11, c22, c23.
+    shear_modulus : float
+        G (Pa).
+
+    Returns
+    -------
+    maximum, slip : float
+        Adhesion f_x (-) and slip (-), both counted positive.
+    """
+    slip = np.geomspace(1e-5, 0.5, 20_000)
+    law = astuple(adhesion)
+    force, _ = polach(-slip, 0.0, 0.0, load, a, b, *coefficients, shear_modulus, *law, slip * speed)
+    best = int(np.argmax(force))
+    return float(force[best] / load), float(slip[best])
+
+
+def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus, cells=(60, 61)):
+    """Creep forces by Kalker's simplified theory, constant friction.
+
+    The strip theory marches from the leading edge backwards; the three flexibilities are kept apart, so small creepages
+    reproduce Kalker's linear theory.
+
+    Parameters
+    ----------
+    nu_x, nu_y, spin, load, a, b : float
+        As in `polach`.
+    friction : float
+        Coefficient of friction (-).
+    coefficients : tuple
+        c11, c22, c23.
+    shear_modulus : float
+        G (Pa).
+    cells : tuple of int
+        Elements along a strip and number of strips.
+
+    Returns
+    -------
+    F_x, F_y : float (N)
+
+    Source: Kalker 1982.
+    """
+    c11, c22, c23 = coefficients
+    flexibility = 8 * a / (3 * shear_modulus * c11), 8 * a / (3 * shear_modulus * c22), np.pi * a**2 / (
+        4 * shear_modulus * np.sqrt(a * b) * c23
+    )
+    n_along, n_across = cells
+    y = b * (np.arange(n_across) - (n_across - 1) / 2) / (n_across / 2)
+    half = a * np.sqrt(1 - (y / b) ** 2)
+    step = 2 * half / n_along
+    p_x = p_y = np.zeros(n_across)
+    f_x = f_y = 0.0
+    for k in range(n_along):
+        x = half - (k + 0.5) * step
+        p_x = p_x - step * (nu_x / flexibility[0] - spin * y / flexibility[2])
+        p_y = p_y - step * (nu_y / flexibility[1] + spin * x / flexibility[2])
+        bound = friction * 2 * load / (np.pi * a * b) * np.maximum(1 - (x / a) ** 2 - (y / b) ** 2, 0)
+        size = np.hypot(p_x, p_y)
+        scale = np.where(size > bound, bound / np.maximum(size, 1e-30), 1.0)
+        p_x, p_y = p_x * scale, p_y * scale
+        area = step * (2 * b / n_across)
+        f_x, f_y = f_x + np.sum(p_x * area), f_y + np.sum(p_y * area)
+    return float(f_x), float(f_y)

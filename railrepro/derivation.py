@@ -1,0 +1,192 @@
+"""Symbolic derivation of the control-oriented model, as printed in the paper and corrected.
+
+Unreduced coordinates are path x, yaw psi, lateral displacement y and the two wheel angles. Rolling and the lateral
+kinematics are non-holonomic constraints on their rates. Jourdain's principle projects the unreduced equations on the
+two free rates (corrected); inserting the constraints into the energies before applying Lagrange is what the paper
+prints (discrepancy D1). Serves the paper's section Control-Oriented Model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import sympy as sp
+
+DISCREPANCIES = {
+    "D1": "lateral constraint inserted into the kinetic energy before Lagrange (non-holonomic)",
+    "D2": "wheel energy with cross terms, (w_ri + w_le)^T J (w_ri + w_le) / 2",
+    "D3": "track yaw rate added to the absolute yaw rate in the wheel speeds",
+    "D7": "absolute roll used as deflection of the roll suspension",
+}
+
+PARAMETERS = ("m", "m_x", "J_x", "J_z", "J_Wy", "J_Wz", "r_0", "b", "delta_0", "k_sz", "k_dz", "k_sx", "k_dx", "g")
+"""Mass, longitudinal mass without body share, residual inertias, wheel, geometry, suspension, gravity (SI)."""
+
+m, m_x, J_x, J_z, J_Wy, J_Wz, r_0, b, delta_0, k_sz, k_dz, k_sx, k_dx, g = parameters = sp.symbols(
+    " ".join(PARAMETERS), positive=True
+)
+x, psi, y, th_ri, th_le = coordinates = sp.symbols("x psi y theta_ri theta_le")
+xd, psid, yd, thd_ri, thd_le = rates = sp.symbols(r"\dot{x} \dot{psi} \dot{y} \dot{theta}_ri \dot{theta}_le")
+xdd, psidd = accelerations = sp.symbols(r"\ddot{x} \ddot{psi}")
+psi_Tr, kappa, phi_Tr, dphi, eps_Tr, deps, psi_CB, kappa_CB, m_CB = theta = sp.symbols(
+    "psi_Tr kappa phi_Tr phi_Tr' epsilon_Tr epsilon_Tr' psi_CB kappa_CB m_CB"
+)
+tau_ri, tau_le = torques = sp.symbols("tau_ri tau_le")
+
+psi_r = psi - psi_Tr
+gamma = sp.tan(delta_0) / (b / 2 - r_0 * sp.tan(delta_0))
+roll = -gamma * y + phi_Tr
+height = delta_0 * b / 2 * (1 / sp.cos(psi_r) - 1) - gamma * y**2 - r_0
+radius = {"ri": r_0 + sp.tan(delta_0) * y, "le": r_0 - sp.tan(delta_0) * y}
+arm = {"ri": b / 2 - y, "le": b / 2 + y}
+
+_TRACK = {psi_Tr: kappa, phi_Tr: dphi}
+
+
+def along_track(expression: sp.Expr) -> sp.Expr:
+    """Partial derivative with respect to x; second derivatives of the track angles count as zero (theta lacks them)."""
+    return sum((sp.diff(expression, angle) * slope for angle, slope in _TRACK.items()), sp.diff(expression, x))
+
+
+def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
+    """Total time derivative of an expression of coordinates and rates."""
+    total = along_track(expression) * xd
+    for coordinate, rate in zip(coordinates[1:], rates[1:], strict=True):
+        total += sp.diff(expression, coordinate) * rate
+    return total + sum(sp.diff(expression, rate) * change for rate, change in rate_of_rates.items())
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Rates of the dependent coordinates as functions of the free rates."""
+
+    lateral: sp.Expr
+    spin: dict[str, sp.Expr]
+
+    @property
+    def rates(self) -> dict:
+        """Substitution of dependent rates."""
+        return {yd: self.lateral, thd_ri: self.spin["ri"], thd_le: self.spin["le"]}
+
+
+def constraints(discrepancies: frozenset[str]) -> Constraints:
+    """Lateral kinematics and ideal rolling. Source: eqs. (y_trax) and (wheel_speeds)."""
+    turning = psid + kappa * xd if "D3" in discrepancies else psid
+    spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
+    spin_le = -(xd + arm["le"] * turning) / radius["le"]
+    return Constraints(xd * sp.sin(psi_r), {"ri": spin_ri, "le": spin_le})
+
+
+def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
+    """Absolute angular velocity of a wheel in axle axes: roll rate, spin plus yaw about the rolled axle, rest of yaw."""
+    roll_rate = -gamma * yd + dphi * xd
+    return sp.Matrix([roll_rate, spin + psid * sp.sin(roll), psid * sp.cos(roll)])
+
+
+def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
+    """Kinetic energy in unreduced rates. Source: eq. (Lagrangea)."""
+    height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
+    roll_rate = -gamma * yd + dphi * xd
+    inertia = sp.diag(J_Wz, J_Wy, J_Wz)
+    w_ri, w_le = wheel_rotation(thd_ri), wheel_rotation(thd_le)
+    if "D2" in discrepancies:
+        wheels = ((w_ri + w_le).T * inertia * (w_ri + w_le))[0]
+    else:
+        wheels = (w_ri.T * inertia * w_ri)[0] + (w_le.T * inertia * w_le)[0]
+    carried = (m_x + m_CB / 2) * xd**2 + m * (yd**2 + height_rate**2)
+    return (carried + J_z * psid**2 + J_x * roll_rate**2 + wheels) / 2
+
+
+def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
+    """Yaw and roll springs and weight. Source: eq. (Lagrangeb)."""
+    deflection = roll if "D7" in discrepancies else roll - phi_Tr
+    return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
+
+
+def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
+    """Yaw and roll dampers. Source: eq. (Lagrangec)."""
+    roll_rate = -gamma * yd + (dphi * xd if "D7" in discrepancies else 0)
+    return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * roll_rate**2) / 2
+
+
+def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
+    """Force along x and moment about z of traction-positive torques. Source: eq. (gen_forces), opposite torque sign."""
+    pull = {"ri": tau_ri / radius["ri"], "le": tau_le / radius["le"]}
+    return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd).
+
+    Attributes
+    ----------
+    mass : Matrix, shape (2, 2)
+    rest : Matrix, shape (2, 1)
+    """
+
+    mass: sp.Matrix
+    rest: sp.Matrix
+
+
+@lru_cache
+def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
+    """Derive the equations of motion.
+
+    Parameters
+    ----------
+    discrepancies : frozenset of str
+        Which of `DISCREPANCIES` to keep as printed; empty gives the corrected model.
+
+    Returns
+    -------
+    Equations
+    """
+    kinematics = constraints(discrepancies)
+    t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
+    free = {xd: xdd, psid: psidd}
+    changes = free | {rate: time_derivative(e, free).subs(yd, kinematics.lateral) for rate, e in kinematics.rates.items()}
+    forces = generalised_forces()
+    if "D1" in discrepancies:
+        t, d = t.subs(kinematics.rates), d.subs(kinematics.rates)
+        derivatives = (along_track, lambda e: sp.diff(e, psi))
+        residual = [
+            time_derivative(sp.diff(t, rate), free) - partial(t) + partial(v) + sp.diff(d, rate) - force
+            for rate, partial, force in zip((xd, psid), derivatives, forces, strict=True)
+        ]
+    else:
+        residual = [-force for force in forces]
+        for coordinate, rate in zip(coordinates, rates, strict=True):
+            partial = along_track if coordinate == x else lambda e, c=coordinate: sp.diff(e, c)
+            inertia = time_derivative(sp.diff(t, rate), changes) - partial(t)
+            equation = inertia + partial(v) + sp.diff(d, rate)
+            velocity = kinematics.rates.get(rate, rate)
+            for i, own in enumerate((xd, psid)):
+                residual[i] += equation * sp.diff(velocity, own)
+    residual = sp.Matrix(residual).subs(kinematics.rates)
+    mass = residual.jacobian(sp.Matrix(accelerations))
+    return Equations(mass, residual.subs({xdd: 0, psidd: 0}))
+
+
+def linearised_yaw_equation(discrepancies: frozenset[str] = frozenset()) -> dict[str, sp.Expr]:
+    """Coefficients of the yaw equation about straight centred running at speed v.
+
+    Returns
+    -------
+    dict
+        "inertia" multiplies psidd; "torque" the differential torque; "psi", "psid", "y", "roll rate" the deviations;
+        all for the form inertia * psidd = sum of coefficient * quantity.
+    """
+    found, v, du = equations(discrepancies), sp.Symbol("v"), sp.Symbol("du")
+    straight = {psi: 0, psid: 0, y: 0, yd: 0, xd: v, psi_Tr: 0, kappa: 0, phi_Tr: 0, dphi: 0, psi_CB: 0, kappa_CB: 0}
+    rest = -found.rest[1]
+    at = lambda e: sp.simplify(e.subs(straight).subs({tau_ri: 0, tau_le: 0}))  # noqa: E731
+    return {
+        "inertia": sp.simplify(found.mass[1, 1].subs(straight)),
+        "torque": sp.simplify(rest.subs(straight).subs({tau_ri: -du, tau_le: du}).diff(du)),
+        "psi": at(sp.diff(rest, psi)),
+        "psid": at(sp.diff(rest, psid)),
+        "y": at(sp.diff(rest, y)),
+        "roll rate": sp.simplify(at(sp.diff(rest, dphi)) / v),
+    }

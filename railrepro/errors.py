@@ -1,0 +1,5 @@
+"""The one exception for wrong input: a single plain sentence."""
+
+
+class InputError(ValueError):
+    """Input that is refused; the message names file, row or key, what was found and what is allowed."""

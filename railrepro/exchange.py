@@ -1,0 +1,195 @@
+"""Plant and fast control law coupled at 1 kHz: one call runs many exchanges.
+
+With a C compiler the loop of `loop.c` runs over generated functions; without one the same loop runs in Python over the
+same functions in CasADi's virtual machine, slower, with equal results up to rounding.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from railrepro import codegen, plant, route
+from railrepro.contact import ContactTable
+from railrepro.control import fast
+
+
+class _Lookup(ctypes.Structure):
+    _fields_ = [
+        ("cells", ctypes.c_void_p),
+        ("start", ctypes.c_double),
+        ("step", ctypes.c_double),
+        ("n", ctypes.c_longlong),
+        ("width", ctypes.c_longlong),
+        ("row", ctypes.c_void_p),
+    ]
+
+
+class _Copy(ctypes.Structure):
+    _fields_ = [("to", ctypes.c_void_p), ("from_", ctypes.c_void_p), ("n", ctypes.c_longlong)]
+
+
+@lru_cache(maxsize=1)
+def _functions() -> tuple:
+    car = plant.car()
+    return car.coordinates, car.output, fast.law(), car.step
+
+
+@lru_cache(maxsize=1)
+def _library() -> ctypes.CDLL | None:
+    return codegen.library(_functions(), Path(__file__).with_name("loop.c").read_text())
+
+
+class Exchange:
+    """The car on a route under the fast law; `run` advances it by whole exchanges of 1 ms.
+
+    Attributes
+    ----------
+    state : ndarray, shape (44,)
+        Plant state, see `plant.STATES`; writable.
+    held : ndarray, shape (2,)
+        Differential torques of a slower lateral controller, front and rear (N m); writable.
+    memory : ndarray
+        Memory of the fast law, see `fast.MEMORY`.
+    columns : tuple of str
+        Names of the columns that `run` returns.
+    time : float
+        Simulated time (s).
+    """
+
+    def __init__(self, car_parameters, table: ContactTable, way: route.Route, gains, state, compiled: bool = True):
+        coordinates, output, law, step = _functions()
+        self.columns = (*plant.car().outputs, *fast.RECORD)
+        self.state, self.held = np.array(state, dtype=float), np.zeros(2)
+        self.memory = np.zeros(len(fast.MEMORY))
+        self.exchanges = 0
+        self._par, self._gains = np.array(car_parameters, dtype=float), np.array(gains, dtype=float)
+        self._rows, self._contacts = np.zeros((3, len(route.COLUMNS))), np.zeros((4, plant.CONTACT_COLUMNS))
+        self._places, self._y = np.zeros(7), np.zeros(len(plant.car().outputs))
+        self._command, self._record = np.zeros(4), np.zeros(len(fast.RECORD))
+        self._margins = np.zeros(law.nnz_out(3))
+        self._next_state, self._next_memory = np.zeros_like(self.state), np.zeros_like(self.memory)
+        self._error, self._h = np.zeros(len(plant.STATES)), np.array([plant.EXCHANGE_PERIOD])
+        self._way = np.ascontiguousarray(way.cells)
+        self._table = np.ascontiguousarray(table.cells())
+        self._table_grid = (table.start, table.step)
+        rows, contacts = self._rows.reshape(-1), self._contacts.reshape(-1)
+        common = (self.state, self._command, rows, contacts, self._par)
+        bindings = (
+            (coordinates, [self.state, rows, self._par], [self._places]),
+            (output, list(common), [self._y]),
+            (
+                law,
+                [self._y, rows, self.held, self._gains, self.memory],
+                [self._command, self._next_memory, self._record, self._margins],
+            ),
+            (step, [*common, self._h], [self._next_state, self._error]),
+        )
+        self._library = _library() if compiled else None
+        if self._library is None:
+            self._calls = [codegen.InterpretedFunction(*binding) for binding in bindings]
+        else:
+            self._calls = [codegen.CompiledFunction(self._library, *binding) for binding in bindings]
+            self._prepare_loop()
+        for _ in range(2):  # the look-up of contacts uses the irregularities of the rows found before
+            self._look_up()
+
+    def run(self, n: int) -> np.ndarray:
+        """Advance by up to n exchanges.
+
+        Parameters
+        ----------
+        n : int
+            Number of exchanges of 1 ms.
+
+        Returns
+        -------
+        ndarray, shape (m, len(columns))
+            One row per exchange, taken before its step. m = n, or the run ended early: the last row then shows where,
+            `ended` is true and `state` is that of the last row.
+        """
+        rows = np.empty((n, len(self.columns)))
+        done = self._run_python(rows) if self._library is None else self._run_compiled(rows)
+        self.exchanges += done
+        self.ended = done < n
+        return rows[: min(done + 1, n)]
+
+    ended = False
+
+    @property
+    def time(self) -> float:
+        """Simulated time (s)."""
+        return self.exchanges * plant.EXCHANGE_PERIOD
+
+    @property
+    def margins(self) -> np.ndarray:
+        """Distance to each limit of the run, `fast.law` order: lateral front, lateral rear, track end, speed."""
+        return self._margins
+
+    def measure(self) -> np.ndarray:
+        """Outputs at the present state, in the order of `plant.car().outputs`."""
+        self._look_up()
+        self._calls[1]()
+        return self._y
+
+    def _tables(self):
+        for i in range(3):
+            yield self._places[i], self._way, self._way[0, 0], route.CELL, self._rows[i]
+        for i in range(4):
+            yield self._places[3 + i], self._table, *self._table_grid, self._contacts[i]
+
+    def _look_up(self) -> None:
+        self._calls[0]()
+        for place, cells, start, step, row in self._tables():
+            cell = (place - start) / step
+            row[:] = cells[int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0]
+
+    def _run_python(self, rows: np.ndarray) -> int:
+        for k in range(len(rows)):
+            self._look_up()
+            self._calls[1]()
+            self._calls[2]()
+            rows[k] = np.concatenate([self._y, self._record])
+            if not (self._margins > 0).all() or not np.isfinite(rows[k]).all():
+                return k
+            self._calls[3]()
+            self.state[:], self.memory[:] = self._next_state, self._next_memory
+        return len(rows)
+
+    def _prepare_loop(self) -> None:
+        def copies(*pairs):
+            return (_Copy * len(pairs))(
+                *(_Copy(to if to is None else to.ctypes.data, source.ctypes.data, source.size) for to, source in pairs)
+            )
+
+        self._c_calls = (codegen.Call * 4)(*(function.call for function in self._calls))
+        self._c_lookups = (_Lookup * 7)(
+            *(
+                _Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data)
+                for _, cells, start, step, row in self._tables()
+            )
+        )
+        self._c_log = copies((None, self._y), (None, self._record))
+        self._c_carry = copies((self.state, self._next_state), (self.memory, self._next_memory))
+        self._loop = self._library.railrepro_run
+        self._loop.restype = ctypes.c_longlong
+
+    def _run_compiled(self, rows: np.ndarray) -> int:
+        integer, pointer = ctypes.c_longlong, ctypes.c_void_p
+        return self._loop(
+            integer(len(rows)),
+            self._c_calls,
+            pointer(self._places.ctypes.data),
+            self._c_lookups,
+            integer(7),
+            pointer(self._margins.ctypes.data),
+            integer(self._margins.size),
+            self._c_log,
+            integer(2),
+            pointer(rows.ctypes.data),
+            self._c_carry,
+            integer(2),
+        )

@@ -1,0 +1,69 @@
+"""One executor for all parallel studies: local processes, or a Dask cluster when configured.
+
+Set `RAILREPRO_DASK=tcp://host:port` to use a running Dask scheduler; without it, one process per core is used
+(`RAILREPRO_WORKERS` changes the number). Results never depend on the choice, because seeds belong to the task.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+from railrepro.errors import InputError
+
+
+@contextmanager
+def executor() -> Iterator[Executor]:
+    """The configured executor; processes or connections end with the block, also on Ctrl-C."""
+    address = os.environ.get("RAILREPRO_DASK")
+    if address:
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise InputError("RAILREPRO_DASK is set, but the package distributed is not installed") from error
+        try:
+            client = Client(address, timeout=10)
+        except (OSError, ValueError) as error:
+            raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address} ({error})") from error
+        with client:
+            yield client.get_executor(pure=False)
+        return
+    workers = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
+    if not workers.isdigit() or int(workers) < 1:
+        raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 is needed")
+    pool = ProcessPoolExecutor(int(workers), mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
+    """Evaluate `task` on each argument with a progress bar.
+
+    Parameters
+    ----------
+    pool : Executor
+    task : callable
+        Picklable function of one argument.
+    arguments : sequence
+    title : str
+        Text of the progress bar.
+    quiet : bool
+        No progress bar.
+
+    Returns
+    -------
+    list
+        Results in the order of the arguments.
+    """
+    futures = {pool.submit(task, argument): i for i, argument in enumerate(arguments)}
+    results = [None] * len(futures)
+    for future in tqdm(as_completed(futures), total=len(futures), desc=title, disable=quiet, leave=False):
+        results[futures[future]] = future.result()
+    return results

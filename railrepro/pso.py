@@ -1,0 +1,200 @@
+"""Particle swarm optimisation with a global best, constriction and reflecting bounds; seeded and resumable.
+
+Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2002 (chi = 0.7298, c1 = c2 = 2.05).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from railrepro.errors import InputError
+
+CONSTRICTION, ATTRACTION = 0.7298, 2.05
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One searched parameter.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        Bounds, inclusive.
+    scale : str
+        "linear", "log" (the swarm moves in log10) or "integer" (values are rounded).
+    """
+
+    name: str
+    low: float
+    high: float
+    scale: str = "linear"
+
+    def __post_init__(self):
+        if self.scale not in ("linear", "log", "integer"):
+            raise InputError(f"dimension {self.name}: scale {self.scale!r}, one of linear, log, integer is needed")
+        if not self.low < self.high or (self.scale == "log" and self.low <= 0):
+            raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
+
+    def value(self, position: float) -> float:
+        """Parameter value at a position in [0, 1]."""
+        if self.scale == "log":
+            return float(self.low * (self.high / self.low) ** position)
+        value = self.low + position * (self.high - self.low)
+        return round(value) if self.scale == "integer" else float(value)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a swarm.
+
+    Attributes
+    ----------
+    best : dict
+        Parameter values of the best particle.
+    cost : float
+    history : DataFrame
+        Every evaluated particle: iteration, particle, cost and the parameter values.
+    """
+
+    best: dict[str, float]
+    cost: float
+    history: pd.DataFrame
+
+
+class Swarm:
+    """State of a swarm; `ask` gives parameter sets, `tell` takes their costs and moves the particles.
+
+    The random numbers of a move belong to (seed, iteration, particle), so a swarm does not depend on who evaluates it,
+    and a swarm restored from its checkpoint goes on exactly as the unbroken one.
+    """
+
+    def __init__(self, dimensions: list[Dimension], particles: int, seed: int):
+        self.dimensions, self.seed, self.iteration = dimensions, seed, 0
+        shape = (particles, len(dimensions))
+        self.position = np.array([self._random(i, len(dimensions)) for i in range(particles)])
+        self.velocity = np.zeros(shape)
+        self.own_position, self.own_cost = self.position.copy(), np.full(particles, np.inf)
+        self.rows: list[dict] = []
+
+    def _random(self, particle: int, count: int) -> np.ndarray:
+        return np.random.default_rng((self.seed, self.iteration, particle)).random(count)
+
+    def ask(self) -> list[dict[str, float]]:
+        """Parameter values of all particles."""
+        return [
+            {d.name: d.value(x) for d, x in zip(self.dimensions, particle, strict=True)} for particle in self.position
+        ]
+
+    def tell(self, costs: list[float]) -> None:
+        """Take the costs of the particles of the last `ask` and move on to the next iteration."""
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        for i, (values, cost) in enumerate(zip(self.ask(), costs, strict=True)):
+            self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
+        better = costs < self.own_cost
+        self.own_cost = np.where(better, costs, self.own_cost)
+        self.own_position[better] = self.position[better]
+        self.iteration += 1
+        leader, n = self.own_position[np.argmin(self.own_cost)], len(self.dimensions)
+        for i in range(len(self.position)):
+            draw = self._random(i, 2 * n)
+            pull = ATTRACTION * draw[:n] * (self.own_position[i] - self.position[i])
+            pull += ATTRACTION * draw[n:] * (leader - self.position[i])
+            self.velocity[i] = np.clip(CONSTRICTION * (self.velocity[i] + pull), -0.5, 0.5)
+        self._move()
+
+    def _move(self) -> None:
+        moved = self.position + self.velocity
+        low, high = moved < 0, moved > 1
+        moved = np.where(low, -moved, np.where(high, 2 - moved, moved))
+        self.velocity = np.where(low | high, -0.5 * self.velocity, self.velocity)
+        self.position = np.clip(moved, 0, 1)
+
+    @property
+    def best(self) -> tuple[dict[str, float], float]:
+        """Parameter values and cost of the best particle so far."""
+        i = int(np.argmin(self.own_cost))
+        best = {d.name: d.value(x) for d, x in zip(self.dimensions, self.own_position[i], strict=True)}
+        return best, float(self.own_cost[i])
+
+    def stagnant(self, patience: int, tolerance: float = 1e-4) -> bool:
+        """True when the best cost has fallen by less than `tolerance` (relative) over `patience` iterations."""
+        if self.iteration <= patience:
+            return False
+        costs = pd.DataFrame(self.rows).groupby("iteration")["cost"].min().cummin().to_numpy()
+        return costs[-1] > (1 - tolerance) * costs[-1 - patience]
+
+    def save(self, path: Path, key: str) -> None:
+        """Write a checkpoint atomically."""
+        arrays = ("position", "velocity", "own_position", "own_cost")
+        state = {name: getattr(self, name).tolist() for name in arrays}
+        state |= {"key": key, "iteration": self.iteration, "rows": self.rows}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch = path.with_suffix(".part")
+        scratch.write_text(json.dumps(state))
+        os.replace(scratch, path)
+
+    def restore(self, path: Path, key: str) -> bool:
+        """Continue from a checkpoint of the same search; False when there is none."""
+        if not path.exists():
+            return False
+        state = json.loads(path.read_text())
+        if state["key"] != key:
+            return False
+        for name in ("position", "velocity", "own_position", "own_cost"):
+            setattr(self, name, np.array(state[name], dtype=float))
+        self.iteration, self.rows = state["iteration"], state["rows"]
+        return True
+
+
+def minimise(
+    evaluate: Callable[[list[dict]], list[float]],
+    dimensions: list[Dimension],
+    particles: int,
+    iterations: int,
+    seed: int,
+    checkpoint: Path | None = None,
+    key: str = "",
+    patience: int = 1000,
+    report: Callable[[Swarm], None] = lambda swarm: None,
+) -> Outcome:
+    """Run a swarm to the end of its budget, or until it stagnates.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Costs of a list of parameter sets, in order; a cost that is not finite counts as worst.
+    dimensions : list of Dimension
+    particles, iterations, seed : int
+    checkpoint : Path, optional
+        File written after each iteration; an existing one of the same search is continued.
+    key : str
+        Identity of the search besides its own settings (hash of what `evaluate` depends on).
+    patience : int
+        Iterations without improvement before it stops.
+    report : callable
+        Called with the swarm after each iteration.
+
+    Returns
+    -------
+    Outcome
+    """
+    settings = {"dimensions": [asdict(d) for d in dimensions], "particles": particles, "seed": seed}
+    identity = json.dumps([key, settings])
+    swarm = Swarm(dimensions, particles, seed)
+    if checkpoint is not None:
+        swarm.restore(checkpoint, identity)
+    while swarm.iteration < iterations and not swarm.stagnant(patience):
+        swarm.tell(evaluate(swarm.ask()))
+        if checkpoint is not None:
+            swarm.save(checkpoint, identity)
+        report(swarm)
+    best, cost = swarm.best
+    return Outcome(best, cost, pd.DataFrame(swarm.rows))

@@ -1,0 +1,216 @@
+"""The multibody car: statics, energy, symmetry, steady curving, integrator order, faults, compiled against interpreted."""
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+
+from railrepro import exchange, plant, route
+from railrepro.contact import contact_table
+from railrepro.control import fast
+from railrepro.control.ndi import NDISettings
+from railrepro.parameters import load_vehicle
+from railrepro.track import load_track
+
+KMH = 1 / 3.6
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return load_vehicle()
+
+
+def start(vehicle, track="T5", speed=50.0, ndi=None, reference=None, state=None, parameters=None, compiled=True, **lay):
+    """An exchange at rest state (or `state`) on a named track."""
+    table = contact_table(vehicle.contact.profile, vehicle)
+    way = route.lay(load_track(track), reference, **lay)
+    gains = fast.gain_vector(vehicle, ndi, lateral=0.03, track_end=way.length, stop_speed=-1.0)
+    parameters = plant.parameter_vector(vehicle) if parameters is None else parameters
+    state = plant.rest_state(vehicle, table, speed) if state is None else state
+    return exchange.Exchange(parameters, table, way, gains, state, compiled)
+
+
+def frame(rows, coupled):
+    return pd.DataFrame(rows, columns=coupled.columns)
+
+
+def energies(coupled):
+    coupled.measure()
+    inputs = coupled.state, coupled._command, coupled._rows.T, coupled._contacts.T, coupled._par
+    return np.array(plant.car().energy(*inputs)).ravel()
+
+
+def conservative(vehicle):
+    """Plant parameters without any damping or friction."""
+    values = plant.parameter_vector(vehicle)
+    for i, name in enumerate(plant.PARAMETERS):
+        if name.startswith("suspension.c_") or name.endswith("_damping"):
+            values[i] = 0.0
+        if name.endswith(".mu0"):
+            values[i] = 1e-12
+    return values
+
+
+def test_static_wheel_loads_carry_the_car(vehicle):
+    coupled = start(vehicle)
+    log = frame(coupled.run(4000), coupled).iloc[-1]
+    weight = (vehicle.body.mass + 2 * vehicle.gear.mass) * vehicle.gravity / 4
+    cone = vehicle.wheel.cone_angle
+    for wheel in plant.WHEELS:
+        outwards = log[f"{wheel}.Fy"] if wheel.endswith("ri") else -log[f"{wheel}.Fy"]
+        assert log[f"{wheel}.N"] * np.cos(cone) + outwards * np.sin(cone) == pytest.approx(weight, rel=1e-4)
+
+
+def test_energy_of_the_free_car_is_conserved(vehicle):
+    table = contact_table("cone", vehicle)
+    state = plant.rest_state(vehicle, table, 50.0)
+    names = {name: i for i, name in enumerate(plant.STATES)}
+    state[[names["body.y"], names["body.phi"], names["front.y"], names["rear.y"]]] = 0.002, 0.002, 0.001, -0.001
+    coupled = start(vehicle, state=state, parameters=conservative(vehicle))
+    before = energies(coupled)[0]
+    coupled.run(10_000)
+    assert energies(coupled)[0] == pytest.approx(before, rel=1e-6)
+
+
+def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
+    pull = {"force": lambda p: np.where(p > 5, 10e3, 0.0)}
+    coupled = start(vehicle, "T3", 280 * KMH, NDISettings(), route.sweep(2e-3, 150, 60, 25, 500), **pull)
+    balance = [energies(coupled)]
+    for _ in range(4000):
+        coupled.run(1)
+        balance.append(energies(coupled))
+    energy, motor, damping, creep = np.array(balance).T
+    work = np.trapezoid(motor - damping - creep, dx=plant.EXCHANGE_PERIOD)
+    assert energy[-1] - energy[0] == pytest.approx(work, rel=1e-4)
+    assert motor.max() > 1e5
+
+
+@pytest.mark.parametrize("profile", ["cone", "s1002"])
+def test_left_and_right_curves_mirror(vehicle, profile):
+    from dataclasses import replace
+
+    from railrepro.track import Track
+
+    table = contact_table(profile, vehicle)
+    track = load_track("T3")
+    flipped = track.table.copy()
+    for column in ("psi_rad", "dpsi_dp_1pm", "phi_rad", "dphi_dp_1pm", "y_m"):
+        flipped[column] = -flipped[column]
+    logs = []
+    for sign, geometry in ((1, track), (-1, replace(track, table=flipped))):
+        way = route.lay(geometry, route.sweep(sign * 2e-3, 150, 60, 25, 500))
+        gains = fast.gain_vector(vehicle, NDISettings(), lateral=0.03, track_end=500.0, stop_speed=-1.0)
+        rest = plant.rest_state(vehicle, table, 280 * KMH)
+        coupled = exchange.Exchange(plant.parameter_vector(vehicle), table, way, gains, rest)
+        logs.append(frame(coupled.run(3000), coupled))
+    right, left = logs
+    assert isinstance(track, Track)
+    assert np.abs(right["front.y"]).max() > 1e-3
+    assert np.abs(right["front.y"] + left["front.y"]).max() < 1e-9
+    assert np.abs(right["front_le.N"] - left["front_ri.N"]).max() < 1e-2
+
+
+@pytest.mark.parametrize(("track", "speed"), [("T1", 40), ("T2", 160), ("T3", 280), ("T4", 400)])
+def test_steady_curving_balances_weight_and_centrifugal_force(vehicle, track, speed):
+    coupled = start(vehicle, track, speed * KMH, NDISettings(integral=0.2))
+    length = load_track(track).length
+    duration = (length - 30) / (speed * KMH)
+    log = frame(coupled.run(int(1000 * duration)), coupled).tail(1500).mean()
+    _, kappa, phi, *_ = load_track(track).interpolate(np.array([length - 40.0]))[:, 0]
+    mass = vehicle.body.mass / 2 + vehicle.gear.mass
+    v, g = log["front.v"], vehicle.gravity
+    normal = mass * (g * np.cos(phi) + v**2 * kappa * np.sin(phi))
+    sideways = mass * (v**2 * kappa * np.cos(phi) - g * np.sin(phi))
+    cos, sin = np.cos(vehicle.wheel.cone_angle), np.sin(vehicle.wheel.cone_angle)
+    lateral = 0.0
+    for gear in ("front", "rear"):
+        load, creep = ({side: log[f"{gear}_{side}.{force}"] for side in ("le", "ri")} for force in ("N", "Fy"))
+        vertical = (load["le"] + load["ri"]) * cos + (creep["ri"] - creep["le"]) * sin
+        assert vertical == pytest.approx(normal, rel=2e-3)
+        lateral += (creep["le"] + creep["ri"]) * cos + (load["le"] - load["ri"]) * sin
+    assert lateral == pytest.approx(2 * sideways, abs=300)
+
+
+def test_yaw_spring_torque_in_the_narrow_curve(vehicle):
+    coupled = start(vehicle, "T1", 40 * KMH, NDISettings(integral=0.2))
+    log = frame(coupled.run(28_000), coupled).tail(1000).mean()
+    angle = vehicle.body.gear_spacing / (2 * 175.0)
+    expected = vehicle.suspension.yaw_stiffness * angle * vehicle.wheel.radius / vehicle.gear.contact_base
+    assert log["front.du"] == pytest.approx(expected, rel=0.02)
+    assert log["rear.du"] == pytest.approx(-expected, rel=0.02)
+
+
+def test_compiled_and_interpreted_loops_agree(vehicle):
+    logs = []
+    for compiled in (True, False):
+        coupled = start(vehicle, "T3", 280 * KMH, NDISettings(), compiled=compiled)
+        logs.append(coupled.run(300))
+    assert np.allclose(logs[0], logs[1], rtol=1e-6, atol=1e-6)
+
+
+def test_step_converges_with_order_three_on_a_smooth_stretch(vehicle):
+    coupled = start(vehicle, "T4", 400 * KMH, NDISettings(frequency=20, pole=20))
+    coupled.run(1500)
+    car, x0 = plant.car(), coupled.state.copy()
+    torque = np.array([300.0, -300.0, -200.0, 200.0])
+
+    def after(n):
+        x = x0.copy()
+        for _ in range(n):
+            x = np.array(car.step(x, torque, coupled._rows.T, coupled._contacts.T, coupled._par, 2e-3 / n)[0]).ravel()
+        return x
+
+    exact = after(128)
+    errors = [np.abs(after(n) - exact)[:36].max() for n in (2, 4, 8)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (orders > 2.4).all()
+
+
+def test_jacobian_of_the_step_is_the_derivative_of_the_rate(vehicle):
+    """A wrong chain rule would cost the order silently; a linear test problem would not see it."""
+    coupled = start(vehicle, "T3", 280 * KMH, NDISettings())
+    coupled.run(700)
+    car = plant.car()
+    x = ca.SX.sym("x", len(plant.STATES))
+    inputs = coupled._command, coupled._rows.T, coupled._contacts.T, coupled._par
+    jacobian = np.array(ca.Function("J", [x], [ca.jacobian(car.rate(x, *inputs), x)])(coupled.state))
+    h = 1e-3
+    rate = np.array(car.rate(coupled.state, *inputs)).ravel()
+    shift = 2 / h * np.eye(len(rate)) - jacobian
+
+    def f(state):
+        return np.array(car.rate(state, *inputs)).ravel()
+
+    k1 = np.linalg.solve(shift, rate)
+    k2 = np.linalg.solve(shift, rate + 4 / h * k1)
+    k3 = np.linalg.solve(shift, f(coupled.state + 2 * k1) + (k1 - k2) / h)
+    k4 = np.linalg.solve(shift, f(coupled.state + 2 * k1 + k3) + (k1 - k2 - 8 / 3 * k3) / h)
+    stepped = np.array(car.step(coupled.state, *inputs, h)[0]).ravel()
+    assert np.allclose(stepped, coupled.state + 2 * k1 + k3 + k4, rtol=1e-9, atol=1e-10)
+
+
+def test_braking_holds_the_car_at_standstill(vehicle):
+    coupled = start(vehicle, speed=1.0, force=lambda p: np.full_like(p, -8e3))
+    log = frame(coupled.run(8000), coupled)
+    assert abs(log["front.v"].iloc[-1]) < 0.02
+    assert log["front.v"].min() > -1e-3
+    assert np.isfinite(log.to_numpy()).all()
+
+
+def test_a_wheel_that_lifts_carries_nothing_and_the_run_stays_finite(vehicle):
+    table = contact_table("cone", vehicle)
+    state = plant.rest_state(vehicle, table, 30.0)
+    names = {name: i for i, name in enumerate(plant.STATES)}
+    state[names["front.z"]] -= 0.02
+    coupled = start(vehicle, state=state)
+    log = frame(coupled.run(3000), coupled)
+    assert log["front_le.N"].iloc[0] == 0.0
+    assert log["front_le.N"].iloc[-1] > 5e4
+
+
+def test_a_run_ends_with_the_derailment(vehicle):
+    coupled = start(vehicle, "T2", 160 * KMH)
+    rows = coupled.run(20_000)
+    assert coupled.ended
+    assert coupled.margins[:2].min() <= 0
+    assert np.isfinite(rows).all()

@@ -1,0 +1,89 @@
+"""Swarm: published test functions, bounds, seeds, checkpoints."""
+
+import numpy as np
+import pytest
+
+from railrepro.errors import InputError
+from railrepro.pso import Dimension, Swarm, minimise
+
+
+def sphere(sets):
+    return [sum((v - 0.3) ** 2 for v in s.values()) for s in sets]
+
+
+def rosenbrock(sets):
+    return [100 * (s["b"] - s["a"] ** 2) ** 2 + (1 - s["a"]) ** 2 for s in sets]
+
+
+def rastrigin(sets):
+    return [sum(v**2 - 10 * np.cos(2 * np.pi * v) + 10 for v in s.values()) for s in sets]
+
+
+BOX = [Dimension("a", -5.12, 5.12), Dimension("b", -5.12, 5.12)]
+
+
+@pytest.mark.parametrize(("function", "least", "tolerance"), [(sphere, 0.3, 1e-3), (rosenbrock, 1.0, 0.05)])
+def test_minimum_of_smooth_functions_is_found(function, least, tolerance):
+    found = minimise(function, BOX, 30, 120, seed=3)
+    assert found.best["a"] == pytest.approx(least, abs=tolerance)
+    assert found.best["b"] == pytest.approx(least, abs=2 * tolerance)
+
+
+def test_global_minimum_among_many_local_ones_is_found_most_of_the_time():
+    hits = sum(minimise(rastrigin, BOX, 30, 100, seed=s).cost < 0.1 for s in range(10))
+    assert hits >= 8
+
+
+def test_particles_stay_in_bounds_and_integers_are_whole():
+    dimensions = [Dimension("r", 1e-12, 1e-8, "log"), Dimension("n", 5, 40, "integer")]
+    history = minimise(lambda sets: [-s["r"] - s["n"] for s in sets], dimensions, 12, 30, seed=1).history
+    assert history["r"].between(1e-12, 1e-8).all()
+    assert history["n"].isin(range(5, 41)).all()
+    assert history["n"].iloc[-12:].max() == 40
+
+
+def test_same_seed_same_swarm_another_seed_another():
+    first, second, other = (minimise(sphere, BOX, 8, 10, seed=s).history for s in (5, 5, 6))
+    assert first.equals(second)
+    assert not first["a"].equals(other["a"])
+
+
+def test_a_broken_search_ends_like_the_unbroken_one(tmp_path):
+    whole = minimise(rastrigin, BOX, 10, 20, seed=2)
+    calls = 0
+
+    def breaks(sets):
+        nonlocal calls
+        calls += 1
+        if calls == 8:
+            raise KeyboardInterrupt
+        return rastrigin(sets)
+
+    with pytest.raises(KeyboardInterrupt):
+        minimise(breaks, BOX, 10, 20, seed=2, checkpoint=tmp_path / "swarm.json")
+    resumed = minimise(rastrigin, BOX, 10, 20, seed=2, checkpoint=tmp_path / "swarm.json")
+    assert resumed.history.equals(whole.history)
+    assert resumed.best == whole.best
+
+
+def test_a_checkpoint_of_another_search_is_not_continued(tmp_path):
+    minimise(rastrigin, BOX, 10, 5, seed=2, checkpoint=tmp_path / "swarm.json", key="one")
+    other = minimise(sphere, BOX, 10, 5, seed=2, checkpoint=tmp_path / "swarm.json", key="two")
+    assert other.history.equals(minimise(sphere, BOX, 10, 5, seed=2).history)
+
+
+def test_failures_count_as_worst_and_never_lead():
+    swarm = Swarm(BOX, 6, seed=0)
+    swarm.tell([np.nan, np.inf, 3.0, 2.0, 1.0, np.nan])
+    assert swarm.best[1] == 1.0
+
+
+def test_a_stagnant_swarm_stops_early():
+    assert minimise(lambda sets: [1.0] * len(sets), BOX, 5, 50, seed=0, patience=4).history["iteration"].max() < 8
+
+
+def test_bounds_that_span_nothing_are_refused():
+    with pytest.raises(InputError, match="do not span"):
+        Dimension("x", 2.0, 1.0)
+    with pytest.raises(InputError, match="do not span"):
+        Dimension("x", 0.0, 1.0, "log")
