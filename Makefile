@@ -64,7 +64,7 @@ strip: $(VENV)  ## remove outputs from the notebooks
 
 lock:  ## renew environment.lock from pyproject.toml
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; cd $$d; \
-	  uv=$$(command -v uv || echo $(CURDIR)/.venv/bin/uv); \
+	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=venv/bin/uv; }; \
 	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
 	    > $(CURDIR)/environment.lock; rm -rf $$d
 

@@ -1,0 +1,73 @@
+"""One look for all figures, and files that come out byte-identical.
+
+Colours are Okabe-Ito's, fixed by meaning and doubled by line style, so that figures stay readable in grey.
+"""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import pandas as pd
+from matplotlib.figure import Figure
+
+from railrepro import paths
+
+WIDTH = 3.5
+"""Width of a column (in)."""
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
+    *("#000000", "#E69F00", "#56B4E9", "#009E73"),
+    *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
+)
+CONTROLLER_STYLE = {
+    "set point": {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "set point"},
+    "nmpc": {"color": BLUE, "linestyle": "-", "linewidth": 1.0, "label": "NMPC"},
+    "ltv_mpc": {"color": ORANGE, "linestyle": "--", "linewidth": 1.0, "label": "LTV-MPC"},
+    "ltv_mpc_printed": {"color": PURPLE, "linestyle": (0, (1, 1)), "linewidth": 1.0, "label": "LTV-MPC as printed"},
+    "ndi": {"color": RED, "linestyle": "-.", "linewidth": 1.0, "label": "NDI"},
+    "ndi_feedforward": {"color": GREEN, "linestyle": (0, (5, 1, 1, 1)), "linewidth": 1.0, "label": "NDI, set-point rates"},
+    "ndi_integral": {"color": SKY, "linestyle": (0, (3, 1)), "linewidth": 1.0, "label": "NDI, integral"},
+}
+_STYLE = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.linewidth": 0.3,
+    "grid.alpha": 0.5,
+    "lines.linewidth": 1.0,
+    "figure.constrained_layout.use": True,
+    "svg.hashsalt": "railrepro",
+    "svg.fonttype": "path",
+    "pdf.compression": 9,
+}
+
+
+def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: float = WIDTH, **options):
+    """Figure and axes in the common style; `height` is that of one row (in)."""
+    mpl.rcParams.update(_STYLE)
+    return plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
+
+
+def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
+    """Write figures/NAME as pdf, svg and png, and the plotted data as csv; equal content gives equal bytes.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        figNN_name.
+    data : DataFrame
+        What is plotted, tidy, units in the column names.
+    """
+    metadata = {"pdf": {"CreationDate": None, "ModDate": None}, "svg": {"Date": None}, "png": {"Software": None}}
+    for suffix, entries in metadata.items():
+        figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=250, metadata=entries)
+    data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")
