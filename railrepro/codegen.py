@@ -169,7 +169,9 @@ def _buffers(function: ca.Function, arguments, results) -> tuple[list[np.ndarray
     """Given buffers after a check of their sizes, or new ones."""
     arguments = arguments or [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
     results = results or [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-    sizes = [function.nnz_in(i) for i in range(function.n_in())] + [function.nnz_out(i) for i in range(function.n_out())]
+    sizes = [function.nnz_in(i) for i in range(function.n_in())] + [
+        function.nnz_out(i) for i in range(function.n_out())
+    ]
     for size, array in zip(sizes, [*arguments, *results], strict=True):
         if array.size != size or array.dtype != np.float64 or not array.flags.c_contiguous:
             raise ValueError(f"{function.name()}: a contiguous float64 buffer of {size} numbers is needed")

@@ -1,8 +1,8 @@
 """Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, or S1002 on 60E1 at 1:40.
 
 The plant needs, at each shift u (positive towards the flange): the radius of the equivalent wheel on a knife-edge rail
-(its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and contact
-position, the contact ellipse, Kalker coefficients and Hertz stiffness.
+(its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and
+contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
 
 Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
 """
@@ -34,8 +34,8 @@ class ContactTable:
     ----------
     name : str
     frame : DataFrame
-        Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, wheel_contact_m (lateral position on
-        the wheel, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal load), c11, c22, c23,
+        Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, wheel_contact_m (lateral position
+        on the wheel, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal load), c11, c22, c23,
         normal_stiffness (N/m^1.5).
     """
 
@@ -60,7 +60,10 @@ class ContactTable:
         """
         shift = self.frame["shift_m"].to_numpy()
         h = np.diff(shift)
-        radius, slope = self.frame["effective_radius_m"].to_numpy(), np.tan(self.frame["angle_rad"].to_numpy())
+        radius, slope = (
+            self.frame["effective_radius_m"].to_numpy(),
+            np.tan(self.frame["angle_rad"].to_numpy()),
+        )
         secant = np.diff(radius) / h
         square = (3 * secant - 2 * slope[:-1] - slope[1:]) / h
         cube = (slope[:-1] + slope[1:] - 2 * secant) / h**2

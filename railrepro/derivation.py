@@ -20,7 +20,22 @@ DISCREPANCIES = {
     "D7": "absolute roll used as deflection of the roll suspension",
 }
 
-PARAMETERS = ("m", "m_x", "J_x", "J_z", "J_Wy", "J_Wz", "r_0", "b", "delta_0", "k_sz", "k_dz", "k_sx", "k_dx", "g")
+PARAMETERS = (
+    "m",
+    "m_x",
+    "J_x",
+    "J_z",
+    "J_Wy",
+    "J_Wz",
+    "r_0",
+    "b",
+    "delta_0",
+    "k_sz",
+    "k_dz",
+    "k_sx",
+    "k_dx",
+    "g",
+)
 """Mass, longitudinal mass without body share, residual inertias, wheel, geometry, suspension, gravity (SI)."""
 
 m, m_x, J_x, J_z, J_Wy, J_Wz, r_0, b, delta_0, k_sz, k_dz, k_sx, k_dx, g = parameters = sp.symbols(
@@ -79,7 +94,7 @@ def constraints(discrepancies: frozenset[str]) -> Constraints:
 
 
 def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
-    """Absolute angular velocity of a wheel in axle axes: roll rate, spin plus yaw about the rolled axle, rest of yaw."""
+    """Absolute angular velocity of a wheel in axle axes: roll rate, spin plus yaw along it, rest of yaw."""
     roll_rate = -gamma * yd + dphi * xd
     return sp.Matrix([roll_rate, spin + psid * sp.sin(roll), psid * sp.cos(roll)])
 
@@ -146,7 +161,9 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
     kinematics = constraints(discrepancies)
     t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
     free = {xd: xdd, psid: psidd}
-    changes = free | {rate: time_derivative(e, free).subs(yd, kinematics.lateral) for rate, e in kinematics.rates.items()}
+    changes = free | {
+        rate: time_derivative(e, free).subs(yd, kinematics.lateral) for rate, e in kinematics.rates.items()
+    }
     forces = generalised_forces()
     if "D1" in discrepancies:
         t, d = t.subs(kinematics.rates), d.subs(kinematics.rates)
@@ -179,7 +196,19 @@ def linearised_yaw_equation(discrepancies: frozenset[str] = frozenset()) -> dict
         all for the form inertia * psidd = sum of coefficient * quantity.
     """
     found, v, du = equations(discrepancies), sp.Symbol("v"), sp.Symbol("du")
-    straight = {psi: 0, psid: 0, y: 0, yd: 0, xd: v, psi_Tr: 0, kappa: 0, phi_Tr: 0, dphi: 0, psi_CB: 0, kappa_CB: 0}
+    straight = {
+        psi: 0,
+        psid: 0,
+        y: 0,
+        yd: 0,
+        xd: v,
+        psi_Tr: 0,
+        kappa: 0,
+        phi_Tr: 0,
+        dphi: 0,
+        psi_CB: 0,
+        kappa_CB: 0,
+    }
     rest = -found.rest[1]
     at = lambda e: sp.simplify(e.subs(straight).subs({tau_ri: 0, tau_le: 0}))  # noqa: E731
     return {

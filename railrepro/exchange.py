@@ -129,6 +129,17 @@ class Exchange:
         """Distance to each limit of the run, `fast.law` order: lateral front, lateral rear, track end, speed."""
         return self._margins
 
+    def inputs(self) -> tuple[np.ndarray, ...]:
+        """Arguments x, u, rows, contacts, par of the functions of `plant.car()` at the present state."""
+        self._look_up()
+        return (
+            self.state.copy(),
+            self._command.copy(),
+            self._rows.T.copy(),
+            self._contacts.T.copy(),
+            self._par.copy(),
+        )
+
     def measure(self) -> np.ndarray:
         """Outputs at the present state, in the order of `plant.car().outputs`."""
         self._look_up()

@@ -22,9 +22,19 @@ CONTROLLER_STYLE = {
     "set point": {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "set point"},
     "nmpc": {"color": BLUE, "linestyle": "-", "linewidth": 1.0, "label": "NMPC"},
     "ltv_mpc": {"color": ORANGE, "linestyle": "--", "linewidth": 1.0, "label": "LTV-MPC"},
-    "ltv_mpc_printed": {"color": PURPLE, "linestyle": (0, (1, 1)), "linewidth": 1.0, "label": "LTV-MPC as printed"},
+    "ltv_mpc_printed": {
+        "color": PURPLE,
+        "linestyle": (0, (1, 1)),
+        "linewidth": 1.0,
+        "label": "LTV-MPC as printed",
+    },
     "ndi": {"color": RED, "linestyle": "-.", "linewidth": 1.0, "label": "NDI"},
-    "ndi_feedforward": {"color": GREEN, "linestyle": (0, (5, 1, 1, 1)), "linewidth": 1.0, "label": "NDI, set-point rates"},
+    "ndi_feedforward": {
+        "color": GREEN,
+        "linestyle": (0, (5, 1, 1, 1)),
+        "linewidth": 1.0,
+        "label": "NDI, set-point rates",
+    },
     "ndi_integral": {"color": SKY, "linestyle": (0, (3, 1)), "linewidth": 1.0, "label": "NDI, integral"},
 }
 _STYLE = {
@@ -67,7 +77,11 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     data : DataFrame
         What is plotted, tidy, units in the column names.
     """
-    metadata = {"pdf": {"CreationDate": None, "ModDate": None}, "svg": {"Date": None}, "png": {"Software": None}}
+    metadata = {
+        "pdf": {"CreationDate": None, "ModDate": None},
+        "svg": {"Date": None},
+        "png": {"Software": None},
+    }
     for suffix, entries in metadata.items():
         figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=250, metadata=entries)
     data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")

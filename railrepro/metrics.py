@@ -59,7 +59,8 @@ def effort(series: pd.DataFrame, gear: str = "front") -> float:
 def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
     """Share of time in which a motor of the gear works at its torque limit (-)."""
     torque = np.maximum(
-        np.abs(series[f"{gear}.tau_long"] + series[f"{gear}.du"]), np.abs(series[f"{gear}.tau_long"] - series[f"{gear}.du"])
+        np.abs(series[f"{gear}.tau_long"] + series[f"{gear}.du"]),
+        np.abs(series[f"{gear}.tau_long"] - series[f"{gear}.du"]),
     )
     return float(np.mean(torque >= 0.999 * limit))
 

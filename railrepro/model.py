@@ -1,7 +1,7 @@
 """The control-oriented model as CasADi functions, continuous and discretised.
 
-State x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx; inputs tau_ri, tau_le (traction-positive, N m); theta holds the track
-at the present position. Serves the paper's eqs. (discr_state_space1) and (eqn.parameters).
+State x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx; inputs tau_ri, tau_le (traction-positive, N m); theta holds the
+track at the present position. Serves the paper's eqs. (discr_state_space1) and (eqn.parameters).
 """
 
 from __future__ import annotations
@@ -45,7 +45,12 @@ class ControlModel:
     def parameter_vector(vehicle: Vehicle) -> np.ndarray:
         """Values of `parameters` for a vehicle (SI), shape (14,)."""
         suspension, wheel = vehicle.suspension, vehicle.wheel
-        values = (vehicle.gear.mass, vehicle.gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia)
+        values = (
+            vehicle.gear.mass,
+            vehicle.gear.mass,
+            vehicle.residual_roll_inertia,
+            vehicle.residual_yaw_inertia,
+        )
         values += (wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, vehicle.gear.contact_base)
         values += (wheel.cone_angle, suspension.yaw_stiffness, suspension.yaw_damping)
         return np.array([*values, suspension.roll_stiffness, suspension.roll_damping, vehicle.gravity])
@@ -69,7 +74,9 @@ def control_model(variant: str = "corrected", discrepancies: Iterable[str] | Non
         raise InputError(f"model variant {variant!r} is not known; there are {sorted(_VARIANTS)}")
     kept = frozenset(_VARIANTS[variant] if discrepancies is None else discrepancies)
     if kept - set(derivation.DISCREPANCIES):
-        raise InputError(f"discrepancies {sorted(kept)} are not all known; there are {sorted(derivation.DISCREPANCIES)}")
+        raise InputError(
+            f"discrepancies {sorted(kept)} are not all known; there are {sorted(derivation.DISCREPANCIES)}"
+        )
     return _control_model(kept)
 
 
@@ -94,9 +101,7 @@ def _control_model(discrepancies: frozenset[str]) -> ControlModel:
     psiddot = (m21 * h1 - m11 * h2) / determinant
     rates = (xdot, psidot, xddot, psiddot, xdot * ca.sin(psi_r), psidot - theta[1] * xdot)
     inputs = [ca.vertcat(*group) for group in (state, torque, theta, par)]
-    rhs = ca.Function(
-        "control_model", inputs, [ca.vertcat(*rates)], ["x", "u", "theta", "par"], ["dx"], {"cse": True}
-    )
+    rhs = ca.Function("control_model", inputs, [ca.vertcat(*rates)], ["x", "u", "theta", "par"], ["dx"], {"cse": True})
     return ControlModel(rhs, discrepancies)
 
 

@@ -301,10 +301,16 @@ def _check_entry(file: Path, key: str, entry) -> None:
     if entry["confidence"] not in _CONFIDENCE:
         raise InputError(f"{file.name}: {key} has the confidence {entry['confidence']!r}, allowed are {_CONFIDENCE}")
     limits = entry["range"]
-    if limits != "fixed" and not (
-        isinstance(limits, list) and len(limits) == 2 and limits[0] <= entry["value"] <= limits[1]
-    ):
-        raise InputError(f'{file.name}: {key} has the range {limits}, "fixed" or [low, high] around the value is needed')
+    if limits != "fixed" and not (isinstance(limits, list) and len(limits) == 2 and _inside(entry["value"], *limits)):
+        raise InputError(
+            f'{file.name}: {key} = {entry["value"]!r} with range {limits}, "fixed" or numbers [low, high] around the '
+            "value are needed"
+        )
+
+
+def _inside(value, low, high) -> bool:
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (value, low, high))
+    return numbers and low <= value <= high
 
 
 def _group(kind: type, name: str, values: dict, file: Path):
@@ -329,6 +335,6 @@ def _checked(file: Path, key: str, value, f: dataclasses.Field):
     if not low < value <= high:
         floor = "0 or more" if low == _NOT_NEGATIVE else f"more than {low:g}"
         raise InputError(
-            f"{file.name}: {key} = {value!r} {f.metadata['unit']} is impossible, {floor} and at most {high:g} is allowed"
+            f"{file.name}: {key} = {value!r} {f.metadata['unit']} is impossible, {floor} up to {high:g} is allowed"
         )
     return float(value)

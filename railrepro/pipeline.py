@@ -53,7 +53,7 @@ class Notebook:
 
 
 def chain(path: Path | None = None) -> list[Notebook]:
-    """Notebooks of the chain in order; refuses unknown fields, double products and reads that come before their making."""
+    """Notebooks of the chain in order; refuses unknown fields, double products, reads before making."""
     file = path or paths.NOTEBOOKS / "chain.toml"
     notebooks, made = [], {}
     for entry in tomllib.loads(file.read_text()).get("notebook", []):
@@ -206,7 +206,10 @@ def run_notebook(notebook: Notebook, parameters: dict, root: Path, executed: Pat
         staging.mkdir(parents=True)
     except OSError as error:
         raise InputError(f"{notebook.name}: no write permission for {error.filename}") from error
-    result, scratch = executed / f"{notebook.name}.ipynb", executed / f"{notebook.name}.{os.getpid()}.part.ipynb"
+    result, scratch = (
+        executed / f"{notebook.name}.ipynb",
+        executed / f"{notebook.name}.{os.getpid()}.part.ipynb",
+    )
     try:
         if root != paths.ROOT:
             for read in notebook.reads:
@@ -260,15 +263,23 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
     folders = {f"JUPYTER_{k}_DIR": str(paths.BUILD / "jupyter" / k.lower()) for k in ("CONFIG", "DATA", "RUNTIME")}
     settings = {"IPYTHONDIR": paths.BUILD / "ipython", "MPLCONFIGDIR": paths.BUILD / "matplotlib"}
     settings = {key: str(value) for key, value in settings.items()} | folders
-    settings |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0", "JUPYTER_PATH": ""}
-    settings |= {"RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT), "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
+    settings |= {
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONHASHSEED": "0",
+        "JUPYTER_PATH": "",
+    }
+    settings |= {
+        "RAILREPRO_OUTPUT": str(staging),
+        "RAILREPRO_ROOT": str(paths.ROOT),
+        "PYDEVD_DISABLE_FILE_VALIDATION": "1",
+    }
     with _environment(**settings):
         os.environ.pop("MPLBACKEND", None)
         try:
-            papermill.execute_notebook(
-                str(notebook.path), str(output), parameters=parameters, kernel_name="python3", cwd=str(paths.ROOT),
-                progress_bar={"desc": notebook.name, "leave": False} if sys.stderr.isatty() else False, log_output=False,
-            )  # fmt: skip
+            bar = {"desc": notebook.name, "leave": False} if sys.stderr.isatty() else False
+            options = {"parameters": parameters, "kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": bar}
+            papermill.execute_notebook(str(notebook.path), str(output), **options)
         except papermill.PapermillExecutionError as error:
             _deterministic(output)
             os.replace(output, failed)
@@ -406,7 +417,11 @@ def _compare(pd, np, committed: Path, rerun: Path, tolerance: dict) -> dict[str,
         a, b = old[column], new[column]
         same = (a == b) | (a.isna() & b.isna())
         near = same.copy()
-        if column not in tolerance["not_compared"] and pd.api.types.is_numeric_dtype(a) and pd.api.types.is_numeric_dtype(b):
+        if (
+            column not in tolerance["not_compared"]
+            and pd.api.types.is_numeric_dtype(a)
+            and pd.api.types.is_numeric_dtype(b)
+        ):
             scale = np.nanmax(np.abs(a.to_numpy(dtype=float)), initial=0.0)
             near |= (a.astype(float) - b.astype(float)).abs() <= tolerance["relative"] * scale
         near |= column in tolerance["not_compared"]

@@ -41,7 +41,18 @@ _GROUPS = {
     "gear": ("mass", "inertia_x", "inertia_y", "inertia_z", "contact_base"),
     "wheel": ("radius", "spin_inertia"),
     "suspension": (
-        *("half_spacing", "height", "k_x", "c_x", "k_y", "c_y", "k_z", "c_z", "link_stiffness", "link_damping"),
+        *(
+            "half_spacing",
+            "height",
+            "k_x",
+            "c_x",
+            "k_y",
+            "c_y",
+            "k_z",
+            "c_z",
+            "link_stiffness",
+            "link_damping",
+        ),
         *("antiroll_stiffness", "antiroll_damping", "pitch_stiffness", "pitch_damping"),
         *("yaw_stop_angle", "yaw_stop_stiffness", "bump_clearance", "bump_stiffness"),
     ),
@@ -164,9 +175,7 @@ class _Body:
     def accelerations(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX = 0) -> ca.SX:
         """Newton-Euler: force (N, track components), moment (N m, body axes), spin momentum about y (kg m2/s)."""
         momentum = inertia * self.w + ca.vertcat(0, spin, 0)
-        return ca.vertcat(
-            force / mass - ca.cross(self.turn, self.v), (moment - ca.cross(self.w, momentum)) / inertia
-        )
+        return ca.vertcat(force / mass - ca.cross(self.turn, self.v), (moment - ca.cross(self.w, momentum)) / inertia)
 
 
 def _stop(value: ca.SX, clearance: ca.SX) -> ca.SX:
@@ -182,7 +191,9 @@ class _Suspension:
     """
 
     def __init__(self, body: _Body, gear: _Body, end: int, p: _Symbols, stages: Stages):
-        get = lambda name: p["suspension." + name]
+        def get(name):
+            return p["suspension." + name]
+
         relative = gear.attitude.T @ body.attitude
         offset = gear.attitude.T @ (body.position - gear.position)
         velocity = gear.attitude.T @ (body.section.rotation @ body.v - gear.section.rotation @ gear.v)
@@ -223,7 +234,10 @@ class _Suspension:
         on_body = ca.vertcat(half, 0, p["body.cg_height"] - get("height"))
         arm, mean, rate = self._deflection(on_body, ca.vertcat(0, 0, p["wheel.radius"] - get("height")))
         over = _stop(mean[1], get("bump_clearance"))
-        self._act(arm, preload + 2 * stiffness * mean + 2 * damping * rate + ca.vertcat(0, get("bump_stiffness") * over, 0))
+        self._act(
+            arm,
+            preload + 2 * stiffness * mean + 2 * damping * rate + ca.vertcat(0, get("bump_stiffness") * over, 0),
+        )
         lever = get("half_spacing") * self._relative[:, 1]
         difference = lever - ca.vertcat(0, get("half_spacing"), 0)
         difference_rate = ca.cross(self._body_turn - self._gear_turn, lever)
@@ -282,8 +296,8 @@ class _Contact:
         lateral = ca.cross(normal, tangent)
         to_body = gear.rotation.T @ upright
         centre = ca.vertcat(0, y_rail, 0)
-        # A wheel is a body of revolution, so the normal meets its axis: on a rail that climbs against the axle (cant ramp)
-        # the contact sits ahead of or behind the lowest point.
+        # A wheel is a body of revolution, so the normal meets its axis: on a rail that climbs against the axle (cant
+        # ramp) the contact sits ahead of or behind the lowest point.
         normal_axes = upright.T @ normal
         ahead = normal_axes[0] / normal_axes[2]
         depth = rolling - self.penetration / cos_angle
@@ -433,8 +447,12 @@ def car() -> Car:
         rate=ca.Function("car_rate", inputs, [rate], names, ["dx"]),
         step=ca.Function("car_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}),
         coordinates=ca.Function("car_coordinates", [x, rows, par], [places], ["x", "rows", "par"], ["places"]),
-        output=ca.Function("car_output", inputs, [stages.resolve(ca.vertcat(*outputs.values()))], names, ["y"], {"cse": True}),
-        energy=ca.Function("car_energy", inputs, [stages.resolve(ca.vertcat(*energies))], names, ["energies"], {"cse": True}),
+        output=ca.Function(
+            "car_output", inputs, [stages.resolve(ca.vertcat(*outputs.values()))], names, ["y"], {"cse": True}
+        ),
+        energy=ca.Function(
+            "car_energy", inputs, [stages.resolve(ca.vertcat(*energies))], names, ["energies"], {"cse": True}
+        ),
         outputs=tuple(outputs),
     )
 
@@ -517,7 +535,11 @@ def rest_state(vehicle: Vehicle, table: contact.ContactTable, speed: float, p: f
     """
     row = table.cells()[round((0.0 - table.start) / table.step)]
     slope = row[2] - row[0] * 2 * row[3]
-    radius, rolling, stiffness = row[1] - row[0] * row[2], row[5] - row[0] * row[6], row[19] - row[0] * row[20]
+    radius, rolling, stiffness = (
+        row[1] - row[0] * row[2],
+        row[5] - row[0] * row[6],
+        row[19] - row[0] * row[20],
+    )
     cos_angle = 1 / np.hypot(1, slope)
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle
     drop = (load / stiffness) ** (2 / 3) / cos_angle

@@ -31,7 +31,14 @@ class Forecast:
 
 
 def forecast(
-    route: Route, vehicle: Vehicle, x_hat: np.ndarray, u_d: float, period: float, steps: int, gear: int, printed: bool = False
+    route: Route,
+    vehicle: Vehicle,
+    x_hat: np.ndarray,
+    u_d: float,
+    period: float,
+    steps: int,
+    gear: int,
+    printed: bool = False,
 ) -> Forecast:
     """Desired states and track parameters over the horizon.
 

@@ -54,9 +54,18 @@ class Route:
         return rows, p - rows[0]
 
     def track_at(self, p: np.ndarray) -> np.ndarray:
-        """Track angles and their rates per metre, shape (6, n): psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m)."""
+        """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m) at positions p (m), shape (6, n)."""
         (_, psi, kappa, dkappa, phi, dphi, eps, deps, *_), d = self._cell(p)
-        return np.array([psi + (kappa + dkappa * d / 2) * d, kappa + dkappa * d, phi + dphi * d, dphi, eps + deps * d, deps])
+        return np.array(
+            [
+                psi + (kappa + dkappa * d / 2) * d,
+                kappa + dkappa * d,
+                phi + dphi * d,
+                dphi,
+                eps + deps * d,
+                deps,
+            ]
+        )
 
     def reference_at(self, p: np.ndarray) -> np.ndarray:
         """Lateral set point y* (m) and its slope dy*/dp (-), shape (2, n)."""
@@ -98,7 +107,11 @@ def lay(
     columns |= {"phi": phi, "dphi": dphi, "eps": eps, "deps": deps}
     columns |= dict(zip("xyz", track.position(p), strict=True))
     if irregularities is not None:
-        for name, column in (("lateral", "lateral_m"), ("vertical", "vertical_m"), ("crosslevel", "crosslevel_rad")):
+        for name, column in (
+            ("lateral", "lateral_m"),
+            ("vertical", "vertical_m"),
+            ("crosslevel", "crosslevel_rad"),
+        ):
             value = np.interp(p, irregularities["p_m"], irregularities[column], left=0.0, right=0.0)
             columns |= {name: value, "d" + name: np.append(np.diff(value), 0.0) / CELL}
     if reference is not None:
@@ -112,7 +125,9 @@ def lay(
         cells[:, INDEX[name]] = value
     if not np.isfinite(cells).all():
         row, column = np.argwhere(~np.isfinite(cells))[0]
-        raise InputError(f"route: {COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}, a finite number is needed")
+        raise InputError(
+            f"route: {COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}, a finite number is needed"
+        )
     return Route(cells, track.length)
 
 

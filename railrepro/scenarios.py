@@ -67,7 +67,9 @@ class Scenario:
             irregularities=irregularities,
         )
         if self.end_m > way.length:
-            raise InputError(f"scenario {self.name}: end_m = {self.end_m} lies beyond track {self.track} ({way.length} m)")
+            raise InputError(
+                f"scenario {self.name}: end_m = {self.end_m} lies beyond track {self.track} ({way.length} m)"
+            )
         return replace(way, length=self.end_m)
 
     def _reference(self):

@@ -326,13 +326,14 @@ def read_table(path: Path | str) -> pd.DataFrame:
         if column not in table:
             raise InputError(f"{file.name}: column {column} is missing; found {list(table.columns)}")
     columns = [column for column in COLUMNS if column in table]
-    numbers = table[columns].apply(pd.to_numeric, errors="coerce")
+    numbers = table[columns].apply(pd.to_numeric, errors="coerce").astype(float)
     if len(numbers) < 2:
         raise InputError(f"{file.name}: {len(numbers)} rows found, at least 2 are needed")
     wrong = ~np.isfinite(numbers.to_numpy())
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         found = table[columns].iloc[row, column]
+        found = found if isinstance(found, str) else float(found)
         raise InputError(f"{file.name}: row {row + 2}, {columns[column]} is {found!r}, a finite number is needed")
     step = np.diff(numbers["p_m"])
     if (step <= 0).any():
@@ -342,7 +343,9 @@ def read_table(path: Path | str) -> pd.DataFrame:
         if (numbers[column].abs() > limit).any():
             row = int(np.argmax(numbers[column].abs() > limit))
             found = numbers[column].iloc[row]
-            raise InputError(f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit} {unit} is allowed (unit?)")
+            raise InputError(
+                f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit} {unit} is allowed (unit?)"
+            )
     _check_rates(file, numbers, step)
     if len(columns) < len(COLUMNS):
         numbers = numbers.assign(**dict(zip(COLUMNS[-3:], _positions(numbers), strict=True)))

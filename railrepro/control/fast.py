@@ -22,7 +22,7 @@ from railrepro.parameters import Vehicle
 
 GEARS = ("front", "rear")
 SIDES = ("le", "ri")
-MODEL = ("J_eff", "k_sz", "k_dz", "J_Wy", "r0", "b", "gamma", "mass")
+MODEL = ("J_eff", "k_sz", "k_dz", "J_Wy", "r0", "b", "gamma", "tan_delta", "mass")
 LIMITS = ("lateral", "track_end", "stop_speed")
 GAINS = (
     "ndi.active",
@@ -45,7 +45,8 @@ MEMORY = (
     *(f"{gear}.{name}" for gear in GEARS for name in ("u", "f_0", "f_1", "s_0", "s_1", "integral")),
     *(f"{gear}.{kind}_{i}" for gear in GEARS for kind in ("f_hat", "s_hat") for i in range(2)),
 )
-RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in ("u_d", "du", "tau_long", "f_star", "segment", "y_ref"))
+_RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
+RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,7 @@ def gain_vector(
         "model.r0": vehicle.wheel.radius,
         "model.b": vehicle.gear.contact_base,
         "model.gamma": vehicle.gamma,
+        "model.tan_delta": np.tan(vehicle.wheel.cone_angle),
         "model.mass": vehicle.effective_longitudinal_mass,
     }
     gains |= {f"limit.{name}": value for name, value in limits.items()}
@@ -128,7 +130,11 @@ def law() -> ca.Function:
     """
     outputs = plant.car().outputs
     y_, rows = ca.SX.sym("y", len(outputs)), ca.SX.sym("rows", len(route.COLUMNS), 3)
-    held, gains, memory = ca.SX.sym("held", 2), ca.SX.sym("gains", len(GAINS)), ca.SX.sym("memory", len(MEMORY))
+    held, gains, memory = (
+        ca.SX.sym("held", 2),
+        ca.SX.sym("gains", len(GAINS)),
+        ca.SX.sym("memory", len(MEMORY)),
+    )
     y = dict(zip(outputs, ca.vertsplit(y_), strict=True))
     gain = dict(zip(GAINS, ca.vertsplit(gains), strict=True))
     old = dict(zip(MEMORY, ca.vertsplit(memory), strict=True))
@@ -157,7 +163,7 @@ def law() -> ca.Function:
         error = road["y0"] - state["y"]
         new[f"{gear}.integral"] = old[f"{gear}.integral"] + ca.if_else(free, plant.EXCHANGE_PERIOD * error, 0)
         values = (u_d, du, tau_long, f_star, segment, road["y0"])
-        record |= dict(zip((f"{gear}.{name}" for name in ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")), values))
+        record |= {f"{gear}.{name}": value for name, value in zip(_RECORDED, values, strict=True)}
     margins = [gain["limit.lateral"] - ca.fabs(y[f"{gear}.y"]) for gear in GEARS]
     margins += [gain["limit.track_end"] - y["front.p"], y["front.v"] - gain["limit.stop_speed"]]
     results = [

@@ -6,7 +6,7 @@ affine term, D6) is selectable. Serves the paper's section Linear Time-Variant M
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,13 +47,9 @@ class LTVMPC(PredictiveController):
         return linear + base * problem.u_d
 
     def _base_torque_gain(self, problem: Problem, states: np.ndarray, steps: int) -> np.ndarray:
-        """Derivative of the next state with respect to the common torque of both wheels, shape (L, 6)."""
-        change = 1.0
+        """Derivative of the next state with respect to the common torque of both wheels (linear), shape (L, 6)."""
         here = self._predictor.x_next.copy()
-        shifted = Problem(
-            problem.settings, problem.x_hat, problem.u_d + change, problem.ahead, problem.parameters, problem.tau_max
-        )
-        self._predictor(states[:, :-1], np.zeros(steps), shifted)
-        gain = (self._predictor.x_next - here) / change
+        self._predictor(states[:, :-1], np.zeros(steps), replace(problem, u_d=problem.u_d + 1.0))
+        gain = self._predictor.x_next - here
         self._predictor(states[:, :-1], np.zeros(steps), problem)
         return gain

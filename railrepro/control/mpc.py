@@ -156,7 +156,10 @@ def _prediction(variant: str, discretisation: str, steps: int) -> ca.Function:
     one = ca.Function("one", [x, du, u_d, theta, par, period], outputs, {"cse": True})
     names = ["x", "du", "u_d", "theta", "par", "T"]
     arguments = [ca.MX.sym(n, *one.size_in(i)) for i, n in enumerate(names)]
-    wide = [ca.MX.sym(n, a.shape[0], steps) if n in ("x", "du", "theta") else a for n, a in zip(names, arguments)]
+    wide = [
+        ca.MX.sym(n, a.shape[0], steps) if n in ("x", "du", "theta") else a
+        for n, a in zip(names, arguments, strict=True)
+    ]
     mapped = one.map("mapped", "serial", steps, [2, 4, 5], [])
     return ca.Function(f"prediction_{variant}_{discretisation}_{steps}", wide, mapped(*wide))
 
@@ -180,7 +183,9 @@ class CondensedQP:
     soft: float
 
 
-def condense(problem: Problem, predictor: Predictor, states: np.ndarray, du: np.ndarray, gaps: np.ndarray) -> CondensedQP:
+def condense(
+    problem: Problem, predictor: Predictor, states: np.ndarray, du: np.ndarray, gaps: np.ndarray
+) -> CondensedQP:
     """Gauss-Newton model about states (6, L + 1) and torques (L,) with gaps x_next - x_(k+1), shape (L, 6)."""
     s, steps = problem.settings, problem.settings.steps
     sensitivity, drift = np.zeros((steps, 6, steps)), np.empty((steps, 6))

@@ -61,14 +61,14 @@ def differential_torque(gear: dict, road: dict, integral, gain, model):
     integral : SX
         Integral of y* - y (m s).
     gain, model : mapping
-        Gains of `NDISettings.gains`; model parameters J_eff, k_sz, k_dz, J_Wy, r0, b, gamma.
+        Gains of `NDISettings.gains`; model parameters J_eff, k_sz, k_dz, J_Wy, r0, b, gamma, tan_delta.
 
     Returns
     -------
     SX
         du (N m).
 
-    Source: exact linearisation of the corrected yaw equation, design notes on D1 to D7.
+    Source: exact linearisation of the corrected yaw equation (`railrepro.derivation.linearised_yaw_equation`).
     """
     v, vdot = gear["v"], gear["vdot"]
     psi_r, psidot_r = gear["psi_r"], gear["psidot_Ax"] - v * road["kappa"]
@@ -92,5 +92,6 @@ def differential_torque(gear: dict, road: dict, integral, gain, model):
         + model["k_sz"] * (gear["psi_Ax"] - road["psi_CB"])
         + model["k_dz"] * (gear["psidot_Ax"] - v * road["kappa_CB"])
         - 2 * model["J_Wy"] * v / model["r0"] * roll_rate
+        + model["J_Wy"] * model["b"] * v * model["tan_delta"] / model["r0"] ** 3 * ydot
     )
     return model["r0"] / model["b"] * moment

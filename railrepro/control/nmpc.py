@@ -59,7 +59,9 @@ class NMPC(PredictiveController):
 
     def _with_gauss_newton(self, problem: Problem, du: np.ndarray, most: int) -> tuple[np.ndarray, int]:
         states = problem.ahead.x_d.copy() if self._states is None else self._shifted(problem)
-        for iteration in range(1, most + 1):
+        iteration = 0
+        while iteration < most:
+            iteration += 1
             self._predictor(states[:, :-1], du, problem)
             gaps = self._predictor.x_next - states[:, 1:].T
             qp = condense(problem, self._predictor, states, du, gaps)

@@ -1,0 +1,140 @@
+"""Profiles of wheel and rail: S1002 and 60E1, from the coefficients of the standards.
+
+Serves the paper's section Simulation Environment (wheel-rail geometry of the plant). Profiles are functions of a lateral
+coordinate that is positive to the field side; heights are positive radially outwards (wheel) and downwards (rail).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+MM = 1e-3
+TAPE_CIRCLE = 0.75
+"""Distance of the tape circle from the track centre, centred wheels (m): half of 1360 mm back to back, plus 70 mm."""
+GAUGE = 1.435
+"""Track gauge (m), measured `GAUGE_DEPTH` below the top of the rails."""
+GAUGE_DEPTH = 0.014
+INCLINATION = np.arctan(1 / 40)
+"""Inclination of the rail towards the track centre (rad)."""
+FLANGE_ANGLE = np.arctan(2.747477419)
+"""Steepest angle of the S1002 flange (rad)."""
+
+_TREAD = Polynomial(
+    (0, -3.358537058e-2, 1.565681624e-3, -2.810427944e-5, 5.844240864e-8, -1.562379023e-8)
+    + (5.309217349e-15, -5.957839843e-12, 2.646656573e-13)
+)
+_ROOT = Polynomial(
+    (-4.320221063e3, -1.038384026e3, -1.065501873e2, -6.051367875, -2.054332446e-1, -4.169739389e-3)
+    + (-4.687195829e-5, -2.252755540e-7)
+)
+_CHAMFER = Polynomial((1.364323640, -0.066666667))
+_FLANK = Polynomial((-93.576667419, -2.747477419))
+
+
+def _arc(centre: tuple[float, float], radius: float, side: int):
+    """Height and slope of a circular arc (mm); `side` +1 is the upper half, -1 the lower."""
+
+    def root(s):
+        return np.sqrt(np.maximum(radius**2 - (s - centre[0]) ** 2, 1e-12))
+
+    return lambda s: centre[1] + side * root(s), lambda s: -side * (s - centre[0]) / root(s)
+
+
+def _polynomial(p: Polynomial):
+    return p, p.deriv()
+
+
+# From the field side to the back of the flange: lower limit of the lateral coordinate (mm), height and slope.
+_S1002 = (
+    (32.15796, *_polynomial(_CHAMFER)),
+    (-26.0, *_polynomial(_TREAD)),
+    (-35.0, *_polynomial(_ROOT)),
+    (-38.426669071, *_arc((-26.210665, 16.446), 13.0, -1)),
+    (-39.764473993, *_polynomial(_FLANK)),
+    (-49.662510381, *_arc((-58.558326413, 8.834924130), 20.0, 1)),
+    (-62.764705882, *_arc((-55.0, 16.0), 12.0, 1)),
+    (-70.0, *_arc((-49.5, 9.519259302), 20.5, 1)),
+)
+
+
+def s1002(lateral) -> tuple[np.ndarray, np.ndarray]:
+    """Wheel profile S1002.
+
+    Parameters
+    ----------
+    lateral : array_like
+        Distance from the tape circle, positive to the field side, -0.07 to 0.06 (m).
+
+    Returns
+    -------
+    height, slope : ndarray, shape of `lateral`
+        Rolling radius less the nominal one (m) and its derivative (-).
+
+    Source: EN 13715 (UIC 510-2), S1002 with 28 mm flange height and 32.5 mm flange thickness.
+    """
+    s = np.asarray(lateral, dtype=float) / MM
+    zones = [s >= limit for limit, _, _ in _S1002]
+    height = np.select(zones, [f(s) for _, f, _ in _S1002], np.nan)
+    return height * MM, np.select(zones, [df(s) for _, _, df in _S1002], np.nan)
+
+
+# Radius and outer end of the arcs of the 60E1 head (mm); each arc continues its neighbour with the same tangent.
+_HEAD = ((300.0, 10.5), (80.0, 26.0), (13.0, None))
+_SIDE_SLOPE = 20.0
+
+
+def _head_arcs() -> list[tuple[float, float, float, float]]:
+    """Centre (y, z), radius and end of each arc of the half head (mm)."""
+    arcs, centre = [], (0.0, _HEAD[0][0])
+    for (radius, end), following in zip(_HEAD, (*_HEAD[1:], (0.0, None)), strict=True):
+        sine = (end - centre[0]) / radius if end else np.sin(np.arctan(_SIDE_SLOPE))
+        arcs.append((*centre, radius, centre[0] + radius * sine))
+        inwards = radius - following[0]
+        centre = centre[0] + inwards * sine, centre[1] - inwards * np.sqrt(1 - sine**2)
+    return arcs
+
+
+def rail_head(lateral) -> np.ndarray:
+    """Depth of the 60E1 head below its crown, in the rail's own axes.
+
+    Parameters
+    ----------
+    lateral : array_like
+        Distance from the axis of symmetry, up to 0.036 on both sides (m).
+
+    Returns
+    -------
+    ndarray, shape of `lateral` (m)
+
+    Source: EN 13674-1, radii 300, 80 and 13 mm; junctions fitted to measured points to 2 micrometres.
+    """
+    y = np.abs(np.asarray(lateral, dtype=float)) / MM
+    arcs = _head_arcs()
+    limits = [y <= end for *_, end in arcs]
+    depths = [z - np.sqrt(np.maximum(radius**2 - (y - centre) ** 2, 0)) for centre, z, radius, _ in arcs]
+    return np.select(limits, depths, np.nan) * MM
+
+
+def inclined_rail(count: int = 20_001) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the right rail head as laid: inclined, gauge face at half the gauge.
+
+    Parameters
+    ----------
+    count : int
+        Number of points.
+
+    Returns
+    -------
+    position, depth : ndarray, shape (count,)
+        Distance from the track centre, increasing, and depth below the highest point of the rail (m).
+    """
+    y = np.linspace(-36.0, 36.0, count) * MM
+    z = rail_head(y)
+    turned = y * np.cos(INCLINATION) + z * np.sin(INCLINATION)
+    depth = -y * np.sin(INCLINATION) + z * np.cos(INCLINATION)
+    crown = _HEAD[0][0] * MM
+    depth -= crown - crown / np.cos(INCLINATION) if False else crown * (np.cos(INCLINATION) - 1)
+    gauge_side = turned < turned[np.argmin(depth)]
+    face = np.interp(GAUGE_DEPTH, depth[gauge_side][::-1], turned[gauge_side][::-1])
+    return turned - face + GAUGE / 2, depth

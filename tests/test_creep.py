@@ -1,0 +1,77 @@
+"""Creep law: published peaks, Kalker's limit, bounds, symmetry, FASTSIM, finite derivatives."""
+
+from dataclasses import astuple
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro import creep
+from railrepro.contact import CONE_AXES, contact_table
+from railrepro.errors import InputError
+from railrepro.parameters import load_vehicle
+
+A, B = CONE_AXES
+LOAD, SHEAR = 78.5e3, 8.2e10
+KALKER = creep.kalker_coefficients(A / B)
+PEAKS = {
+    "dry": ((40, 0.441, 0.031), (160, 0.366, 0.015), (400, 0.307, 0.0088)),
+    "wet": ((40, 0.245, 0.084), (400, 0.174, 0.026)),
+    "poor": ((40, 0.130, 0.059), (160, 0.114, 0.030), (400, 0.099, 0.019)),
+    "very_poor": ((40, 0.072, 0.043), (400, 0.058, 0.014)),
+}
+
+
+def force(nu_x, nu_y, spin, law=(1.0, 1.0, 0.4, 1.0, 0.0), load=LOAD, slip=0.0):
+    return np.array(creep.polach(nu_x, nu_y, spin, load, A, B, *KALKER, SHEAR, *law, slip), dtype=float)
+
+
+@pytest.mark.parametrize(("name", "peaks"), PEAKS.items())
+def test_adhesion_maxima(name, peaks):
+    law = load_vehicle().adhesion[name]
+    for speed, adhesion, slip in peaks:
+        found = creep.adhesion_maximum(law, speed / 3.6, LOAD, A, B, KALKER, SHEAR)
+        assert found == pytest.approx((adhesion, slip), rel=0.04)
+
+
+def test_small_creepage_follows_kalker():
+    area = A * B
+    assert force(1e-5, 0, 0)[0] == pytest.approx(-SHEAR * area * KALKER[0] * 1e-5, rel=0.02)
+    assert force(0, 1e-5, 0)[1] == pytest.approx(-SHEAR * area * KALKER[1] * 1e-5, rel=0.02)
+    assert force(0, 0, 1e-3)[1] == pytest.approx(-SHEAR * area**1.5 * KALKER[2] * 1e-3, rel=0.02)
+
+
+def test_friction_bounds_the_force():
+    generator = np.random.default_rng(0)
+    for nu_x, nu_y, spin in generator.normal(0, (5e-3, 5e-3, 0.3), (200, 3)):
+        assert np.hypot(*force(nu_x, nu_y, spin)) <= 0.4 * LOAD * 1.0001
+
+
+def test_reversed_creepage_reverses_the_force():
+    assert force(1e-3, -2e-3, 0.1) == pytest.approx(-force(-1e-3, 2e-3, -0.1))
+
+
+def test_agrees_with_fastsim_at_the_spin_of_the_cone():
+    for nu_x, nu_y in ((1e-3, 0.0), (0.0, 1e-3), (2e-3, 1e-3)):
+        other = np.array(creep.fastsim(nu_x, nu_y, 0.06, LOAD, A, B, 0.4, KALKER, SHEAR))
+        assert np.linalg.norm(force(nu_x, nu_y, 0.06) - other) < 0.08 * 0.4 * LOAD
+
+
+def test_values_and_derivatives_stay_finite_at_rest_and_without_load():
+    symbols = ca.SX.sym("s", 4)
+    law = astuple(load_vehicle().adhesion["dry"])
+    found = ca.vertcat(*creep.polach(*ca.vertsplit(symbols), A, B, *KALKER, SHEAR, *law, 0.0))
+    both = ca.Function("f", [symbols], [found, ca.jacobian(found, symbols)])
+    for state in ([0, 0, 0, 0], [0, 0, 0, LOAD], [0.1, 0, 0, 0], [0, 0, 0.5, LOAD], [1e-3, 0, 0.1, 1e-3]):
+        assert all(np.isfinite(np.array(value)).all() for value in both(state))
+
+
+def test_cone_is_exact_and_cells_join_smoothly():
+    vehicle = load_vehicle()
+    table = contact_table("cone", vehicle)
+    cells, h = table.cells(), table.step
+    assert cells[:, 2] == pytest.approx(np.tan(vehicle.wheel.cone_angle))
+    at_end = cells[:-1, 1] + h * (cells[:-1, 2] + h * (cells[:-1, 3] + h * cells[:-1, 4]))
+    assert np.allclose(at_end, cells[1:, 1], atol=1e-15)
+    with pytest.raises(InputError, match="not known"):
+        contact_table("square", vehicle)

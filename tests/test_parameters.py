@@ -1,0 +1,53 @@
+"""Vehicle data: derived quantities and refused input."""
+
+import pytest
+
+from railrepro import paths
+from railrepro.errors import InputError
+from railrepro.parameters import describe, load_vehicle, sample_ranges
+
+
+def test_derived_quantities():
+    vehicle = load_vehicle()
+    assert vehicle.effective_yaw_inertia == pytest.approx(2319.0, abs=0.1)
+    assert vehicle.effective_longitudinal_mass == pytest.approx(16567, abs=1)
+    assert vehicle.gamma == pytest.approx(0.03386, abs=1e-5)
+    assert vehicle.suspension.yaw_stiffness == 60e3
+
+
+def test_every_parameter_tells_where_it_comes_from():
+    table = describe()
+    assert (table["source"].str.len() > 3).all()
+    assert table["confidence"].isin(["VV", "V", "D", "R", "A"]).all()
+    assert len(sample_ranges()) > 30
+
+
+def test_overrides_are_checked_like_the_file():
+    assert load_vehicle(**{"wheel.radius": 0.43}).wheel.radius == 0.43
+    with pytest.raises(InputError, match="not a key"):
+        load_vehicle(**{"wheel.raduis": 0.43})
+    with pytest.raises(InputError, match="wheel.radius = -1"):
+        load_vehicle(**{"wheel.radius": -1})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("value = 26000.0", "value = -26000.0", "body.mass"),
+        ("value = 26000.0", "value = nan", "body.mass"),
+        ("value = 26000.0", 'value = "26 t"', "body.mass"),
+        ('value = 26000.0, unit = "kg"', 'value = 26.0, unit = "t"', "unit 't', 'kg' is needed"),
+        ("\nmass = {", "\nmas = {", "unknown key body.mas"),
+        ("[wheel]", "[wheels]", "unknown group"),
+        ('value = "cone"', 'value = "cylinder"', "contact.profile is 'cylinder'"),
+        ("[body]", "[body", "cannot be read"),
+    ],
+)
+def test_wrong_files_are_refused_with_one_sentence(tmp_path, old, new, sentence):
+    text = paths.source("data/vehicle.toml").read_text()
+    assert old in text
+    file = tmp_path / "own.toml"
+    file.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=sentence) as refused:
+        load_vehicle(file)
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,127 @@
+"""The chain: staleness, atomic products, refused parameters, failing cells, determinism, stripped notebooks."""
+
+import json
+import os
+import re
+
+import pytest
+
+from railrepro import paths, pipeline
+from railrepro.errors import InputError
+
+CELLS = [
+    "from railrepro import paths",
+    "value = 1  # anything",
+    "path = paths.product('data/results/out.csv')\npath.write_text(f'a\\n{value}\\n')\nprint(value)",
+]
+
+
+def write_notebook(folder, cells, name="01_tiny"):
+    entries = []
+    for i, source in enumerate(cells):
+        tags = {"tags": ["parameters"]} if i == 1 else {}
+        cell = {"cell_type": "code", "id": f"c{i}", "metadata": tags, "source": source}
+        entries.append(cell | {"outputs": [], "execution_count": None})
+    metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    content = {"cells": entries, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+    (folder / f"{name}.ipynb").write_text(json.dumps(content))
+
+
+@pytest.fixture
+def tiny(tmp_path, monkeypatch):
+    """A checkout with one small notebook."""
+    for folder in ("notebooks", "data", "build"):
+        (tmp_path / folder).mkdir()
+    os.symlink(paths.ROOT / "railrepro", tmp_path / "railrepro")
+    (tmp_path / "environment.lock").write_text("")
+    for name in ("ROOT", "DATA", "FIGURES", "NOTEBOOKS", "BUILD"):
+        monkeypatch.setattr(paths, name, tmp_path if name == "ROOT" else tmp_path / name.lower())
+    text = '[[notebook]]\nname = "01_tiny"\ntitle = "tiny"\nwrites = ["data/results/out.csv"]\n'
+    (tmp_path / "notebooks" / "chain.toml").write_text(text)
+    write_notebook(tmp_path / "notebooks", CELLS)
+    return tmp_path
+
+
+def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capsys):
+    product = tiny / "data/results/out.csv"
+    pipeline.refresh("01_tiny")
+    assert product.read_text() == "a\n1\n"
+    assert "01_tiny" in (tiny / "data/MANIFEST.csv").read_text()
+    capsys.readouterr()
+    pipeline.refresh("01_tiny")
+    assert capsys.readouterr().err == ""
+    product.unlink()
+    pipeline.refresh("01_tiny")
+    assert product.exists()
+    write_notebook(tiny / "notebooks", [CELLS[0], "value = 2", CELLS[2]])
+    pipeline.refresh("01_tiny")
+    assert product.read_text() == "a\n2\n"
+
+
+def test_executed_notebooks_are_identical_bytes(tiny):
+    executed = []
+    for _ in range(2):
+        result = pipeline.run_notebook(
+            pipeline.find("01_tiny"), {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb"
+        )
+        executed.append(result.read_bytes())
+    assert executed[0] == executed[1]
+    assert not (tiny / "data/results/out.csv").exists()
+
+
+def test_unknown_parameter_is_refused_before_running(tiny):
+    with pytest.raises(InputError, match=r"unknown parameter 'valeu'; the notebook has \['value'\]"):
+        pipeline.run_notebook(pipeline.find("01_tiny"), {"valeu": 3}, tiny, tiny / "build")
+
+
+@pytest.mark.parametrize(
+    ("last", "sentence"),
+    [
+        ("1 / 0", "failed with ZeroDivisionError"),
+        ("import sys\nsys.exit(0)", "failed with|not executed|did not write"),
+        ("pass", "did not write data/results/out.csv"),
+    ],
+)
+def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
+    pipeline.refresh("01_tiny")
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
+    with pytest.raises(InputError, match=sentence) as failed:
+        pipeline.refresh("01_tiny")
+    assert "\n" not in str(failed.value)
+    assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
+    assert not list((tiny / "build").glob("staging/*/*"))
+
+
+def test_a_read_only_checkout_is_told_in_one_sentence(tiny, monkeypatch):
+    def refuse(*_args, **_kwargs):
+        raise PermissionError(13, "denied", "build/x")
+
+    monkeypatch.setattr("pathlib.Path.mkdir", refuse)
+    with pytest.raises(InputError, match="no write permission"):
+        pipeline.run_notebook(pipeline.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
+
+
+def test_chain_refuses_double_products_and_wrong_order(tiny):
+    file = tiny / "notebooks" / "chain.toml"
+    entry = '[[notebook]]\nname = "{}"\ntitle = "x"\nwrites = ["{}"]\nreads = ["{}"]\n'
+    file.write_text(entry.format("01_a", "data/x.csv", "") + entry.format("02_b", "data/x.csv", ""))
+    with pytest.raises(InputError, match="written by 01_a and by 02_b"):
+        pipeline.chain()
+    file.write_text(entry.format("01_a", "data/x.csv", "data/y.csv") + entry.format("02_b", "data/y.csv", ""))
+    with pytest.raises(InputError, match="reads data/y.csv before"):
+        pipeline.chain()
+
+
+def test_committed_notebooks_are_clean():
+    for path in sorted(paths.NOTEBOOKS.glob("*.ipynb")):
+        content = json.loads(path.read_text())
+        code = [cell for cell in content["cells"] if cell["cell_type"] == "code"]
+        text = "\n".join("".join(cell["source"]) for cell in code)
+        assert not any(cell["outputs"] or cell["execution_count"] for cell in code), path.name
+        assert sum("parameters" in cell["metadata"].get("tags", []) for cell in code) == 1, path.name
+        assert not re.search(r"import \*|sys\.path|/home/|/root/", text), path.name
+        assert len({cell["id"] for cell in content["cells"]}) == len(content["cells"]), path.name
+
+
+def test_every_notebook_is_in_the_chain():
+    assert [n.name for n in pipeline.chain()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))

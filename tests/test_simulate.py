@@ -1,0 +1,74 @@
+"""Co-simulation: whole runs, endings, warnings, scenario files."""
+
+import numpy as np
+import pytest
+
+from railrepro import metrics, scenarios, simulate
+from railrepro.control.ndi import NDISettings
+from railrepro.control.nmpc import NMPC
+from railrepro.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def curve():
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=250)
+    guidance = {"nmpc": NMPC, "ndi": NDISettings(pole=40, frequency=40)}
+    return {name: simulate.run(scenario, how) for name, how in guidance.items()}
+
+
+def test_preview_removes_the_delay(curve):
+    assert metrics.delay(curve["nmpc"].series) < 0.5 * metrics.delay(curve["ndi"].series)
+
+
+def test_runs_end_with_a_reason_and_without_warnings(curve):
+    for run in curve.values():
+        assert run.ended.startswith("end of the run")
+        assert not run.failed
+        assert run.warnings == ()
+        assert np.isfinite(run.series.to_numpy()).all()
+
+
+def test_two_runs_are_identical(curve):
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=250)
+    assert simulate.run(scenario, NMPC).series.equals(curve["nmpc"].series)
+
+
+def test_an_unguided_car_leaves_the_rail_and_the_run_says_so():
+    run = simulate.run(scenarios.load_scenario("curve_entry_T2"), NDISettings(pole=1e-3, frequency=1e-3))
+    assert run.failed
+    assert "left the rail" in run.ended
+
+
+def test_delay_of_a_shifted_signal_is_found():
+    import pandas as pd
+
+    p = np.arange(0, 600, 0.1)
+    series = pd.DataFrame({"front.p": p, "front.y_ref": np.sin(p / 15), "front.y": np.sin((p - 4.0) / 15)})
+    assert metrics.delay(series) == pytest.approx(4.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('[a]\ntrack = "T5"\nspeed_kmh = 100\n', "lacks the key 'end_m'"),
+        ('[a]\ntrack = "T5"\nspeed_kmh = -1\nend_m = 10\n', "speed_kmh = -1"),
+        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\nspede = 1\n', "unknown key 'spede'"),
+        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\npoor_share = [[0, 2]]\n', "outside 0 to 1"),
+        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\nset_point = { kind = "saw" }\n', "kind 'saw'"),
+        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\nset_point = { kind = "sine" }\n', "lacks"),
+    ],
+)
+def test_wrong_scenarios_are_refused(tmp_path, text, sentence):
+    file = tmp_path / "own.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        scenarios.load_scenarios(file)
+
+
+def test_names_that_do_not_exist_are_refused():
+    with pytest.raises(InputError, match="there are"):
+        scenarios.load_scenario("curve_entry_T9")
+    with pytest.raises(InputError, match="T9"):
+        scenarios.load_scenario("sine_tracking").but(track="T9").route()
+    with pytest.raises(InputError, match="beyond track"):
+        scenarios.load_scenario("sine_tracking").but(end_m=9000).route()

@@ -1,0 +1,135 @@
+"""Tracks: Table I, exact interpolation, frames, own tracks, refused input, irregularities."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import signal
+from scipy.spatial.transform import Rotation
+
+from railrepro import track
+from railrepro.errors import InputError
+
+OWN = """
+[hill]
+segments = [
+  { length_m = 50 },
+  { length_m = 80, radius_m = -600, superelevation_m = -0.10, inclination_rad = 0.02 },
+  { length_m = 100 },
+]
+"""
+
+
+@pytest.fixture
+def hill(tmp_path):
+    file = tmp_path / "tracks.toml"
+    file.write_text(OWN)
+    return track.Track("hill", track.build_table(track.alignments(file)["hill"]))
+
+
+@pytest.mark.parametrize(("name", "printed"), [("T1", 0.108), ("T2", 0.168), ("T3", 0.151), ("T4", 0.123)])
+def test_superelevations_of_table_one(name, printed):
+    angle = track.alignments()[name].segments[-1].phi[0]
+    assert round(track.superelevation(angle), 3) == printed
+
+
+def test_turn_rate_of_the_track_frame_matches_differentiated_rotations(hill):
+    """Curvature, cant ramp and gradient at once: R^T R' must be the plant's turn rate per metre."""
+    h = 1e-5
+    for p in (60.0, 90.2, 120.7):
+        psi, kappa, phi, dphi, eps, deps = hill.interpolate(p)[:, 0]
+
+        def rotation(s):
+            a, _, c, _, e, _ = hill.interpolate(s)[:, 0]
+            return Rotation.from_euler("ZYX", [a, e, c]).as_matrix()
+
+        spin = rotation(p).T @ (rotation(p + h) - rotation(p - h)) / (2 * h)
+        expected = [
+            dphi - np.sin(eps) * kappa,
+            np.cos(phi) * deps + np.sin(phi) * np.cos(eps) * kappa,
+            -np.sin(phi) * deps + np.cos(phi) * np.cos(eps) * kappa,
+        ]
+        assert np.allclose([spin[2, 1], spin[0, 2], spin[1, 0]], expected, atol=1e-8)
+
+
+def test_position_is_the_integral_of_the_tangent(hill):
+    p = np.linspace(1.0, 229.0, 301)
+    h = 1e-3
+    psi, _, _, _, eps, _ = hill.interpolate(p)
+    tangent = np.array([np.cos(eps) * np.cos(psi), np.cos(eps) * np.sin(psi), -np.sin(eps)])
+    assert np.allclose((hill.position(p + h) - hill.position(p - h)) / (2 * h), tangent, atol=1e-8)
+
+
+def test_clothoid_is_exact_between_the_rows():
+    t2 = track.load_track("T2")
+    p = np.array([100.13])
+    psi, kappa, *_ = t2.interpolate(p)[:, 0]
+    assert kappa == pytest.approx((p[0] - 25) / 269 / 1500, rel=1e-12)
+    assert psi == pytest.approx((p[0] - 25) ** 2 / (2 * 269 * 1500), rel=1e-12)
+
+
+def test_table_survives_its_csv_exactly(tmp_path):
+    table = track.load_track("T1").table
+    track.write_table(table, tmp_path / "T1.csv")
+    assert track.read_table(tmp_path / "T1.csv").equals(table)
+
+
+def spoil(tmp_path, change):
+    table = track.load_track("T3").table.iloc[:200].copy()
+    table = change(table)
+    file = tmp_path / "own.csv"
+    table.to_csv(file, index=False)
+    return file
+
+
+def set_cell(row, column, value):
+    def change(table):
+        table[column] = table[column].astype(object)
+        table.loc[row, column] = value
+        return table
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda t: t.drop(columns="phi_rad"), "column phi_rad is missing"),
+        (set_cell(7, "psi_rad", np.nan), "row 9, psi_rad is nan"),
+        (set_cell(7, "psi_rad", "left"), "row 9, psi_rad is 'left'"),
+        (set_cell(7, "p_m", 0.0), "row 9, p_m does not increase"),
+        (lambda t: t.assign(phi_rad=np.degrees(t["phi_rad"]) * 20), "unit"),
+        (lambda t: t.assign(dpsi_dp_1pm=-t["dpsi_dp_1pm"]), "does not fit psi_rad"),
+    ],
+)
+def test_wrong_tables_are_refused_with_one_sentence(tmp_path, change, sentence):
+    with pytest.raises(InputError, match=sentence) as refused:
+        track.load_track(str(spoil(tmp_path, change)))
+    assert "own.csv" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("[a]\nradius_m = 100\n", "lacks the key"),
+        ("[a]\nsegments = [{ length_m = -3 }]\n", "length_m is -3"),
+        ("[a]\nsegments = [{ length_m = 3, speed = 1 }]\n", "unknown key 'speed'"),
+        ("[a\n", "cannot be read"),
+    ],
+)
+def test_wrong_alignments_are_refused(tmp_path, text, sentence):
+    file = tmp_path / "own.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        track.alignments(file)
+
+
+def test_irregularities_have_the_spectrum_they_claim():
+    p = np.arange(0, 8000, 0.5)
+    rows = track.irregularities(p, "erri_low", seed=4, longest=100.0)
+    frequency, density = signal.welch(rows["lateral_m"].to_numpy(), fs=2.0, nperseg=2048)
+    band = (frequency > 0.03) & (frequency < 0.2)
+    expected = 2 * np.pi * track.irregularity_spectrum("erri_low", "lateral", 2 * np.pi * frequency[band])
+    assert np.mean(density[band] / expected) == pytest.approx(1.0, abs=0.15)
+    assert not rows["lateral_m"].equals(track.irregularities(p, "erri_low", seed=5)["lateral_m"])
+    assert isinstance(rows, pd.DataFrame)
