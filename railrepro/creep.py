@@ -12,113 +12,55 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-_RATIO = np.array(
+# Kalker's table: semi-axis ratio a/b, then C11, C22, C23, each for Poisson's ratio 0, 0.25 and 0.5.
+_POISSON = (0.0, 0.25, 0.5)
+_TABLE = np.array(
     [
-        0.1,
-        0.2,
-        0.3,
-        0.4,
-        0.5,
-        0.6,
-        0.7,
-        0.8,
-        0.9,
-        1,
-        1 / 0.9,
-        1 / 0.8,
-        1 / 0.7,
-        1 / 0.6,
-        2,
-        2.5,
-        10 / 3,
-        5,
-        10,
+        (0.1, 2.51, 3.31, 4.85, 2.51, 2.52, 2.53, 0.334, 0.473, 0.731),
+        (0.2, 2.59, 3.37, 4.81, 2.59, 2.63, 2.66, 0.483, 0.603, 0.809),
+        (0.3, 2.68, 3.44, 4.80, 2.68, 2.75, 2.81, 0.607, 0.715, 0.889),
+        (0.4, 2.78, 3.53, 4.82, 2.78, 2.88, 2.98, 0.720, 0.823, 0.977),
+        (0.5, 2.88, 3.62, 4.83, 2.88, 3.01, 3.14, 0.827, 0.929, 1.07),
+        (0.6, 2.98, 3.72, 4.91, 2.98, 3.14, 3.31, 0.930, 1.03, 1.18),
+        (0.7, 3.09, 3.81, 4.97, 3.09, 3.28, 3.48, 1.03, 1.14, 1.29),
+        (0.8, 3.19, 3.91, 5.05, 3.19, 3.41, 3.65, 1.13, 1.25, 1.40),
+        (0.9, 3.29, 4.01, 5.12, 3.29, 3.54, 3.82, 1.23, 1.36, 1.51),
+        (1.0, 3.40, 4.12, 5.20, 3.40, 3.67, 3.98, 1.33, 1.47, 1.63),
+        (1 / 0.9, 3.51, 4.22, 5.30, 3.51, 3.81, 4.16, 1.44, 1.59, 1.77),
+        (1 / 0.8, 3.65, 4.36, 5.42, 3.65, 3.99, 4.39, 1.58, 1.75, 1.94),
+        (1 / 0.7, 3.82, 4.54, 5.58, 3.82, 4.21, 4.67, 1.76, 1.95, 2.18),
+        (1 / 0.6, 4.06, 4.78, 5.80, 4.06, 4.50, 5.04, 2.01, 2.23, 2.50),
+        (2.0, 4.37, 5.10, 6.11, 4.37, 4.90, 5.56, 2.35, 2.62, 2.96),
+        (2.5, 4.84, 5.57, 6.57, 4.84, 5.48, 6.31, 2.88, 3.24, 3.70),
+        (10 / 3, 5.57, 6.34, 7.34, 5.57, 6.40, 7.51, 3.79, 4.32, 5.01),
+        (5.0, 6.96, 7.78, 8.82, 6.96, 8.14, 9.79, 5.72, 6.63, 7.89),
+        (10.0, 10.7, 11.7, 12.9, 10.7, 12.8, 16.0, 12.2, 14.6, 18.0),
     ]
 )
-_C11 = (
-    3.31,
-    3.37,
-    3.44,
-    3.53,
-    3.62,
-    3.72,
-    3.81,
-    3.91,
-    4.01,
-    4.12,
-    4.22,
-    4.36,
-    4.54,
-    4.78,
-    5.10,
-    5.57,
-    6.34,
-    7.78,
-    11.7,
-)
-_C22 = (
-    2.52,
-    2.63,
-    2.75,
-    2.88,
-    3.01,
-    3.14,
-    3.28,
-    3.41,
-    3.54,
-    3.67,
-    3.81,
-    3.99,
-    4.21,
-    4.50,
-    4.90,
-    5.48,
-    6.40,
-    8.14,
-    12.8,
-)
-_C23 = (
-    0.473,
-    0.603,
-    0.715,
-    0.823,
-    0.929,
-    1.03,
-    1.14,
-    1.25,
-    1.36,
-    1.47,
-    1.59,
-    1.75,
-    1.95,
-    2.23,
-    2.62,
-    3.24,
-    4.32,
-    6.63,
-    14.6,
-)
-# Published values at a/b = 1 for nu = 0.28 over those for nu = 0.25: 4.231/4.12, 3.705/3.67, 1.488/1.47.
-_TO_STEEL = (4.231 / 4.12, 3.705 / 3.67, 1.488 / 1.47)
-_SPLINES = tuple(CubicSpline(np.log(_RATIO), np.log(values)) for values in (_C11, _C22, _C23))
+STEEL = 0.28
+"""Poisson's ratio of steel (-)."""
 
 
-def kalker_coefficients(ratio) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kalker's creep coefficients of an elliptic contact for steel (nu = 0.28).
+def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Kalker's creep coefficients of an elliptic contact.
 
     Parameters
     ----------
     ratio : array_like
-        Semi-axis ratio a/b, 0.1 to 10 (a along, b across the rail); clipped to that range.
+        Semi-axis ratio a/b (a along, b across the rail); clipped to 0.1 to 10.
+    poisson : float
+        Poisson's ratio, 0 to 0.5 (-).
 
     Returns
     -------
     c11, c22, c23 : ndarray (-)
 
-    Source: Kalker 1990, Table E3 for nu = 0.25; scaled to nu = 0.28 by the ratio at a/b = 1.
+    Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
     """
+    weights = [np.prod([(poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
     log_ratio = np.log(np.clip(ratio, 0.1, 10.0))
-    return tuple(np.exp(spline(log_ratio)) * scale for spline, scale in zip(_SPLINES, _TO_STEEL, strict=True))
+    values = [_TABLE[:, 1 + 3 * i : 4 + 3 * i] @ weights for i in range(3)]
+    return tuple(np.exp(CubicSpline(np.log(_TABLE[:, 0]), np.log(v))(log_ratio)) for v in values)
 
 
 def polach(

@@ -274,6 +274,7 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
         "RAILREPRO_ROOT": str(paths.ROOT),
         "PYDEVD_DISABLE_FILE_VALIDATION": "1",
     }
+    _quiet_kernel(paths.BUILD / "ipython")
     with _environment(**settings):
         os.environ.pop("MPLBACKEND", None)
         try:
@@ -291,6 +292,13 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
             os.replace(output, failed)
             raise InputError(f"{notebook.name}: cell {i + 1} was not executed (kept {_short(failed)})")
     _deterministic(output)
+
+
+def _quiet_kernel(folder: Path) -> None:
+    """Kernel settings: no notice about the transport on stderr."""
+    profile = folder / "profile_default"
+    profile.mkdir(parents=True, exist_ok=True)
+    _write(profile / "ipython_kernel_config.py", "c = get_config()\nc.IPKernelApp.log_level = 40\n")
 
 
 def _short(path: Path) -> str:

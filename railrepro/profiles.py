@@ -133,8 +133,7 @@ def inclined_rail(count: int = 20_001) -> tuple[np.ndarray, np.ndarray]:
     z = rail_head(y)
     turned = y * np.cos(INCLINATION) + z * np.sin(INCLINATION)
     depth = -y * np.sin(INCLINATION) + z * np.cos(INCLINATION)
-    crown = _HEAD[0][0] * MM
-    depth -= crown - crown / np.cos(INCLINATION) if False else crown * (np.cos(INCLINATION) - 1)
+    depth -= _HEAD[0][0] * MM * (np.cos(INCLINATION) - 1)
     gauge_side = turned < turned[np.argmin(depth)]
     face = np.interp(GAUGE_DEPTH, depth[gauge_side][::-1], turned[gauge_side][::-1])
     return turned - face + GAUGE / 2, depth
