@@ -4,8 +4,8 @@ The plant needs, at each shift u (positive towards the flange): the radius of th
 (its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and
 contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
 
-A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load the
-patch spans the jump. So geometry is averaged over the elastic patch at nominal load, which makes it continuous.
+A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
+the patch spans the jump. So geometry is averaged over the elastic patch at nominal load, which makes it continuous.
 
 Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
 """
@@ -17,7 +17,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from railrepro import normal, profiles
 from railrepro.creep import kalker_coefficients
@@ -180,8 +180,8 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
     """S1002 on 60E1 at 1:40, averaged over the elastic patch.
 
     The effective radius is the integral of the mean slope, so that at nominal load the normal forces of the patch have
-    the resultant that the table gives. The Hertz stiffness is the same at every shift: a stiffness that changed with the
-    shift would need a lateral force of its own, or the contact would make energy.
+    the resultant that the table gives. The Hertz stiffness is the same at every shift: one that changed with the shift
+    would need a lateral force of its own, or the contact would make energy.
 
     Parameters
     ----------
@@ -202,9 +202,7 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
     patches = []
     for shift in SHIFTS:
         cut = section(shift)
-        patches.append(
-            normal.strip_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
-        )
+        patches.append(normal.strip_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus))
     position, height, slope, curvature, approach = (
         np.array([getattr(patch, name) for patch in patches])
         for name in ("position", "height", "slope", "curvature", "approach")
@@ -212,7 +210,7 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
     centre = int(np.argmin(np.abs(SHIFTS)))
     cut = section(0.0)
     depth_at_contact = np.interp(position[centre], cut.position, cut.rail_depth)
-    climb = CubicSpline(SHIFTS, slope).antiderivative()(SHIFTS)
+    climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
     rolling = radius + height
     a, b, _ = normal.hertz(1 / np.hypot(1, slope) / rolling, curvature, load, modulus)
     c11, c22, c23 = kalker_coefficients(a / b)
@@ -247,7 +245,7 @@ def equivalent_conicity(shift, rolling_radius, amplitude: float) -> float:
     -------
     float (-)
 
-    Source: EN 15302, integration of y'' = -(r_ri - r_le) y-wise over a quarter of a period.
+    Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
     """
     y = np.linspace(0.0, amplitude, 4001)
     difference = np.interp(y, shift, rolling_radius) - np.interp(-y, shift, rolling_radius)

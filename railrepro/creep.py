@@ -103,7 +103,7 @@ def polach(
     spin_force = load * friction * k_a * _spin_share(m, nu_yc, nu, spin, a, b, steepness)
     f_x, f_y = -force * nu_x / nu, -force * nu_y / nu - spin_force
     # The spin term is an addition of its own; together they must not exceed friction.
-    excess = m.sqrt(f_x**2 + f_y**2 + 1e-6) / (load * friction + 1e-3)
+    excess = m.sqrt(f_x**2 + f_y**2 + 1e-6) / (load * friction + 1e-9)
     over = excess**2 - 1
     limit = 1 / m.sqrt(1 + (over + m.fabs(over)) / 2)
     return f_x * limit, f_y * limit
@@ -158,20 +158,18 @@ def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, co
     return float(force[best] / load), float(slip[best])
 
 
-def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus, cells=(60, 61)):
-    """Creep forces by Kalker's simplified theory, constant friction.
+def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus, cells=(40, 21)):
+    """Creep forces by Kalker's simplified theory, constant friction, many cases at once.
 
-    The strip theory marches from the leading edge backwards; the three flexibilities are kept apart, so small creepages
-    reproduce Kalker's linear theory.
+    The three flexibilities are blended by the direction of the creepage, so that each pure creepage reproduces linear
+    theory. Strips run from the leading edge backwards; where the traction would exceed its parabolic bound it slides.
 
     Parameters
     ----------
-    nu_x, nu_y, spin, load, a, b : float
-        As in `polach`.
-    friction : float
-        Coefficient of friction (-).
-    coefficients : tuple
-        c11, c22, c23.
+    nu_x, nu_y, spin, load, a, b, friction : array_like, broadcast to shape (n,)
+        As in `polach`, with a coefficient of friction (-).
+    coefficients : tuple of array_like
+        c11, c22, c23, each as the others.
     shear_modulus : float
         G (Pa).
     cells : tuple of int
@@ -179,30 +177,33 @@ def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus,
 
     Returns
     -------
-    F_x, F_y : float (N)
+    F_x, F_y : ndarray, shape (n,)
+        Force on the wheel (N).
 
     Source: Kalker 1982.
     """
-    c11, c22, c23 = coefficients
-    flexibility = (
-        8 * a / (3 * shear_modulus * c11),
-        8 * a / (3 * shear_modulus * c22),
-        np.pi * a**2 / (4 * shear_modulus * np.sqrt(a * b) * c23),
-    )
+    inputs = np.broadcast_arrays(nu_x, nu_y, spin, load, a, b, friction, *coefficients)
+    shape = inputs[0].shape
+    nu_x, nu_y, spin, load, a, b, friction, c11, c22, c23 = (np.reshape(v, (-1, 1)).astype(float) for v in inputs)
+    root = np.sqrt(a * b)
+    along, across, turning = np.abs(nu_x), np.abs(nu_y), np.abs(spin) * root
+    parts = along * 8 / (3 * c11) + across * 8 / (3 * c22) + turning * np.pi * a / (4 * c23 * root)
+    flexibility = a / shear_modulus * parts / np.maximum(np.sqrt(along**2 + across**2 + turning**2), 1e-30)
+    flexibility = np.maximum(flexibility, 1e-3 * a / shear_modulus)
     n_along, n_across = cells
-    y = b * (np.arange(n_across) - (n_across - 1) / 2) / (n_across / 2)
-    half = a * np.sqrt(1 - (y / b) ** 2)
-    step = 2 * half / n_along
-    p_x = p_y = np.zeros(n_across)
-    f_x = f_y = 0.0
+    eta = (np.arange(n_across) - (n_across - 1) / 2) / (n_across / 2)
+    half = a * np.sqrt(1 - eta**2)
+    step, width = 2 * half / n_along, 2 * b / n_across
+    p_x, p_y = np.zeros_like(half), np.zeros_like(half)
+    f_x, f_y = np.zeros(len(a)), np.zeros(len(a))
     for k in range(n_along):
         x = half - (k + 0.5) * step
-        p_x = p_x - step * (nu_x / flexibility[0] - spin * y / flexibility[2])
-        p_y = p_y - step * (nu_y / flexibility[1] + spin * x / flexibility[2])
-        bound = friction * 2 * load / (np.pi * a * b) * np.maximum(1 - (x / a) ** 2 - (y / b) ** 2, 0)
-        size = np.hypot(p_x, p_y)
-        scale = np.where(size > bound, bound / np.maximum(size, 1e-30), 1.0)
+        advance = (step if k else step / 2) / flexibility
+        p_x = p_x - advance * (nu_x - spin * eta * b)
+        p_y = p_y - advance * (nu_y + spin * (x + step / 2 if k else x + step / 4))
+        bound = 2 * friction * load / (np.pi * a * b) * np.maximum(1 - (x / a) ** 2 - eta**2, 0)
+        scale = np.minimum(1.0, bound / np.maximum(np.hypot(p_x, p_y), 1e-30))
         p_x, p_y = p_x * scale, p_y * scale
-        area = step * (2 * b / n_across)
-        f_x, f_y = f_x + np.sum(p_x * area), f_y + np.sum(p_y * area)
-    return float(f_x), float(f_y)
+        f_x += np.sum(p_x * step * width, axis=1)
+        f_y += np.sum(p_y * step * width, axis=1)
+    return f_x.reshape(shape), f_y.reshape(shape)

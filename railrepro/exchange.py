@@ -40,7 +40,9 @@ def _functions() -> tuple:
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL | None:
-    return codegen.library(_functions(), Path(__file__).with_name("loop.c").read_text())
+    here = Path(__file__)
+    extra = here.with_name("call.h").read_text() + here.with_name("loop.c").read_text()
+    return codegen.library(_functions(), extra)
 
 
 class Exchange:

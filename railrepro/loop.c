@@ -1,19 +1,6 @@
 /* The 1 kHz exchange between plant and fast control law: look up, measure, control, record, step.
    Knows nothing of railways: four generated functions that share buffers, and tables of cells. */
 
-#include <math.h>
-#include <string.h>
-
-#ifndef casadi_int
-#define casadi_int long long int
-#endif
-typedef int (*casadi_fn)(const double **, double **, casadi_int *, double *, int);
-typedef struct { casadi_fn evaluate; const double **arg; double **res; casadi_int *iw; double *w; } call_t;
-typedef struct { const double *cells; double start, step; casadi_int n, width; double *row; } lookup_t;
-typedef struct { double *to; const double *from; casadi_int n; } copy_t;
-
-static int evaluate(const call_t *call) { return call->evaluate(call->arg, call->res, call->iw, call->w, 0); }
-
 static int look_up(const call_t *coordinates, const double *places, const lookup_t *lookups, casadi_int n) {
   if (evaluate(coordinates)) return 1;
   for (casadi_int i = 0; i < n; ++i) {

@@ -82,7 +82,7 @@ class Patch:
 def strip_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
     """Elastic contact of a wheel profile on a rail profile by virtual interpenetration.
 
-    The profiles are pushed into each other by 0.55 of the elastic approach; where they overlap is the patch, and a strip
+    The profiles are pushed into each other by 0.55 of the elastic approach; where they overlap is the patch; a strip
     along the rail carries a semi-elliptic pressure whose sum is proportional to its overlap. The deflection of the half
     space under this pressure, taken at the centroid, gives the approach that carries the load.
 

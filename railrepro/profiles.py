@@ -1,7 +1,8 @@
 """Profiles of wheel and rail: S1002 and 60E1, from the coefficients of the standards.
 
-Serves the paper's section Simulation Environment (wheel-rail geometry of the plant). Profiles are functions of a lateral
-coordinate that is positive to the field side; heights are positive radially outwards (wheel) and downwards (rail).
+Serves the paper's section Simulation Environment (wheel-rail geometry of the plant). Profiles are functions of a
+lateral coordinate that is positive to the field side; heights are positive radially outwards (wheel) and downwards
+(rail).
 """
 
 from __future__ import annotations

@@ -46,32 +46,36 @@ class Route:
     cells: np.ndarray
     length: float
 
-    def _cell(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and offsets d = p - p_i of positions p (m)."""
-        p = np.atleast_1d(np.asarray(p, dtype=float))
-        index = np.clip((p - self.cells[0, 0]) / CELL, 0, len(self.cells) - 1).astype(int)
-        rows = self.cells[index].T
-        return rows, p - rows[0]
+    def rows_at(self, p: np.ndarray) -> np.ndarray:
+        """Cells that hold the positions p (m), shape (n, len(COLUMNS))."""
+        index = np.clip((np.asarray(p, dtype=float) - self.cells[0, 0]) / CELL, 0, len(self.cells) - 1)
+        return self.cells[index.astype(int)]
+
+    def _named(self, p: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(COLUMNS, self.rows_at(np.atleast_1d(p)).T, strict=True))
 
     def track_at(self, p: np.ndarray) -> np.ndarray:
         """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m) at positions p (m), shape (6, n)."""
-        (_, psi, kappa, dkappa, phi, dphi, eps, deps, *_), d = self._cell(p)
-        return np.array(
-            [
-                psi + (kappa + dkappa * d / 2) * d,
-                kappa + dkappa * d,
-                phi + dphi * d,
-                dphi,
-                eps + deps * d,
-                deps,
-            ]
-        )
+        return np.array(track_in(self._named(p), p))
 
     def reference_at(self, p: np.ndarray) -> np.ndarray:
         """Lateral set point y* (m) and its slope dy*/dp (-), shape (2, n)."""
-        rows, d = self._cell(p)
-        y, y1, y2, y3 = rows[INDEX["y_ref"] : INDEX["y_ref"] + 4]
-        return np.array([y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2)])
+        return np.array(reference_in(self._named(p), p)[:2])
+
+
+def track_in(cell: dict, p) -> tuple:
+    """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols)."""
+    d = p - cell["p"]
+    psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
+    roll = cell["phi"] + cell["dphi"] * d, cell["dphi"]
+    return psi, cell["kappa"] + cell["dkappa"] * d, *roll, cell["eps"] + cell["deps"] * d, cell["deps"]
+
+
+def reference_in(cell: dict, p) -> tuple:
+    """Lateral set point and its first two derivatives over p inside a cell."""
+    d = p - cell["p"]
+    y, y1, y2, y3 = (cell[name] for name in ("y_ref", "dy_ref", "ddy_ref", "dddy_ref"))
+    return y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3
 
 
 def lay(

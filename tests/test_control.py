@@ -10,12 +10,12 @@ from railrepro import scenarios
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.integration import allocate
 from railrepro.control.ltv_mpc import LTVMPC
-from railrepro.control.mpc import MPCSettings, Predictor
+from railrepro.control.mpc import MPCSettings
 from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
 from railrepro.errors import InputError
 from railrepro.parameters import load_vehicle
-from railrepro.preview import forecast
+from railrepro.preview import believed, forecast
 
 LIMIT = 4000.0
 
@@ -109,9 +109,8 @@ def test_fast_path_finds_the_optimum_of_ipopt(vehicle, u_d, scale):
         start = np.zeros(problem.settings.steps)
         ours, exact = fast.optimise(problem, start)[0], reference.optimise(problem, start)[0]
         assert np.abs(ours - exact).max() < 1e-4 * LIMIT
-        roll_out = Predictor(problem.settings).roll_out
-        assert problem.cost(roll_out(problem, ours), ours) == pytest.approx(
-            problem.cost(roll_out(problem, exact), exact), rel=1e-6
+        assert problem.cost(problem.roll_out(ours), ours) == pytest.approx(
+            problem.cost(problem.roll_out(exact), exact), rel=1e-6
         )
         if u_d:
             assert np.abs(ours).max() <= problem.bound + 1e-9
@@ -158,21 +157,21 @@ def test_a_failing_solver_falls_back_on_the_shifted_plan(vehicle, monkeypatch):
 def test_forecast_drives_both_wheels_and_stops_at_rest(vehicle):
     way = scenarios.load_scenario("braking").route()
     x = np.array([100.0, 0, 40.0, 0, 0, 0])
-    ahead = forecast(way, vehicle, x, -1000.0, 0.02, 20, 0)
-    rate = np.diff(ahead.x_d[2]) / 0.02
+    here = believed(vehicle, 0)
+    rate = np.diff(forecast(way, here, x, -1000.0, 0.02, 20).x_d[:, 2]) / 0.02
     assert rate == pytest.approx(-2000 / vehicle.wheel.radius / vehicle.effective_longitudinal_mass)
-    printed = forecast(way, vehicle, x, -1000.0, 0.02, 20, 0, printed=True)
-    assert printed.x_d[2, -1] > x[2]
+    printed = forecast(way, believed(vehicle, 0, printed=True), x, -1000.0, 0.02, 20)
+    assert printed.x_d[-1, 2] > x[2]
     x[2] = 0.1
-    assert forecast(way, vehicle, x, -4000.0, 0.02, 50, 0).x_d[2].min() == pytest.approx(0.0, abs=1e-12)
+    assert forecast(way, here, x, -4000.0, 0.02, 50).x_d[:, 2].min() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_forecast_at_rest_and_coasting_is_finite(vehicle):
     way = scenarios.load_scenario("curve_entry_T3").route()
-    ahead = forecast(way, vehicle, np.array([300.0, 0.02, 77.0, 0.01, 0, 0]), 0.0, 0.01, 10, 1)
+    ahead = forecast(way, believed(vehicle, 1), np.array([300.0, 0.02, 77.0, 0.01, 0, 0]), 0.0, 0.01, 10)
     assert np.isfinite(ahead.x_d).all()
-    partner = way.track_at(ahead.x_d[0] + vehicle.body.gear_spacing)[0]
-    assert ahead.theta[6] == pytest.approx((ahead.theta[0] + partner) / 2)
+    partner = way.track_at(ahead.x_d[:, 0] + vehicle.body.gear_spacing)[0]
+    assert ahead.theta[:, 6] == pytest.approx((ahead.theta[:, 0] + partner) / 2)
 
 
 def test_gains_of_a_triple_pole():

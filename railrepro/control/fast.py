@@ -184,18 +184,10 @@ def law() -> ca.Function:
 
 def _road(cell: dict, p: ca.SX) -> dict:
     """Track and set point at a gear from its cell."""
-    d = p - cell["p"]
-    y1 = cell["dy_ref"] + d * (cell["ddy_ref"] + d * cell["dddy_ref"] / 2)
-    return {
-        "psi_Tr": cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d,
-        "kappa": cell["kappa"] + cell["dkappa"] * d,
-        "dkappa": cell["dkappa"],
-        "dphi": cell["dphi"],
-        "y0": cell["y_ref"] + d * (cell["dy_ref"] + d * (cell["ddy_ref"] / 2 + d * cell["dddy_ref"] / 6)),
-        "y1": y1,
-        "y2": cell["ddy_ref"] + d * cell["dddy_ref"],
-        "y3": cell["dddy_ref"],
-    }
+    psi, kappa, _, dphi, *_ = route.track_in(cell, p)
+    y0, y1, y2 = route.reference_in(cell, p)
+    track = {"psi_Tr": psi, "kappa": kappa, "dkappa": cell["dkappa"], "dphi": dphi}
+    return track | {"y0": y0, "y1": y1, "y2": y2, "y3": cell["dddy_ref"]}
 
 
 def _estimates(gear: str, g: int, y: dict, old: dict, gain: dict) -> dict:

@@ -6,11 +6,11 @@ affine term, D6) is selectable. Serves the paper's section Linear Time-Variant M
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from railrepro.control.mpc import UNIT, PredictiveController, Predictor, Problem, condense, solve
+from railrepro.control.mpc import PredictiveController, Problem
 
 
 @dataclass
@@ -21,35 +21,16 @@ class LTVMPC(PredictiveController):
 
     def __post_init__(self):
         super().__post_init__()
-        self._predictor = Predictor(self.settings)
+        self.horizon.affine = 0.0 if self.printed else 1.0
 
     def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
         """See `PredictiveController.optimise`."""
-        steps, x_d, theta = problem.settings.steps, problem.ahead.x_d, problem.ahead.theta
-        states = np.zeros((6, steps + 1))
-        states[0], states[2] = x_d[0], x_d[2]
+        self.take(problem)
+        horizon, ahead = self.horizon, problem.ahead
+        horizon.x[:], horizon.u[:] = 0.0, 0.0
+        horizon.x[:, 0], horizon.x[:, 2] = ahead.x_d[:, 0], ahead.x_d[:, 2]
         if not self.printed:
-            states[1], states[3] = theta[0], theta[1] * x_d[2]
-        still = np.zeros(steps)
-        self._predictor(states[:, :-1], still, problem)
-        if self.printed:
-            gaps = self._linear_part(problem, states) - states[:, 1:].T
-        else:
-            gaps = self._predictor.x_next - states[:, 1:].T
-        qp = condense(problem, self._predictor, states, still, gaps)
-        return UNIT * solve(qp, du / UNIT), 1
-
-    def _linear_part(self, problem: Problem, states: np.ndarray) -> np.ndarray:
-        """A x_lin + B u_lin without the affine term, shape (L, 6). Source: eq. (lin_model)."""
-        a, steps = self._predictor.a, problem.settings.steps
-        linear = np.einsum("kij,jk->ki", a, states[:, :-1])
-        base = self._base_torque_gain(problem, states, steps)
-        return linear + base * problem.u_d
-
-    def _base_torque_gain(self, problem: Problem, states: np.ndarray, steps: int) -> np.ndarray:
-        """Derivative of the next state with respect to the common torque of both wheels (linear), shape (L, 6)."""
-        here = self._predictor.x_next.copy()
-        self._predictor(states[:, :-1], np.zeros(steps), replace(problem, u_d=problem.u_d + 1.0))
-        gain = self._predictor.x_next - here
-        self._predictor(states[:, :-1], np.zeros(steps), problem)
-        return gain
+            horizon.x[:, 1], horizon.x[:, 3] = ahead.theta[:, 0], ahead.theta[:, 1] * ahead.x_d[:, 2]
+        horizon.linearise()
+        horizon.solve()
+        return horizon.du.copy(), 1

@@ -5,29 +5,23 @@ Serves the paper's section Nonlinear Model Predictive Control.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from railrepro.control.mpc import (
-    UNIT,
-    MPCSettings,
-    PredictiveController,
-    Predictor,
-    Problem,
-    _single_step,
-    condense,
-    solve,
-)
+from railrepro.control.condensed import UNIT
+from railrepro.control.horizon import model_function
+from railrepro.control.mpc import MPCSettings, PredictiveController, Problem, Solve
 from railrepro.derivation import PARAMETERS
 from railrepro.errors import InputError
 from railrepro.model import THETA
 
 SOLVERS = ("gauss_newton", "rti", "ipopt")
-TOLERANCE = 1e-7
-"""Converged when no torque moves by more than this (kN m)."""
+TOLERANCE = 1e-4
+"""Converged when no torque moves by more than this (N m)."""
 ITERATIONS = 30
 _SCALE = np.array([1.0, 1e-2, 1.0, 1e-2, 1e-3, 1e-3])
 _COST = 1e6
@@ -37,8 +31,8 @@ _COST = 1e6
 class NMPC(PredictiveController):
     """NMPC of one running gear.
 
-    `solver` is "gauss_newton" (converged, default), "rti" (one iteration per sample on the shifted trajectory) or
-    "ipopt" (reference); all minimise the same cost.
+    `solver` is "gauss_newton" (converged, default), "rti" (one iteration per sample on the shifted trajectory, prepared
+    before the state is measured) or "ipopt" (reference); all minimise the same cost.
     """
 
     solver: str = "gauss_newton"
@@ -47,56 +41,79 @@ class NMPC(PredictiveController):
         super().__post_init__()
         if self.solver not in SOLVERS:
             raise InputError(f"NMPC solver {self.solver!r} is not known; there are {SOLVERS}")
-        self._predictor = None if self.solver == "ipopt" else Predictor(self.settings)
         self._reference = _ipopt(self.settings) if self.solver == "ipopt" else None
-        self._states = None
+        self._started = False
 
     def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
         """See `PredictiveController.optimise`."""
+        self.take(problem)
+        self._shift()
         if self.solver == "ipopt":
             return self._with_ipopt(problem, du)
-        return self._with_gauss_newton(problem, du, 1 if self.solver == "rti" else ITERATIONS)
+        self.horizon.x[0], self.horizon.u[:] = problem.x_hat, du
+        return self._iterate(1 if self.solver == "rti" else ITERATIONS)
 
-    def _with_gauss_newton(self, problem: Problem, du: np.ndarray, most: int) -> tuple[np.ndarray, int]:
-        states = problem.ahead.x_d.copy() if self._states is None else self._shifted(problem)
-        iteration = 0
-        while iteration < most:
-            iteration += 1
-            self._predictor(states[:, :-1], du, problem)
-            gaps = self._predictor.x_next - states[:, 1:].T
-            qp = condense(problem, self._predictor, states, du, gaps)
-            step = solve(qp, np.zeros(du.size))
-            states[:, 1:] += (qp.sensitivity @ step + qp.drift).T
-            states[:, 0] = problem.x_hat
-            du = du + UNIT * step
-            if np.abs(step).max() < TOLERANCE and np.abs(gaps).max() < 1e-9:
-                break
+    def plan(self, x_hat: np.ndarray, u_d: float) -> float:
+        """See `PredictiveController.plan`; real-time iteration does all but the last quadratic problem beforehand."""
+        if self.solver != "rti" or self.recorded is not None:
+            return super().plan(x_hat, u_d)
+        begin = time.perf_counter()
+        if not self._started:
+            self._prepare(x_hat, u_d)
+        horizon, fallback = self.horizon, False
+        bound = Problem(self.settings, x_hat, u_d, None, self.parameters, self.vehicle.drive.torque_limit).bound
+        horizon.sample(x_hat, u_d, bound)
+        try:
+            horizon.solve()
+            horizon.x += horizon.dx
+            horizon.u[:] = np.clip(horizon.u + horizon.du, -bound, bound)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            fallback = True
+        self.plan_du = horizon.u.copy()
+        ready = time.perf_counter()
+        self._started = True
+        self._prepare(horizon.x[1].copy(), u_d)
+        self.stats.append(Solve(ready - begin, 1, fallback, time.perf_counter() - ready))
+        return float(self.plan_du[0])
+
+    def _prepare(self, x_expected: np.ndarray, u_d: float) -> None:
+        """Forecast and linearise for the sample to come, where the state is expected to be `x_expected`."""
+        horizon = self.horizon
+        horizon.sample(x_expected, u_d, self.vehicle.drive.torque_limit)
+        horizon.forecast()
+        self._shift()
+        horizon.x[0] = x_expected
+        horizon.u[:-1] = horizon.u[1:].copy()
+        horizon.linearise()
+
+    def _iterate(self, most: int) -> tuple[np.ndarray, int]:
+        try:
+            iterations = self.horizon.iterate(most, TOLERANCE)
+        except ArithmeticError:
+            self._started = False
+            raise
+        self._started = True
+        return self.horizon.u.copy(), iterations
+
+    def _shift(self) -> None:
+        """Previous trajectory one sample later, its end on the desired state; the desired states at the start."""
+        horizon = self.horizon
+        if self._started:
+            horizon.x[:-1], horizon.x[-1] = horizon.x[1:].copy(), horizon.x_d[-1]
         else:
-            if most > 1:
-                self._states = None
-                raise ArithmeticError("Gauss-Newton did not converge")
-        self._states = states
-        return du, iteration
-
-    def _shifted(self, problem: Problem) -> np.ndarray:
-        """Previous trajectory one sample later; its end follows the desired state."""
-        states = np.empty_like(self._states)
-        states[:, :-1], states[:, -1] = self._states[:, 1:], problem.ahead.x_d[:, -1]
-        states[:, 0] = problem.x_hat
-        return states
+            horizon.x[:] = horizon.x_d
 
     def _with_ipopt(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
         s, steps = problem.settings, problem.settings.steps
         x_d, bound = problem.ahead.x_d, problem.bound / UNIT
-        if self._states is None:
-            self._states = np.zeros((6, steps + 1))
-        start = np.concatenate([self._states.T.ravel(), du / UNIT, np.zeros(steps)])
-        initial = (problem.x_hat - x_d[:, 0]) / _SCALE
+        deviation = (self.horizon.x - x_d) / _SCALE
+        start = np.concatenate([deviation.ravel(), du / UNIT, np.zeros(steps)])
+        initial = (problem.x_hat - x_d[0]) / _SCALE
         free = np.full(6 * steps, np.inf)
         low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
         high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
         p = np.concatenate(
-            [x_d.T.ravel(), problem.ahead.theta[:, :-1].T.ravel(), problem.parameters, s.q_diag]
+            [x_d.ravel(), problem.ahead.theta[:-1].ravel(), problem.parameters, s.q_diag]
             + [[s.r, s.q_terminal, s.period, problem.u_d, s.lateral_bound, s.bound_weight * s.q_diag[4]]]
         )
         defects = np.zeros(6 * steps)
@@ -106,17 +123,18 @@ class NMPC(PredictiveController):
         )  # fmt: skip
         stats = self._reference.stats()
         if not stats["success"]:
-            self._states = None
+            self._started = False
             raise ArithmeticError(f"Ipopt ended with {stats['return_status']}")
         solution = np.array(found["x"]).ravel()
-        self._states = solution[: 6 * (steps + 1)].reshape(steps + 1, 6).T
+        self.horizon.x[:] = x_d + solution[: 6 * (steps + 1)].reshape(steps + 1, 6) * _SCALE
+        self._started = True
         return UNIT * solution[6 * (steps + 1) :][:steps], stats["iter_count"]
 
 
 @lru_cache
 def _ipopt_cached(variant: str, discretisation: str, steps: int) -> ca.Function:
     """Multiple-shooting NLP; states as scaled deviations from the desired ones, torques in kN m, slacks in mm."""
-    step = _single_step(variant, discretisation)
+    step = model_function(variant, discretisation)
     z, du, slack = ca.MX.sym("z", 6, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
     x_d, theta = ca.MX.sym("x_d", 6, steps + 1), ca.MX.sym("theta", len(THETA), steps)
     par, q, rest = ca.MX.sym("par", len(PARAMETERS)), ca.MX.sym("q", 6), ca.MX.sym("rest", 6)
@@ -125,7 +143,7 @@ def _ipopt_cached(variant: str, discretisation: str, steps: int) -> ca.Function:
     cost, defects, sides = 0, [], []
     for k in range(steps):
         torque = UNIT * du[k]
-        x_next = step(states[:, k], ca.vertcat(u_d - torque, u_d + torque), theta[:, k], par, period)
+        x_next, *_ = step(states[:, k], torque, u_d, theta[:, k], par, period, 1)
         defects.append((x_next - states[:, k + 1]) / _SCALE)
         error = states[:, k + 1] - x_d[:, k + 1]
         weight = q * ca.vertcat(0, 0, 0, 0, q_terminal, q_terminal) if k == steps - 1 else q

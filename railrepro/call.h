@@ -1,0 +1,15 @@
+/* A generated function with its memory, and a table of uniform cells; the one preamble of all hand-written C here. */
+
+#include <math.h>
+#include <string.h>
+
+#ifndef casadi_int
+#define casadi_int long long int
+#endif
+typedef int (*casadi_fn)(const double **, double **, casadi_int *, double *, int);
+typedef struct { casadi_fn evaluate; const double **arg; double **res; casadi_int *iw; double *w; } call_t;
+typedef struct { const double *cells; double start, step; casadi_int n, width; double *row; } lookup_t;
+typedef struct { double *to; const double *from; casadi_int n; } copy_t;
+
+static int evaluate(const call_t *call) { return call->evaluate(call->arg, call->res, call->iw, call->w, 0); }
+

@@ -1,0 +1,137 @@
+/* One sample of a predictive controller: forecast, linearise along the horizon, solve the quadratic problem by a Riccati
+   recursion inside an active-set loop, repeat. Knows nothing of railways: six generated functions and tables of cells.
+   All arrays are row-major, one row per stage; starts after call.h. */
+
+enum { N = 6 };  /* states */
+enum { FREE = 0, LOW = -1, HIGH = 1 };
+
+typedef struct {
+  casadi_int steps, n_theta, n_a, n_cell, n_cells, most_sets;
+  double cell_start, cell_step;
+  const double *cells;
+  call_t place, preview, model, terminal, backward, forward;
+  /* inputs: measured state, believed vehicle of the forecast and of the model; base torque, sampling time, printed switch */
+  const double *x_hat, *believed, *par;
+  double u_d, period, affine;
+  /* quadratic problem: weights of stage 0 … L, effort weight, torque bound, soft lateral bound and its weight */
+  const double *weight;
+  double effort, bound, y_bound, soft;
+  /* forecast and trajectory */
+  double *x_d, *theta, *x, *u;
+  /* model along the trajectory */
+  double *x_next, *a, *b;
+  /* recursion: cost-to-go matrix and vector, feedback, feed-forward, steps, slope of the cost in the torque, active sets */
+  double *cost_matrix, *cost_vector, *feedback, *feedforward, *dx, *du, *slope, *fixed, *side;
+} horizon_t;
+
+static int call(const call_t *f, const double *const *arguments, int n_arguments, double *const *results, int n_results) {
+  for (int i = 0; i < n_arguments; ++i) f->arg[i] = arguments[i];
+  for (int i = 0; i < n_results; ++i) f->res[i] = results[i];
+  return f->evaluate(f->arg, f->res, f->iw, f->w, 0);
+}
+
+static const double *cell_at(const horizon_t *h, double p) {
+  double cell = floor((p - h->cell_start) / h->cell_step);
+  if (!(cell > 0)) cell = 0;
+  if (cell > (double)(h->n_cells - 1)) cell = (double)(h->n_cells - 1);
+  return h->cells + (casadi_int)cell * h->n_cell;
+}
+
+/* Desired states x_d and track parameters theta of all stages. */
+int horizon_forecast(const horizon_t *h) {
+  for (casadi_int k = 0; k <= h->steps; ++k) {
+    double t = (double)k * h->period, at[2];
+    const double *where[] = {h->x_hat, &h->u_d, &t, h->believed};
+    double *place[] = {at};
+    if (call(&h->place, where, 4, place, 1)) return 1;
+    const double *ahead[] = {h->x_hat, &h->u_d, &t, h->believed, cell_at(h, at[0]), cell_at(h, at[1])};
+    double *stage[] = {h->x_d + k * N, h->theta + k * h->n_theta};
+    if (call(&h->preview, ahead, 6, stage, 2)) return 1;
+  }
+  return 0;
+}
+
+/* Next state and its derivatives at every stage of the trajectory. */
+int horizon_linearise(const horizon_t *h) {
+  for (casadi_int k = 0; k < h->steps; ++k) {
+    const double *at[] = {h->x + k * N, h->u + k, &h->u_d, h->theta + k * h->n_theta, h->par, &h->period, &h->affine};
+    double *out[] = {h->x_next + k * N, h->a + k * h->n_a, h->b + k * N};
+    if (call(&h->model, at, 7, out, 3)) return 1;
+  }
+  return 0;
+}
+
+static int backward(const horizon_t *h) {
+  casadi_int k = h->steps;
+  const double *end[] = {h->x + k * N, h->x_d + k * N, h->weight + k * N, h->side + k, &h->y_bound, &h->soft};
+  double *cost[] = {h->cost_matrix + k * N * N, h->cost_vector + k * N};
+  if (call(&h->terminal, end, 6, cost, 2)) return 1;
+  while (k-- > 0) {
+    const double to_bound = h->fixed[k] * h->bound - h->u[k];
+    const double *in[] = {h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N, h->x + (k + 1) * N,
+                          h->x_next + k * N, h->a + k * h->n_a, h->b + k * N, h->u + k, &h->effort, h->fixed + k, &to_bound,
+                          h->x + k * N, h->x_d + k * N, h->weight + k * N, h->side + k, &h->y_bound, &h->soft};
+    double *out[] = {h->cost_matrix + k * N * N, h->cost_vector + k * N, h->feedback + k * N, h->feedforward + k};
+    if (call(&h->backward, in, 16, out, 4)) return 1;
+  }
+  return 0;
+}
+
+static int forward(const horizon_t *h) {
+  for (int i = 0; i < N; ++i) h->dx[i] = h->x_hat[i] - h->x[i];
+  for (casadi_int k = 0; k < h->steps; ++k) {
+    const double *in[] = {h->dx + k * N, h->feedback + k * N, h->feedforward + k, h->x_next + k * N, h->x + (k + 1) * N,
+                          h->a + k * h->n_a, h->b + k * N, h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N,
+                          h->u + k, &h->effort};
+    double *out[] = {h->dx + (k + 1) * N, h->du + k, h->slope + k};
+    if (call(&h->forward, in, 11, out, 3)) return 1;
+  }
+  return 0;
+}
+
+/* Move torques onto or off their bound and stages onto or off the soft lateral bound; returns how many moved. */
+static casadi_int revise(const horizon_t *h) {
+  casadi_int moved = 0;
+  for (casadi_int k = 0; k < h->steps; ++k) {
+    double u = h->u[k] + h->du[k], fixed = h->fixed[k];
+    if (fixed == FREE)
+      fixed = u > h->bound ? HIGH : u < -h->bound ? LOW : FREE;
+    else if (fixed * h->slope[k] > 0)  /* the cost falls towards the inside */
+      fixed = FREE;
+    if (fixed != h->fixed[k]) h->fixed[k] = fixed, ++moved;
+    double y = h->x[(k + 1) * N + 4] + h->dx[(k + 1) * N + 4];
+    double side = y > h->y_bound ? 1 : y < -h->y_bound ? -1 : 0;
+    if (side != h->side[k + 1]) h->side[k + 1] = side, ++moved;
+  }
+  return moved;
+}
+
+/* Minimiser of the quadratic problem about the trajectory: steps dx, du. Starts from the active sets it finds.
+   Returns 0, or 1 when a function failed, or 2 when the active sets did not settle. */
+int horizon_solve(const horizon_t *h) {
+  for (casadi_int i = 0; i < h->most_sets; ++i) {
+    if (backward(h) || forward(h)) return 1;
+    if (!revise(h)) return 0;
+  }
+  return 2;
+}
+
+/* Up to `most` Newton iterations with full steps; stops when no torque moves by more than `tolerance` and the trajectory
+   obeys the model. `iterations` counts them. Returns like horizon_solve, or 3 when it has not converged (most > 1). */
+int horizon_iterate(const horizon_t *h, casadi_int most, double tolerance, casadi_int *iterations) {
+  for (*iterations = 1; *iterations <= most; ++*iterations) {
+    int failed = horizon_linearise(h) ? 1 : horizon_solve(h);
+    if (failed) return failed;
+    double moved = 0, gap = 0;
+    for (casadi_int k = 0; k < h->steps; ++k) {
+      moved = fmax(moved, fabs(h->du[k]));
+      for (int i = 0; i < N; ++i) gap = fmax(gap, fabs(h->x_next[k * N + i] - h->x[(k + 1) * N + i]));
+      h->u[k] = fmin(fmax(h->u[k] + h->du[k], -h->bound), h->bound);
+    }
+    for (casadi_int i = 0; i < (h->steps + 1) * N; ++i) h->x[i] += h->dx[i];
+    if (!isfinite(moved)) return 1;
+    if (moved < tolerance && gap < 1e-9) return 0;
+  }
+  *iterations = most;
+  return most > 1 ? 3 : 0;
+}
