@@ -60,6 +60,8 @@ class Exchange:
         Names of the columns that `run` returns.
     time : float
         Simulated time (s).
+    functions : list
+        The four functions behind an exchange, on shared buffers: places, outputs, fast law, step.
     """
 
     def __init__(self, car_parameters, table: ContactTable, way: route.Route, gains, state, compiled: bool = True):
@@ -92,9 +94,9 @@ class Exchange:
         )
         self._library = _library() if compiled else None
         if self._library is None:
-            self._calls = [codegen.InterpretedFunction(*binding) for binding in bindings]
+            self.functions = [codegen.InterpretedFunction(*binding) for binding in bindings]
         else:
-            self._calls = [codegen.CompiledFunction(self._library, *binding) for binding in bindings]
+            self.functions = [codegen.CompiledFunction(self._library, *binding) for binding in bindings]
             self._prepare_loop()
         for _ in range(2):  # the look-up of contacts uses the irregularities of the rows found before
             self._look_up()
@@ -145,7 +147,7 @@ class Exchange:
     def measure(self) -> np.ndarray:
         """Outputs at the present state, in the order of `plant.car().outputs`."""
         self._look_up()
-        self._calls[1]()
+        self.functions[1]()
         return self._y
 
     def _tables(self):
@@ -155,7 +157,7 @@ class Exchange:
             yield self._places[3 + i], self._table, *self._table_grid, self._contacts[i]
 
     def _look_up(self) -> None:
-        self._calls[0]()
+        self.functions[0]()
         for place, cells, start, step, row in self._tables():
             cell = (place - start) / step
             row[:] = cells[int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0]
@@ -163,12 +165,12 @@ class Exchange:
     def _run_python(self, rows: np.ndarray) -> int:
         for k in range(len(rows)):
             self._look_up()
-            self._calls[1]()
-            self._calls[2]()
+            self.functions[1]()
+            self.functions[2]()
             rows[k] = np.concatenate([self._y, self._record])
             if not (self._margins > 0).all() or not np.isfinite(rows[k]).all():
                 return k
-            self._calls[3]()
+            self.functions[3]()
             self.state[:], self.memory[:] = self._next_state, self._next_memory
         return len(rows)
 
@@ -178,7 +180,7 @@ class Exchange:
                 *(_Copy(to if to is None else to.ctypes.data, source.ctypes.data, source.size) for to, source in pairs)
             )
 
-        self._c_calls = (codegen.Call * 4)(*(function.call for function in self._calls))
+        self._c_calls = (codegen.Call * 4)(*(function.call for function in self.functions))
         self._c_lookups = (_Lookup * 7)(
             *(
                 _Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data)

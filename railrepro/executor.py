@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import lru_cache
 
 from tqdm import tqdm
 
@@ -19,7 +20,9 @@ from railrepro.errors import InputError
 
 @contextmanager
 def executor() -> Iterator[Executor]:
-    """The configured executor; processes or connections end with the block, also on Ctrl-C."""
+    """The configured executor. Local processes stay for the next block, as starting them takes seconds; a block that
+    ends with an exception (also Ctrl-C) ends them.
+    """
     address = os.environ.get("RAILREPRO_DASK")
     if address:
         try:
@@ -36,11 +39,17 @@ def executor() -> Iterator[Executor]:
     workers = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
     if not workers.isdigit() or int(workers) < 1:
         raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 is needed")
-    pool = ProcessPoolExecutor(int(workers), mp_context=multiprocessing.get_context("spawn"))
     try:
-        yield pool
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        yield _processes(int(workers))
+    except BaseException:
+        _processes(int(workers)).shutdown(wait=False, cancel_futures=True)
+        _processes.cache_clear()
+        raise
+
+
+@lru_cache
+def _processes(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
 
 
 def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:

@@ -7,7 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy import signal
+
+from railrepro.contact import CONE_AXES
+from railrepro.creep import adhesion_maximum, kalker_coefficients
+from railrepro.parameters import Vehicle
+from railrepro.scenarios import Scenario
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
@@ -40,15 +44,23 @@ def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step
     """
     p = series[f"{gear}.p"].to_numpy()
     grid = np.arange(p[0], p[-1], step)
-    y, reference = (signal.detrend(np.interp(grid, p, series[f"{gear}.{name}"])) for name in ("y", "y_ref"))
+    y, reference = (_detrended(np.interp(grid, p, series[f"{gear}.{name}"])) for name in ("y", "y_ref"))
     if np.ptp(reference) < 1e-9:
         return float("nan")
-    lags = signal.correlation_lags(grid.size, grid.size) * step
-    near = np.abs(lags) <= longest
-    # Unbiased: each lag has its own number of overlapping samples.
-    overlap = grid.size - np.abs(lags[near]) / step
-    correlation = signal.correlate(y, reference)[near] / overlap
-    return float(lags[near][np.argmax(correlation)])
+    most = min(round(longest / step), grid.size // 2)
+    lags = np.arange(-most, most + 1)
+    # Means, not sums: each lag has its own number of overlapping samples.
+    correlation = [
+        np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
+        for lag in lags
+    ]
+    return float(step * lags[np.argmax(correlation)])
+
+
+def _detrended(values: np.ndarray) -> np.ndarray:
+    """Values less their straight line of least squares."""
+    place = np.linspace(-1, 1, values.size)
+    return values - np.polyval(np.polyfit(place, values, 1), place)
 
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
@@ -83,3 +95,44 @@ def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float,
         "largest_du": (float(series["front.du"].abs().max()), "N m"),
         "saturated_share": (saturated_share(series, torque_limit), "-"),
     }
+
+
+def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
+    """Largest longitudinal adhesion at nominal load over speeds (m/s) and shares of the poor set (-), shape (n,).
+
+    Knowledge of the analyst, never of a controller. Between the sets it is interpolated.
+    """
+    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
+    patch = (load, *CONE_AXES, kalker_coefficients(CONE_AXES[0] / CONE_AXES[1]), vehicle.contact.shear_modulus)
+    grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
+    good, poor = (
+        np.interp(speed, grid, [adhesion_maximum(vehicle.adhesion[name], v, *patch)[0] for v in grid])
+        for name in (scenario.good, scenario.poor)
+    )
+    return good + share * (poor - good)
+
+
+def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
+    """Metrics of traction and braking of the front gear: name -> (value, unit).
+
+    `utilisation` is the mean adhesion of both wheels over the largest possible, where the demand exceeds the latter.
+    """
+    p, v = series["front.p"].to_numpy(), series["front.v"].to_numpy()
+    wheels = [f"{gear}_{side}" for gear in ("front", "rear") for side in ("le", "ri")]
+    moving = v > 2.0
+    slip = np.abs(series.loc[moving, [f"{wheel}.sx" for wheel in wheels]].to_numpy())
+    values = {
+        "stopping_distance": (stopping_distance(series), "m"),
+        "final_speed": (float(v[-1]), "m/s"),
+        "mean_longitudinal_torque": (float(series["front.tau_long"].mean()), "N m"),
+        "largest_slip": (float(slip.max()) if slip.size else float("nan"), "-"),
+    }
+    if scenario.force_kN:
+        shares = [np.interp(p, *zip(*points, strict=True)) for points in scenario.poor_shares]
+        limit = np.mean([adhesion_limit(v, share, scenario, vehicle) for share in shares], axis=0)
+        f = (series["front_le.fx"] + series["front_ri.fx"]).to_numpy() / 2
+        f_star = series["front.f_star"].to_numpy()
+        beyond = (np.abs(f_star) > limit) & moving
+        used = float(np.mean(np.sign(f_star[beyond]) * f[beyond] / limit[beyond])) if beyond.any() else float("nan")
+        values["utilisation"] = (used, "-")
+    return values

@@ -20,8 +20,15 @@ from railrepro.parameters import Vehicle
 
 STATES = ("x", "psi_Ax", "xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")
 THETA = ("psi_Tr", "dpsi_dp", "phi_Tr", "dphi_dp", "eps_Tr", "deps_dp", "psi_CB", "dpsi_dp_CB", "m_CB")
-METHODS = ("euler", "midpoint", "rk4")
-_VARIANTS = {"corrected": (), "printed": tuple(derivation.DISCREPANCIES)}
+_TABLEAU = {
+    "euler": ((0.0,), (1.0,)),
+    "midpoint": ((0.0, 0.5), (0.0, 1.0)),
+    "rk4": ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+}
+"""Fractions of the step and weights of explicit rules whose stages each need the one before."""
+METHODS = tuple(_TABLEAU)
+OUTSIDE = frozenset({"D4"})
+"""Entries of the register that a variant may name and that the forecast keeps, not the model."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +69,7 @@ def control_model(variant: str = "corrected", discrepancies: Iterable[str] | Non
     Parameters
     ----------
     variant : str
-        "corrected" or "printed".
+        "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3".
     discrepancies : iterable of str, optional
         Instead of a variant: which entries of `derivation.DISCREPANCIES` to keep as printed.
 
@@ -70,14 +77,25 @@ def control_model(variant: str = "corrected", discrepancies: Iterable[str] | Non
     -------
     ControlModel
     """
-    if variant not in _VARIANTS:
-        raise InputError(f"model variant {variant!r} is not known; there are {sorted(_VARIANTS)}")
-    kept = frozenset(_VARIANTS[variant] if discrepancies is None else discrepancies)
-    if kept - set(derivation.DISCREPANCIES):
+    kept = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
+    if kept - set(derivation.DISCREPANCIES) - OUTSIDE:
         raise InputError(
-            f"discrepancies {sorted(kept)} are not all known; there are {sorted(derivation.DISCREPANCIES)}"
+            f"discrepancies {sorted(kept)} are not all known; there are {sorted({*derivation.DISCREPANCIES, *OUTSIDE})}"
         )
-    return _control_model(kept)
+    return _control_model(kept - OUTSIDE)
+
+
+def kept_as_printed(variant: str) -> frozenset[str]:
+    """Discrepancies that a variant keeps, those of the forecast included."""
+    if variant == "corrected":
+        return frozenset()
+    if variant == "printed":
+        return frozenset(derivation.DISCREPANCIES) | OUTSIDE
+    names = frozenset(name.strip() for name in variant.split(","))
+    if names - set(derivation.DISCREPANCIES) - OUTSIDE:
+        known = sorted({*derivation.DISCREPANCIES, *OUTSIDE})
+        raise InputError(f"model variant {variant!r} is not known; there are corrected, printed and lists of {known}")
+    return names
 
 
 @lru_cache
@@ -121,19 +139,45 @@ def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
 
     Source: eq. (discr_state_space1).
     """
+    step, _, _ = _step(model, method)
+    return step
+
+
+def sensitivities(model: ControlModel, method: str) -> ca.Function:
+    """One step with its derivatives, chained stage by stage (half the operations of differentiating the whole step).
+
+    Parameters
+    ----------
+    model, method
+        See `discretise`.
+
+    Returns
+    -------
+    casadi.Function
+        (x[6], u[2], theta[9], par, T) -> x after T, its Jacobians with respect to x (6, 6) and u (6, 2), sparse.
+    """
+    step, inputs, (by_x, by_u) = _step(model, method)
+    return ca.Function("control_sensitivities", inputs, [step(*inputs), by_x, by_u], {"cse": True})
+
+
+def _step(model: ControlModel, method: str) -> tuple[ca.Function, list[ca.SX], tuple[ca.SX, ca.SX]]:
     if method not in METHODS:
         raise InputError(f"discretisation {method!r} is not known; there are {METHODS}")
     x, u, theta = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("theta", len(THETA))
     par, period = ca.SX.sym("par", len(derivation.PARAMETERS)), ca.SX.sym("T")
-    k1 = model.rhs(x, u, theta, par)
-    if method == "euler":
-        x_next = x + period * k1
-    elif method == "midpoint":
-        x_next = x + period * model.rhs(x + period / 2 * k1, u, theta, par)
-    else:
-        k2 = model.rhs(x + period / 2 * k1, u, theta, par)
-        k3 = model.rhs(x + period / 2 * k2, u, theta, par)
-        k4 = model.rhs(x + period * k3, u, theta, par)
-        x_next = x + period / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    rate = model.rhs(x, u, theta, par)
+    jacobians = [ca.jacobian(rate, x), ca.jacobian(rate, u)]
+    rhs = ca.Function("rhs", [x, u, theta, par], [rate, *jacobians], {"cse": True})
+    fractions, weights = _TABLEAU[method]
+    x_next, by_x, by_u = x, ca.SX.eye(6), ca.SX(6, 2)
+    slope = slope_x = slope_u = 0
+    for fraction, weight in zip(fractions, weights, strict=True):
+        at = x + fraction * period * slope
+        along_x, along_u = ca.SX.eye(6) + fraction * period * slope_x, fraction * period * slope_u
+        slope, a, b = rhs(at, u, theta, par)
+        slope_x, slope_u = ca.mtimes(a, along_x), b + (ca.mtimes(a, along_u) if fraction else 0)
+        x_next = x_next + weight * period * slope
+        by_x, by_u = by_x + weight * period * slope_x, by_u + weight * period * slope_u
     inputs = [x, u, theta, par, period]
-    return ca.Function("control_step", inputs, [x_next], ["x", "u", "theta", "par", "T"], ["x_next"], {"cse": True})
+    step = ca.Function("control_step", inputs, [x_next], ["x", "u", "theta", "par", "T"], ["x_next"], {"cse": True})
+    return step, inputs, (by_x, by_u)

@@ -385,6 +385,8 @@ class Car:
         (x, u, rows, contacts, par) -> [mechanical energy (J), motor power, damping loss, creep loss (W)].
     outputs : tuple of str
         Names of the output vector.
+    operations : dict
+        Number of operations of the whole rate and of what contact and suspension need by themselves.
     """
 
     rate: ca.Function
@@ -393,6 +395,7 @@ class Car:
     output: ca.Function
     energy: ca.Function
     outputs: tuple[str, ...]
+    operations: dict[str, int]
 
 
 @lru_cache(maxsize=1)
@@ -443,6 +446,14 @@ def car() -> Car:
     outputs = _outputs(bodies, wheels, speeds, torques, suspensions)
     energies = _energies(bodies, wheels, speeds, torques, suspensions, p)
     places = ca.vertcat(*(bodies[name].s for name in BODIES), *shifts)
+    forces = {
+        "all": rate,
+        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(wheel.force, wheel.axle_moment) for wheel in wheels))),
+        "suspension": stages.resolve(ca.vertcat(*(s.force_on_gear for s in suspensions))),
+    }
+    counts = {
+        name: ca.Function(name, inputs, [entry], {"cse": True}).n_instructions() for name, entry in forces.items()
+    }
     return Car(
         rate=ca.Function("car_rate", inputs, [rate], names, ["dx"]),
         step=ca.Function("car_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}),
@@ -454,6 +465,7 @@ def car() -> Car:
             "car_energy", inputs, [stages.resolve(ca.vertcat(*energies))], names, ["energies"], {"cse": True}
         ),
         outputs=tuple(outputs),
+        operations=counts,
     )
 
 

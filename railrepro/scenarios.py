@@ -50,6 +50,12 @@ class Scenario:
         """Speed below which the run ends (m/s); a negative number means never."""
         return -1.0 if self.stop_kmh is None else self.stop_kmh / 3.6
 
+    @property
+    def poor_shares(self) -> tuple[tuple, tuple]:
+        """[p_m, share of the poor set] points of the left and right rail; one point at least."""
+        both = self.poor_share or ((0.0, 0.0),)
+        return self.poor_share_left or both, self.poor_share_right or both
+
     def but(self, **changes) -> Scenario:
         """A copy with some fields changed, checked like a file."""
         changed = replace(self, **changes)
@@ -58,7 +64,7 @@ class Scenario:
 
     def route(self, irregularities=None) -> route.Route:
         """Lay set point, adhesion and demand along the track (`railrepro.route.Route`)."""
-        left, right = self.poor_share_left or self.poor_share, self.poor_share_right or self.poor_share
+        left, right = self.poor_shares
         way = route.lay(
             load_track(self.track),
             reference=self._reference(),
@@ -85,7 +91,7 @@ class Scenario:
 
 
 def _ramps(points):
-    table = np.array(points or [[0.0, 0.0]], dtype=float)
+    table = np.array(points, dtype=float)
     return lambda p: np.interp(p, table[:, 0], table[:, 1])
 
 

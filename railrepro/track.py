@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -201,6 +202,10 @@ def _positions(table: pd.DataFrame) -> np.ndarray:
     return np.concatenate([np.zeros((3, 1)), np.cumsum(steps, axis=1)], axis=1)
 
 
+_PIECE = 5.0
+"""Longest stretch of one quadrature (m)."""
+
+
 @dataclass(frozen=True)
 class Track:
     """Tabulated track geometry with interpolation that is exact on straights, clothoids, arcs and linear cant ramps.
@@ -213,7 +218,7 @@ class Track:
     table: pd.DataFrame
     design_speed: float | None = None
 
-    @property
+    @cached_property
     def p(self) -> np.ndarray:
         """Track coordinates of the rows (m), shape (n,)."""
         return self.table["p_m"].to_numpy()
@@ -223,16 +228,21 @@ class Track:
         """Track coordinate of the last row (m)."""
         return float(self.p[-1])
 
-    def _cells(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """Row index and offset d of positions p, and per-row values and slopes."""
+    @cached_property
+    def _rows(self) -> dict[str, np.ndarray]:
+        """Values and slopes of the cell that begins at each row."""
         columns = {c: self.table[c].to_numpy() for c in COLUMNS[1:7] if c in self.table}
         step = np.diff(self.p)
         rows = {"psi": columns["psi_rad"], "kappa": columns["dpsi_dp_1pm"], "phi": columns["phi_rad"]}
         rows["eps"] = columns["eps_rad"]
         for name in ("kappa", "phi", "eps"):
             rows["d" + name] = np.append(np.diff(rows[name]) / step, 0.0)
+        return rows
+
+    def _cell(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row index and offset d of positions p."""
         index = np.clip(np.searchsorted(self.p, p, side="right") - 1, 0, len(self.p) - 1)
-        return index, p - self.p[index], rows
+        return index, p - self.p[index]
 
     def interpolate(self, p) -> np.ndarray:
         """Track angles and rates per metre.
@@ -251,9 +261,10 @@ class Track:
         Source: eqs. (track) of the paper, without the factor dp/dt.
         """
         p = np.atleast_1d(np.asarray(p, dtype=float))
-        index, d, rows = self._cells(p)
-        before = p < self.p[0]
-        row = {name: np.where(before & (name not in ("psi", "phi", "eps")), 0.0, v[index]) for name, v in rows.items()}
+        index, d = self._cell(p)
+        row = {name: values[index] for name, values in self._rows.items()}
+        for name in row.keys() - {"psi", "phi", "eps"}:
+            row[name] = np.where(p < self.p[0], 0.0, row[name])
         psi = row["psi"] + (row["kappa"] + row["dkappa"] * d / 2) * d
         kappa = row["kappa"] + row["dkappa"] * d
         return np.array(
@@ -271,12 +282,14 @@ class Track:
     def position(self, p) -> np.ndarray:
         """World coordinates x, y (right), z (down) of the centre line (m), shape (3, n)."""
         p = np.atleast_1d(np.asarray(p, dtype=float))
-        index, d, _ = self._cells(p)
-        anchors = self.table[["x_m", "y_m", "z_m"]].to_numpy()[index].T
-        pieces = max(1, int(np.ceil(np.abs(d).max() / 5.0)))
-        for k in range(pieces):
-            anchors = anchors + self.travel(self.p[index] + d * k / pieces, d / pieces)
-        return anchors
+        index, d = self._cell(p)
+        reached = self.table[["x_m", "y_m", "z_m"]].to_numpy()[index].T
+        for k in range(int(np.ceil(np.abs(d).max() / _PIECE)) or 1):
+            piece = np.clip(np.abs(d) - k * _PIECE, 0, _PIECE) * np.sign(d)
+            moving = piece != 0
+            start = self.p[index] + k * _PIECE * np.sign(d)
+            reached[:, moving] += self.travel(start[moving], piece[moving])
+        return reached
 
 
 def load_track(name: Path | str) -> Track:
@@ -289,6 +302,11 @@ def load_track(name: Path | str) -> Track:
     """
     if str(name).endswith(".csv"):
         return Track(Path(name).stem, read_table(name))
+    return _built(str(name), paths.source("data/tracks.toml").stat().st_mtime_ns)
+
+
+@lru_cache
+def _built(name: str, _changed: int) -> Track:
     known = alignments()
     if name not in known:
         raise InputError(f"track {name!r} is not in tracks.toml ({sorted(known)}) and is not a CSV file")

@@ -45,6 +45,8 @@ MEMORY = (
     *(f"{gear}.{name}" for gear in GEARS for name in ("u", "f_0", "f_1", "s_0", "s_1", "integral")),
     *(f"{gear}.{kind}_{i}" for gear in GEARS for kind in ("f_hat", "s_hat") for i in range(2)),
 )
+BRAKE_FADE, GUIDANCE_FADE = 0.1, 1.0
+"""Speeds below which braking torque and differential torque fade (m/s): a wheel that stands cannot steer."""
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
 RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
 
@@ -156,8 +158,11 @@ def law() -> ca.Function:
         state = {name: y[f"{gear}.{name}"] for name in ("v", "y", "psidot_Ax", "psi_Ax")}
         state |= {"psi_r": y[f"{gear}.psi_TrAx"], "vdot": 2 * u_d / (model["r0"] * model["mass"])}
         inverse = differential_torque(state, road, old[f"{gear}.integral"], gain, model)
-        wanted = ca.if_else(gain["ndi.active"], inverse, held[g])
-        tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, gain["tau_max"], gain["fixed_share"])
+        wanted = ca.if_else(gain["ndi.active"], inverse, held[g]) * _fade(state["v"], GUIDANCE_FADE)
+        # A brake cannot push: near standstill its torque fades, so that the car stops and does not roll back.
+        brake_limit = gain["tau_max"] * _fade(state["v"], BRAKE_FADE)
+        applied = ca.if_else(f_star < 0, ca.fmax(u_d, -brake_limit), u_d)
+        tau_le, tau_ri, tau_long, du = allocate(applied, wanted, gain["tau_max"], gain["fixed_share"])
         command += [tau_le, tau_ri]
         free = ca.fabs(wanted) < gain["tau_max"]
         error = road["y0"] - state["y"]
@@ -182,6 +187,11 @@ def law() -> ca.Function:
     )
 
 
+def _fade(v: ca.SX, speed: float) -> ca.SX:
+    """0 at rest, 1 from `speed` (m/s) on."""
+    return ca.fmin(ca.fmax(v / speed, 0), 1)
+
+
 def _road(cell: dict, p: ca.SX) -> dict:
     """Track and set point at a gear from its cell."""
     psi, kappa, _, dphi, *_ = route.track_in(cell, p)
@@ -197,13 +207,13 @@ def _estimates(gear: str, g: int, y: dict, old: dict, gain: dict) -> dict:
     for i, side in enumerate(SIDES):
         for k, (kind, name, short) in enumerate((("f_hat", "fx", "f"), ("s_hat", "sx", "s"))):
             exact = y[f"{gear}_{side}.{name}"] * (1 + gain[f"estimate.bias_{short}"])
-            noise = gain[f"estimate.noise_{short}"] * _white(old["ticks"], 1 + 4 * g + 2 * i + k)
+            noise = gain[f"estimate.noise_{short}"] * white_noise(old["ticks"], 1 + 4 * g + 2 * i + k)
             before = old[f"{gear}.{kind}_{i}"]
             estimates[kind, i] = before + pole * (exact + noise - before)
     return estimates
 
 
-def _white(ticks: ca.SX, channel: int) -> ca.SX:
+def white_noise(ticks: ca.SX, channel: int) -> ca.SX:
     """Deterministic noise of unit variance: sum of three hashed uniform numbers of the tick and channel."""
     total = 0
     for k in range(3):

@@ -19,7 +19,7 @@ import numpy as np
 from railrepro import codegen, preview, route
 from railrepro.control import condensed
 from railrepro.derivation import PARAMETERS
-from railrepro.model import THETA, control_model, discretise
+from railrepro.model import THETA, control_model, sensitivities
 
 STATES = 6
 _UNSETTLED, _DIVERGED = 2, 3
@@ -54,11 +54,11 @@ def model_function(variant: str, discretisation: str) -> ca.Function:
         (x[6], du, u_d, theta[9], par, T, affine) -> x_next[6], A (sparse), B[6]. With affine = 0, x_next is the printed
         linear model A x + B u, which drops the affine term (D6).
     """
-    step = discretise(control_model(variant), discretisation)
+    step = sensitivities(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", STATES), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
     theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
-    x_next = step(x, ca.vertcat(u_d - du, u_d + du), theta, par, period)
-    a, b, common = ca.jacobian(x_next, x), ca.densify(ca.jacobian(x_next, du)), ca.jacobian(x_next, u_d)
+    x_next, a, by_torque = step(x, ca.vertcat(u_d - du, u_d + du), theta, par, period)
+    b, common = ca.densify(by_torque[:, 1] - by_torque[:, 0]), by_torque[:, 0] + by_torque[:, 1]
     linear = ca.mtimes(a, x) + b * du + common * u_d
     reported = ca.densify(affine * x_next + (1 - affine) * linear)
     inputs = [x, du, u_d, theta, par, period, affine]

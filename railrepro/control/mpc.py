@@ -17,7 +17,7 @@ import numpy as np
 from railrepro import preview
 from railrepro.control.horizon import horizon, model_function
 from railrepro.errors import InputError
-from railrepro.model import control_model
+from railrepro.model import control_model, kept_as_printed
 from railrepro.parameters import Vehicle
 from railrepro.preview import Forecast
 from railrepro.route import Route
@@ -44,7 +44,7 @@ class MPCSettings:
     discretisation : str
         See `railrepro.model.discretise`.
     variant : str
-        Prediction model "corrected" or "printed".
+        Prediction model and forecast, see `railrepro.model.control_model`.
     lateral_bound : float
         Bound of |y_TrAx| (m).
     bound_weight : float
@@ -159,7 +159,7 @@ class PredictiveController:
         self.stats: list[Solve] = []
         s = self.settings
         self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
-        believed = preview.believed(self.vehicle, self.gear, printed=s.variant == "printed")
+        believed = preview.believed(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = horizon(s, believed, self.parameters, self.route)
         self.plan_du = np.zeros(s.steps)
 

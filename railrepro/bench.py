@@ -1,0 +1,280 @@
+"""Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
+
+`python -m railrepro.bench` writes data/results/solve_times.csv, horizon_times.csv and plant_speed.csv and prints them.
+Times of different machines are never compared; the machine's name stands in each table. Serves the paper's section
+Evaluation of Lateral Control (computation times).
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from railrepro import codegen, paths, plant, scenarios, simulate, tuning
+from railrepro.contact import contact_table
+from railrepro.control import condensed, fast
+from railrepro.control.horizon import PlainHorizon
+from railrepro.control.ltv_mpc import LTVMPC
+from railrepro.control.mpc import MPCSettings, Problem
+from railrepro.control.ndi import NDISettings
+from railrepro.control.nmpc import NMPC
+from railrepro.exchange import Exchange
+from railrepro.guidance import mpc_settings
+from railrepro.parameters import Vehicle, load_vehicle
+from railrepro.route import Route
+
+SCENARIOS = (
+    "curve_entry_T1",
+    "curve_entry_T2",
+    "curve_entry_T3",
+    "curve_entry_T4",
+    "sine_tracking",
+    "adhesion_loss",
+    "braking",
+)
+KINDS = ("ipopt", "dense", "gauss_newton", "rti", "ltv_mpc")
+WINDOW = 32
+"""Successive samples recorded per scenario."""
+HORIZONS = (10, 20, 40, 80, 160)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Successive optimal control problems of the front gear in one scenario."""
+
+    scenario: str
+    route: Route
+    problems: tuple[Problem, ...]
+
+
+class _Windowed(NMPC):
+    """NMPC that keeps the problems of a window of samples."""
+
+    def problem(self, x_hat, u_d):
+        found = super().problem(x_hat, u_d)
+        self.kept = [*getattr(self, "kept", []), found]
+        return found
+
+
+def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW, hard: bool = False) -> Recording:
+    """Problems of a closed-loop run, from its middle; `hard` tightens torque and lateral bounds until they act."""
+    scenario = scenarios.load_scenario(name)
+    if name == "braking":
+        scenario = scenario.but(end_m=500.0)
+    run = simulate.run(scenario, lambda vehicle, way, gear: _Windowed(vehicle, way, gear, settings), vehicle=vehicle)
+    problems = run.controllers[0].kept
+    first = len(problems) // 2
+    problems = problems[first : first + count]
+    if hard:
+        largest = max(np.abs(problem.ahead.x_d[:, 4]).max() for problem in problems)
+        tight = replace(settings, lateral_bound=0.6 * largest, yielding=True)
+        problems = [replace(problem, settings=tight, tau_max=60.0) for problem in problems]
+    return Recording(name + (", bounds active" if hard else ""), scenario.route(), tuple(problems))
+
+
+def _solver(kind: str, recording: Recording, vehicle: Vehicle):
+    settings = recording.problems[0].settings
+    if kind == "ltv_mpc":
+        return LTVMPC(vehicle, recording.route, 0, settings)
+    if kind == "dense":
+        controller = NMPC(vehicle, recording.route, 0, settings)
+        controller.horizon.solve = _dense(controller)
+        controller.horizon.iterate = lambda most, tolerance: PlainHorizon.iterate(controller.horizon, most, tolerance)
+        return controller
+    return NMPC(vehicle, recording.route, 0, settings, solver=kind)
+
+
+def _dense(controller) -> Callable[[], None]:
+    def solve():
+        controller.horizon.dx[:], controller.horizon.du[:] = condensed.solve(controller.horizon)
+
+    return solve
+
+
+def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Solve a recording in order, warm-started like in closed loop.
+
+    Returns
+    -------
+    torques, seconds, iterations, failures
+        Planned torques (n, L) (N m), wall time per problem (s), iterations, number of failures.
+    """
+    controller = _solver(kind, recording, vehicle)
+    start = np.zeros(recording.problems[0].settings.steps)
+    torques, seconds, iterations, failures = [], [], [], 0
+    for problem in recording.problems:
+        begin = time.perf_counter()
+        try:
+            du, count = controller.optimise(problem, np.clip(start, -problem.bound, problem.bound))
+        except (ArithmeticError, np.linalg.LinAlgError):
+            du, count, failures = start, 0, failures + 1
+        seconds.append(time.perf_counter() - begin)
+        torques.append(du)
+        iterations.append(count)
+        start = np.append(du[1:], du[-1])
+    return np.array(torques), np.array(seconds), np.array(iterations), failures
+
+
+def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
+    """Table of all solver paths on all scenarios (contract of data/results/solve_times.csv)."""
+    rows = []
+    recordings = [record(name, settings, vehicle, hard=hard) for name in names for hard in (False, True)]
+    for recording in tqdm(recordings, desc="solvers", unit="scenario"):
+        exact, reference, _, _ = solve_all("ipopt", recording, vehicle)
+        for kind in KINDS:
+            du, seconds, iterations, failures = solve_all(kind, recording, vehicle)
+            difference = np.abs(du - exact).max() / vehicle.drive.torque_limit
+            pairs = zip(recording.problems, du, exact, strict=True)
+            costs = np.array([[p.cost(p.roll_out(u), u) for u in pair] for p, *pair in pairs])
+            rows.append(
+                {
+                    "solver": kind,
+                    "scenario": recording.scenario,
+                    "n": len(seconds),
+                    "median_ms": 1e3 * np.median(seconds),
+                    "p95_ms": 1e3 * np.percentile(seconds, 95),
+                    "max_ms": 1e3 * seconds.max(),
+                    "iterations_median": np.median(iterations),
+                    "ratio_to_ipopt": np.median(seconds) / np.median(reference),
+                    "failures": failures,
+                    "largest_torque_difference": difference,
+                    "largest_cost_excess": np.max(costs[:, 0] / costs[:, 1] - 1),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
+    """Time per sample over the length of the horizon: recursion, dense elimination, Ipopt."""
+    rows = []
+    for steps in tqdm(HORIZONS, desc="horizons", unit="length"):
+        recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
+        for kind in ("gauss_newton", "rti", "dense", "ipopt"):
+            _, seconds, iterations, _ = solve_all(kind, recording, vehicle)
+            row = {"solver": kind, "steps": steps, "median_ms": 1e3 * np.median(seconds)}
+            rows.append(row | {"iterations_median": np.median(iterations)})
+    return pd.DataFrame(rows)
+
+
+def closed_loop_phases(vehicle: Vehicle, settings: MPCSettings) -> dict[str, float]:
+    """Median feedback and preparation time of real-time iteration in closed loop (s)."""
+    scenario = scenarios.load_scenario("curve_entry_T3")
+    run = simulate.run(scenario, lambda v, w, g: NMPC(v, w, g, settings, solver="rti"), vehicle=vehicle)
+    stats = run.controllers[0].stats[1:]
+    return {
+        "feedback_s": float(np.median([s.seconds for s in stats])),
+        "feedback_max_s": float(max(s.seconds for s in stats)),
+        "preparation_s": float(np.median([s.preparation for s in stats])),
+    }
+
+
+def _seconds(call: Callable[[], None], least: float = 0.2) -> float:
+    """Time of one call (s): best of three batches."""
+    count, best = 1, np.inf
+    while True:
+        begin = time.perf_counter()
+        for _ in range(count):
+            call()
+        spent = time.perf_counter() - begin
+        if spent > least:
+            break
+        count *= 4
+    for _ in range(3):
+        begin = time.perf_counter()
+        for _ in range(count):
+            call()
+        best = min(best, (time.perf_counter() - begin) / count)
+    return best
+
+
+def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
+    """Real-time factors of the car and of the closed loop, and where the time of an exchange goes."""
+    rows, base, per_second = [], scenarios.load_scenario("sine_tracking"), "ms per simulated s"
+
+    def add(what: str, value: float, unit: str, speed_kmh: float = 400) -> None:
+        rows.append({"what": what, "speed_kmh": speed_kmh, "value": value, "unit": unit})
+
+    for speed_kmh in (400, 160, 40, 5):
+        scenario = base.but(speed_kmh=speed_kmh, end_m=max(20.0, speed_kmh / 3.6 * 4))
+        exchange = _exchange(scenario, vehicle)
+        loop = _seconds(lambda exchange=exchange: exchange.run(200)) / 200
+        begin = time.perf_counter()
+        run = simulate.run(scenario, NDISettings(), vehicle=vehicle)
+        whole = (time.perf_counter() - begin) / run.series["t_s"].iloc[-1]
+        add("car alone", 1e6 * _seconds(exchange.functions[-1]), per_second, speed_kmh)
+        add("loop with NDI, adhesion law and log", 1e6 * loop, per_second, speed_kmh)
+        add("whole run, Python included", 1e3 * whole, per_second, speed_kmh)
+    exchange = _exchange(base, vehicle)
+    loop = _seconds(lambda: exchange.run(200)) / 200
+    parts = dict(zip(("places", "outputs", "law", "step"), map(_seconds, exchange.functions), strict=True))
+    for name, seconds in parts.items():
+        add(f"share of {name}", seconds / loop, "-")
+    add("share of look-up, log and call from Python", 1 - sum(parts.values()) / loop, "-")
+    operations = plant.car().operations
+    for name in ("contact", "suspension"):
+        add(f"share of {name} in the operations of the car's rate", operations[name] / operations["all"], "-")
+    plain = _exchange(base, vehicle, compiled=False)
+    begin = time.perf_counter()
+    plain.run(200)
+    add("loop without compiler", 1e6 * (time.perf_counter() - begin) / 200, per_second)
+    return pd.DataFrame(rows)
+
+
+def _exchange(scenario, vehicle: Vehicle, compiled: bool = True) -> Exchange:
+    table = contact_table(vehicle.contact.profile, vehicle)
+    limits = {"lateral": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
+    gains = fast.gain_vector(vehicle, NDISettings(), **limits)
+    parameters = plant.parameter_vector(vehicle, scenario.good, scenario.poor)
+    state = plant.rest_state(vehicle, table, scenario.speed)
+    return Exchange(parameters, table, scenario.route(), gains, state, compiled)
+
+
+def machine() -> str:
+    """Name of the processor."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def main() -> None:
+    """Measure everything and write the tables."""
+    if codegen.compiler() is None:
+        sys.exit("error: the bench compares compiled code and needs a C compiler")
+    vehicle = load_vehicle()
+    settings = mpc_settings(tuning.load("nmpc")["parameters"])
+    phases = closed_loop_phases(vehicle, settings)
+    rows = [
+        {
+            "what": f"real-time iteration, {name.removesuffix('_s')}",
+            "speed_kmh": 280,
+            "value": 1e3 * value,
+            "unit": "ms",
+        }
+        for name, value in phases.items()
+    ]
+    tables = {
+        "plant_speed": pd.concat([plant_speed(vehicle), pd.DataFrame(rows)], ignore_index=True),
+        "solve_times": solve_times(vehicle, settings),
+        "horizon_times": horizon_times(vehicle, settings),
+    }
+    for name, table in tables.items():
+        table["machine"] = machine()
+        table.to_csv(paths.product(f"data/results/{name}.csv"), index=False, float_format="%.4g")
+        print(f"\n{name}\n{table.drop(columns='machine').to_string(index=False)}")
+    times = tables["solve_times"]
+    plain = times[~times["scenario"].str.contains("bounds")]
+    print("\nmedian over scenarios, relative to Ipopt:")
+    print(plain.groupby("solver")["ratio_to_ipopt"].median().map(lambda x: f"1/{1 / x:.0f}").to_string())
+
+
+if __name__ == "__main__":
+    main()
