@@ -39,7 +39,8 @@ def _functions() -> tuple:
 
 
 @lru_cache(maxsize=1)
-def _library() -> ctypes.CDLL | None:
+def compiled_car() -> ctypes.CDLL | None:
+    """Car, fast law and loop as one shared object; None without a C compiler."""
     here = Path(__file__)
     extra = here.with_name("call.h").read_text() + here.with_name("loop.c").read_text()
     return codegen.library(_functions(), extra)
@@ -92,7 +93,7 @@ class Exchange:
             ),
             (step, [*common, self._h], [self._next_state, self._error]),
         )
-        self._library = _library() if compiled else None
+        self._library = compiled_car() if compiled else None
         if self._library is None:
             self.functions = [codegen.InterpretedFunction(*binding) for binding in bindings]
         else:

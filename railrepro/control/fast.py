@@ -45,8 +45,8 @@ MEMORY = (
     *(f"{gear}.{name}" for gear in GEARS for name in ("u", "f_0", "f_1", "s_0", "s_1", "integral")),
     *(f"{gear}.{kind}_{i}" for gear in GEARS for kind in ("f_hat", "s_hat") for i in range(2)),
 )
-BRAKE_FADE, GUIDANCE_FADE = 0.1, 1.0
-"""Speeds below which braking torque and differential torque fade (m/s): a wheel that stands cannot steer."""
+GUIDANCE_FADE = 1.0
+"""Speed below which the differential torque fades (m/s): a wheel that stands cannot steer."""
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
 RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
 
@@ -159,10 +159,7 @@ def law() -> ca.Function:
         state |= {"psi_r": y[f"{gear}.psi_TrAx"], "vdot": 2 * u_d / (model["r0"] * model["mass"])}
         inverse = differential_torque(state, road, old[f"{gear}.integral"], gain, model)
         wanted = ca.if_else(gain["ndi.active"], inverse, held[g]) * _fade(state["v"], GUIDANCE_FADE)
-        # A brake cannot push: near standstill its torque fades, so that the car stops and does not roll back.
-        brake_limit = gain["tau_max"] * _fade(state["v"], BRAKE_FADE)
-        applied = ca.if_else(f_star < 0, ca.fmax(u_d, -brake_limit), u_d)
-        tau_le, tau_ri, tau_long, du = allocate(applied, wanted, gain["tau_max"], gain["fixed_share"])
+        tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, gain["tau_max"], gain["fixed_share"])
         command += [tau_le, tau_ri]
         free = ca.fabs(wanted) < gain["tau_max"]
         error = road["y0"] - state["y"]

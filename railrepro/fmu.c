@@ -1,0 +1,150 @@
+/* FMI 2.0 co-simulation interface around the generated car. Starts after call.h and the constants of the exported route,
+   contact table and vehicle. Value references: outputs first, then the four torque commands. */
+
+#include <stdlib.h>
+
+typedef void *fmi2Component;
+typedef unsigned int fmi2ValueReference;
+typedef int fmi2Boolean;
+typedef double fmi2Real;
+typedef int fmi2Integer;
+typedef const char *fmi2String;
+typedef enum { fmi2OK, fmi2Warning, fmi2Discard, fmi2Error, fmi2Fatal, fmi2Pending } fmi2Status;
+typedef void (*fmi2Logger)(void *, fmi2String, fmi2Status, fmi2String, fmi2String, ...);
+typedef struct {
+  fmi2Logger logger;
+  void *(*allocate)(size_t, size_t);
+  void (*release)(void *);
+  void *finished, *environment;
+} fmi2CallbackFunctions;
+
+enum { TORQUES = 4, WORK = 65536 };
+
+typedef struct {
+  double x[N_STATE], next[N_STATE], error[N_STATE], tau[TORQUES], rows[3 * N_CELL], contacts[4 * N_CONTACT], y[N_OUTPUT];
+  double places[7], work[WORK];
+  casadi_int integers[256];
+  const fmi2CallbackFunctions *callbacks;
+} unit_t;
+
+static void copy_cell(double *row, const double *cells, double place, double start, double step, casadi_int n, casadi_int width) {
+  double cell = floor((place - start) / step);
+  if (!(cell > 0)) cell = 0;
+  if (cell > (double)(n - 1)) cell = (double)(n - 1);
+  memcpy(row, cells + (casadi_int)cell * width, (size_t)width * sizeof(double));
+}
+
+static void surroundings(unit_t *u) {
+  const double *in[16] = {u->x, u->rows, PARAMETERS};
+  double *out[16] = {u->places};
+  car_coordinates(in, out, u->integers, u->work, 0);
+  for (int i = 0; i < 3; ++i)
+    copy_cell(u->rows + i * N_CELL, CELLS, u->places[i], CELL_START, CELL_STEP, N_CELLS, N_CELL);
+  for (int i = 0; i < 4; ++i)
+    copy_cell(u->contacts + i * N_CONTACT, CONTACTS, u->places[3 + i], CONTACT_START, CONTACT_STEP, N_CONTACTS, N_CONTACT);
+}
+
+static void measure(unit_t *u) {
+  const double *in[16] = {u->x, u->tau, u->rows, u->contacts, PARAMETERS};
+  double *out[16] = {u->y};
+  surroundings(u);
+  car_output(in, out, u->integers, u->work, 0);
+}
+
+static void reset(unit_t *u) {
+  memcpy(u->x, START, sizeof u->x);
+  memset(u->tau, 0, sizeof u->tau);
+  for (int i = 0; i < 3; ++i) copy_cell(u->rows + i * N_CELL, CELLS, u->x[12 * i], CELL_START, CELL_STEP, N_CELLS, N_CELL);
+  surroundings(u);
+  measure(u);
+}
+
+static fmi2Status complain(unit_t *u, const char *text) {
+  if (u->callbacks && u->callbacks->logger) u->callbacks->logger(u->callbacks->environment, "car", fmi2Error, "error", text);
+  return fmi2Error;
+}
+
+const char *fmi2GetTypesPlatform(void) { return "default"; }
+const char *fmi2GetVersion(void) { return "2.0"; }
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]) { return fmi2OK; }
+
+fmi2Component fmi2Instantiate(fmi2String name, int type, fmi2String guid, fmi2String resources,
+                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
+  if (type != 1 || strcmp(guid, GUID)) return NULL;
+  unit_t *u = calloc(1, sizeof(unit_t));
+  if (u) u->callbacks = callbacks, reset(u);
+  return u;
+}
+void fmi2FreeInstance(fmi2Component c) { free(c); }
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean t, fmi2Real tol, fmi2Real start, fmi2Boolean s, fmi2Real stop) {
+  return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return measure(c), fmi2OK; }
+fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) { return reset(c), fmi2OK; }
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real values[]) {
+  unit_t *u = c;
+  for (size_t i = 0; i < n; ++i) {
+    if (r[i] >= N_OUTPUT + TORQUES) return complain(u, "unknown value reference");
+    values[i] = r[i] < N_OUTPUT ? u->y[r[i]] : u->tau[r[i] - N_OUTPUT];
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real values[]) {
+  unit_t *u = c;
+  for (size_t i = 0; i < n; ++i) {
+    if (r[i] < N_OUTPUT || r[i] >= N_OUTPUT + TORQUES) return complain(u, "only the four torques can be set");
+    u->tau[r[i] - N_OUTPUT] = values[i];
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean keep) {
+  unit_t *u = c;
+  const double period = PERIOD, count = step / period, steps = floor(count + 0.5);
+  if (steps < 1 || fabs(count - steps) > 1e-6) return complain(u, "the communication step must be a whole number of ms");
+  for (int k = 0; k < (int)steps; ++k) {
+    const double *in[16] = {u->x, u->tau, u->rows, u->contacts, PARAMETERS, &period};
+    double *out[16] = {u->next, u->error};
+    surroundings(u);
+    car_step(in, out, u->integers, u->work, 0);
+    for (int i = 0; i < N_STATE; ++i)
+      if (!isfinite(u->next[i])) return complain(u, "a state of the car is no longer a finite number");
+    memcpy(u->x, u->next, sizeof u->x);
+  }
+  measure(u);
+  return fmi2OK;
+}
+
+#define UNUSED_GET(name, type) \
+  fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, type v[]) { return n ? fmi2Error : fmi2OK; }
+UNUSED_GET(fmi2GetInteger, fmi2Integer)
+UNUSED_GET(fmi2GetBoolean, fmi2Boolean)
+UNUSED_GET(fmi2GetString, fmi2String)
+UNUSED_GET(fmi2SetInteger, const fmi2Integer)
+UNUSED_GET(fmi2SetBoolean, const fmi2Boolean)
+UNUSED_GET(fmi2SetString, const fmi2String)
+
+#define NOT_OFFERED(name, ...) \
+  fmi2Status name(__VA_ARGS__) { return fmi2Error; }
+NOT_OFFERED(fmi2GetFMUstate, fmi2Component c, void **s)
+NOT_OFFERED(fmi2SetFMUstate, fmi2Component c, void *s)
+NOT_OFFERED(fmi2FreeFMUstate, fmi2Component c, void **s)
+NOT_OFFERED(fmi2SerializedFMUstateSize, fmi2Component c, void *s, size_t *n)
+NOT_OFFERED(fmi2SerializeFMUstate, fmi2Component c, void *s, char b[], size_t n)
+NOT_OFFERED(fmi2DeSerializeFMUstate, fmi2Component c, const char b[], size_t n, void **s)
+NOT_OFFERED(fmi2GetDirectionalDerivative, fmi2Component c, const fmi2ValueReference u[], size_t nu,
+            const fmi2ValueReference k[], size_t nk, const fmi2Real dk[], fmi2Real du[])
+NOT_OFFERED(fmi2SetRealInputDerivatives, fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer o[],
+            const fmi2Real v[])
+NOT_OFFERED(fmi2GetRealOutputDerivatives, fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer o[],
+            fmi2Real v[])
+NOT_OFFERED(fmi2CancelStep, fmi2Component c)
+NOT_OFFERED(fmi2GetStatus, fmi2Component c, int k, fmi2Status *v)
+NOT_OFFERED(fmi2GetRealStatus, fmi2Component c, int k, fmi2Real *v)
+NOT_OFFERED(fmi2GetIntegerStatus, fmi2Component c, int k, fmi2Integer *v)
+NOT_OFFERED(fmi2GetBooleanStatus, fmi2Component c, int k, fmi2Boolean *v)
+NOT_OFFERED(fmi2GetStringStatus, fmi2Component c, int k, fmi2String *v)
