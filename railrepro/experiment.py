@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import pandas as pd
 
 from railrepro import metrics, simulate, tuning
@@ -16,7 +17,9 @@ from railrepro.control.fast import EstimateSettings
 from railrepro.executor import executor, ordered_map
 from railrepro.guidance import guidance
 from railrepro.parameters import load_vehicle
+from railrepro.route import CELL
 from railrepro.scenarios import Scenario
+from railrepro.track import irregularities
 
 _SERIES = {
     **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
@@ -44,6 +47,8 @@ class Experiment:
         Vehicle parameters changed for car and controllers, and for the car alone (`parameters.load_vehicle`).
     adhesion, estimate, fixed_share
         See `simulate.run`.
+    irregular : dict
+        Arguments of `track.irregularities` besides the coordinates; empty is an ideal track.
     stride : int
         Every n-th exchange of the front gear is kept as a series; 0 keeps none.
     """
@@ -59,15 +64,19 @@ class Experiment:
     adhesion: AdhesionSettings | None = None
     estimate: EstimateSettings | None = None
     fixed_share: float = 0.0
+    irregular: dict = field(default_factory=dict)
     stride: int = 0
 
     def run(self) -> simulate.Run:
         """The simulation itself."""
         parameters = tuning.load(self.controller)["parameters"] if self.parameters is None else self.parameters
         law = guidance(self.controller, parameters, self.options, **self.changes)
+        way = np.arange(0.0, self.scenario.end_m, CELL)
+        rough = irregularities(way, **self.irregular) if self.irregular else None
         return simulate.run(
             self.scenario,
             law,
+            irregularities=rough,
             vehicle=load_vehicle(**self.vehicle),
             plant_vehicle=load_vehicle(**self.vehicle | self.plant),
             adhesion=self.adhesion,

@@ -149,6 +149,14 @@ class _Section:
         return d * (at_start[0] + d / 2 * (at_start[1] + d / 3 * at_start[2]))
 
 
+@lru_cache(maxsize=1)
+def section_kinematics() -> ca.Function:
+    """Track frame inside a cell: (s, row of a `Route`) -> rotation (3, 3), turn rate (1/m), position (m)."""
+    s, row = ca.SX.sym("s"), ca.SX.sym("row", len(route.COLUMNS))
+    section = _Section(s, row)
+    return ca.Function("section", [s, row], [section.rotation, section.turn_rate, section.position])
+
+
 class _Body:
     """Kinematics of one rigid body in its own track section."""
 

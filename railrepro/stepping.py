@@ -26,6 +26,8 @@ from railrepro.errors import InputError
 from railrepro.parameters import Vehicle, load_vehicle
 from railrepro.track import load_track
 
+_LARGEST = 1e7
+"""No state of a car that moves grows beyond this (SI)."""
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 
 
@@ -105,8 +107,8 @@ class SteppedCar:
         Raises
         ------
         ArithmeticError
-            One sentence with time, state and track coordinate when a state is no longer finite; `state` then is that
-            of the last good exchange.
+            One sentence with time, state and track coordinate when a state is no longer finite or absurdly large;
+            `state` is that of the last good exchange.
         """
         if torque is not None:
             self.torque[:] = torque
@@ -114,10 +116,11 @@ class SteppedCar:
         for _ in range(exchanges):
             self._look_up()
             new, _ = self._calls[2]()
-            if not np.isfinite(new).all():
-                name = plant.STATES[int(np.argmax(~np.isfinite(new)))]
+            if not (np.abs(new) < _LARGEST).all():
+                worst = int(np.argmax(~(np.abs(new) < _LARGEST)))
                 raise ArithmeticError(
-                    f"{name} is not a finite number after t = {self.time:.3f} s, p = {self.state[12]:.1f} m"
+                    f"{plant.STATES[worst]} = {new[worst]:.3g} left all bounds after t = {self.time:.3f} s, "
+                    f"p = {self.state[12]:.1f} m"
                 )
             self.state[:] = new
             self.time += period

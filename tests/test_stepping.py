@@ -56,9 +56,9 @@ def test_a_broken_state_is_named_and_kept_out():
     car = SteppedCar("T5", 50.0)
     car.step(exchanges=10)
     good = car.state.copy()
-    with pytest.raises(ArithmeticError, match=r"is not a finite number after t = 0\.010 s, p = "):
+    with pytest.raises(ArithmeticError, match=r"left all bounds after t = 0\.01\d s, p = "):
         car.step([np.nan, 0, 0, 0], 5)
-    assert np.array_equal(car.state, good) or np.isfinite(car.state).all()
+    assert np.isfinite(car.state).all() and np.isfinite(good).all()
 
 
 @pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")

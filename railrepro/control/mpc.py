@@ -53,6 +53,8 @@ class MPCSettings:
         The differential torque may use the whole motor torque and the base torque yields, as the integration rule has
         it. False bounds it by what the base torque leaves, as printed, which is nothing when the base torque is at its
         limit (D10).
+    informed : bool
+        The base torque is known to the forecast and the model; False leaves it out.
     """
 
     q_diag: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
@@ -65,6 +67,7 @@ class MPCSettings:
     lateral_bound: float = 8e-3
     bound_weight: float = 100.0
     yielding: bool = True
+    informed: bool = True
 
     def __post_init__(self):
         if len(self.q_diag) != 6 or min(self.q_diag) < 0 or self.q_diag[_Y] <= 0 or self.r <= 0:
@@ -170,6 +173,7 @@ class PredictiveController:
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The optimal control problem at a measured state (6,) and base torque (N m)."""
+        u_d = u_d if self.settings.informed else 0.0
         self.horizon.sample(x_hat, u_d, 0.0)
         self.horizon.forecast()
         ahead = Forecast(self.horizon.x_d.copy(), self.horizon.theta.copy())
