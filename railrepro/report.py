@@ -1,4 +1,4 @@
-"""REPLICATION.md from the measured claims: verdicts, robustness, discrepancy register; nothing in it is typed by hand."""
+"""REPLICATION.md from the measured claims: verdicts, how sure they are, discrepancy register; nothing typed by hand."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ def render(table: pd.DataFrame, claims: dict[str, dict]) -> str:
         "",
         "## Same numbers elsewhere",
         "",
-        "On one machine with the locked packages tables and figures are bit-identical. Another processor rounds differently; "
-        "`make verify` reruns everything and compares with the tolerance stated in `notebooks/chain.toml`.",
+        "On one machine with the locked packages tables and figures are bit-identical. Another processor rounds "
+        "differently; `make verify` reruns everything and compares with the tolerance stated in `notebooks/chain.toml`.",
     ]
     return "\n".join(lines) + "\n"
 
