@@ -88,7 +88,7 @@ def render(table: pd.DataFrame, claims: dict[str, dict]) -> str:
         "## Same numbers elsewhere",
         "",
         "On one machine with the locked packages tables and figures are bit-identical. Another processor rounds "
-        "differently; `make verify` reruns everything and compares with the tolerance stated in `notebooks/chain.toml`.",
+        "differently; `make verify` reruns everything and compares within the tolerance of `notebooks/chain.toml`.",
     ]
     return "\n".join(lines) + "\n"
 

@@ -109,7 +109,7 @@ class Sample:
 
 
 def draw(count: int = SAMPLES, seed: int = SEED) -> list[Sample]:
-    """Quasi-random samples (scrambled Sobol) over the ranges of vehicle.toml and the open choices of the experiments."""
+    """Quasi-random samples (scrambled Sobol) over the ranges of vehicle.toml and the open choices of experiments."""
     ranges = {k: v for k, v in sample_ranges().items() if not k.startswith("adhesion.")}
     extra = ("profile", "good", "variant", "amplitude_mm", "period_start_m", "period_end_m", "clothoid_factor")
     points = stats.qmc.Sobol(len(ranges) + len(extra), seed=seed).random(count)
@@ -245,9 +245,8 @@ def verdicts(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
             strongest = ranks.abs().sort_values(ascending=False).index[:3]
             threshold = 2.6 / np.sqrt(len(holds))
             deciding = ", ".join(f"{name} {ranks[name]:+.2f}" for name in strongest if abs(ranks[name]) > threshold)
-        rows.append(
-            {"id": identity, "share": holds.mean(), "low": interval.low, "high": interval.high, "samples": len(holds), "decided_by": deciding}
-        )  # fmt: skip
+        row = {"id": identity, "share": holds.mean(), "low": interval.low, "high": interval.high}
+        rows.append(row | {"samples": len(holds), "decided_by": deciding})
     return pd.DataFrame(rows)
 
 
