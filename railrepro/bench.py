@@ -128,9 +128,9 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
     rows = []
     recordings = [record(name, settings, vehicle, hard=hard) for name in names for hard in (False, True)]
     for recording in tqdm(recordings, desc="solvers", unit="scenario"):
-        exact, reference, _, _ = solve_all("ipopt", recording, vehicle)
-        for kind in KINDS:
-            du, seconds, iterations, failures = solve_all(kind, recording, vehicle)
+        solved = {kind: solve_all(kind, recording, vehicle) for kind in KINDS}
+        exact, reference, *_ = solved["ipopt"]
+        for kind, (du, seconds, iterations, failures) in solved.items():
             difference = np.abs(du - exact).max() / vehicle.drive.torque_limit
             pairs = zip(recording.problems, du, exact, strict=True)
             costs = np.array([[p.cost(p.roll_out(u), u) for u in pair] for p, *pair in pairs])

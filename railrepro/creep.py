@@ -187,8 +187,8 @@ def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus,
     nu_x, nu_y, spin, load, a, b, friction, c11, c22, c23 = (np.reshape(v, (-1, 1)).astype(float) for v in inputs)
     root = np.sqrt(a * b)
     along, across, turning = np.abs(nu_x), np.abs(nu_y), np.abs(spin) * root
-    parts = along * 8 / (3 * c11) + across * 8 / (3 * c22) + turning * np.pi * a / (4 * c23 * root)
-    flexibility = a / shear_modulus * parts / np.maximum(np.sqrt(along**2 + across**2 + turning**2), 1e-30)
+    parts = (along * 8 / (3 * c11)) ** 2 + (across * 8 / (3 * c22)) ** 2 + (turning * np.pi * a / (4 * c23 * root)) ** 2
+    flexibility = a / shear_modulus * np.sqrt(parts / np.maximum(along**2 + across**2 + turning**2, 1e-60))
     flexibility = np.maximum(flexibility, 1e-3 * a / shear_modulus)
     n_along, n_across = cells
     eta = (np.arange(n_across) - (n_across - 1) / 2) / (n_across / 2)

@@ -99,7 +99,7 @@ def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
     assert motor.max() > 1e5
 
 
-@pytest.mark.parametrize("profile", ["cone"])
+@pytest.mark.parametrize("profile", ["cone", "s1002"])
 def test_left_and_right_curves_mirror(vehicle, profile):
     from dataclasses import replace
 

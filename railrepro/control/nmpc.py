@@ -157,7 +157,7 @@ def _ipopt_cached(variant: str, discretisation: str, steps: int) -> ca.Function:
         "g": ca.vertcat(*defects, *sides),
     }
     quiet = {"print_time": False, "expand": True, "error_on_fail": False}
-    quiet |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
+    quiet |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9, "ipopt.bound_relax_factor": 0.0}
     return ca.nlpsol("nmpc", "ipopt", problem, quiet)
 
 

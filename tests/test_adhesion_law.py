@@ -1,0 +1,75 @@
+"""The adhesion law on bare wheels: both directions, the bound of its step, robustness; and on the car."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from railrepro import bare_wheel, scenarios
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.fast import EstimateSettings
+from railrepro.experiment import Experiment
+from railrepro.parameters import load_vehicle
+from railrepro.stepping import SteppedCar
+
+LAW = AdhesionSettings()
+MAXIMUM = 0.0993
+NDI = {"pole": 25.0, "frequency": 25.0, "damping": 1.0}
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return load_vehicle()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_set_point_and_maximum_in_both_directions(vehicle, sign):
+    cases = [bare_wheel.Case(LAW, vehicle.adhesion["poor"])] * 2
+    demand = sign * np.tile([0.05, 0.2], (6000, 1))
+    run = bare_wheel.simulate(vehicle, cases, 400 / 3.6, demand)
+    late = sign * run.adhesion[-2000:]
+    assert np.abs(late[:, 0] - 0.05).max() < 2 * LAW.corridor
+    assert late[:, 1].mean() > 0.9 * MAXIMUM
+    assert np.abs(run.slip[:, 1]).max() < 0.06
+
+
+@pytest.mark.parametrize(("ratio", "follows"), [(0.6, False), (1.5, True)])
+def test_the_step_must_beat_the_rate_of_the_set_point(vehicle, ratio, follows):
+    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
+    rate = 0.04
+    step = ratio * 1e-3 * vehicle.wheel.radius * load * rate
+    triangle = 0.02 + 0.04 * np.abs(((np.arange(6000) / 2000 + 0.5) % 1) * 2 - 1)
+    law = replace(LAW, raise_step=step, lower_step=step)
+    run = bare_wheel.simulate(vehicle, [bare_wheel.Case(law, vehicle.adhesion["dry"])], 50.0, triangle)
+    error = np.sqrt(np.mean((run.adhesion[3000:, 0] - triangle[3000:]) ** 2))
+    assert (error < 1.5 * LAW.corridor) == follows
+
+
+def test_stated_noise_does_not_lock_or_spin_a_wheel(vehicle):
+    law = replace(LAW, filter_time=20e-3, dead_zone=5e-3)
+    noise = EstimateSettings(noise_f=1e-3, noise_s=1e-4)
+    for demand in (0.2, -0.2):
+        run = bare_wheel.simulate(
+            vehicle, [bare_wheel.Case(law, vehicle.adhesion["poor"], noise)], 400 / 3.6, np.full(8000, demand)
+        )
+        assert np.abs(run.slip).max() < 0.3
+
+
+def test_braking_reaches_standstill_and_stays():
+    car = SteppedCar("T5", 10 / 3.6)
+    car.step(np.full(4, -4000.0), 6000)
+    stopped = car.outputs["front.p"]
+    car.step(np.full(4, -4000.0), 4000)
+    assert abs(car.outputs["front.v"]) < 1e-3
+    assert car.outputs["front.p"] == pytest.approx(stopped, abs=5e-3)
+
+
+def test_slip_control_prevents_what_the_baseline_suffers(vehicle):
+    points = ((0.0, 0.0), (150.0, 0.0), (151.0, 1.0))
+    loss = scenarios.load_scenario("adhesion_loss").but(speed_kmh=200.0, end_m=450.0, poor="very_poor")
+    loss = loss.but(poor_share=points, force_kN=((0.0, 14.0),))
+    slip = {}
+    for active in (True, False):
+        experiment = Experiment(loss, "ndi", parameters=NDI, adhesion=replace(LAW, active=active))
+        slip[active] = experiment()[0]["largest_slip"]
+    assert slip[True] < 0.06 < slip[False]
