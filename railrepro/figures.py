@@ -21,6 +21,7 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
 CONTROLLER_STYLE = {
     "set point": {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "set point"},
     "nmpc": {"color": BLUE, "linestyle": "-", "linewidth": 1.0, "label": "NMPC"},
+    "nmpc_observer": {"color": GREEN, "linestyle": "-", "linewidth": 0.8, "label": "NMPC, offset observer"},
     "ltv_mpc": {"color": ORANGE, "linestyle": "--", "linewidth": 1.0, "label": "LTV-MPC"},
     "ltv_mpc_printed": {
         "color": PURPLE,

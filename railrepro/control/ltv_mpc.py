@@ -23,6 +23,10 @@ class LTVMPC(PredictiveController):
         super().__post_init__()
         self.horizon.affine = 0.0 if self.printed else 1.0
 
+    def expected_state(self) -> np.ndarray:
+        """See `PredictiveController.expected_state`."""
+        return self.horizon.x[1] + self.horizon.dx[1]
+
     def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
         """See `PredictiveController.optimise`."""
         self.take(problem)

@@ -55,6 +55,9 @@ class MPCSettings:
         limit (D10).
     informed : bool
         The base torque is known to the forecast and the model; False leaves it out.
+    observer : float
+        Share of the prediction error of y per sample that is taken for a constant angle between where the axle points
+        and where it goes (creep); 0 is the paper's controller, which drifts.
     """
 
     q_diag: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
@@ -68,6 +71,7 @@ class MPCSettings:
     bound_weight: float = 100.0
     yielding: bool = True
     informed: bool = True
+    observer: float = 0.0
 
     def __post_init__(self):
         if len(self.q_diag) != 6 or min(self.q_diag) < 0 or self.q_diag[_Y] <= 0 or self.r <= 0:
@@ -165,6 +169,7 @@ class PredictiveController:
         believed = preview.believed(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = horizon(s, believed, self.parameters, self.route)
         self.plan_du = np.zeros(s.steps)
+        self.offset, self._expected_y = 0.0, None
 
     @property
     def period(self) -> float:
@@ -187,7 +192,7 @@ class PredictiveController:
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now; a failing solver falls back on the shifted previous plan, counted."""
         begin = time.perf_counter()
-        problem = self.problem(x_hat, u_d)
+        problem = self.problem(self.observed(x_hat), u_d)
         if self.recorded is not None:
             self.recorded.append(problem)
         start = np.append(self.plan_du[1:], self.plan_du[-1])
@@ -197,8 +202,24 @@ class PredictiveController:
         except (ArithmeticError, np.linalg.LinAlgError):
             du, iterations, fallback = start, 0, True
         self.plan_du = np.clip(start if fallback else du, -problem.bound, problem.bound)
+        self._expected_y = None if fallback else float(self.expected_state()[_Y])
         self.stats.append(Solve(time.perf_counter() - begin, iterations, fallback))
         return float(self.plan_du[0])
+
+    def observed(self, x_hat: np.ndarray) -> np.ndarray:
+        """Measured state with the yaw angle corrected by the observed offset, see `MPCSettings.observer`."""
+        s = self.settings
+        if s.observer <= 0:
+            return x_hat
+        if self._expected_y is not None and x_hat[2] > 1.0:
+            self.offset += s.observer * (x_hat[_Y] - self._expected_y) / (x_hat[2] * s.period)
+        corrected = np.array(x_hat)
+        corrected[5] += self.offset
+        return corrected
+
+    def expected_state(self) -> np.ndarray:
+        """State that the plan predicts for the next sample, shape (6,)."""
+        return self.horizon.x[1]
 
     def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
         """Torques (L,) that solve the problem from a start, and the number of iterations."""

@@ -58,6 +58,7 @@ class NMPC(PredictiveController):
         if self.solver != "rti" or self.recorded is not None:
             return super().plan(x_hat, u_d)
         begin = time.perf_counter()
+        x_hat = self.observed(x_hat)
         if not self._started:
             self._prepare(x_hat, u_d)
         horizon, fallback = self.horizon, False
@@ -72,7 +73,9 @@ class NMPC(PredictiveController):
         self.plan_du = horizon.u.copy()
         ready = time.perf_counter()
         self._started = True
-        self._prepare(horizon.x[1].copy(), u_d)
+        expected = self.expected_state().copy()
+        self._expected_y = None if fallback else float(expected[4])
+        self._prepare(expected, u_d)
         self.stats.append(Solve(ready - begin, 1, fallback, time.perf_counter() - ready))
         return float(self.plan_du[0])
 
