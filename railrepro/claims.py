@@ -25,6 +25,7 @@ REPRODUCED, PARTLY, NOT, UNTESTABLE = "reproduced", "partly", "not reproduced", 
 VERDICTS = (REPRODUCED, PARTLY, NOT, UNTESTABLE)
 _KEYS = {"section", "statement", "kind", "unit", "tolerance", "reason", "evidence", "notebook"}
 _MPC, _PAPER_TRIO = ("nmpc", "ltv_mpc", "ltv_mpc_printed"), ("nmpc", "ltv_mpc_printed", "ndi")
+_FIG08 = "NMPC, R x 10"
 MEASURES: dict[str, Callable] = {}
 
 
@@ -266,26 +267,26 @@ def _wide_range(r: Results, claim: dict) -> Measured:
 
 @measure("C21")
 def _regular(r: Results, claim: dict) -> Measured:
-    rows = r["fig08_adhesion_loss"].query("case == 'NMPC' and 80 < p_m < 125")
+    rows = r["fig08_adhesion_loss"].query(f"case == '{_FIG08}' and 80 < p_m < 125")
     deviation = ((rows["fx_ri"] + rows["fx_le"]) / 2 - rows["f_star"]).abs().mean()
     return _yes(deviation, deviation < claim["tolerance"])
 
 
 @measure("C22")
 def _reaches_maximum(r: Results, claim: dict) -> Measured:
-    reached = r.fig08.loc["NMPC", "reached_m"]
+    reached = r.fig08.loc[_FIG08, "reached_m"]
     return _yes(reached, abs(reached / claim["paper"] - 1) < claim["tolerance"], np.isfinite(reached))
 
 
 @measure("C23")
 def _no_macro_slip(r: Results, claim: dict) -> Measured:
-    slip = r.fig08.loc["NMPC", "largest_slip"]
+    slip = r.fig08.loc[_FIG08, "largest_slip"]
     return _yes(slip, slip < claim["tolerance"])
 
 
 @measure("C24")
 def _approached_again(r: Results, claim: dict) -> Measured:
-    rows = r["fig08_adhesion_loss"].query("case == 'NMPC' and p_m > 250")
+    rows = r["fig08_adhesion_loss"].query(f"case == '{_FIG08}' and p_m > 250")
     limit = rows[["fx_ri", "fx_le"]].max(axis=1).rolling(5).mean().quantile(0.99)
     share = ((rows["fx_ri"] + rows["fx_le"]) / 2).mean() / limit
     returned = (rows["segment"] == 3).any() and (rows["segment"] == 1).any()
@@ -318,7 +319,7 @@ def _step_bound(r: Results, claim: dict) -> Measured:
 
 @measure("C28")
 def _stable_on_poor_rail(r: Results, claim: dict) -> Measured:
-    row = r.fig08.loc["NMPC"]
+    row = r.fig08.loc[_FIG08]
     worst = 1e3 * row["largest_error"]
     return _yes(worst, not row["failed"] and worst < claim["tolerance"], not row["failed"])
 

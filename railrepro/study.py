@@ -195,7 +195,7 @@ def evaluate(sample: Sample) -> dict:
             row |= {f"brake.{label}.rmse": metrics.rmse(done.series), f"brake.{label}.failed": bool(done.failed)}
             row |= {f"brake.{label}.distance": metrics.stopping_distance(done.series)}
         loss = load_scenario("adhesion_loss").but(end_m=450.0)
-        lost = run(loss, "nmpc", chosen["nmpc"])
+        lost = run(loss, "nmpc", chosen["nmpc"] | {"r": 10 * chosen["nmpc"]["r"]})  # as in the adhesion notebook
         values = metrics.longitudinal(lost.series, loss, plant)
         row |= {"loss.failed": bool(lost.failed), "loss.slip": values["largest_slip"][0]}
         row |= {"loss.utilisation": values["utilisation"][0]}
