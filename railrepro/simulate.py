@@ -101,6 +101,11 @@ def run(
     Returns
     -------
     Run
+
+    Raises
+    ------
+    ArithmeticError
+        When a lateral controller returns a torque that is not finite.
     """
     vehicle = vehicle or load_vehicle()
     body = plant_vehicle or vehicle
@@ -116,6 +121,7 @@ def run(
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * plant.EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series, way)
+    series = series[np.isfinite(series).all(axis=1)]  # the row that is not finite is named in `ended`
     return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy())
 
 
@@ -140,7 +146,13 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
             break
         for gear, controller in enumerate(controllers):
             x_hat = measured[6 * gear : 6 * gear + 6].copy()
-            exchange.held[gear] = controller.plan(x_hat, exchange.memory[base[gear]])
+            plan = controller.plan(x_hat, exchange.memory[base[gear]])
+            if not np.isfinite(plan):
+                raise ArithmeticError(
+                    f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {exchange.time:.3f} s, "
+                    f"p = {x_hat[0]:.1f} m"
+                )
+            exchange.held[gear] = plan
         blocks.append(exchange.run(steps))
         if exchange.ended:
             break

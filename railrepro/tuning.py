@@ -71,7 +71,7 @@ def scenario_cost(run: simulate.Run, scenario: Scenario, cost: dict) -> tuple[fl
     """Cost of one run, and its parts: mean RMSE of y (m) and RMS of du (N m) over both gears, share of the way done."""
     error = np.mean([metrics.rmse(run.series, gear) for gear in simulate.GEARS])
     effort = np.mean([metrics.effort(run.series, gear) for gear in simulate.GEARS])
-    done = float(np.clip(run.series["front.p"].iloc[-1] / scenario.end_m, 0, 1))
+    done = float(np.clip(np.nan_to_num(run.series["front.p"]).max() / scenario.end_m, 0, 1))
     parts = {"rmse_y": float(error), "effort_du": float(effort), "done": 1.0}
     if run.failed or not np.isfinite(error + effort):
         return cost["failure"] * (2 - done), parts | {"done": done}

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from railrepro import metrics, scenarios, simulate
+from railrepro.control.mpc import MPCSettings
 from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
 from railrepro.errors import InputError
+from railrepro.experiment import Experiment
+from railrepro.parameters import load_vehicle
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +75,43 @@ def test_names_that_do_not_exist_are_refused():
         scenarios.load_scenario("sine_tracking").but(track="T9").route()
     with pytest.raises(InputError, match="beyond track"):
         scenarios.load_scenario("sine_tracking").but(end_m=9000).route()
+
+
+def test_offset_observer_removes_the_drift_in_the_curve():
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=450.0)
+    drift = []
+    for observer in (0.0, 0.05):
+        settings = MPCSettings(period=0.005, r=1e-11, observer=observer)
+        run = simulate.run(scenario, lambda v, w, g, s=settings: NMPC(v, w, g, s, solver="rti"))
+        drift.append(abs(np.mean(metrics.lateral_error(run.series)[-1500:])))
+    assert drift[0] > 5e-4 > 5 * drift[1]
+
+
+def test_a_controller_that_returns_nan_is_named():
+    class Broken:
+        period = 0.01
+
+        def plan(self, x_hat, u_d):
+            return np.nan if x_hat[0] > 5 else 0.0
+
+    scenario = scenarios.load_scenario("sine_tracking").but(end_m=50.0)
+    with pytest.raises(ArithmeticError, match=r"controller of the front gear returned nan at t = 0\.0\d0 s, p = "):
+        simulate.run(scenario, lambda vehicle, way, gear: Broken())
+
+
+def test_no_number_that_is_not_finite_leaves_a_run():
+    light = load_vehicle(**{"suspension.link_stiffness": 5e6, "drive.lag": 0.002})
+    state = simulate.run(
+        scenarios.load_scenario("sine_tracking").but(end_m=30.0), NDISettings(900, 900), plant_vehicle=light
+    )
+    assert np.isfinite(state.series).all().all()
+
+
+def test_irregular_track_moves_the_car():
+    experiment = Experiment(
+        scenarios.load_scenario("sine_tracking").but(end_m=150.0, set_point={"kind": "none"}),
+        "ndi",
+        parameters={"pole": 30.0, "frequency": 30.0, "damping": 1.0},
+        irregular={"seed": 2},
+    )
+    assert experiment()[0]["rmse_y"] > 1e-5
