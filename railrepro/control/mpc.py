@@ -178,7 +178,7 @@ class PredictiveController:
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The optimal control problem at a measured state (6,) and base torque (N m)."""
-        u_d = u_d if self.settings.informed else 0.0
+        u_d = self.told(u_d)
         self.horizon.sample(x_hat, u_d, 0.0)
         self.horizon.forecast()
         ahead = Forecast(self.horizon.x_d.copy(), self.horizon.theta.copy())
@@ -216,6 +216,10 @@ class PredictiveController:
         corrected = np.array(x_hat)
         corrected[5] += self.offset
         return corrected
+
+    def told(self, u_d: float) -> float:
+        """Base torque that forecast and model get to know (N m), see `MPCSettings.informed`."""
+        return u_d if self.settings.informed else 0.0
 
     def expected_state(self) -> np.ndarray:
         """State that the plan predicts for the next sample, shape (6,)."""

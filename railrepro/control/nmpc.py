@@ -58,7 +58,7 @@ class NMPC(PredictiveController):
         if self.solver != "rti" or self.recorded is not None:
             return super().plan(x_hat, u_d)
         begin = time.perf_counter()
-        x_hat = self.observed(x_hat)
+        x_hat, u_d = self.observed(x_hat), self.told(u_d)
         if not self._started:
             self._prepare(x_hat, u_d)
         horizon, fallback = self.horizon, False
