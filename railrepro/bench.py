@@ -7,6 +7,7 @@ Evaluation of Lateral Control (computation times).
 
 from __future__ import annotations
 
+import importlib.util
 import platform
 import sys
 import time
@@ -22,7 +23,7 @@ from tqdm import tqdm
 from railrepro import codegen, paths, plant, scenarios, simulate, tuning
 from railrepro.contact import contact_table
 from railrepro.control import condensed, fast
-from railrepro.control.horizon import PlainHorizon
+from railrepro.control.horizon import PlainHorizon, model_function
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.mpc import MPCSettings, Problem
 from railrepro.control.ndi import NDISettings
@@ -153,6 +154,72 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
     return pd.DataFrame(rows)
 
 
+def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFrame:
+    """Cross-check of optimum and time with do-mpc, an independent MPC tool (extra `bench`).
+
+    Parameters
+    ----------
+    vehicle, settings
+    count : int
+        Problems of the curve entry on T3 that are solved.
+
+    Returns
+    -------
+    DataFrame
+        Time, first torque and largest difference of the plan for each problem.
+    """
+    import do_mpc
+
+    recording = record("curve_entry_T3", settings, vehicle, count)
+    ours, seconds, *_ = solve_all("gauss_newton", recording, vehicle)
+    step = model_function(settings.variant, settings.discretisation)
+    rows = []
+    for problem, plan, own in zip(recording.problems, ours, seconds, strict=True):
+        s, scale = problem.settings, 1e3
+        model = do_mpc.model.Model("discrete", "SX")
+        x, du = model.set_variable("_x", "x", (6, 1)), model.set_variable("_u", "du")
+        theta, x_d = model.set_variable("_tvp", "theta", (9, 1)), model.set_variable("_tvp", "x_d", (6, 1))
+        x_next, *_ = step(x, scale * du, problem.u_d, theta, problem.parameters, s.period, 1.0)
+        model.set_rhs("x", x_next)
+        model.setup()
+        controller = do_mpc.controller.MPC(model)
+        controller.settings.n_horizon, controller.settings.t_step = s.steps, s.period
+        controller.settings.store_full_solution = False
+        controller.settings.supress_ipopt_output()
+        controller.settings.nlpsol_opts |= {"ipopt.tol": 1e-10}
+        error, big = x - x_d, 1e6
+        weight = ca.DM(s.q_diag)
+        effort = s.r * s.period * (scale * du) ** 2
+        terminal = ca.DM(problem.settings.weights()[-1])
+        controller.set_objective(
+            mterm=big * ca.dot(terminal, error**2), lterm=big * (s.period * ca.dot(weight, error**2) + effort)
+        )
+        controller.set_rterm(du=0.0)
+        controller.bounds["lower", "_u", "du"] = -problem.bound / scale
+        controller.bounds["upper", "_u", "du"] = problem.bound / scale
+        ahead = controller.get_tvp_template()
+        for k in range(s.steps + 1):
+            ahead["_tvp", k, "theta"], ahead["_tvp", k, "x_d"] = problem.ahead.theta[k], problem.ahead.x_d[k]
+        controller.set_tvp_fun(lambda now, ahead=ahead: ahead)
+        controller.setup()
+        controller.x0 = problem.x_hat
+        controller.set_initial_guess()
+        begin = time.perf_counter()
+        controller.make_step(problem.x_hat.reshape(-1, 1))
+        spent = time.perf_counter() - begin
+        theirs = scale * np.array([float(controller.opt_x_num["_u", k, 0][0]) for k in range(s.steps)])
+        rows.append(
+            {
+                "do_mpc_ms": 1e3 * spent,
+                "ours_ms": 1e3 * own,
+                "ratio": own / spent,
+                "first_torque_Nm": plan[0],
+                "largest_difference_Nm": np.abs(theirs - plan).max(),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     """Time per sample over the length of the horizon: recursion, dense elimination, Ipopt."""
     rows = []
@@ -271,6 +338,8 @@ def main(names: list[str]) -> None:
         "solve_times": lambda: solve_times(vehicle, settings),
         "horizon_times": lambda: horizon_times(vehicle, settings),
     }
+    if importlib.util.find_spec("do_mpc"):
+        measures["peer"] = lambda: peer(vehicle, settings)
     unknown = set(names) - set(measures)
     if unknown:
         sys.exit(f"error: table {min(unknown)!r} is not known; there are {sorted(measures)}")
