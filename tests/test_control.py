@@ -182,3 +182,13 @@ def test_gains_of_a_triple_pole():
 def test_unknown_solver_is_refused(vehicle):
     with pytest.raises(InputError, match="'simplex' is not known"):
         NMPC(vehicle, scenarios.load_scenario("sine_tracking").route(), 0, solver="simplex")
+
+
+def test_real_time_iteration_survives_a_broken_measurement(vehicle):
+    way, problems = recorded_problems(vehicle, count=2)
+    controller = NMPC(vehicle, way, 0, solver="rti")
+    controller.plan(problems[0].x_hat, 0.0)
+    broken = problems[0].x_hat * np.nan
+    assert np.isfinite(controller.plan(broken, 0.0))
+    assert np.isfinite(controller.plan(problems[0].x_hat, 0.0))
+    assert [solve.fallback for solve in controller.stats] == [False, True, False]

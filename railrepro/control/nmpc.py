@@ -66,13 +66,18 @@ class NMPC(PredictiveController):
         horizon.sample(x_hat, u_d, bound)
         try:
             horizon.solve()
-            horizon.x += horizon.dx
-            horizon.u[:] = np.clip(horizon.u + horizon.du, -bound, bound)
+            fallback = not (np.isfinite(horizon.du).all() and np.isfinite(horizon.dx).all())
         except (ArithmeticError, np.linalg.LinAlgError):
             fallback = True
-        self.plan_du = horizon.u.copy()
+        if fallback:  # the plan, already one sample later, serves; the next one starts afresh
+            self.plan_du = np.where(np.isfinite(horizon.u), np.clip(horizon.u, -bound, bound), 0.0)
+            horizon.u[:], horizon.x[1] = self.plan_du, x_hat
+        else:
+            horizon.x += horizon.dx
+            horizon.u[:] = np.clip(horizon.u + horizon.du, -bound, bound)
+            self.plan_du = horizon.u.copy()
         ready = time.perf_counter()
-        self._started = True
+        self._started = not fallback
         expected = self.expected_state().copy()
         self._expected_y = None if fallback else float(expected[4])
         self._prepare(expected, u_d)
