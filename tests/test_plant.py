@@ -6,10 +6,12 @@ import pandas as pd
 import pytest
 
 from railrepro import exchange, plant, route
-from railrepro.contact import contact_table
+from railrepro.contact import CONE_AXES, contact_table
 from railrepro.control import fast
 from railrepro.control.ndi import NDISettings
+from railrepro.creep import kalker_coefficients
 from railrepro.parameters import load_vehicle
+from railrepro.stepping import SteppedCar
 from railrepro.track import load_track
 
 KMH = 1 / 3.6
@@ -228,3 +230,34 @@ def test_a_run_ends_with_the_derailment(vehicle):
     assert coupled.ended
     assert coupled.margins[:2].min() <= 0
     assert np.isfinite(rows).all()
+
+
+def test_gyroscopic_moment_of_the_rolling_axle_in_the_clothoid(vehicle):
+    track = load_track("T3")
+    speed = track.design_speed
+    coupled = start(vehicle, "T3", speed, NDISettings(integral=0.2))
+    log = frame(coupled.run(int(1000 * 200 / speed)), coupled)
+    window = log[log["rear.p"] > 110]
+    _, kappa, _, dphi, *_ = track.interpolate(np.array([100.0, 150.0]))
+    gyro = -2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * dphi[0] * speed
+    turning = vehicle.effective_yaw_inertia * (kappa[1] - kappa[0]) / 50 * speed**2
+    expected = (gyro + turning) * vehicle.wheel.radius / vehicle.gear.contact_base
+    assert (window["front.du"].mean() + window["rear.du"].mean()) / 2 == pytest.approx(expected, rel=0.15)
+
+
+def test_small_traction_slips_by_kalkers_longitudinal_coefficient():
+    vehicle = load_vehicle(**{"wheel.cone_angle": 1e-5})  # no spin, so the creepage is longitudinal
+    car = SteppedCar("T5", 60.0, vehicle)
+    car.step(np.full(4, 100.0), 3000)
+    out, (a, b) = car.outputs, CONE_AXES
+    law = vehicle.adhesion["dry"]
+    linear = vehicle.contact.shear_modulus * a * b * float(kalker_coefficients(a / b)[0])
+    expected = linear * (law.k_a + law.k_s) / 2
+    assert -out["front_le.Fx"] / out["front_le.nu_x"] == pytest.approx(expected, rel=0.05)
+
+
+def test_motor_reaction_pitches_the_carrier(vehicle):
+    car = SteppedCar("T5", 60.0)
+    car.step(exchanges=500)
+    pitch = car.linearise().a.loc["front.wy", "tau.front_le"]
+    assert pitch == pytest.approx(1 / vehicle.gear.inertia_y, rel=1e-3)
