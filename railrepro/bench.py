@@ -30,6 +30,7 @@ from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
 from railrepro.exchange import Exchange
 from railrepro.guidance import mpc_settings
+from railrepro.model import Y
 from railrepro.parameters import Vehicle, load_vehicle
 from railrepro.route import Route
 
@@ -57,26 +58,17 @@ class Recording:
     problems: tuple[Problem, ...]
 
 
-class _Windowed(NMPC):
-    """NMPC that keeps the problems of a window of samples."""
-
-    def problem(self, x_hat, u_d):
-        found = super().problem(x_hat, u_d)
-        self.kept = [*getattr(self, "kept", []), found]
-        return found
-
-
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW, hard: bool = False) -> Recording:
     """Problems of a closed-loop run, from its middle; `hard` tightens torque and lateral bounds until they act."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
-    run = simulate.run(scenario, lambda vehicle, way, gear: _Windowed(vehicle, way, gear, settings), vehicle=vehicle)
-    problems = run.controllers[0].kept
+    run = simulate.run(scenario, lambda v, w, g: NMPC(v, w, g, settings, recorded=[]), vehicle=vehicle)
+    problems = run.controllers[0].recorded
     first = len(problems) // 2
     problems = problems[first : first + count]
     if hard:
-        largest = max(np.abs(problem.ahead.x_d[:, 4]).max() for problem in problems)
+        largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
         tight = replace(settings, lateral_bound=0.6 * largest, yielding=True)
         problems = [replace(problem, settings=tight, tau_max=60.0) for problem in problems]
     return Recording(name + (", bounds active" if hard else ""), scenario.route(), tuple(problems))

@@ -11,5 +11,13 @@ typedef struct { casadi_fn evaluate; const double **arg; double **res; casadi_in
 typedef struct { const double *cells; double start, step; casadi_int n, width; double *row; } lookup_t;
 typedef struct { double *to; const double *from; casadi_int n; } copy_t;
 
+/* Row of the cell that holds a place; the first or last one outside the table, also for a place that is not a number. */
+static const double *row_at(const double *cells, double place, double start, double step, casadi_int n, casadi_int width) {
+  double cell = floor((place - start) / step);
+  if (!(cell > 0)) cell = 0;
+  if (cell > (double)(n - 1)) cell = (double)(n - 1);
+  return cells + (casadi_int)cell * width;
+}
+
 static int evaluate(const call_t *call) { return call->evaluate(call->arg, call->res, call->iw, call->w, 0); }
 

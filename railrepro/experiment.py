@@ -16,7 +16,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.fast import EstimateSettings
 from railrepro.executor import executor, ordered_map
 from railrepro.guidance import guidance
-from railrepro.parameters import load_vehicle
+from railrepro.parameters import Vehicle, load_vehicle
 from railrepro.route import CELL
 from railrepro.scenarios import Scenario
 from railrepro.track import irregularities
@@ -67,6 +67,10 @@ class Experiment:
     irregular: dict = field(default_factory=dict)
     stride: int = 0
 
+    def car(self) -> Vehicle:
+        """The car that is driven, with all changes."""
+        return load_vehicle(**self.vehicle | self.plant)
+
     def run(self) -> simulate.Run:
         """The simulation itself."""
         parameters = tuning.load(self.controller)["parameters"] if self.parameters is None else self.parameters
@@ -78,7 +82,7 @@ class Experiment:
             law,
             irregularities=rough,
             vehicle=load_vehicle(**self.vehicle),
-            plant_vehicle=load_vehicle(**self.vehicle | self.plant),
+            plant_vehicle=self.car(),
             adhesion=self.adhesion,
             estimate=self.estimate,
             fixed_share=self.fixed_share,
@@ -86,8 +90,7 @@ class Experiment:
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
         """Row of metrics (SI) and the kept series."""
-        run = self.run()
-        vehicle = load_vehicle(**self.vehicle | self.plant)
+        run, vehicle = self.run(), self.car()
         values = metrics.summary(run.series, vehicle.drive.torque_limit)
         values |= metrics.longitudinal(run.series, self.scenario, vehicle)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label}

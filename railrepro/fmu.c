@@ -27,21 +27,20 @@ typedef struct {
   const fmi2CallbackFunctions *callbacks;
 } unit_t;
 
-static void copy_cell(double *row, const double *cells, double place, double start, double step, casadi_int n, casadi_int width) {
-  double cell = floor((place - start) / step);
-  if (!(cell > 0)) cell = 0;
-  if (cell > (double)(n - 1)) cell = (double)(n - 1);
-  memcpy(row, cells + (casadi_int)cell * width, (size_t)width * sizeof(double));
+static void copy_cell(double *row, double place) {
+  memcpy(row, row_at(CELLS, place, CELL_START, CELL_STEP, N_CELLS, N_CELL), N_CELL * sizeof(double));
+}
+
+static void copy_contact(double *row, double place) {
+  memcpy(row, row_at(CONTACTS, place, CONTACT_START, CONTACT_STEP, N_CONTACTS, N_CONTACT), N_CONTACT * sizeof(double));
 }
 
 static void surroundings(unit_t *u) {
   const double *in[16] = {u->x, u->rows, PARAMETERS};
   double *out[16] = {u->places};
   car_coordinates(in, out, u->integers, u->work, 0);
-  for (int i = 0; i < 3; ++i)
-    copy_cell(u->rows + i * N_CELL, CELLS, u->places[i], CELL_START, CELL_STEP, N_CELLS, N_CELL);
-  for (int i = 0; i < 4; ++i)
-    copy_cell(u->contacts + i * N_CONTACT, CONTACTS, u->places[3 + i], CONTACT_START, CONTACT_STEP, N_CONTACTS, N_CONTACT);
+  for (int i = 0; i < 3; ++i) copy_cell(u->rows + i * N_CELL, u->places[i]);
+  for (int i = 0; i < 4; ++i) copy_contact(u->contacts + i * N_CONTACT, u->places[3 + i]);
 }
 
 static void measure(unit_t *u) {
@@ -54,7 +53,7 @@ static void measure(unit_t *u) {
 static void reset(unit_t *u) {
   memcpy(u->x, START, sizeof u->x);
   memset(u->tau, 0, sizeof u->tau);
-  for (int i = 0; i < 3; ++i) copy_cell(u->rows + i * N_CELL, CELLS, u->x[12 * i], CELL_START, CELL_STEP, N_CELLS, N_CELL);
+  for (int i = 0; i < 3; ++i) copy_cell(u->rows + i * N_CELL, u->x[12 * i]);
   surroundings(u);
   measure(u);
 }

@@ -5,10 +5,8 @@ static int look_up(const call_t *coordinates, const double *places, const lookup
   if (evaluate(coordinates)) return 1;
   for (casadi_int i = 0; i < n; ++i) {
     const lookup_t *t = lookups + i;
-    double cell = floor((places[i] - t->start) / t->step);
-    if (!(cell > 0)) cell = 0;
-    if (cell > (double)(t->n - 1)) cell = (double)(t->n - 1);
-    memcpy(t->row, t->cells + (casadi_int)cell * t->width, (size_t)t->width * sizeof(double));
+    const double *row = row_at(t->cells, places[i], t->start, t->step, t->n, t->width);
+    memcpy(t->row, row, (size_t)t->width * sizeof(double));
   }
   return 0;
 }

@@ -19,6 +19,7 @@ from railrepro.errors import InputError
 from railrepro.parameters import Vehicle
 
 STATES = ("x", "psi_Ax", "xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")
+Y = STATES.index("y_TrAx")
 THETA = ("psi_Tr", "dpsi_dp", "phi_Tr", "dphi_dp", "eps_Tr", "deps_dp", "psi_CB", "dpsi_dp_CB", "m_CB")
 _TABLEAU = {
     "euler": ((0.0,), (1.0,)),

@@ -13,10 +13,11 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from railrepro.model import Y
+
 UNIT = 1e3
 """Differential torques are optimised in kN m and costs in mm^2-like units, or solvers stop too early."""
 _COST = 1e6
-_Y = 4
 
 
 @dataclass
@@ -58,8 +59,8 @@ def condense(horizon) -> CondensedQP:
     hessian[np.diag_indices(steps)] += effort
     gradient = _COST * (flat.T @ (weights * error)[:, used].ravel()) + effort * horizon.u / UNIT
     low, high = (-horizon.bound - horizon.u) / UNIT, (horizon.bound - horizon.u) / UNIT
-    soft = _COST * s.bound_weight * s.q_diag[_Y] * s.period
-    y_free = horizon.x[1:, _Y] + drift[:, _Y]
+    soft = _COST * s.soft_weight
+    y_free = horizon.x[1:, Y] + drift[:, Y]
     return CondensedQP(hessian, gradient, low, high, sensitivity, drift, y_free, s.lateral_bound, soft)
 
 
@@ -87,7 +88,7 @@ def minimise(qp: CondensedQP) -> np.ndarray:
     ArithmeticError
         When the active set does not settle or a QP is not solved.
     """
-    y_sensitivity, active = qp.sensitivity[:, _Y, :], None
+    y_sensitivity, active = qp.sensitivity[:, Y, :], None
     step = np.zeros(qp.gradient.size)
     for _ in range(20):
         y = qp.y_free + y_sensitivity @ step

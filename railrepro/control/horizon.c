@@ -31,10 +31,7 @@ static int call(const call_t *f, const double *const *arguments, int n_arguments
 }
 
 static const double *cell_at(const horizon_t *h, double p) {
-  double cell = floor((p - h->cell_start) / h->cell_step);
-  if (!(cell > 0)) cell = 0;
-  if (cell > (double)(h->n_cells - 1)) cell = (double)(h->n_cells - 1);
-  return h->cells + (casadi_int)cell * h->n_cell;
+  return row_at(h->cells, p, h->cell_start, h->cell_step, h->n_cells, h->n_cell);
 }
 
 /* Desired states x_d and track parameters theta of all stages. */

@@ -19,13 +19,12 @@ import numpy as np
 from railrepro import codegen, preview, route
 from railrepro.control import condensed
 from railrepro.derivation import PARAMETERS
-from railrepro.model import THETA, control_model, sensitivities
+from railrepro.model import STATES, THETA, Y, control_model, sensitivities
 
-STATES = 6
+_N = len(STATES)
 _UNSETTLED, _DIVERGED = 2, 3
 MOST_SETS = 30
 """Active sets tried per quadratic problem before it is handed to a general QP solver."""
-_Y = 4
 _FIELDS = ("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector")
 _FIELDS += ("feedback", "feedforward", "dx", "du", "slope", "fixed", "side")
 
@@ -55,7 +54,7 @@ def model_function(variant: str, discretisation: str) -> ca.Function:
         linear model A x + B u, which drops the affine term (D6).
     """
     step = sensitivities(control_model(variant), discretisation)
-    x, du, u_d, affine = ca.SX.sym("x", STATES), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
+    x, du, u_d, affine = ca.SX.sym("x", _N), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
     theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
     x_next, a, by_torque = step(x, ca.vertcat(u_d - du, u_d + du), theta, par, period)
     b, common = ca.densify(by_torque[:, 1] - by_torque[:, 0]), by_torque[:, 0] + by_torque[:, 1]
@@ -69,15 +68,15 @@ def _state_cost(x, x_d, weight, side, y_bound, soft):
     """Hessian and gradient (both halved) of |x - x_d|_W^2 + soft (y - side y_bound)^2 where `side` is not 0."""
     hessian, gradient = ca.diag(weight), weight * (x - x_d)
     beyond = soft * side**2
-    hessian[_Y, _Y] += beyond
-    gradient[_Y] += beyond * (x[_Y] - side * y_bound)
+    hessian[Y, Y] += beyond
+    gradient[Y] += beyond * (x[Y] - side * y_bound)
     return ca.densify(hessian), gradient
 
 
 @lru_cache
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Last stage, one stage backward and one stage forward of the Riccati recursion about a trajectory."""
-    n, sparsity = STATES, model_function(variant, discretisation).sparsity_out(1)
+    n, sparsity = _N, model_function(variant, discretisation).sparsity_out(1)
     names = ("p", "x_plus", "x_next", "b", "x", "x_d", "weight", "dx", "feedback")
     v = {name: ca.SX.sym(name, n) for name in names}
     names = ("u", "effort", "fixed", "to_bound", "side", "y_bound", "soft", "ff")
@@ -140,8 +139,8 @@ class PlainHorizon:
         steps = settings.steps
         self.settings, self.way, self._believed, self._parameters = settings, way, believed, parameters
         self._model = model_function(settings.variant, settings.discretisation).map(steps)
-        self.x_hat, self.u_d, self.bound, self.affine = np.zeros(STATES), 0.0, 0.0, 1.0
-        self.x_d, self.x = np.zeros((2, steps + 1, STATES))
+        self.x_hat, self.u_d, self.bound, self.affine = np.zeros(_N), 0.0, 0.0, 1.0
+        self.x_d, self.x = np.zeros((2, steps + 1, _N))
         self.theta, self.u = np.zeros((steps + 1, len(THETA))), np.zeros(steps)
         self.x_next, self.b, self.matrices = None, None, None
 
@@ -164,7 +163,7 @@ class PlainHorizon:
         found = self._model(self.x[:-1].T, self.u[None, :], u_d, self.theta[:-1].T, par, *wide)
         self.x_next, a, b = (np.array(value.full()) for value in found)
         self.x_next, self.b = self.x_next.T, b.T
-        self.matrices = a.reshape(STATES, steps, STATES).transpose(1, 0, 2)
+        self.matrices = a.reshape(_N, steps, _N).transpose(1, 0, 2)
 
     def solve(self) -> None:
         """Minimiser `dx`, `du` of the quadratic problem about the linearised trajectory."""
@@ -204,13 +203,13 @@ class Horizon(PlainHorizon):
         self._calls = [codegen.CompiledFunction(library, function) for function in functions]
         self._sparsity = [np.array(index) for index in functions[2].sparsity_out(1).get_triplet()]
         n_a = self._sparsity[0].size
-        shapes = {"x_d": (steps + 1, STATES), "theta": (steps + 1, len(THETA)), "x": (steps + 1, STATES), "u": (steps,)}
-        shapes |= {"x_next": (steps, STATES), "a": (steps, n_a), "b": (steps, STATES), "du": (steps,)}
-        shapes |= {"cost_matrix": (steps + 1, STATES**2), "cost_vector": (steps + 1, STATES)}
-        shapes |= {"feedback": (steps, STATES), "feedforward": (steps,), "dx": (steps + 1, STATES)}
+        shapes = {"x_d": (steps + 1, _N), "theta": (steps + 1, len(THETA)), "x": (steps + 1, _N), "u": (steps,)}
+        shapes |= {"x_next": (steps, _N), "a": (steps, n_a), "b": (steps, _N), "du": (steps,)}
+        shapes |= {"cost_matrix": (steps + 1, _N**2), "cost_vector": (steps + 1, _N)}
+        shapes |= {"feedback": (steps, _N), "feedforward": (steps,), "dx": (steps + 1, _N)}
         shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,)}
-        self.weight = np.ascontiguousarray(np.vstack([np.zeros(STATES), settings.weights()]))
-        self.x_hat, self.cells = np.zeros(STATES), np.ascontiguousarray(cells)
+        self.weight = np.ascontiguousarray(np.vstack([np.zeros(_N), settings.weights()]))
+        self.x_hat, self.cells = np.zeros(_N), np.ascontiguousarray(cells)
         self._inputs = believed.astype(float), parameters.astype(float)
         for name in _FIELDS:
             setattr(self, name, np.zeros(shapes[name]))
@@ -219,7 +218,7 @@ class Horizon(PlainHorizon):
             cells[0, 0], route.CELL, self.cells.ctypes.data, *(function.call for function in self._calls),
             self.x_hat.ctypes.data, *(array.ctypes.data for array in self._inputs), 0.0, settings.period, 1.0,
             self.weight.ctypes.data, settings.r * settings.period, 0.0, settings.lateral_bound,
-            settings.bound_weight * settings.q_diag[_Y] * settings.period,
+            settings.soft_weight,
             *(getattr(self, name).ctypes.data for name in _FIELDS),
         )  # fmt: skip
         self._pointer = ctypes.byref(self.c)
@@ -246,7 +245,7 @@ class Horizon(PlainHorizon):
     def matrices(self) -> np.ndarray:
         """A of all stages, dense, shape (L, 6, 6)."""
         row, column = self._sparsity
-        dense = np.zeros((self.settings.steps, STATES, STATES))
+        dense = np.zeros((self.settings.steps, _N, _N))
         dense[:, row, column] = self.a
         return dense
 

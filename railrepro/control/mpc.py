@@ -17,12 +17,10 @@ import numpy as np
 from railrepro import preview
 from railrepro.control.horizon import horizon, model_function
 from railrepro.errors import InputError
-from railrepro.model import control_model, kept_as_printed
+from railrepro.model import Y, control_model, kept_as_printed
 from railrepro.parameters import Vehicle
 from railrepro.preview import Forecast
 from railrepro.route import Route
-
-_Y = 4
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ class MPCSettings:
     observer: float = 0.0
 
     def __post_init__(self):
-        if len(self.q_diag) != 6 or min(self.q_diag) < 0 or self.q_diag[_Y] <= 0 or self.r <= 0:
+        if len(self.q_diag) != 6 or min(self.q_diag) < 0 or self.q_diag[Y] <= 0 or self.r <= 0:
             raise InputError(
                 f"MPC weights: q_diag = {self.q_diag}, r = {self.r}; six weights not below 0, those of y and du above, "
                 "are needed"
@@ -87,6 +85,15 @@ class MPCSettings:
         stage = np.tile(self.q_diag, (self.steps, 1)) * self.period
         stage[-1] *= (0.0, 0.0, 0.0, 0.0, self.q_terminal, self.q_terminal)
         return stage
+
+    @property
+    def soft_weight(self) -> float:
+        """Weight of the squared violation of the lateral bound in a stage (s/m^2)."""
+        return self.bound_weight * self.q_diag[Y] * self.period
+
+    def torque_bound(self, u_d: float, tau_max: float) -> float:
+        """Largest |du| (N m) at a base torque and a torque limit (N m), see `yielding`."""
+        return tau_max if self.yielding else max(tau_max - abs(u_d), 0.0)
 
 
 @dataclass(frozen=True)
@@ -123,15 +130,15 @@ class Problem:
 
     @property
     def bound(self) -> float:
-        """Largest |du| allowed (N m); see `MPCSettings.yielding`."""
-        return self.tau_max if self.settings.yielding else max(self.tau_max - abs(self.u_d), 0.0)
+        """Largest |du| allowed (N m)."""
+        return self.settings.torque_bound(self.u_d, self.tau_max)
 
     def cost(self, states: np.ndarray, du: np.ndarray) -> float:
         """Cost of predicted states (L + 1, 6) and torques (L,), without the constant stage 0."""
         s = self.settings
         error = (states - self.ahead.x_d)[1:]
-        over = np.maximum(np.abs(states[1:, _Y]) - s.lateral_bound, 0)
-        soft = s.bound_weight * s.q_diag[_Y] * s.period * np.sum(over**2)
+        over = np.maximum(np.abs(states[1:, Y]) - s.lateral_bound, 0)
+        soft = s.soft_weight * np.sum(over**2)
         return float(np.sum(s.weights() * error**2) + s.r * s.period * np.sum(du**2) + soft)
 
     def roll_out(self, du: np.ndarray) -> np.ndarray:
@@ -202,7 +209,7 @@ class PredictiveController:
         except (ArithmeticError, np.linalg.LinAlgError):
             du, iterations, fallback = start, 0, True
         self.plan_du = np.clip(start if fallback else du, -problem.bound, problem.bound)
-        self._expected_y = None if fallback else float(self.expected_state()[_Y])
+        self._expected_y = None if fallback else float(self.expected_state()[Y])
         self.stats.append(Solve(time.perf_counter() - begin, iterations, fallback))
         return float(self.plan_du[0])
 
@@ -212,7 +219,7 @@ class PredictiveController:
         if s.observer <= 0:
             return x_hat
         if self._expected_y is not None and x_hat[2] > 1.0:
-            self.offset += s.observer * (x_hat[_Y] - self._expected_y) / (x_hat[2] * s.period)
+            self.offset += s.observer * (x_hat[Y] - self._expected_y) / (x_hat[2] * s.period)
         corrected = np.array(x_hat)
         corrected[5] += self.offset
         return corrected

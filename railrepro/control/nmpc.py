@@ -17,7 +17,7 @@ from railrepro.control.horizon import model_function
 from railrepro.control.mpc import MPCSettings, PredictiveController, Problem, Solve
 from railrepro.derivation import PARAMETERS
 from railrepro.errors import InputError
-from railrepro.model import THETA
+from railrepro.model import THETA, Y
 
 SOLVERS = ("gauss_newton", "rti", "ipopt")
 TOLERANCE = 1e-4
@@ -62,7 +62,7 @@ class NMPC(PredictiveController):
         if not self._started:
             self._prepare(x_hat, u_d)
         horizon, fallback = self.horizon, False
-        bound = Problem(self.settings, x_hat, u_d, None, self.parameters, self.vehicle.drive.torque_limit).bound
+        bound = self.settings.torque_bound(u_d, self.vehicle.drive.torque_limit)
         horizon.sample(x_hat, u_d, bound)
         try:
             horizon.solve()
@@ -79,7 +79,7 @@ class NMPC(PredictiveController):
         ready = time.perf_counter()
         self._started = not fallback
         expected = self.expected_state().copy()
-        self._expected_y = None if fallback else float(expected[4])
+        self._expected_y = None if fallback else float(expected[Y])
         self._prepare(expected, u_d)
         self.stats.append(Solve(ready - begin, 1, fallback, time.perf_counter() - ready))
         return float(self.plan_du[0])
@@ -122,7 +122,7 @@ class NMPC(PredictiveController):
         high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
         p = np.concatenate(
             [x_d.ravel(), problem.ahead.theta[:-1].ravel(), problem.parameters, s.q_diag]
-            + [[s.r, s.q_terminal, s.period, problem.u_d, s.lateral_bound, s.bound_weight * s.q_diag[4]]]
+            + [[s.r, s.q_terminal, s.period, problem.u_d, s.lateral_bound, s.soft_weight / s.period]]
         )
         defects = np.zeros(6 * steps)
         found = self._reference(
@@ -156,7 +156,7 @@ def _ipopt_cached(variant: str, discretisation: str, steps: int) -> ca.Function:
         error = states[:, k + 1] - x_d[:, k + 1]
         weight = q * ca.vertcat(0, 0, 0, 0, q_terminal, q_terminal) if k == steps - 1 else q
         cost += period * (ca.dot(weight, error**2) + r * torque**2 + soft * (1e-3 * slack[k]) ** 2)
-        y = states[4, k + 1]
+        y = states[Y, k + 1]
         sides += [1e3 * (y - bound) - slack[k], 1e3 * (-y - bound) - slack[k]]
     problem = {
         "x": ca.vertcat(ca.vec(z), du, slack),
