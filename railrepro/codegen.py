@@ -69,6 +69,63 @@ def source_text(functions: Sequence[ca.Function]) -> str:
     return generator.dump()
 
 
+_OPERATIONS = {
+    **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
+    **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{one} / {}"},
+    **{ca.OP_SIN: "{lanes}sin({})", ca.OP_COS: "{lanes}cos({})", ca.OP_TAN: "{lanes}tan({})"},
+}
+
+
+def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
+    """C source of a function that is evaluated for LANES sets of arguments side by side, in vector registers.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of scalar operations (SX).
+    common : sequence of str
+        Names of the inputs that all sets share; what depends on these alone is computed once.
+
+    Returns
+    -------
+    str
+        `static void NAME_lanes(inputs, outputs)`, pointers in CasADi's order to lanes_t (lanes.h), or to double for the
+        common inputs.
+
+    Raises
+    ------
+    ValueError
+        When the function uses an operation that is not translated here.
+    """
+    inputs, outputs = function.name_in(), function.name_out()
+    kinds = ["double" if name in common else "lanes_t" for name in inputs]
+    signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
+    signature += [f"lanes_t *out_{name}" for name in outputs]
+    lines, slots = [], {}
+    for i in range(function.n_instructions()):
+        kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
+        if kind == ca.OP_OUTPUT:
+            value, wide = slots[of[0]]
+            lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes({value})'};")
+            continue
+        if kind == ca.OP_CONST:
+            text, wide = repr(function.instruction_constant(i)), False
+        elif kind == ca.OP_INPUT:
+            text, wide = f"in_{inputs[of[0]]}[{of[1]}]", kinds[of[0]] == "lanes_t"
+        elif kind in _OPERATIONS:
+            operands = [slots[slot] for slot in of]
+            wide = any(is_wide for _, is_wide in operands)
+            values = [value if is_wide or not wide else f"lanes({value})" for value, is_wide in operands]
+            names = {"lanes": "lanes_" if wide else "", "one": "lanes(1.0)" if wide else "1.0"}
+            text = _OPERATIONS[kind].format(*values, **names)
+        else:
+            raise ValueError(f"{function.name()}: operation {kind} is not translated to lanes")
+        lines.append(f"const {'lanes_t' if wide else 'double'} t{i} = {text};")
+        slots[to[0]] = f"t{i}", wide
+    body = "\n  ".join(lines)
+    return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {body}\n}}\n"
+
+
 def build(text: str) -> Path:
     """Compile C source text to a shared object, or find it in the cache.
 

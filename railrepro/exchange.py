@@ -147,8 +147,11 @@ class Exchange:
 
     def measure(self) -> np.ndarray:
         """Outputs at the present state, in the order of `plant.car().outputs`."""
-        self._look_up()
-        self.functions[1]()
+        if self._library is None:
+            self._look_up()
+            self.functions[1]()
+        elif self._library.railrepro_measure(*self._surroundings):
+            raise ArithmeticError("the outputs of the car could not be evaluated")
         return self._y
 
     def _tables(self):
@@ -190,22 +193,12 @@ class Exchange:
         )
         self._c_log = copies((None, self._y), (None, self._record))
         self._c_carry = copies((self.state, self._next_state), (self.memory, self._next_memory))
+        places, margins = (ctypes.c_void_p(array.ctypes.data) for array in (self._places, self._margins))
+        self._surroundings = self._c_calls, places, self._c_lookups, ctypes.c_longlong(7)
+        self._rest = margins, ctypes.c_longlong(self._margins.size), self._c_log, ctypes.c_longlong(2)
         self._loop = self._library.railrepro_run
         self._loop.restype = ctypes.c_longlong
 
     def _run_compiled(self, rows: np.ndarray) -> int:
-        integer, pointer = ctypes.c_longlong, ctypes.c_void_p
-        return self._loop(
-            integer(len(rows)),
-            self._c_calls,
-            pointer(self._places.ctypes.data),
-            self._c_lookups,
-            integer(7),
-            pointer(self._margins.ctypes.data),
-            integer(self._margins.size),
-            self._c_log,
-            integer(2),
-            pointer(rows.ctypes.data),
-            self._c_carry,
-            integer(2),
-        )
+        count, to, n_carry = ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data), ctypes.c_longlong(2)
+        return self._loop(count, *self._surroundings, *self._rest, to, self._c_carry, n_carry)

@@ -11,6 +11,11 @@ static int look_up(const call_t *coordinates, const double *places, const lookup
   return 0;
 }
 
+/* Outputs at the present state. */
+int railrepro_measure(const call_t *calls, const double *places, const lookup_t *lookups, casadi_int n_lookups) {
+  return look_up(calls, places, lookups, n_lookups) || evaluate(calls + 1);
+}
+
 /* calls: coordinates, output, law, step. Returns the number of finished exchanges; a margin that is not positive, a
    value that is not finite or a failing function ends the run before the step (its row is still in the log). */
 casadi_int railrepro_run(casadi_int n_steps, const call_t *calls, const double *places, const lookup_t *lookups,

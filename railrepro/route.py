@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -103,13 +104,9 @@ def lay(
     -------
     Route
     """
-    p = np.arange(-BEFORE, track.length + AFTER, CELL)
+    columns = dict(_geometry(track))
+    p = columns["p"]
     cells = np.zeros((p.size, len(COLUMNS)))
-    psi, kappa, phi, dphi, eps, deps = track.interpolate(p)
-    kappa_end = np.append(kappa[1:], kappa[-1])
-    columns = {"p": p, "psi": psi, "kappa": kappa, "dkappa": (kappa_end - kappa) / CELL}
-    columns |= {"phi": phi, "dphi": dphi, "eps": eps, "deps": deps}
-    columns |= dict(zip("xyz", track.position(p), strict=True))
     if irregularities is not None:
         for name, column in (
             ("lateral", "lateral_m"),
@@ -133,6 +130,16 @@ def lay(
             f"route: {COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}, a finite number is needed"
         )
     return Route(cells, track.length)
+
+
+@lru_cache
+def _geometry(track: Track) -> dict[str, np.ndarray]:
+    p = np.arange(-BEFORE, track.length + AFTER, CELL)
+    psi, kappa, phi, dphi, eps, deps = track.interpolate(p)
+    kappa_end = np.append(kappa[1:], kappa[-1])
+    columns = {"p": p, "psi": psi, "kappa": kappa, "dkappa": (kappa_end - kappa) / CELL}
+    columns |= {"phi": phi, "dphi": dphi, "eps": eps, "deps": deps}
+    return columns | dict(zip("xyz", track.position(p), strict=True))
 
 
 def _derivatives(reference: ca.Function, p: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Protocol
 
 import numpy as np
@@ -147,7 +148,7 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
         for gear, controller in enumerate(controllers):
             x_hat = measured[6 * gear : 6 * gear + 6].copy()
             plan = controller.plan(x_hat, exchange.memory[base[gear]])
-            if not np.isfinite(plan):
+            if not isfinite(plan):
                 raise ArithmeticError(
                     f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {exchange.time:.3f} s, "
                     f"p = {x_hat[0]:.1f} m"

@@ -206,7 +206,7 @@ _PIECE = 5.0
 """Longest stretch of one quadrature (m)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Track:
     """Tabulated track geometry with interpolation that is exact on straights, clothoids, arcs and linear cant ramps.
 

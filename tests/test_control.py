@@ -149,7 +149,7 @@ def test_a_failing_solver_falls_back_on_the_shifted_plan(vehicle, monkeypatch):
     controller = NMPC(vehicle, way, 0)
     controller.plan(problems[0].x_hat, 0.0)
     planned = controller.plan_du.copy()
-    monkeypatch.setattr(controller, "optimise", lambda problem, du: (du * np.nan, 1))
+    monkeypatch.setattr(controller, "solve", lambda du: (du * np.nan, 1))
     assert controller.plan(problems[0].x_hat, 0.0) == pytest.approx(planned[1])
     assert [solve.fallback for solve in controller.stats] == [False, True]
 

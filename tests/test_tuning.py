@@ -1,5 +1,6 @@
 """Tuning: graded cost, tuned sets and their origin, any executor, kill and resume."""
 
+import fcntl
 import json
 import os
 import signal
@@ -108,6 +109,48 @@ def test_an_absent_cluster_is_told_in_one_sentence(monkeypatch):
     monkeypatch.setenv("RAILREPRO_DASK", "tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="no Dask scheduler answers"), executor():
         pass
+
+
+WORKERS = """
+import fcntl, sys, time
+from railrepro.executor import executor, ordered_map
+def hold(path):
+    with open(path, "w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        time.sleep(600)
+if __name__ == "__main__":
+    with executor() as pool:
+        ordered_map(pool, hold, sys.argv[1:], "hold", quiet=True)
+"""
+
+
+def test_workers_end_with_a_killed_parent(tmp_path):
+    script, locks = tmp_path / "hold.py", [tmp_path / "one", tmp_path / "two"]
+    script.write_text(WORKERS)
+    environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}
+    parent = subprocess.Popen([sys.executable, str(script), *map(str, locks)], env=environment)
+
+    def held(path):
+        try:
+            with open(path) as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except FileNotFoundError:
+            return False
+        except BlockingIOError:
+            return True
+        return False
+
+    def wait_until(reached):
+        for _ in range(600):
+            if reached():
+                return True
+            time.sleep(0.1)
+        return False
+
+    assert wait_until(lambda: all(map(held, locks)))
+    parent.kill()
+    parent.wait()
+    assert wait_until(lambda: not any(map(held, locks)))
 
 
 SCRIPT = """

@@ -1,15 +1,15 @@
 /* One sample of a predictive controller: forecast, linearise along the horizon, solve the quadratic problem by a Riccati
-   recursion inside an active-set loop, repeat. Knows nothing of railways: six generated functions and tables of cells.
-   All arrays are row-major, one row per stage; starts after call.h. */
+   recursion inside an active-set loop, repeat. Knows nothing of railways: generated functions and tables of cells.
+   All arrays are row-major, one row per stage. Starts after call.h, lanes.h, the numbers of states N, of track parameters
+   N_THETA and of entries N_A of the matrix A, and the prediction model prediction_lanes. */
 
-enum { N = 6 };  /* states */
 enum { FREE = 0, LOW = -1, HIGH = 1 };
 
 typedef struct {
-  casadi_int steps, n_theta, n_a, n_cell, n_cells, most_sets;
+  casadi_int steps, n_cell, n_cells, most_sets;
   double cell_start, cell_step;
   const double *cells;
-  call_t place, preview, model, terminal, backward, forward;
+  call_t place, preview, terminal, backward, forward;
   /* inputs: measured state, believed vehicle of the forecast and of the model; base torque, sampling time, printed switch */
   const double *x_hat, *believed, *par;
   double u_d, period, affine;
@@ -42,20 +42,29 @@ int horizon_forecast(const horizon_t *h) {
     double *place[] = {at};
     if (call(&h->place, where, 4, place, 1)) return 1;
     const double *ahead[] = {h->x_hat, &h->u_d, &t, h->believed, cell_at(h, at[0]), cell_at(h, at[1])};
-    double *stage[] = {h->x_d + k * N, h->theta + k * h->n_theta};
+    double *stage[] = {h->x_d + k * N, h->theta + k * N_THETA};
     if (call(&h->preview, ahead, 6, stage, 2)) return 1;
   }
   return 0;
 }
 
-/* Next state and its derivatives at every stage of the trajectory. */
-int horizon_linearise(const horizon_t *h) {
-  for (casadi_int k = 0; k < h->steps; ++k) {
-    const double *at[] = {h->x + k * N, h->u + k, &h->u_d, h->theta + k * h->n_theta, h->par, &h->period, &h->affine};
-    double *out[] = {h->x_next + k * N, h->a + k * h->n_a, h->b + k * N};
-    if (call(&h->model, at, 7, out, 3)) return 1;
+/* Next state and its derivatives at every stage of the trajectory, several stages side by side. */
+void horizon_linearise(const horizon_t *h) {
+  for (casadi_int first = 0; first < h->steps; first += LANES) {
+    lanes_t x[N], u, theta[N_THETA], x_next[N], a[N_A], b[N];
+    for (casadi_int i = 0; i < LANES; ++i) {
+      casadi_int k = first + i < h->steps ? first + i : h->steps - 1;  /* the last group repeats the last stage */
+      for (int j = 0; j < N; ++j) x[j][i] = h->x[k * N + j];
+      for (int j = 0; j < N_THETA; ++j) theta[j][i] = h->theta[k * N_THETA + j];
+      u[i] = h->u[k];
+    }
+    prediction_lanes(x, &u, &h->u_d, theta, h->par, &h->period, &h->affine, x_next, a, b);
+    for (casadi_int i = 0; i < LANES && first + i < h->steps; ++i) {
+      casadi_int k = first + i;
+      for (int j = 0; j < N; ++j) h->x_next[k * N + j] = x_next[j][i], h->b[k * N + j] = b[j][i];
+      for (int j = 0; j < N_A; ++j) h->a[k * N_A + j] = a[j][i];
+    }
   }
-  return 0;
 }
 
 static int backward(const horizon_t *h) {
@@ -66,7 +75,7 @@ static int backward(const horizon_t *h) {
   while (k-- > 0) {
     const double to_bound = h->fixed[k] * h->bound - h->u[k];
     const double *in[] = {h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N, h->x + (k + 1) * N,
-                          h->x_next + k * N, h->a + k * h->n_a, h->b + k * N, h->u + k, &h->effort, h->fixed + k, &to_bound,
+                          h->x_next + k * N, h->a + k * N_A, h->b + k * N, h->u + k, &h->effort, h->fixed + k, &to_bound,
                           h->x + k * N, h->x_d + k * N, h->weight + k * N, h->side + k, &h->y_bound, &h->soft};
     double *out[] = {h->cost_matrix + k * N * N, h->cost_vector + k * N, h->feedback + k * N, h->feedforward + k};
     if (call(&h->backward, in, 16, out, 4)) return 1;
@@ -78,7 +87,7 @@ static int forward(const horizon_t *h) {
   for (int i = 0; i < N; ++i) h->dx[i] = h->x_hat[i] - h->x[i];
   for (casadi_int k = 0; k < h->steps; ++k) {
     const double *in[] = {h->dx + k * N, h->feedback + k * N, h->feedforward + k, h->x_next + k * N, h->x + (k + 1) * N,
-                          h->a + k * h->n_a, h->b + k * N, h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N,
+                          h->a + k * N_A, h->b + k * N, h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N,
                           h->u + k, &h->effort};
     double *out[] = {h->dx + (k + 1) * N, h->du + k, h->slope + k};
     if (call(&h->forward, in, 11, out, 3)) return 1;
@@ -103,30 +112,41 @@ static casadi_int revise(const horizon_t *h) {
   return moved;
 }
 
+static int all_finite(const double *values, casadi_int n) {
+  for (casadi_int i = 0; i < n; ++i)
+    if (!isfinite(values[i])) return 0;
+  return 1;
+}
+
 /* Minimiser of the quadratic problem about the trajectory: steps dx, du. Starts from the active sets it finds.
-   Returns 0, or 1 when a function failed, or 2 when the active sets did not settle. */
+   Returns 0, or 1 when a value is not finite, or 2 when the active sets did not settle. */
 int horizon_solve(const horizon_t *h) {
   for (casadi_int i = 0; i < h->most_sets; ++i) {
     if (backward(h) || forward(h)) return 1;
-    if (!revise(h)) return 0;
+    if (!revise(h)) return all_finite(h->dx, (h->steps + 1) * N) && all_finite(h->du, h->steps) ? 0 : 1;
   }
   return 2;
+}
+
+/* Take the steps dx, du; torques stay within their bound. */
+void horizon_apply(const horizon_t *h) {
+  for (casadi_int i = 0; i < (h->steps + 1) * N; ++i) h->x[i] += h->dx[i];
+  for (casadi_int k = 0; k < h->steps; ++k) h->u[k] = fmin(fmax(h->u[k] + h->du[k], -h->bound), h->bound);
 }
 
 /* Up to `most` Newton iterations with full steps; stops when no torque moves by more than `tolerance` and the trajectory
    obeys the model. `iterations` counts them. Returns like horizon_solve, or 3 when it has not converged (most > 1). */
 int horizon_iterate(const horizon_t *h, casadi_int most, double tolerance, casadi_int *iterations) {
   for (*iterations = 1; *iterations <= most; ++*iterations) {
-    int failed = horizon_linearise(h) ? 1 : horizon_solve(h);
+    horizon_linearise(h);
+    int failed = horizon_solve(h);
     if (failed) return failed;
     double moved = 0, gap = 0;
     for (casadi_int k = 0; k < h->steps; ++k) {
       moved = fmax(moved, fabs(h->du[k]));
       for (int i = 0; i < N; ++i) gap = fmax(gap, fabs(h->x_next[k * N + i] - h->x[(k + 1) * N + i]));
-      h->u[k] = fmin(fmax(h->u[k] + h->du[k], -h->bound), h->bound);
     }
-    for (casadi_int i = 0; i < (h->steps + 1) * N; ++i) h->x[i] += h->dx[i];
-    if (!isfinite(moved)) return 1;
+    horizon_apply(h);
     if (moved < tolerance && gap < 1e-9) return 0;
   }
   *iterations = most;

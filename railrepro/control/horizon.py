@@ -31,10 +31,10 @@ _FIELDS += ("feedback", "feedforward", "dx", "du", "slope", "fixed", "side")
 
 class _Horizon(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_longlong) for name in ("steps", "n_theta", "n_a", "n_cell", "n_cells", "most_sets")),
+        *((name, ctypes.c_longlong) for name in ("steps", "n_cell", "n_cells", "most_sets")),
         *((name, ctypes.c_double) for name in ("cell_start", "cell_step")),
         ("cells", ctypes.c_void_p),
-        *((name, codegen.Call) for name in ("place", "preview", "model", "terminal", "backward", "forward")),
+        *((name, codegen.Call) for name in ("place", "preview", "terminal", "backward", "forward")),
         *((name, ctypes.c_void_p) for name in ("x_hat", "believed", "par")),
         *((name, ctypes.c_double) for name in ("u_d", "period", "affine")),
         ("weight", ctypes.c_void_p),
@@ -61,7 +61,8 @@ def model_function(variant: str, discretisation: str) -> ca.Function:
     linear = ca.mtimes(a, x) + b * du + common * u_d
     reported = ca.densify(affine * x_next + (1 - affine) * linear)
     inputs = [x, du, u_d, theta, par, period, affine]
-    return ca.Function("prediction", inputs, [reported, a, b], {"cse": True})
+    names = ["x", "du", "u_d", "theta", "par", "T", "affine"], ["x_next", "A", "B"]
+    return ca.Function("prediction", inputs, [reported, a, b], *names, {"cse": True})
 
 
 def _state_cost(x, x_d, weight, side, y_bound, soft):
@@ -110,13 +111,16 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
 
 @lru_cache
 def _functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    return *preview.functions(), model_function(variant, discretisation), *recursion(variant, discretisation)
+    return *preview.functions(), *recursion(variant, discretisation)
 
 
 @lru_cache
 def _library(variant: str, discretisation: str) -> ctypes.CDLL | None:
-    here = Path(__file__)
-    extra = here.parents[1].joinpath("call.h").read_text() + here.with_name("horizon.c").read_text()
+    package, model = Path(__file__).parents[1], model_function(variant, discretisation)
+    extra = "".join(package.joinpath(name).read_text() for name in ("call.h", "lanes.h"))
+    extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_A = {model.nnz_out(1)} }};\n"
+    extra += codegen.lanes_text(model, common=("u_d", "par", "T", "affine"))
+    extra += package.joinpath("control", "horizon.c").read_text()
     return codegen.library(_functions(variant, discretisation), extra)
 
 
@@ -166,8 +170,21 @@ class PlainHorizon:
         self.matrices = a.reshape(_N, steps, _N).transpose(1, 0, 2)
 
     def solve(self) -> None:
-        """Minimiser `dx`, `du` of the quadratic problem about the linearised trajectory."""
+        """Minimiser `dx`, `du` of the quadratic problem about the linearised trajectory.
+
+        Raises
+        ------
+        ArithmeticError
+            When a value is not finite.
+        """
         self.dx, self.du = condensed.solve(self)
+        if not (np.isfinite(self.dx).all() and np.isfinite(self.du).all()):
+            raise ArithmeticError("horizon: a value is not finite")
+
+    def apply(self) -> None:
+        """Take the steps `dx`, `du`; torques stay within their bound."""
+        self.x += self.dx
+        self.u[:] = np.clip(self.u + self.du, -self.bound, self.bound)
 
     def iterate(self, most: int, tolerance: float) -> int:
         """Newton iterations on `x`, `u` until no torque moves by more than `tolerance` (N m); their number.
@@ -182,10 +199,7 @@ class PlainHorizon:
             self.solve()
             gap = np.abs(self.x_next - self.x[1:]).max()
             moved = np.abs(self.du).max()
-            self.x += self.dx
-            self.u[:] = np.clip(self.u + self.du, -self.bound, self.bound)
-            if not np.isfinite(moved):
-                raise ArithmeticError("horizon: a value is not finite")
+            self.apply()
             if moved < tolerance and gap < 1e-9:
                 return iteration
         if most > 1:
@@ -201,7 +215,8 @@ class Horizon(PlainHorizon):
         functions = _functions(settings.variant, settings.discretisation)
         library = _library(settings.variant, settings.discretisation)
         self._calls = [codegen.CompiledFunction(library, function) for function in functions]
-        self._sparsity = [np.array(index) for index in functions[2].sparsity_out(1).get_triplet()]
+        matrix = model_function(settings.variant, settings.discretisation).sparsity_out(1)
+        self._sparsity = [np.array(index) for index in matrix.get_triplet()]
         n_a = self._sparsity[0].size
         shapes = {"x_d": (steps + 1, _N), "theta": (steps + 1, len(THETA)), "x": (steps + 1, _N), "u": (steps,)}
         shapes |= {"x_next": (steps, _N), "a": (steps, n_a), "b": (steps, _N), "du": (steps,)}
@@ -214,7 +229,7 @@ class Horizon(PlainHorizon):
         for name in _FIELDS:
             setattr(self, name, np.zeros(shapes[name]))
         self.c = _Horizon(
-            steps, len(THETA), n_a, len(route.COLUMNS), len(cells), MOST_SETS,
+            steps, len(route.COLUMNS), len(cells), MOST_SETS,
             cells[0, 0], route.CELL, self.cells.ctypes.data, *(function.call for function in self._calls),
             self.x_hat.ctypes.data, *(array.ctypes.data for array in self._inputs), 0.0, settings.period, 1.0,
             self.weight.ctypes.data, settings.r * settings.period, 0.0, settings.lateral_bound,
@@ -255,7 +270,7 @@ class Horizon(PlainHorizon):
 
     def linearise(self) -> None:
         """See `PlainHorizon.linearise`."""
-        self._check(self._library.horizon_linearise(self._pointer))
+        self._library.horizon_linearise(self._pointer)
 
     def solve(self) -> None:
         """See `PlainHorizon.solve`."""
@@ -264,6 +279,10 @@ class Horizon(PlainHorizon):
             self.dx[:], self.du[:] = condensed.solve(self)
         else:
             self._check(code)
+
+    def apply(self) -> None:
+        """See `PlainHorizon.apply`."""
+        self._library.horizon_apply(self._pointer)
 
     def iterate(self, most: int, tolerance: float) -> int:
         """See `PlainHorizon.iterate`."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from railrepro.control.mpc import PredictiveController, Problem
+from railrepro.control.mpc import PredictiveController
 
 
 @dataclass
@@ -27,14 +27,13 @@ class LTVMPC(PredictiveController):
         """See `PredictiveController.expected_state`."""
         return self.horizon.x[1] + self.horizon.dx[1]
 
-    def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
-        """See `PredictiveController.optimise`."""
-        self.take(problem)
-        horizon, ahead = self.horizon, problem.ahead
+    def solve(self, du: np.ndarray) -> tuple[np.ndarray, int]:
+        """See `PredictiveController.solve`; the start does not matter."""
+        horizon = self.horizon
         horizon.x[:], horizon.u[:] = 0.0, 0.0
-        horizon.x[:, 0], horizon.x[:, 2] = ahead.x_d[:, 0], ahead.x_d[:, 2]
+        horizon.x[:, 0], horizon.x[:, 2] = horizon.x_d[:, 0], horizon.x_d[:, 2]
         if not self.printed:
-            horizon.x[:, 1], horizon.x[:, 3] = ahead.theta[:, 0], ahead.theta[:, 1] * ahead.x_d[:, 2]
+            horizon.x[:, 1], horizon.x[:, 3] = horizon.theta[:, 0], horizon.theta[:, 1] * horizon.x_d[:, 2]
         horizon.linearise()
         horizon.solve()
         return horizon.du.copy(), 1

@@ -153,7 +153,7 @@ class Problem:
 
 @dataclass
 class PredictiveController:
-    """Receding horizon around `optimise`, with shifted warm starts, fallback and statistics; one running gear.
+    """Receding horizon around `solve`, with shifted warm starts, fallback and statistics; one running gear.
 
     Attributes
     ----------
@@ -185,30 +185,40 @@ class PredictiveController:
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The optimal control problem at a measured state (6,) and base torque (N m)."""
-        u_d = self.told(u_d)
-        self.horizon.sample(x_hat, u_d, 0.0)
-        self.horizon.forecast()
-        ahead = Forecast(self.horizon.x_d.copy(), self.horizon.theta.copy())
-        return Problem(self.settings, np.array(x_hat), u_d, ahead, self.parameters, self.vehicle.drive.torque_limit)
+        self.look_ahead(x_hat, self.told(u_d))
+        return self._problem_ahead()
 
-    def take(self, problem: Problem) -> None:
-        """Put a problem into the buffers of the horizon."""
+    def look_ahead(self, x_hat: np.ndarray, u_d: float) -> None:
+        """Put a state, a base torque and the forecast from there into the horizon."""
+        self.horizon.sample(x_hat, u_d, self.settings.torque_bound(u_d, self.vehicle.drive.torque_limit))
+        self.horizon.forecast()
+
+    def _problem_ahead(self) -> Problem:
+        h, tau_max = self.horizon, self.vehicle.drive.torque_limit
+        ahead = Forecast(h.x_d.copy(), h.theta.copy())
+        return Problem(self.settings, h.x_hat.copy(), h.u_d, ahead, self.parameters, tau_max)
+
+    def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
+        """Torques (L,) that solve any problem from a start, and the number of iterations."""
         self.horizon.sample(problem.x_hat, problem.u_d, problem.bound)
         self.horizon.x_d[:], self.horizon.theta[:] = problem.ahead.x_d, problem.ahead.theta
+        return self.solve(du)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now; a failing solver falls back on the shifted previous plan, counted."""
         begin = time.perf_counter()
-        problem = self.problem(self.observed(x_hat), u_d)
+        self.look_ahead(self.observed(x_hat), self.told(u_d))
         if self.recorded is not None:
-            self.recorded.append(problem)
-        start = np.append(self.plan_du[1:], self.plan_du[-1])
+            self.recorded.append(self._problem_ahead())
+        bound, start = self.horizon.bound, self.plan_du
+        start[:-1] = start[1:]
+        start = start.clip(-bound, bound)
         try:
-            du, iterations = self.optimise(problem, np.clip(start, -problem.bound, problem.bound))
+            du, iterations = self.solve(start)
             fallback = not np.isfinite(du).all()
         except (ArithmeticError, np.linalg.LinAlgError):
-            du, iterations, fallback = start, 0, True
-        self.plan_du = np.clip(start if fallback else du, -problem.bound, problem.bound)
+            iterations, fallback = 0, True
+        self.plan_du = start if fallback else du.clip(-bound, bound)
         self._expected_y = None if fallback else float(self.expected_state()[Y])
         self.stats.append(Solve(time.perf_counter() - begin, iterations, fallback))
         return float(self.plan_du[0])
@@ -232,6 +242,6 @@ class PredictiveController:
         """State that the plan predicts for the next sample, shape (6,)."""
         return self.horizon.x[1]
 
-    def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
-        """Torques (L,) that solve the problem from a start, and the number of iterations."""
+    def solve(self, du: np.ndarray) -> tuple[np.ndarray, int]:
+        """Torques (L,) that solve the problem in the horizon from a start, and the number of iterations."""
         raise NotImplementedError

@@ -14,7 +14,7 @@ import numpy as np
 
 from railrepro.control.condensed import UNIT
 from railrepro.control.horizon import model_function
-from railrepro.control.mpc import MPCSettings, PredictiveController, Problem, Solve
+from railrepro.control.mpc import MPCSettings, PredictiveController, Solve
 from railrepro.derivation import PARAMETERS
 from railrepro.errors import InputError
 from railrepro.model import THETA, Y
@@ -44,13 +44,12 @@ class NMPC(PredictiveController):
         self._reference = _ipopt(self.settings) if self.solver == "ipopt" else None
         self._started = False
 
-    def optimise(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
-        """See `PredictiveController.optimise`."""
-        self.take(problem)
+    def solve(self, du: np.ndarray) -> tuple[np.ndarray, int]:
+        """See `PredictiveController.solve`."""
         self._shift()
         if self.solver == "ipopt":
-            return self._with_ipopt(problem, du)
-        self.horizon.x[0], self.horizon.u[:] = problem.x_hat, du
+            return self._with_ipopt(du)
+        self.horizon.x[0], self.horizon.u[:] = self.horizon.x_hat, du
         return self._iterate(1 if self.solver == "rti" else ITERATIONS)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
@@ -61,34 +60,28 @@ class NMPC(PredictiveController):
         x_hat, u_d = self.observed(x_hat), self.told(u_d)
         if not self._started:
             self._prepare(x_hat, u_d)
-        horizon, fallback = self.horizon, False
-        bound = self.settings.torque_bound(u_d, self.vehicle.drive.torque_limit)
+        horizon, bound = self.horizon, self.settings.torque_bound(u_d, self.vehicle.drive.torque_limit)
         horizon.sample(x_hat, u_d, bound)
         try:
             horizon.solve()
-            fallback = not (np.isfinite(horizon.du).all() and np.isfinite(horizon.dx).all())
+            horizon.apply()
+            self._started = True
         except (ArithmeticError, np.linalg.LinAlgError):
-            fallback = True
-        if fallback:  # the plan, already one sample later, serves; the next one starts afresh
-            self.plan_du = np.where(np.isfinite(horizon.u), np.clip(horizon.u, -bound, bound), 0.0)
-            horizon.u[:], horizon.x[1] = self.plan_du, x_hat
-        else:
-            horizon.x += horizon.dx
-            horizon.u[:] = np.clip(horizon.u + horizon.du, -bound, bound)
-            self.plan_du = horizon.u.copy()
+            # The plan, already one sample later, serves; the next one starts afresh.
+            horizon.u[:], horizon.x[1] = horizon.u.clip(-bound, bound), x_hat
+            self._started = False
+        self.plan_du = horizon.u.copy()
         ready = time.perf_counter()
-        self._started = not fallback
         expected = self.expected_state().copy()
-        self._expected_y = None if fallback else float(expected[Y])
+        self._expected_y = float(expected[Y]) if self._started else None
         self._prepare(expected, u_d)
-        self.stats.append(Solve(ready - begin, 1, fallback, time.perf_counter() - ready))
+        self.stats.append(Solve(ready - begin, 1, not self._started, time.perf_counter() - ready))
         return float(self.plan_du[0])
 
     def _prepare(self, x_expected: np.ndarray, u_d: float) -> None:
         """Forecast and linearise for the sample to come, where the state is expected to be `x_expected`."""
         horizon = self.horizon
-        horizon.sample(x_expected, u_d, self.vehicle.drive.torque_limit)
-        horizon.forecast()
+        self.look_ahead(x_expected, u_d)
         self._shift()
         horizon.x[0] = x_expected
         horizon.u[:-1] = horizon.u[1:].copy()
@@ -111,18 +104,18 @@ class NMPC(PredictiveController):
         else:
             horizon.x[:] = horizon.x_d
 
-    def _with_ipopt(self, problem: Problem, du: np.ndarray) -> tuple[np.ndarray, int]:
-        s, steps = problem.settings, problem.settings.steps
-        x_d, bound = problem.ahead.x_d, problem.bound / UNIT
-        deviation = (self.horizon.x - x_d) / _SCALE
+    def _with_ipopt(self, du: np.ndarray) -> tuple[np.ndarray, int]:
+        s, steps, horizon = self.settings, self.settings.steps, self.horizon
+        x_d, bound = horizon.x_d, horizon.bound / UNIT
+        deviation = (horizon.x - x_d) / _SCALE
         start = np.concatenate([deviation.ravel(), du / UNIT, np.zeros(steps)])
-        initial = (problem.x_hat - x_d[0]) / _SCALE
+        initial = (horizon.x_hat - x_d[0]) / _SCALE
         free = np.full(6 * steps, np.inf)
         low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
         high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
         p = np.concatenate(
-            [x_d.ravel(), problem.ahead.theta[:-1].ravel(), problem.parameters, s.q_diag]
-            + [[s.r, s.q_terminal, s.period, problem.u_d, s.lateral_bound, s.soft_weight / s.period]]
+            [x_d.ravel(), horizon.theta[:-1].ravel(), self.parameters, s.q_diag]
+            + [[s.r, s.q_terminal, s.period, horizon.u_d, s.lateral_bound, s.soft_weight / s.period]]
         )
         defects = np.zeros(6 * steps)
         found = self._reference(
@@ -134,7 +127,7 @@ class NMPC(PredictiveController):
             self._started = False
             raise ArithmeticError(f"Ipopt ended with {stats['return_status']}")
         solution = np.array(found["x"]).ravel()
-        self.horizon.x[:] = x_d + solution[: 6 * (steps + 1)].reshape(steps + 1, 6) * _SCALE
+        horizon.x[:] = x_d + solution[: 6 * (steps + 1)].reshape(steps + 1, 6) * _SCALE
         self._started = True
         return UNIT * solution[6 * (steps + 1) :][:steps], stats["iter_count"]
 
