@@ -1,13 +1,14 @@
 """Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
 
-`python -m railrepro.bench` writes data/results/solve_times.csv, horizon_times.csv and plant_speed.csv and prints them.
-Times of different machines are never compared; the machine's name stands in each table. Serves the paper's section
-Evaluation of Lateral Control (computation times).
+`python -m railrepro.bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv and executor_speed.csv of
+data/results and prints them. Times of different machines are never compared; the machine's name stands in each table.
+Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
 
 import importlib.util
+import os
 import platform
 import sys
 import time
@@ -20,7 +21,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from railrepro import codegen, paths, plant, scenarios, simulate, tuning
+from railrepro import codegen, paths, plant, pso, scenarios, simulate, tuning
 from railrepro.contact import contact_table
 from railrepro.control import condensed, fast
 from railrepro.control.horizon import PlainHorizon, model_function
@@ -29,6 +30,7 @@ from railrepro.control.mpc import MPCSettings, Problem
 from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
 from railrepro.exchange import Exchange
+from railrepro.executor import executor, ordered_map
 from railrepro.guidance import mpc_settings
 from railrepro.model import Y
 from railrepro.parameters import Vehicle, load_vehicle
@@ -311,6 +313,28 @@ def _exchange(scenario, vehicle: Vehicle, compiled: bool = True) -> Exchange:
     return Exchange(parameters, table, scenario.route(), gains, state, compiled)
 
 
+def executor_speed(vehicle: Vehicle, particles: int = 24) -> pd.DataFrame:
+    """Wall time of a first swarm of the tuning on one and on all workers, and the efficiency of the latter."""
+    task, before, rows = tuning.load_task(), os.environ.get("RAILREPRO_WORKERS"), []
+    for name in ("nmpc", "ndi"):
+        swarm = pso.Swarm(task.dimensions[name], particles, task.budget["seed"]).ask()
+        evaluation, alone = tuning.Evaluation(name, task, vehicle), None
+        for workers in (1, os.cpu_count() or 1):
+            os.environ["RAILREPRO_WORKERS"] = str(workers)
+            with executor() as pool:
+                ordered_map(pool, evaluation, swarm[: 2 * workers], "warm up", quiet=True)
+                begin = time.perf_counter()
+                ordered_map(pool, evaluation, swarm, f"{name}, {workers} workers")
+                seconds = time.perf_counter() - begin
+            alone = alone or seconds
+            row = {"controller": name, "workers": workers, "evaluations": particles, "seconds": seconds}
+            rows.append(row | {"efficiency": alone / workers / seconds})
+    os.environ.pop("RAILREPRO_WORKERS")
+    if before:
+        os.environ["RAILREPRO_WORKERS"] = before
+    return pd.DataFrame(rows)
+
+
 def machine() -> str:
     """Name of the processor."""
     info = Path("/proc/cpuinfo")
@@ -329,6 +353,7 @@ def main(names: list[str]) -> None:
         "plant_speed": lambda: pd.concat([plant_speed(vehicle), phases(vehicle, settings)], ignore_index=True),
         "solve_times": lambda: solve_times(vehicle, settings),
         "horizon_times": lambda: horizon_times(vehicle, settings),
+        "executor_speed": lambda: executor_speed(vehicle),
     }
     if importlib.util.find_spec("do_mpc"):
         measures["peer"] = lambda: peer(vehicle, settings)

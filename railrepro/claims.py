@@ -38,10 +38,14 @@ class Measured:
 
 
 class Results:
-    """Tables of data/results, read when first asked for."""
+    """Tables of data/results; `used` lists those that were asked for."""
+
+    def __init__(self):
+        self.used: list[str] = []
 
     def __getitem__(self, name: str) -> pd.DataFrame:
         file = paths.source(f"data/results/{name}.csv")
+        self.used += [] if name in self.used else [name]
         if not file.exists():
             raise InputError(f"{file.name}: is missing; `make figures` makes it")
         return pd.read_csv(file)
@@ -445,8 +449,9 @@ def load_claims() -> dict[str, dict]:
 
 def evaluate() -> pd.DataFrame:
     """Table of all claims with measured values and verdicts (contract of data/results/claims.csv)."""
-    results, rows = Results(), []
+    rows = []
     for identity, claim in load_claims().items():
+        results = Results()
         measured = MEASURES[identity](results, claim)
         rows.append(
             {
@@ -459,6 +464,7 @@ def evaluate() -> pd.DataFrame:
                 "unit": claim["unit"],
                 "verdict": measured.verdict,
                 "evidence": claim["evidence"],
+                "data": " ".join(f"data/results/{name}.csv" for name in results.used),
             }
         )
     return pd.DataFrame(rows)

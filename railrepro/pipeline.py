@@ -405,65 +405,44 @@ def _report_html(text: str, folder: Path) -> str:
     from nbconvert.filters import markdown2html
 
     body = markdown2html(text)
-    for target in sorted(set(re.findall(r'(?:href|src)="([^"#:]+)"', body))):
+    for target, cell in sorted(set(re.findall(r'(?:href|src)="([^"#:]+)(#[^"]*)?"', body))):
         source = paths.ROOT / target
         if target.startswith("notebooks/"):
-            body = body.replace(f'"{target}"', f'"{source.stem}.html"')
+            body = body.replace(f'"{target}{cell}"', f'"{source.stem}.html{cell}"')
         elif source.is_file():
             (folder / target).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, folder / target)
     return body
 
 
+def verify_tolerance() -> dict:
+    """Tolerances of a comparison of two runs, the table [verify] of chain.toml."""
+    return tomllib.loads((paths.NOTEBOOKS / "chain.toml").read_text())["verify"]
+
+
 def verify() -> int:
-    """Rerun every notebook beside the checkout and compare all numbers of its tables with the committed ones.
+    """Rerun every notebook beside the checkout and compare the numbers and images with the committed ones.
 
     Returns
     -------
     int
-        1 when a number differs by more than the tolerance of chain.toml, else 0.
+        1 when something differs by more than the tolerance of chain.toml, else 0.
     """
-    import numpy as np
-    import pandas as pd
+    from railrepro import compare
 
     root = paths.BUILD / "verify"
     shutil.rmtree(root, ignore_errors=True)
-    tolerance = tomllib.loads((paths.NOTEBOOKS / "chain.toml").read_text())["verify"]
-    worst = 0
+    tolerance, total = verify_tolerance(), {}
     for notebook in chain():
         print(f"{notebook.name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
         run_notebook(notebook, notebook.parameters, root, root / "notebooks")
         for product in notebook.products:
-            if not product.endswith(".csv"):
-                continue
-            counts = _compare(pd, np, paths.ROOT / product, root / product, tolerance)
-            worst = max(worst, int(counts["different"] > 0))
-            print(f"{product}: " + ", ".join(f"{count} {kind}" for kind, count in counts.items()))
-    return worst
-
-
-def _compare(pd, np, committed: Path, rerun: Path, tolerance: dict) -> dict[str, int]:
-    """Count entries of two tables that are the same, within tolerance, or different."""
-    old, new = pd.read_csv(committed), pd.read_csv(rerun)
-    if list(old.columns) != list(new.columns) or len(old) != len(new):
-        return {"same": 0, "within tolerance": 0, "different": max(old.size, new.size)}
-    counts = {"same": 0, "within tolerance": 0, "different": 0}
-    for column in old.columns:
-        a, b = old[column], new[column]
-        same = (a == b) | (a.isna() & b.isna())
-        near = same.copy()
-        if (
-            column not in tolerance["not_compared"]
-            and pd.api.types.is_numeric_dtype(a)
-            and pd.api.types.is_numeric_dtype(b)
-        ):
-            scale = np.nanmax(np.abs(a.to_numpy(dtype=float)), initial=0.0)
-            near |= (a.astype(float) - b.astype(float)).abs() <= tolerance["relative"] * scale
-        near |= column in tolerance["not_compared"]
-        counts["same"] += int(same.sum())
-        counts["within tolerance"] += int((near & ~same).sum())
-        counts["different"] += int((~near).sum())
-    return counts
+            if product.endswith(compare.SUFFIXES):
+                counts = compare.compare(paths.ROOT / product, root / product, tolerance)
+                total = {kind: total.get(kind, 0) + count for kind, count in counts.items()}
+                print(f"{product}: " + ", ".join(f"{count} {kind}" for kind, count in counts.items()), flush=True)
+    print("all: " + ", ".join(f"{count} {kind}" for kind, count in total.items()))
+    return int(total[compare.DIFFERENT] > 0)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 
@@ -28,16 +31,25 @@ def _table(rows: list[list[str]], heads: list[str]) -> list[str]:
     ]
 
 
-def _evidence(claim: dict) -> str:
-    links = []
-    evidence, notebook = claim["evidence"], claim["notebook"]
+def _evidence(claim: dict, data: str) -> str:
+    """Links from a claim to its figure, the notebook cell that makes it and the tables that were judged."""
+    evidence, notebook, links = claim["evidence"], claim["notebook"], []
     if evidence.startswith("fig"):
         links.append(f"[{evidence}](figures/{evidence}.png)")
-    elif evidence:
-        links.append(f"[{evidence.rsplit('/', 1)[-1]}]({evidence})")
     if notebook:
-        links.append(f"[{notebook}](notebooks/{notebook}.ipynb)")
-    return ", ".join(links)
+        cell = _cell(notebook, Path(evidence).name)
+        links.append(
+            f"[{notebook}{cell and ', cell ' + cell}](notebooks/{notebook}.ipynb{cell and '#cell-id=' + cell})"
+        )
+    tables = dict.fromkeys([*data.split(), *([evidence] if "/" in evidence else [])])
+    return ", ".join([*links, *(f"[{Path(table).name}]({table})" for table in tables)])
+
+
+def _cell(notebook: str, product: str) -> str:
+    """Id of the code cell that writes a product; empty when none names it."""
+    cells = json.loads((paths.NOTEBOOKS / f"{notebook}.ipynb").read_text())["cells"]
+    named = [cell["id"] for cell in cells if cell["cell_type"] == "code" and product in "".join(cell["source"])]
+    return named[-1] if named else ""
 
 
 def render(table: pd.DataFrame, claims: dict[str, dict]) -> str:
@@ -71,7 +83,7 @@ def render(table: pd.DataFrame, claims: dict[str, dict]) -> str:
                 _number(row.paper_value, row.unit),
                 _number(row.measured_value, row.unit),
                 claims[row.id]["reason"],
-                _evidence(claims[row.id]),
+                _evidence(claims[row.id], row.data),
             ]
             for row in chosen.itertuples()
         ]

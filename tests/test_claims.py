@@ -1,5 +1,7 @@
 """Claims and report: complete, evaluated from results, verdicts changed on purpose only; a small robustness study."""
 
+import re
+
 import pandas as pd
 import pytest
 
@@ -27,6 +29,18 @@ def test_evidence_exists():
             assert (paths.ROOT / claim["evidence"]).exists(), identity
         if claim["notebook"]:
             assert (paths.NOTEBOOKS / f"{claim['notebook']}.ipynb").exists(), identity
+
+
+@needs_results
+def test_a_click_leads_from_claim_to_cell_and_data():
+    text = report.render(claims.evaluate(), claims.load_claims())
+    links = re.findall(r"\]\(([^)#]+)(?:#cell-id=(\w+))?\)", text)
+    for target, cell in links:
+        assert (paths.ROOT / target).exists(), target
+        assert not cell or f'"id": "{cell}"' in (paths.ROOT / target).read_text(), (target, cell)
+    judged = claims.evaluate().query("kind != 'not testable' and data != ''")
+    assert len(judged) >= 35
+    assert all(f"[{path.rsplit('/', 1)[-1]}]({path})" in text for data in judged["data"] for path in data.split())
 
 
 @needs_results

@@ -1,8 +1,9 @@
-"""Figures come out byte-identical."""
+"""Figures come out byte-identical; changed curves and numbers are found."""
 
 import pandas as pd
+import pytest
 
-from railrepro import figures
+from railrepro import compare, figures, pipeline
 
 
 def test_equal_figures_give_equal_bytes(tmp_path, monkeypatch):
@@ -16,3 +17,28 @@ def test_equal_figures_give_equal_bytes(tmp_path, monkeypatch):
         contents.append([file.read_bytes() for file in files])
     assert len(contents[0]) == 4
     assert contents[0] == contents[1]
+
+
+@pytest.mark.parametrize(("shift", "outcome"), [(0.0, compare.SAME), (1e-6, compare.NEAR), (0.01, compare.DIFFERENT)])
+def test_a_moved_curve_is_found(tmp_path, monkeypatch, shift, outcome):
+    for folder, moved in (("old", 0.0), ("new", shift)):
+        monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path / folder))
+        fig, axis = figures.new_figure()
+        axis.plot([0, 1], [0.2 + moved, 0.7 + moved])
+        axis.set(ylim=(0, 1))
+        figures.save_figure(fig, "fig99_test", pd.DataFrame({"x": [0.0, 1.0], "y": [0.2 + moved, 0.7 + moved]}))
+    tolerance = pipeline.verify_tolerance()
+    old, new = tmp_path / "old" / "figures", tmp_path / "new" / "figures"
+    table = compare.compare(old / "fig99_test.csv", new / "fig99_test.csv", tolerance)
+    image = compare.compare(old / "fig99_test.png", new / "fig99_test.png", tolerance)
+    assert table[outcome] == (4 if outcome == compare.SAME else 2)
+    assert image[outcome] == 1 or (image[compare.SAME] and outcome == compare.NEAR)
+
+
+def test_tables_of_other_shape_and_missing_files_differ(tmp_path):
+    tolerance = pipeline.verify_tolerance()
+    old, new = tmp_path / "old.csv", tmp_path / "new.csv"
+    new.write_text("a\n1\n")
+    assert compare.compare(old, new, tolerance)[compare.DIFFERENT]
+    old.write_text("a\n1\n2\n")
+    assert compare.compare(old, new, tolerance)[compare.DIFFERENT] == 2

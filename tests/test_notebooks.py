@@ -1,8 +1,8 @@
-"""Every notebook of the chain runs with small parameters and writes what it declares."""
+"""Every notebook of the chain runs with small parameters and writes what it declares; quick ones run in full."""
 
 import pytest
 
-from railrepro import pipeline
+from railrepro import compare, paths, pipeline
 
 
 @pytest.fixture(scope="module")
@@ -15,3 +15,12 @@ def test_notebook(notebook, root):
     parameters = notebook.parameters | notebook.test_parameters
     pipeline.run_notebook(notebook, parameters, root, root / "executed")
     assert all((root / product).stat().st_size > 0 for product in notebook.products)
+    if not notebook.test_parameters:  # the real run, so numbers and images must be the committed ones
+        assert not differing(notebook, root), "products are stale, `make figures` renews them"
+
+
+def differing(notebook, root):
+    """Products that are not those of the checkout."""
+    tolerance = pipeline.verify_tolerance()
+    compared = [product for product in notebook.products if product.endswith(compare.SUFFIXES)]
+    return [p for p in compared if compare.compare(paths.ROOT / p, root / p, tolerance)[compare.DIFFERENT]]

@@ -1,0 +1,67 @@
+"""Every Python name in the notation table exists, and nothing of the control model is left out."""
+
+import dataclasses
+import importlib
+import re
+
+import pytest
+
+from railrepro import derivation, notation, parameters, plant
+from railrepro.control import fast
+
+TABLE = notation.table()
+
+
+def names(python):
+    """Kind and full name of each entry of a cell: library paths, vehicle keys, columns of a run."""
+    found, kind, prefix = [], "library", ""
+    for entry in re.split("[,;] ", python):
+        word, _, name = entry.rpartition(" ")
+        if word:
+            kind = word
+        elif name.startswith("railrepro."):
+            kind, prefix = "library", name.rpartition(".")[0] + "."
+        elif kind == "library":
+            name = prefix + name
+        found.append((kind, name))
+    return found
+
+
+def exists(owner, path):
+    for name in path:
+        fields = {field.name for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else set()
+        if name in fields or hasattr(owner, name):
+            owner = getattr(owner, name, None)
+        else:
+            try:
+                owner = importlib.import_module(f"{owner.__name__}.{name}")
+            except (ImportError, AttributeError):
+                return False
+    return True
+
+
+@pytest.mark.parametrize(("kind", "name"), sorted({entry for cell in TABLE["python"] for entry in names(cell)}))
+def test_name_exists(kind, name):
+    if kind == "series":
+        assert name in {*plant.car().outputs, *fast.RECORD}
+    elif kind == "vehicle":
+        vehicle = parameters.load_vehicle()
+        _, *adhesion = name.split("adhesion.")
+        assert exists(vehicle, name.split(".")) or adhesion[0].split(".")[0] in vehicle.adhesion
+    else:
+        assert exists(importlib.import_module("railrepro"), name.split(".")[1:])
+
+
+def test_an_invented_name_is_found_out():
+    assert not exists(importlib.import_module("railrepro"), ["derivation", "nonsense"])
+    assert not exists(parameters.load_vehicle(), ["wheel", "colour"])
+
+
+def test_all_of_the_control_model_is_there():
+    listed = {name for cell in TABLE["python"] for _, name in names(cell)}
+    symbols = {id(value): name for name, value in vars(derivation).items()}
+    quantities = [*derivation.parameters, *derivation.theta, *derivation.torques, *derivation.rates[:2]]
+    for quantity in [*quantities, *derivation.coordinates[:3]]:
+        assert f"railrepro.derivation.{symbols[id(quantity)]}" in listed
+    keys = set(parameters.describe().query("symbol != '-'")["key"])
+    assert {f"vehicle {key}" for key in keys} <= set(TABLE["python"])
