@@ -118,6 +118,11 @@ class Swarm:
         self.position = np.clip(moved, 0, 1)
 
     @property
+    def limits(self) -> list[float]:
+        """Best cost of each particle so far: what costs more does not change the swarm, however much more."""
+        return self.own_cost.tolist()
+
+    @property
     def best(self) -> tuple[dict[str, float], float]:
         """Parameter values and cost of the best particle so far."""
         i = int(np.argmin(self.own_cost))
@@ -155,7 +160,7 @@ class Swarm:
 
 
 def minimise(
-    evaluate: Callable[[list[dict]], list[float]],
+    evaluate: Callable[[list[dict], list[float]], list[float]],
     dimensions: list[Dimension],
     particles: int,
     iterations: int,
@@ -170,7 +175,8 @@ def minimise(
     Parameters
     ----------
     evaluate : callable
-        Costs of a list of parameter sets, in order; a cost that is not finite counts as worst.
+        (parameter sets, limits) -> costs, in order; a cost that is not finite counts as worst. Of a set that costs more
+        than its limit any number above the limit will do.
     dimensions : list of Dimension
     particles, iterations, seed : int
     checkpoint : Path, optional
@@ -192,7 +198,7 @@ def minimise(
     if checkpoint is not None:
         swarm.restore(checkpoint, identity)
     while swarm.iteration < iterations and not swarm.stagnant(patience):
-        swarm.tell(evaluate(swarm.ask()))
+        swarm.tell(evaluate(swarm.ask(), swarm.limits))
         if checkpoint is not None:
             swarm.save(checkpoint, identity)
         report(swarm)

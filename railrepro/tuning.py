@@ -12,7 +12,7 @@ import sys
 import time
 import tomllib
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -86,12 +86,16 @@ class Evaluation:
     task: Task
     vehicle: Vehicle
 
-    def __call__(self, parameters: dict) -> tuple[float, list[dict]]:
-        """Mean cost over the scenarios, and the parts per scenario."""
+    def __call__(self, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
+        """Mean cost over the scenarios, and the parts per scenario.
+
+        The last scenario, the hardest, comes first. Once a run has failed and the sum so far is beyond `limit`, the
+        rest is left out and counts nothing: the cost is then a lower bound.
+        """
         options = {"solver": "rti"} if self.controller == "nmpc" else None
         law = guidance(self.controller, parameters, options)
-        costs, parts = [], []
-        for scenario in self.task.scenarios:
+        costs, parts, failed, number = [], [], False, len(self.task.scenarios)
+        for scenario in reversed(self.task.scenarios):
             try:
                 run = simulate.run(scenario, law, vehicle=self.vehicle)
                 cost, part = scenario_cost(run, scenario, self.task.cost)
@@ -99,7 +103,14 @@ class Evaluation:
                 cost, part = 2 * self.task.cost["failure"], {"done": 0.0}
             costs.append(cost)
             parts.append({"scenario": scenario.name, "cost": cost, **part})
-        return float(np.mean(costs)), parts
+            failed = failed or part["done"] < 1
+            if failed and sum(costs) > limit * number:
+                break
+        return sum(costs) / number, parts
+
+
+def _cost(evaluation: Evaluation, particle: tuple[dict, float]) -> float:
+    return evaluation(*particle)[0]
 
 
 def fingerprint(vehicle: Vehicle | None = None) -> str:
@@ -142,8 +153,9 @@ def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | Non
     evaluation, origin = Evaluation(controller, task, vehicle), fingerprint(vehicle)
     bar = tqdm(total=budget["iterations"], desc=controller, unit="iteration", disable=quiet)
 
-    def evaluate(particles: list[dict]) -> list[float]:
-        return [cost for cost, _ in ordered_map(pool, evaluation, particles, controller, quiet=True)]
+    def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
+        limited = list(zip(particles, limits, strict=True))
+        return ordered_map(pool, partial(_cost, evaluation), limited, controller, quiet=True)
 
     def report(swarm: pso.Swarm) -> None:
         bar.n = swarm.iteration
@@ -220,3 +232,5 @@ if __name__ == "__main__":
         main(sys.argv[1:])
     except InputError as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("interrupted; run again to resume")

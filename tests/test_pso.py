@@ -7,15 +7,15 @@ from railrepro.errors import InputError
 from railrepro.pso import Dimension, Swarm, minimise
 
 
-def sphere(sets):
+def sphere(sets, limits=()):
     return [sum((v - 0.3) ** 2 for v in s.values()) for s in sets]
 
 
-def rosenbrock(sets):
+def rosenbrock(sets, limits=()):
     return [100 * (s["b"] - s["a"] ** 2) ** 2 + (1 - s["a"]) ** 2 for s in sets]
 
 
-def rastrigin(sets):
+def rastrigin(sets, limits=()):
     return [sum(v**2 - 10 * np.cos(2 * np.pi * v) + 10 for v in s.values()) for s in sets]
 
 
@@ -36,7 +36,7 @@ def test_global_minimum_among_many_local_ones_is_found_most_of_the_time():
 
 def test_particles_stay_in_bounds_and_integers_are_whole():
     dimensions = [Dimension("r", 1e-12, 1e-8, "log"), Dimension("n", 5, 40, "integer")]
-    history = minimise(lambda sets: [-s["r"] - s["n"] for s in sets], dimensions, 12, 30, seed=1).history
+    history = minimise(lambda sets, limits: [-s["r"] - s["n"] for s in sets], dimensions, 12, 30, seed=1).history
     assert history["r"].between(1e-12, 1e-8).all()
     assert history["n"].isin(range(5, 41)).all()
     assert history["n"].iloc[-12:].max() == 40
@@ -52,7 +52,7 @@ def test_a_broken_search_ends_like_the_unbroken_one(tmp_path):
     whole = minimise(rastrigin, BOX, 10, 20, seed=2)
     calls = 0
 
-    def breaks(sets):
+    def breaks(sets, limits):
         nonlocal calls
         calls += 1
         if calls == 8:
@@ -64,6 +64,16 @@ def test_a_broken_search_ends_like_the_unbroken_one(tmp_path):
     resumed = minimise(rastrigin, BOX, 10, 20, seed=2, checkpoint=tmp_path / "swarm.json")
     assert resumed.history.equals(whole.history)
     assert resumed.best == whole.best
+
+
+def test_costs_beyond_the_limits_do_not_change_the_swarm():
+    def rough(sets, limits):
+        return [cost if cost <= limit else 2 * limit + 1 for cost, limit in zip(rastrigin(sets), limits, strict=True)]
+
+    exact, bounded = (minimise(function, BOX, 10, 20, seed=2) for function in (rastrigin, rough))
+    assert bounded.best == exact.best
+    assert bounded.history[["a", "b"]].equals(exact.history[["a", "b"]])
+    assert not bounded.history["cost"].equals(exact.history["cost"])
 
 
 def test_a_checkpoint_of_another_search_is_not_continued(tmp_path):
@@ -79,7 +89,7 @@ def test_failures_count_as_worst_and_never_lead():
 
 
 def test_a_stagnant_swarm_stops_early():
-    assert minimise(lambda sets: [1.0] * len(sets), BOX, 5, 50, seed=0, patience=4).history["iteration"].max() < 8
+    assert minimise(lambda sets, _: [1.0] * len(sets), BOX, 5, 50, seed=0, patience=4).history["iteration"].max() < 8
 
 
 def test_bounds_that_span_nothing_are_refused():

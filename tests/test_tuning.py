@@ -69,6 +69,19 @@ def test_failures_cost_more_the_earlier_they_happen():
     assert costs[0] > costs[1] > task.cost["failure"] > good
 
 
+def test_an_evaluation_beyond_its_limit_stops_at_the_first_failure():
+    task = tuning.load_task()
+    curve, loss = task.scenarios[-2:]
+    task = replace(task, scenarios=(curve.but(end_m=60.0), loss.but(end_m=200.0)))
+    evaluation = tuning.Evaluation("ndi", task, load_vehicle())
+    hasty = {"pole": 104.0, "frequency": 83.0, "damping": 1.55}
+    whole, parts = evaluation(hasty)
+    assert [part["done"] < 1 for part in parts] == [True, False]
+    bounded, first = evaluation(hasty, limit=1.0)
+    assert first == parts[:1] and 1.0 < bounded < whole
+    assert evaluation(hasty, limit=whole) == (whole, parts)
+
+
 def test_unknown_controller_and_setting_are_refused():
     with pytest.raises(InputError, match="'pid' is not known"):
         guidance("pid", {})
@@ -157,7 +170,7 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from railrepro import pso
-def cost(particles):
+def cost(particles, limits):
     import time
     time.sleep(0.05)
     return [(p["x"] - 0.3) ** 2 + (p["y"] + 0.2) ** 2 for p in particles]
