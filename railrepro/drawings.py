@@ -21,11 +21,8 @@ def _canvas(width: float, height: float, x: tuple[float, float], y: tuple[float,
 
 def _arrow(axes: Axes, start, end, color=figures.BLACK, text="", shift=(0.0, 0.0), bend=0.0, width=1.0, size=7) -> None:
     style = f"arc3,rad={bend}"
-    axes.add_patch(
-        FancyArrowPatch(
-            start, end, connectionstyle=style, arrowstyle="-|>", mutation_scale=8, color=color, linewidth=width
-        )
-    )
+    look = {"arrowstyle": "-|>", "mutation_scale": 8, "color": color, "linewidth": width, "zorder": 3}
+    axes.add_patch(FancyArrowPatch(start, end, connectionstyle=style, **look))
     middle = (start[0] + end[0]) / 2 + shift[0], (start[1] + end[1]) / 2 + shift[1]
     axes.text(*middle, text, ha="center", va="center", color=color, fontsize=size)
 
@@ -45,7 +42,7 @@ def running_gear() -> Figure:
     figure, axes = _canvas(4.2, 3.0, (-3.4, 3.6), (-2.7, 2.3))
     for y in (-1.5, 1.5):
         axes.plot([-3.3, 3.3], [y, y], color="0.6", linewidth=2)
-    axes.plot([-3.3, 3.4], [0, 0], color="0.6", linestyle="-.", linewidth=0.7)
+    axes.plot([-1.5, 3.4], [0, 0], color="0.6", linestyle="-.", linewidth=0.7)
     turn, shift = 0.16, -0.25
     forward, right = (1.0, -turn), (-turn, -1.0)
     for sign, name in ((-1, "le"), (1, "ri")):
@@ -56,14 +53,14 @@ def running_gear() -> Figure:
             axes, (x, y), (x + 1.35 * forward[0], y + 1.35 * forward[1]), figures.RED, rf"$F_{{x,{name}}}$", (0.45, 0.2)
         )
         _arrow(axes, (x, y), (x + 0.7 * right[0], y + 0.7 * right[1]), figures.RED, rf"$F_{{y,{name}}}$", (0.32, -0.18))
-        axes.text(
-            x - 0.75, y + 0.28, rf"$\tau_{{{name}}},\ \omega_{{{name}}}$", fontsize=7, color=figures.BLUE, ha="center"
-        )
-    axes.plot([-1.5 * right[0], 1.5 * right[0]], [-1.5 * right[1] + shift, 1.5 * right[1] + shift], color=figures.BLACK)
-    _arrow(axes, (0, shift), (2.6 * forward[0], 2.6 * forward[1] + shift), figures.BLUE, r"$x_{Ax}$", (1.2, -0.12))
+        torque = rf"$\tau_{{{name}}},\ \omega_{{{name}}}$"
+        axes.text(x - 0.72, y - 0.05, torque, fontsize=7, color=figures.BLUE, ha="right", va="center")
+    ends = [-1.5 * right[0], 1.5 * right[0]], [-1.5 * right[1] + shift, 1.5 * right[1] + shift]
+    axes.plot(*ends, color="0.75", linewidth=3, zorder=0)
+    _arrow(axes, (0, shift), (2.6 * forward[0], 2.6 * forward[1] + shift), figures.BLUE, r"$x_{Ax}$", (1.45, -0.4))
     _arrow(axes, (-2.6, 0), (-1.7, 0), text=r"$x_{Tr}$", shift=(0, 0.18))
     _arrow(axes, (-2.6, 0), (-2.6, -0.9), text=r"$y_{Tr}$", shift=(0.22, 0))
-    _arrow(axes, (0.03, 0.02), (0.03, shift), figures.GREEN, r"$y_{TrAx}$", (-0.32, 0.05), size=6)
+    _arrow(axes, (-0.35, 0), (-0.35, shift - 0.12), figures.GREEN, r"$y_{TrAx}$", (-0.36, -0.05), size=6)
     _arrow(axes, (2.3, 0), (2.28, -0.62), figures.GREEN, r"$\psi_{TrAx}$", (0.42, 0.1), bend=-0.15)
     return figure
 
@@ -102,7 +99,7 @@ def control_structure() -> Figure:
     _box(axes, (1.0, 1.0), (1.5, 1.0), "preview", figures.GREEN, "track, set point")
     _arrow(axes, (1.75, 3.5), (2.98, 3.5), text=r"$F_x^*$", shift=(0, 0.2))
     _arrow(axes, (1.77, 1.0), (2.98, 1.0), figures.GREEN, r"$x^d_k,\ \theta_k$", (0, 0.22))
-    _arrow(axes, (0.9, 2.6), (0.95, 1.53), text=r"$y^*(p)$, track", shift=(0.1, 0.68))
+    _arrow(axes, (1.0, 2.6), (1.0, 1.53), text=r"$y^*(p)$, track", shift=(0, 0.68))
     _arrow(axes, (5.42, 3.3), (6.9, 2.68), figures.RED, r"$u^d$", (0.15, 0.2))
     _arrow(axes, (4.2, 2.78), (4.2, 1.53), figures.RED, r"$u^d$", (0.25, 0))
     _arrow(axes, (5.42, 1.0), (6.9, 1.63), figures.BLUE, r"$\Delta u$", (0.15, -0.2))
