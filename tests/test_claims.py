@@ -33,12 +33,13 @@ def test_evidence_exists():
 
 @needs_results
 def test_a_click_leads_from_claim_to_cell_and_data():
-    text = report.render(claims.evaluate(), claims.load_claims())
+    table = claims.evaluate()
+    text = report.render(table, claims.load_claims())
     links = re.findall(r"\]\(([^)#]+)(?:#cell-id=(\w+))?\)", text)
     for target, cell in links:
         assert (paths.ROOT / target).exists(), target
         assert not cell or f'"id": "{cell}"' in (paths.ROOT / target).read_text(), (target, cell)
-    judged = claims.evaluate().query("kind != 'not testable' and data != ''")
+    judged = table.query("kind != 'not testable' and data != ''")
     assert len(judged) >= 35
     assert all(f"[{path.rsplit('/', 1)[-1]}]({path})" in text for data in judged["data"] for path in data.split())
 

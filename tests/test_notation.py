@@ -30,7 +30,11 @@ def names(python):
 def exists(owner, path):
     for name in path:
         fields = {field.name for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else set()
-        if name in fields or hasattr(owner, name):
+        if isinstance(owner, dict):
+            if name not in owner:
+                return False
+            owner = owner[name]
+        elif name in fields or hasattr(owner, name):
             owner = getattr(owner, name, None)
         else:
             try:
@@ -45,9 +49,7 @@ def test_name_exists(kind, name):
     if kind == "series":
         assert name in {*plant.car().outputs, *fast.RECORD}
     elif kind == "vehicle":
-        vehicle = parameters.load_vehicle()
-        _, *adhesion = name.split("adhesion.")
-        assert exists(vehicle, name.split(".")) or adhesion[0].split(".")[0] in vehicle.adhesion
+        assert exists(parameters.load_vehicle(), name.split("."))
     else:
         assert exists(importlib.import_module("railrepro"), name.split(".")[1:])
 
@@ -55,6 +57,7 @@ def test_name_exists(kind, name):
 def test_an_invented_name_is_found_out():
     assert not exists(importlib.import_module("railrepro"), ["derivation", "nonsense"])
     assert not exists(parameters.load_vehicle(), ["wheel", "colour"])
+    assert not exists(parameters.load_vehicle(), ["adhesion", "dry", "colour"])
 
 
 def test_all_of_the_control_model_is_there():
