@@ -38,9 +38,8 @@ def _evidence(claim: dict, data: str) -> str:
         links.append(f"[{evidence}](figures/{evidence}.png)")
     if notebook:
         cell = _cell(notebook, Path(evidence).name)
-        links.append(
-            f"[{notebook}{cell and ', cell ' + cell}](notebooks/{notebook}.ipynb{cell and '#cell-id=' + cell})"
-        )
+        title, anchor = (f", cell {cell}", f"#cell-id={cell}") if cell else ("", "")
+        links.append(f"[{notebook}{title}](notebooks/{notebook}.ipynb{anchor})")
     tables = dict.fromkeys([*data.split(), *([evidence] if "/" in evidence else [])])
     return ", ".join([*links, *(f"[{Path(table).name}]({table})" for table in tables)])
 
