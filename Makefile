@@ -7,6 +7,7 @@ ifeq ($(filter grouped-target,$(.FEATURES)),)
 endif
 
 PYTHON ?= python3
+VARIANTS ?=
 PY := .venv/bin/python
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -27,7 +28,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   include build/chain.mk
 endif
 
-.PHONY: help figures test lab tune report verify bench study html lock strip clean distclean FORCE
+.PHONY: help figures test lab tune report verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -48,7 +49,10 @@ report: $(STAMPS)  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro.claims
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
-	$(PY) -m railrepro.pipeline verify
+	$(PY) -m railrepro.verify
+
+variants: $(VENV)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
+	$(PY) -m railrepro.verify variants $(VARIANTS)
 
 bench: $(VENV)  ## measure speed, as ratios in one run
 	$(PY) -m railrepro.bench

@@ -1,8 +1,12 @@
 """From a CasADi function to compiled C, cached by content.
 
-The key of the cache is the full generated source text, the compiler with its version and flags, and the CPU, so that
-neither a changed model nor a moved build folder can meet a stale object. Without a C compiler `library` returns None
-and callers evaluate the same CasADi functions in CasADi's virtual machine.
+The key of the cache is the full generated source text, the compiler with its version and flags, and the CPU where the
+flags ask for this very one, so that neither a changed model nor a moved build folder can meet a stale object. Without a
+C compiler `library` returns None and callers evaluate the same CasADi functions in CasADi's virtual machine.
+
+By default nothing but 256-bit registers is asked of the processor, where it has them, and products and sums are not
+fused, so that compilers and processors round alike. `RAILREPRO_CFLAGS` replaces these flags, for example by
+"-O2 -march=native".
 """
 
 from __future__ import annotations
@@ -24,7 +28,8 @@ import numpy as np
 from railrepro import paths
 from railrepro.errors import InputError
 
-FLAGS = ("-O2", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-w")
+PORTABLE_FLAGS = "-O2 -ffp-contract=off"
+_ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 _POINTER = ctypes.POINTER(ctypes.c_double)
 
 
@@ -37,14 +42,25 @@ def compiler() -> str | None:
 
 
 @lru_cache(maxsize=1)
+def _processor() -> str:
+    """What the system tells of the processor: model and features, sorted lines; empty where it does not."""
+    file = Path("/proc/cpuinfo")
+    lines = file.read_text().splitlines() if file.exists() else []
+    return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
+
+
+def flags() -> tuple[str, ...]:
+    """Flags of the compiler: `RAILREPRO_CFLAGS` or the default, and what a shared object needs."""
+    default = PORTABLE_FLAGS + (" -mavx2" if "avx2" in _processor().split() else "")
+    return (*os.environ.get("RAILREPRO_CFLAGS", default).split(), *_ALWAYS)
+
+
+@lru_cache(maxsize=1)
 def _machine() -> str:
-    """What an object file depends on besides its source: compiler version, flags and CPU."""
+    """What an object file depends on besides its source: compiler, flags, processor where they are native to it."""
     version = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
-    cpu = ""
-    if Path("/proc/cpuinfo").exists():
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        cpu = "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
-    return "\n".join((version.splitlines()[0], " ".join(FLAGS), platform.machine(), cpu))
+    cpu = _processor() if any("native" in flag for flag in flags()) else ""
+    return "\n".join((version.splitlines()[0], " ".join(flags()), platform.machine(), cpu))
 
 
 def cache_folder() -> Path:
@@ -152,7 +168,7 @@ def build(text: str) -> Path:
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         source, output = Path(scratch, "source.c"), Path(scratch, "object.so")
         source.write_text(text)
-        command = [compiler(), *FLAGS, str(source), "-o", str(output), "-lm"]
+        command = [compiler(), *flags(), str(source), "-o", str(output), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             kept = folder / f"{key}.failed.c"

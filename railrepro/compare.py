@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.image
@@ -10,56 +11,79 @@ import pandas as pd
 
 SUFFIXES = (".csv", ".png")
 """Kinds of products that are compared; the other formats of a figure hold the same."""
-SAME, NEAR, DIFFERENT = "same", "within tolerance", "different"
 
 
-def compare(committed: Path, rerun: Path, tolerance: dict) -> dict[str, int]:
-    """Count what is the same, within tolerance or different.
+@dataclass(frozen=True)
+class Comparison:
+    """How many entries of a table (or images) are the same, within tolerance or different.
 
-    Parameters
+    Attributes
     ----------
-    committed, rerun : Path
-        Two tables (csv) or two images (png).
-    tolerance : dict
-        The table [verify] of notebooks/chain.toml.
-
-    Returns
-    -------
-    dict
-        Number of table entries, or of images, per outcome.
+    same, near, different : int
+    largest : float
+        Largest difference of numbers relative to the largest of their column (-).
+    where : str
+        Column of it, or what else differs.
     """
-    if not committed.exists():
-        return _counts(different=1)
+
+    same: int = 0
+    near: int = 0
+    different: int = 0
+    largest: float = 0.0
+    where: str = ""
+
+    def __add__(self, other: Comparison) -> Comparison:
+        worst = max(self, other, key=lambda c: c.largest)
+        counts = (getattr(self, name) + getattr(other, name) for name in ("same", "near", "different"))
+        return Comparison(*counts, worst.largest, worst.where)
+
+    def __str__(self) -> str:
+        text = f"{self.same} same, {self.near} within tolerance, {self.different} different"
+        return text + (f"; largest difference {self.largest:.1e} in {self.where}" if self.where else "")
+
+
+def compare(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
+    """Compare two tables (csv) or two images (png) under the table [verify] of notebooks/chain.toml."""
+    for path in (committed, rerun):
+        if not path.exists():
+            return Comparison(different=1, where=f"{path.name}, which is missing")
     kind = _images if committed.suffix == ".png" else _tables
     return kind(committed, rerun, tolerance)
 
 
-def _counts(same: int = 0, near: int = 0, different: int = 0) -> dict[str, int]:
-    return {SAME: int(same), NEAR: int(near), DIFFERENT: int(different)}
-
-
-def _tables(committed: Path, rerun: Path, tolerance: dict) -> dict[str, int]:
+def _tables(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
     old, new = pd.read_csv(committed), pd.read_csv(rerun)
     if list(old.columns) != list(new.columns) or len(old) != len(new):
-        return _counts(different=max(old.size, new.size))
-    counts = np.zeros(3, dtype=int)
+        return Comparison(different=max(old.size, new.size), where="its rows or columns")
+    limits = {"": tolerance["relative"]} | tolerance.get("columns", {}).get(committed.name, {})
+    total = Comparison()
     for column in old.columns:
-        a, b = old[column], new[column]
-        same = (a == b) | (a.isna() & b.isna())
-        near = same | (column in tolerance["not_compared"])
-        numeric = pd.api.types.is_numeric_dtype(a) and pd.api.types.is_numeric_dtype(b)
-        if numeric and column not in tolerance["not_compared"]:
-            a, b = a.to_numpy(dtype=float), b.to_numpy(dtype=float)
-            near |= np.abs(a - b) <= tolerance["relative"] * np.nanmax(np.abs(a), initial=0.0)
-        counts += same.sum(), (near & ~same).sum(), (~near).sum()
-    return _counts(*counts)
+        limit = limits.get(column, limits[""])
+        ignored = column in tolerance["not_compared"]
+        total += Comparison(same=len(old)) if ignored else _columns(old[column], new[column], limit, column)
+    return total
 
 
-def _images(committed: Path, rerun: Path, tolerance: dict) -> dict[str, int]:
+def _columns(a: pd.Series, b: pd.Series, limit: float, name: str) -> Comparison:
+    same = (a == b) | (a.isna() & b.isna())
+    numeric = pd.api.types.is_numeric_dtype(a) and pd.api.types.is_numeric_dtype(b)
+    if same.all() or not numeric:
+        return Comparison(same=int(same.sum()), different=int((~same).sum()), where="" if same.all() else name)
+    a, b = a.to_numpy(dtype=float), b.to_numpy(dtype=float)
+    apart = np.where(same, 0.0, np.abs(a - b) / np.nanmax(np.abs(a), initial=np.finfo(float).tiny))
+    near = apart <= limit  # false where only one of both is a number
+    counts = (int(mask.sum()) for mask in (same, near & ~same, ~near))
+    largest = float(np.nan_to_num(apart, nan=np.inf).max())
+    return Comparison(*counts, largest, name)
+
+
+def _images(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
     old, new = matplotlib.image.imread(committed), matplotlib.image.imread(rerun)
     if old.shape != new.shape:
-        return _counts(different=1)
+        return Comparison(different=1, where="the size of the image")
     if np.array_equal(old, new):
-        return _counts(same=1)
+        return Comparison(same=1)
     grey_levels = 255 * np.sqrt(np.mean((old.astype(float) - new) ** 2))
-    return _counts(near=1) if grey_levels <= tolerance["image_rms"] else _counts(different=1)
+    if grey_levels <= tolerance["image_rms"]:
+        return Comparison(near=1)
+    return Comparison(different=1, where=f"the image, {grey_levels:.1f} grey levels")

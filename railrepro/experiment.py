@@ -89,12 +89,15 @@ class Experiment:
         )
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
-        """Row of metrics (SI) and the kept series."""
+        """Row of metrics (SI) and the kept series; of a failed run the place instead of how well it followed."""
         run, vehicle = self.run(), self.car()
         values = metrics.summary(run.series, vehicle.drive.torque_limit)
+        if run.failed:
+            values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
         values |= metrics.longitudinal(run.series, self.scenario, vehicle)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label}
         row |= {name: value for name, (value, _) in values.items()}
+        row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
         solves = [solve for controller in run.controllers for solve in controller.stats]
         row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
         row |= {"fallbacks": sum(solve.fallback for solve in solves)}

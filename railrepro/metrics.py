@@ -14,6 +14,11 @@ from railrepro.parameters import Vehicle
 from railrepro.scenarios import Scenario
 
 
+def order_of_magnitude(value: float, floor: float) -> float:
+    """Smallest power of ten above |value|, `floor` at least: what can be said of a difference that is rounding."""
+    return float(10.0 ** np.ceil(np.log10(max(abs(value), floor))))
+
+
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
     """y_TrAx - y* (m), shape (n,)."""
     return (series[f"{gear}.y"] - series[f"{gear}.y_ref"]).to_numpy()

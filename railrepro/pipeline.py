@@ -1,4 +1,4 @@
-"""Running the notebooks: graph, staleness by content, atomic products, provenance, HTML book, comparison of reruns.
+"""Running the notebooks: graph, staleness by content, atomic products, provenance, HTML book.
 
 notebooks/chain.toml is the one source of the graph. Only this module imports papermill, and only when something runs,
 so that a run with nothing to do costs a fraction of a second.
@@ -177,7 +177,7 @@ def refresh(name: str) -> None:
     _write(stamp, json.dumps({"inputs": inputs, "products": products}, indent=1))
 
 
-def run_notebook(notebook: Notebook, parameters: dict, root: Path, executed: Path) -> Path:
+def run_notebook(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Path:
     """Execute a notebook and move its products below `root`.
 
     Parameters
@@ -189,6 +189,8 @@ def run_notebook(notebook: Notebook, parameters: dict, root: Path, executed: Pat
         Products land in root/data and root/figures; reads prefer files there.
     executed : Path
         Folder of the executed notebook; a failed one is kept there as NAME.failed.ipynb.
+    keep_going : bool
+        A failing cell does not stop the rest; the products that there are land below `root` before the error is raised.
 
     Returns
     -------
@@ -217,13 +219,22 @@ def run_notebook(notebook: Notebook, parameters: dict, root: Path, executed: Pat
                 if (root / read).exists():
                     (staging / read).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy2(root / read, staging / read)
-        _execute(notebook, parameters, staging, scratch, executed / f"{notebook.name}.failed.ipynb")
+        failure = None
+        try:
+            _execute(notebook, parameters, staging, scratch, executed / f"{notebook.name}.failed.ipynb", keep_going)
+        except InputError as error:
+            if not keep_going:
+                raise
+            failure = error
         missing = [product for product in notebook.products if not (staging / product).exists()]
-        if missing:
+        if missing and not failure:
             raise InputError(f"{notebook.name}: did not write {missing[0]}, which chain.toml declares")
         for product in notebook.products:
-            (root / product).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(staging / product, root / product)
+            if product not in missing:
+                (root / product).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(staging / product, root / product)
+        if failure:
+            raise failure
         os.replace(scratch, result)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
@@ -256,7 +267,7 @@ def _environment(**values: str):
                 os.environ[key] = value
 
 
-def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, failed: Path) -> None:
+def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, failed: Path, keep_going: bool) -> None:
     """Run papermill into `output`; on failure keep `failed` and raise one line."""
     import nbformat
     import papermill
@@ -281,6 +292,7 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
         try:
             bar = {"desc": notebook.name, "leave": False} if sys.stderr.isatty() else False
             options = {"parameters": parameters, "kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": bar}
+            options["allow_errors"] = keep_going
             papermill.execute_notebook(str(notebook.path), str(output), **options)
         except papermill.PapermillExecutionError as error:
             _deterministic(output)
@@ -296,10 +308,10 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
 
 
 def _quiet_kernel(folder: Path) -> None:
-    """Kernel settings: no notice about the transport on stderr."""
+    """Kernel settings: neither notices about the transport on stderr nor the interrupt that ends an idle kernel."""
     profile = folder / "profile_default"
     profile.mkdir(parents=True, exist_ok=True)
-    _write(profile / "ipython_kernel_config.py", "c = get_config()\nc.IPKernelApp.log_level = 40\n")
+    _write(profile / "ipython_kernel_config.py", "c = get_config()\nc.IPKernelApp.log_level = 50\n")
 
 
 def _short(path: Path) -> str:
@@ -420,35 +432,10 @@ def verify_tolerance() -> dict:
     return tomllib.loads((paths.NOTEBOOKS / "chain.toml").read_text())["verify"]
 
 
-def verify() -> int:
-    """Rerun every notebook beside the checkout and compare the numbers and images with the committed ones.
-
-    Returns
-    -------
-    int
-        1 when something differs by more than the tolerance of chain.toml, else 0.
-    """
-    from railrepro import compare
-
-    root = paths.BUILD / "verify"
-    shutil.rmtree(root, ignore_errors=True)
-    tolerance, total = verify_tolerance(), {}
-    for notebook in chain():
-        print(f"{notebook.name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
-        run_notebook(notebook, notebook.parameters, root, root / "notebooks")
-        for product in notebook.products:
-            if product.endswith(compare.SUFFIXES):
-                counts = compare.compare(paths.ROOT / product, root / product, tolerance)
-                total = {kind: total.get(kind, 0) + count for kind, count in counts.items()}
-                print(f"{product}: " + ", ".join(f"{count} {kind}" for kind, count in counts.items()), flush=True)
-    print("all: " + ", ".join(f"{count} {kind}" for kind, count in total.items()))
-    return int(total[compare.DIFFERENT] > 0)
-
-
 def main(arguments: list[str] | None = None) -> int:
-    """Command line: rules, run NAME, verify, html, strip."""
+    """Command line: rules, run NAME, html, strip."""
     parser = argparse.ArgumentParser(prog="python -m railrepro.pipeline", description=__doc__.splitlines()[0])
-    parser.add_argument("command", choices=("rules", "run", "verify", "html", "strip"))
+    parser.add_argument("command", choices=("rules", "run", "html", "strip"))
     parser.add_argument("name", nargs="?")
     chosen = parser.parse_args(arguments)
     try:
@@ -456,8 +443,6 @@ def main(arguments: list[str] | None = None) -> int:
             print(rules())
         elif chosen.command == "run":
             refresh(chosen.name)
-        elif chosen.command == "verify":
-            return verify()
         elif chosen.command == "html":
             print(html())
         else:

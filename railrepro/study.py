@@ -54,7 +54,7 @@ def _keep(task: tuple[Callable, object, Path]) -> None:
 
 
 def _row(experiment: Experiment) -> dict:
-    names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed")
+    names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed", "failed_at_m")
     row, _ = experiment()
     return {**experiment.label, **{name: _plain(row.get(name)) for name in names}}
 
@@ -73,7 +73,7 @@ def stability(
     Returns
     -------
     DataFrame
-        speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, largest_error, …, failed.
+        speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, …, failed, failed_at_m.
     """
     tuned = tuning.load("nmpc")["parameters"]
     experiments = []

@@ -23,4 +23,4 @@ def differing(notebook, root):
     """Products that are not those of the checkout."""
     tolerance = pipeline.verify_tolerance()
     compared = [product for product in notebook.products if product.endswith(compare.SUFFIXES)]
-    return [p for p in compared if compare.compare(paths.ROOT / p, root / p, tolerance)[compare.DIFFERENT]]
+    return [p for p in compared if compare.compare(paths.ROOT / p, root / p, tolerance).different]

@@ -1,0 +1,99 @@
+"""Verification: every product is compared whatever one notebook says, and other compilers are other cache entries."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from railrepro import codegen, paths, pipeline, verify
+from railrepro.compare import Comparison
+from railrepro.errors import InputError
+
+CHAIN = """
+[verify]
+relative = 1e-5
+image_rms = 2.0
+not_compared = ["seconds"]
+[verify.columns]
+"one.csv" = { loose = 1e-2 }
+[[notebook]]
+name = "01_one"
+title = "one"
+writes = ["data/one.csv", "data/late.csv"]
+[[notebook]]
+name = "02_two"
+title = "two"
+writes = ["data/two.csv"]
+"""
+WRITE = "from railrepro import paths\npaths.product('data/{}').write_text('{}')"
+
+
+def notebook(folder, name, cells):
+    def cell(i, source):
+        empty = {"metadata": {}, "outputs": [], "execution_count": None}
+        return {"cell_type": "code", "id": f"c{i}", "source": source} | empty
+
+    metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    content = {"cells": [cell(*c) for c in enumerate(cells)], "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+    (folder / f"{name}.ipynb").write_text(json.dumps(content))
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch):
+    """Two notebooks; the first fails between its products."""
+    for folder in ("notebooks", "data", "build"):
+        (tmp_path / folder).mkdir()
+    for name in ("ROOT", "DATA", "FIGURES", "NOTEBOOKS", "BUILD"):
+        monkeypatch.setattr(paths, name, tmp_path if name == "ROOT" else tmp_path / name.lower())
+    os.symlink(codegen.__file__.rsplit("/railrepro/", 1)[0] + "/railrepro", tmp_path / "railrepro")
+    folder = tmp_path / "notebooks"
+    (folder / "chain.toml").write_text(CHAIN)
+    rows = "a,loose,seconds\\n1,100,1\\n3,{},9\\n"
+    cells = [WRITE.format("one.csv", rows.format("200.5")), "assert False, 'odd'", WRITE.format("late.csv", "a\\n1\\n")]
+    notebook(folder, "01_one", cells)
+    notebook(folder, "02_two", [WRITE.format("two.csv", "a\\n1\\n2.5\\n")])
+    committed = {"one": "a,loose,seconds\n1,100,1\n3,200,2\n", "late": "a\n1\n", "two": "a\n1\n2\n"}
+    for name, text in committed.items():
+        (tmp_path / "data" / f"{name}.csv").write_text(text)
+    return tmp_path
+
+
+def test_one_failing_notebook_hides_nothing(checkout):
+    total, findings = verify.rerun(pipeline.chain(), paths.BUILD / "verify")
+    assert any("01_one" in line and "odd" in line for line in findings)
+    assert any(line.startswith("data/two.csv") and "2.0e-01 in a" not in line and " in a" in line for line in findings)
+    assert not any(line.startswith(("data/one.csv", "data/late.csv")) for line in findings)
+    assert (total.different, total.near) == (1, 1)
+    assert total.largest == pytest.approx(0.25)
+    assert (checkout / "data/two.csv").read_text() == "a\n1\n2\n"
+
+
+def test_sums_keep_the_largest_difference():
+    total = Comparison(1, 2, 0, 1e-7, "x") + Comparison(3, 0, 4, 1e-3, "y") + Comparison(same=1)
+    assert (total.same, total.near, total.different, total.largest, total.where) == (5, 2, 4, 1e-3, "y")
+
+
+def test_unknown_variants_are_told_in_one_sentence():
+    with pytest.raises(InputError, match="variant 'v9' is not known"):
+        verify.variants(["v9"])
+
+
+@pytest.mark.skipif(codegen.compiler() is None, reason="there is no C compiler")
+def test_flags_are_part_of_the_cache_key(tmp_path):
+    script = "from railrepro import codegen; print(codegen.build('int railrepro_nothing(void) { return 0; }\\n'))"
+    objects = set()
+    for flags in ("-O2", "-O0", "-O2 -march=native"):
+        environment = os.environ | {"RAILREPRO_CFLAGS": flags, "RAILREPRO_ROOT": str(tmp_path)}
+        done = subprocess.run(
+            [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+        )
+        objects.add(done.stdout.strip())
+    assert len(objects) == 3
+
+
+def test_no_flag_asks_for_this_very_processor_by_default(monkeypatch):
+    monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
+    assert not any(flag.startswith("-march") for flag in codegen.flags())
+    assert "-ffp-contract=off" in codegen.flags()
