@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from railrepro import bare_wheel, scenarios
+from railrepro.car.component import SteppedCar
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.fast import EstimateSettings
-from railrepro.experiment import Experiment
-from railrepro.parameters import load_vehicle
-from railrepro.stepping import SteppedCar
+from railrepro.control.law import EstimateSettings
+from railrepro.simulation import bare_wheel, scenarios
+from railrepro.studies.experiment import Experiment
+from railrepro.vehicle.parameters import load_vehicle
 
 LAW = AdhesionSettings()
 MAXIMUM = 0.0993

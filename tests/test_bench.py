@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from railrepro import bench, tuning
-from railrepro.guidance import mpc_settings
-from railrepro.parameters import load_vehicle
+from railrepro.control.registry import mpc_settings
+from railrepro.studies import bench, tuning
+from railrepro.vehicle.parameters import load_vehicle
 
 WINDOW = 15
 

@@ -5,8 +5,11 @@ import re
 import pandas as pd
 import pytest
 
-from railrepro import claims, paths, report, study
+from railrepro import paths
 from railrepro.errors import InputError
+from railrepro.report import claims
+from railrepro.report.text import render
+from railrepro.studies import robustness
 
 RESULTS = paths.ROOT / "data/results"
 needs_results = pytest.mark.skipif(
@@ -34,7 +37,7 @@ def test_evidence_exists():
 @needs_results
 def test_a_click_leads_from_claim_to_cell_and_data():
     table = claims.evaluate()
-    text = report.render(table, claims.load_claims())
+    text = render(table, claims.load_claims())
     links = re.findall(r"\]\(([^)#]+)(?:#cell-id=(\w+))?\)", text)
     for target, cell in links:
         assert (paths.ROOT / target).exists(), target
@@ -69,7 +72,7 @@ def test_a_changed_result_changes_the_verdict(monkeypatch):
 @needs_results
 def test_report_names_every_claim_and_discrepancy():
     known = claims.load_claims()
-    text = report.render(claims.evaluate(), known)
+    text = render(claims.evaluate(), known)
     assert all(claim["statement"] in text for claim in known.values())
     assert all(f"| D{i} |" in text for i in range(1, 11))
     assert (paths.ROOT / "REPLICATION.md").read_text() == text
@@ -81,17 +84,17 @@ def test_missing_results_are_told_in_one_sentence(monkeypatch):
 
 
 def test_samples_cover_the_ranges_and_are_reproducible():
-    samples = study.draw(16)
-    assert samples == study.draw(16)
+    samples = robustness.draw(16)
+    assert samples == robustness.draw(16)
     radii = [dict(s.vehicle)["wheel.radius"] for s in samples]
     assert 0.43 <= min(radii) < 0.45 and 0.48 < max(radii) <= 0.5
     assert {s.profile for s in samples} == {"cone", "s1002"}
 
 
 def test_a_sample_answers_the_claims():
-    samples = study.draw(2)[:1]
-    table = pd.DataFrame([study.evaluate(s) for s in samples])
-    found = study.verdicts(table, samples)
+    samples = robustness.draw(2)[:1]
+    table = pd.DataFrame([robustness.evaluate(s) for s in samples])
+    found = robustness.verdicts(table, samples)
     assert {"C05", "C06", "C19", "C30"} <= set(found["id"])
     assert set(found["id"]) <= set(claims.MEASURES)
     assert found["share"].between(0, 1).all()

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro import codegen, paths
+from railrepro import paths
+from railrepro.compile import codegen
 
 needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="there is no C compiler")
 
@@ -16,7 +17,7 @@ def test_lanes_equal_single_evaluations():
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
     wide = ca.vertcat(ca.sin(x[0]) / x[1], -ca.cos(x[1]) * p[0] - 2 * x[0] + x[1] ** 2, 1 / x[1], 3.5 + p[1])
     function = ca.Function("several", [x, p], [wide, ca.tan(p[0] * x[0])], ["x", "p"], ["first", "second"])
-    headers = "".join((paths.ROOT / "railrepro" / name).read_text() for name in ("call.h", "lanes.h"))
+    headers = "".join((paths.ROOT / "railrepro" / "compile" / name).read_text() for name in ("call.h", "lanes.h"))
     entry = """
 void run(const double *x, const double *p, double *first, double *second) {
   lanes_t in[2], out[4], last[1];

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from railrepro import contact, normal, profiles
-from railrepro.parameters import load_vehicle
+from railrepro.contact import normal, profiles
+from railrepro.contact.table import contact_table, equivalent_conicity, rigid_contact
+from railrepro.vehicle.parameters import load_vehicle
 
 
 @pytest.fixture(scope="module")
 def table():
-    return contact.contact_table("s1002", load_vehicle(**{"contact.profile": "s1002"})).frame
+    return contact_table("s1002", load_vehicle(**{"contact.profile": "s1002"})).frame
 
 
 @pytest.mark.parametrize(
@@ -22,7 +23,7 @@ def table():
     ],
 )
 def test_rigid_points(shift, position, slope, radius):
-    found = contact.rigid_contact([1e-3 * shift], 0.425).iloc[0]
+    found = rigid_contact([1e-3 * shift], 0.425).iloc[0]
     assert 1e3 * found["position_m"] == pytest.approx(position, abs=0.06)
     assert found["tan_angle"] == pytest.approx(slope, abs=5e-4)
     assert 1e3 * found["rolling_radius_m"] == pytest.approx(radius, abs=0.002)
@@ -36,9 +37,9 @@ def test_profiles_meet_their_check_points():
 
 
 def test_equivalent_conicity_under_load(table):
-    found = contact.equivalent_conicity(table["shift_m"], table["rolling_radius_m"], 3e-3)
+    found = equivalent_conicity(table["shift_m"], table["rolling_radius_m"], 3e-3)
     assert found == pytest.approx(0.171, abs=0.01)
-    cone = contact.equivalent_conicity(table["shift_m"], 0.05 * table["shift_m"], 3e-3)
+    cone = equivalent_conicity(table["shift_m"], 0.05 * table["shift_m"], 3e-3)
     assert cone == pytest.approx(0.05, rel=1e-3)
 
 

@@ -6,16 +6,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro import scenarios
 from railrepro.control.adhesion import AdhesionSettings, base_torque
-from railrepro.control.integration import allocate
+from railrepro.control.allocation import allocate
 from railrepro.control.ltv_mpc import LTVMPC
-from railrepro.control.mpc import MPCSettings
 from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
+from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
-from railrepro.parameters import load_vehicle
-from railrepro.preview import believed, forecast
+from railrepro.model.forecast import believed, forecast
+from railrepro.simulation import scenarios
+from railrepro.vehicle.parameters import load_vehicle
 
 LIMIT = 4000.0
 

@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro import creep
-from railrepro.contact import CONE_AXES, contact_table
+from railrepro.contact import creep
+from railrepro.contact.table import CONE_AXES, contact_table
 from railrepro.errors import InputError
-from railrepro.parameters import load_vehicle
+from railrepro.vehicle.parameters import load_vehicle
 
 A, B = CONE_AXES
 LOAD, SHEAR = 78.5e3, 8.2e10

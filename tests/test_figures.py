@@ -3,7 +3,8 @@
 import pandas as pd
 import pytest
 
-from railrepro import compare, figures, pipeline
+from railrepro.chain import compare, pipeline
+from railrepro.report import figures
 
 
 def test_equal_figures_give_equal_bytes(tmp_path, monkeypatch):

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from railrepro import derivation, model, multipliers
 from railrepro.errors import InputError
-from railrepro.parameters import load_vehicle
+from railrepro.model import derivation, multipliers
+from railrepro.model.control_model import control_model, discretise
+from railrepro.vehicle.parameters import load_vehicle
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +16,7 @@ def vehicle():
 
 @pytest.fixture(scope="module")
 def corrected(vehicle):
-    found = model.control_model()
+    found = control_model()
     return lambda x, u, theta: np.array(found.rhs(x, u, theta, found.parameter_vector(vehicle))).ravel()
 
 
@@ -80,7 +81,7 @@ def test_power_of_the_torques_becomes_energy_and_dissipation(vehicle):
         d.kappa_CB: 0,
         d.m_CB: vehicle.body.mass,
     }
-    found = model.control_model()
+    found = control_model()
     numbers = dict(zip(d.parameters, found.parameter_vector(vehicle), strict=True))
     kinematics = d.constraints(frozenset())
     energy = (
@@ -109,7 +110,7 @@ def test_power_of_the_torques_becomes_energy_and_dissipation(vehicle):
 
 
 def test_spurious_yaw_stiffness_of_the_printed_substitution(vehicle):
-    numbers = dict(zip(derivation.parameters, model.control_model().parameter_vector(vehicle), strict=True))
+    numbers = dict(zip(derivation.parameters, control_model().parameter_vector(vehicle), strict=True))
     speed = {"v": 280 / 3.6, derivation.m_CB: vehicle.body.mass}
     straight, printed = (derivation.linearised_yaw_equation(frozenset(kept))["psi"] for kept in ((), ("D1",)))
     assert float(straight.subs(numbers).subs(speed)) < 0
@@ -117,13 +118,13 @@ def test_spurious_yaw_stiffness_of_the_printed_substitution(vehicle):
 
 
 def test_discretisations_converge_with_their_orders(vehicle):
-    found = model.control_model()
+    found = control_model()
     par = found.parameter_vector(vehicle)
     x, theta = np.array([0, 1e-3, 60.0, 5e-3, 1e-3, 1e-3]), np.zeros(9)
     theta[8] = vehicle.body.mass
 
     def after(method, steps):
-        step, state = model.discretise(found, method), x
+        step, state = discretise(found, method), x
         for _ in range(steps):
             state = np.array(step(state, [-500, 500], theta, par, 0.2 / steps)).ravel()
         return state[4]
@@ -136,8 +137,8 @@ def test_discretisations_converge_with_their_orders(vehicle):
 
 def test_unknown_names_are_refused():
     with pytest.raises(InputError, match="variant"):
-        model.control_model("improved")
+        control_model("improved")
     with pytest.raises(InputError, match="D9"):
-        model.control_model(discrepancies=["D9"])
+        control_model(discrepancies=["D9"])
     with pytest.raises(InputError, match="discretisation"):
-        model.discretise(model.control_model(), "heun")
+        discretise(control_model(), "heun")

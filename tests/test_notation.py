@@ -6,8 +6,11 @@ import re
 
 import pytest
 
-from railrepro import derivation, notation, parameters, plant
-from railrepro.control import fast
+from railrepro.car import equations
+from railrepro.control import law
+from railrepro.model import derivation
+from railrepro.report import notation
+from railrepro.vehicle import parameters
 
 TABLE = notation.table()
 
@@ -47,7 +50,7 @@ def exists(owner, path):
 @pytest.mark.parametrize(("kind", "name"), sorted({entry for cell in TABLE["python"] for entry in names(cell)}))
 def test_name_exists(kind, name):
     if kind == "series":
-        assert name in {*plant.car().outputs, *fast.RECORD}
+        assert name in {*equations.car().outputs, *law.RECORD}
     elif kind == "vehicle":
         assert exists(parameters.load_vehicle(), name.split("."))
     else:
@@ -55,7 +58,7 @@ def test_name_exists(kind, name):
 
 
 def test_an_invented_name_is_found_out():
-    assert not exists(importlib.import_module("railrepro"), ["derivation", "nonsense"])
+    assert not exists(importlib.import_module("railrepro"), ["model", "derivation", "nonsense"])
     assert not exists(parameters.load_vehicle(), ["wheel", "colour"])
     assert not exists(parameters.load_vehicle(), ["adhesion", "dry", "colour"])
 
@@ -65,6 +68,6 @@ def test_all_of_the_control_model_is_there():
     symbols = {id(value): name for name, value in vars(derivation).items()}
     quantities = [*derivation.parameters, *derivation.theta, *derivation.torques, *derivation.rates[:2]]
     for quantity in [*quantities, *derivation.coordinates[:3]]:
-        assert f"railrepro.derivation.{symbols[id(quantity)]}" in listed
+        assert f"railrepro.model.derivation.{symbols[id(quantity)]}" in listed
     keys = set(parameters.describe().query("symbol != '-'")["key"])
     assert {f"vehicle {key}" for key in keys} <= set(TABLE["python"])

@@ -2,7 +2,8 @@
 
 import pytest
 
-from railrepro import compare, paths, pipeline
+from railrepro import paths
+from railrepro.chain import compare, pipeline
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import pytest
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.parameters import describe, load_vehicle, sample_ranges
+from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
 
 
 def test_derived_quantities():

@@ -6,7 +6,8 @@ import re
 
 import pytest
 
-from railrepro import paths, pipeline
+from railrepro import paths
+from railrepro.chain import pipeline
 from railrepro.errors import InputError
 
 CELLS = [

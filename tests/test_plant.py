@@ -5,14 +5,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro import exchange, plant, route
-from railrepro.contact import CONE_AXES, contact_table
-from railrepro.control import fast
+from railrepro.car import equations
+from railrepro.car.component import SteppedCar
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.contact.creep import kalker_coefficients
+from railrepro.contact.table import CONE_AXES, contact_table
+from railrepro.control import law
 from railrepro.control.ndi import NDISettings
-from railrepro.creep import kalker_coefficients
-from railrepro.parameters import load_vehicle
-from railrepro.stepping import SteppedCar
-from railrepro.track import load_track
+from railrepro.simulation import exchange
+from railrepro.track import route
+from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import load_vehicle
 
 KMH = 1 / 3.6
 
@@ -36,9 +39,9 @@ def start(
     """An exchange at rest state (or `state`) on a named track."""
     table = contact_table(vehicle.contact.profile, vehicle)
     way = route.lay(load_track(track), reference, **lay)
-    gains = fast.gain_vector(vehicle, ndi, lateral=0.03, track_end=way.length, stop_speed=-1.0)
-    parameters = plant.parameter_vector(vehicle) if parameters is None else parameters
-    state = plant.rest_state(vehicle, table, speed) if state is None else state
+    gains = law.gain_vector(vehicle, ndi, lateral=0.03, track_end=way.length, stop_speed=-1.0)
+    parameters = equations.parameter_vector(vehicle) if parameters is None else parameters
+    state = equations.rest_state(vehicle, table, speed) if state is None else state
     return exchange.Exchange(parameters, table, way, gains, state, compiled)
 
 
@@ -48,13 +51,13 @@ def frame(rows, coupled):
 
 def energies(coupled):
     coupled.measure()
-    return np.array(plant.car().energy(*coupled.inputs())).ravel()
+    return np.array(equations.car().energy(*coupled.inputs())).ravel()
 
 
 def conservative(vehicle):
     """Plant parameters without any damping or friction."""
-    values = plant.parameter_vector(vehicle)
-    for i, name in enumerate(plant.PARAMETERS):
+    values = equations.parameter_vector(vehicle)
+    for i, name in enumerate(equations.PARAMETERS):
         if name.startswith("suspension.c_") or name.endswith("_damping"):
             values[i] = 0.0
         if name.endswith(".mu0"):
@@ -67,15 +70,15 @@ def test_static_wheel_loads_carry_the_car(vehicle):
     log = frame(coupled.run(4000), coupled).iloc[-1]
     weight = (vehicle.body.mass + 2 * vehicle.gear.mass) * vehicle.gravity / 4
     cone = vehicle.wheel.cone_angle
-    for wheel in plant.WHEELS:
+    for wheel in equations.WHEELS:
         outwards = log[f"{wheel}.Fy"] if wheel.endswith("ri") else -log[f"{wheel}.Fy"]
         assert log[f"{wheel}.N"] * np.cos(cone) + outwards * np.sin(cone) == pytest.approx(weight, rel=1e-4)
 
 
 def test_energy_of_the_free_car_is_conserved(vehicle):
     table = contact_table("cone", vehicle)
-    state = plant.rest_state(vehicle, table, 50.0)
-    names = {name: i for i, name in enumerate(plant.STATES)}
+    state = equations.rest_state(vehicle, table, 50.0)
+    names = {name: i for i, name in enumerate(equations.STATES)}
     state[[names["body.y"], names["body.phi"], names["front.y"], names["rear.y"]]] = (
         0.002,
         0.002,
@@ -96,7 +99,7 @@ def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
         coupled.run(1)
         balance.append(energies(coupled))
     energy, motor, damping, creep = np.array(balance).T
-    work = np.trapezoid(motor - damping - creep, dx=plant.EXCHANGE_PERIOD)
+    work = np.trapezoid(motor - damping - creep, dx=EXCHANGE_PERIOD)
     assert energy[-1] - energy[0] == pytest.approx(work, rel=1e-4)
     assert motor.max() > 1e5
 
@@ -105,7 +108,7 @@ def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
 def test_left_and_right_curves_mirror(vehicle, profile):
     from dataclasses import replace
 
-    from railrepro.track import Track
+    from railrepro.track.table import Track
 
     table = contact_table(profile, vehicle)
     track = load_track("T3")
@@ -115,9 +118,9 @@ def test_left_and_right_curves_mirror(vehicle, profile):
     logs = []
     for sign, geometry in ((1, track), (-1, replace(track, table=flipped))):
         way = route.lay(geometry, route.sweep(sign * 2e-3, 150, 60, 25, 500))
-        gains = fast.gain_vector(vehicle, NDISettings(), lateral=0.03, track_end=500.0, stop_speed=-1.0)
-        rest = plant.rest_state(vehicle, table, 280 * KMH)
-        coupled = exchange.Exchange(plant.parameter_vector(vehicle), table, way, gains, rest)
+        gains = law.gain_vector(vehicle, NDISettings(), lateral=0.03, track_end=500.0, stop_speed=-1.0)
+        rest = equations.rest_state(vehicle, table, 280 * KMH)
+        coupled = exchange.Exchange(equations.parameter_vector(vehicle), table, way, gains, rest)
         logs.append(frame(coupled.run(3000), coupled))
     right, left = logs
     assert isinstance(track, Track)
@@ -167,7 +170,7 @@ def test_compiled_and_interpreted_loops_agree(vehicle):
 def test_step_converges_with_order_three_on_a_smooth_stretch(vehicle):
     coupled = start(vehicle, "T4", 400 * KMH, NDISettings(frequency=20, pole=20))
     coupled.run(1500)
-    car, x0 = plant.car(), coupled.state.copy()
+    car, x0 = equations.car(), coupled.state.copy()
     torque = np.array([300.0, -300.0, -200.0, 200.0])
 
     def after(n):
@@ -186,8 +189,8 @@ def test_jacobian_of_the_step_is_the_derivative_of_the_rate(vehicle):
     """A wrong chain rule would cost the order silently; a linear test problem would not see it."""
     coupled = start(vehicle, "T3", 280 * KMH, NDISettings())
     coupled.run(700)
-    car = plant.car()
-    x = ca.SX.sym("x", len(plant.STATES))
+    car = equations.car()
+    x = ca.SX.sym("x", len(equations.STATES))
     inputs = coupled.inputs()[1:]
     jacobian = np.array(ca.Function("J", [x], [ca.jacobian(car.rate(x, *inputs), x)])(coupled.state))
     h = 1e-3
@@ -215,8 +218,8 @@ def test_braking_holds_the_car_at_standstill(vehicle):
 
 def test_a_wheel_that_lifts_carries_nothing_and_the_run_stays_finite(vehicle):
     table = contact_table("cone", vehicle)
-    state = plant.rest_state(vehicle, table, 30.0)
-    names = {name: i for i, name in enumerate(plant.STATES)}
+    state = equations.rest_state(vehicle, table, 30.0)
+    names = {name: i for i, name in enumerate(equations.STATES)}
     state[names["front.z"]] -= 0.02
     coupled = start(vehicle, state=state)
     log = frame(coupled.run(3000), coupled)
@@ -250,9 +253,9 @@ def test_small_traction_slips_by_kalkers_longitudinal_coefficient():
     car = SteppedCar("T5", 60.0, vehicle)
     car.step(np.full(4, 100.0), 3000)
     out, (a, b) = car.outputs, CONE_AXES
-    law = vehicle.adhesion["dry"]
+    adhesion = vehicle.adhesion["dry"]
     linear = vehicle.contact.shear_modulus * a * b * float(kalker_coefficients(a / b)[0])
-    expected = linear * (law.k_a + law.k_s) / 2
+    expected = linear * (adhesion.k_a + adhesion.k_s) / 2
     assert -out["front_le.Fx"] / out["front_le.nu_x"] == pytest.approx(expected, rel=0.05)
 
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from railrepro import metrics, scenarios, simulate
-from railrepro.control.mpc import MPCSettings
 from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
+from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
-from railrepro.experiment import Experiment
-from railrepro.parameters import load_vehicle
+from railrepro.simulation import metrics, scenarios, simulate
+from railrepro.studies.experiment import Experiment
+from railrepro.vehicle.parameters import load_vehicle
 
 
 @pytest.fixture(scope="module")

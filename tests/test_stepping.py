@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
-from railrepro import codegen, exchange, plant, route
-from railrepro.control import fast
-from railrepro.parameters import load_vehicle
-from railrepro.stepping import SteppedCar, export_fmu
-from railrepro.track import load_track
+from railrepro.car import equations
+from railrepro.car.component import SteppedCar
+from railrepro.car.fmu import export_fmu
+from railrepro.compile import codegen
+from railrepro.control import law
+from railrepro.simulation import exchange
+from railrepro.track import route
+from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import load_vehicle
 
 TORQUE = np.array([300.0, -300.0, 150.0, -150.0])
 
@@ -15,16 +19,16 @@ TORQUE = np.array([300.0, -300.0, 150.0, -150.0])
 def test_stepping_gives_what_the_exchange_gives():
     car = SteppedCar("T3", 50.0)
     way, vehicle = route.lay(load_track("T3")), load_vehicle()
-    gains = fast.gain_vector(vehicle, None, lateral=0.03, track_end=way.length, stop_speed=-1.0)
-    start = plant.rest_state(vehicle, car.table, 50.0)
-    coupled = exchange.Exchange(plant.parameter_vector(vehicle), car.table, way, gains, start)
+    gains = law.gain_vector(vehicle, None, lateral=0.03, track_end=way.length, stop_speed=-1.0)
+    start = equations.rest_state(vehicle, car.table, 50.0)
+    coupled = exchange.Exchange(equations.parameter_vector(vehicle), car.table, way, gains, start)
     coupled.held[:] = 20.0
     log = coupled.run(500)
     for row in log:
         car.step(
             [
                 row[coupled.columns.index(f"{wheel[:-3]}.du")] * (1 if wheel.endswith("le") else -1)
-                for wheel in plant.WHEELS
+                for wheel in equations.WHEELS
             ]
         )
     assert np.allclose(car.state, coupled.state, rtol=1e-12, atol=1e-12)
@@ -34,8 +38,8 @@ def test_linearisation_predicts_a_small_step():
     car = SteppedCar("T5", 60.0)
     car.step(exchanges=2000)
     model, before = car.linearise(), car.state.copy()
-    assert list(model.a.columns) == list(plant.STATES) and list(model.b.columns) == list(plant.WHEELS)
-    names = list(plant.STATES)
+    assert list(model.a.columns) == list(equations.STATES) and list(model.b.columns) == list(equations.WHEELS)
+    names = list(equations.STATES)
     car.step(TORQUE, period=1e-5)
     lag = load_vehicle().drive.lag
     rise = (car.state - before)[names.index("tau.front_le")]
@@ -47,7 +51,7 @@ def test_energies_and_outputs_are_named():
     car = SteppedCar("T5", 50.0)
     car.step(TORQUE, 200)
     assert car.energies["motor_W"] == pytest.approx(
-        sum(car.outputs[f"{w}.tau"] * car.outputs[f"{w}.w"] for w in plant.WHEELS), rel=1e-3
+        sum(car.outputs[f"{w}.tau"] * car.outputs[f"{w}.w"] for w in equations.WHEELS), rel=1e-3
     )
     assert car.outputs["front_le.N"] > 5e4
 
@@ -65,7 +69,7 @@ def test_a_broken_state_is_named_and_kept_out():
 def test_fmu_runs_in_fmpy_to_the_same_trajectory(tmp_path):
     fmpy = pytest.importorskip("fmpy")
     file = export_fmu(tmp_path / "car.fmu", "T3", 60.0)
-    names = [f"tau_{wheel}" for wheel in plant.WHEELS]
+    names = [f"tau_{wheel}" for wheel in equations.WHEELS]
     signal = np.array([(0.0, *TORQUE), (2.0, *TORQUE)], dtype=[("time", float), *((n, float) for n in names)])
     found = fmpy.simulate_fmu(
         str(file), stop_time=1.0, output_interval=0.01, input=signal, output=["front.y", "body.phi"]

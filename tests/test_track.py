@@ -6,8 +6,10 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from railrepro import track
 from railrepro.errors import InputError
+from railrepro.track.alignment import alignments, superelevation
+from railrepro.track.irregularity import irregularities, irregularity_spectrum
+from railrepro.track.table import Track, build_table, load_track, read_table, write_table
 
 OWN = """
 [hill]
@@ -23,13 +25,13 @@ segments = [
 def hill(tmp_path):
     file = tmp_path / "tracks.toml"
     file.write_text(OWN)
-    return track.Track("hill", track.build_table(track.alignments(file)["hill"]))
+    return Track("hill", build_table(alignments(file)["hill"]))
 
 
 @pytest.mark.parametrize(("name", "printed"), [("T1", 0.108), ("T2", 0.168), ("T3", 0.151), ("T4", 0.123)])
 def test_superelevations_of_table_one(name, printed):
-    angle = track.alignments()[name].segments[-1].phi[0]
-    assert round(track.superelevation(angle), 3) == printed
+    angle = alignments()[name].segments[-1].phi[0]
+    assert round(superelevation(angle), 3) == printed
 
 
 def test_turn_rate_of_the_track_frame_matches_differentiated_rotations(hill):
@@ -60,7 +62,7 @@ def test_position_is_the_integral_of_the_tangent(hill):
 
 
 def test_clothoid_is_exact_between_the_rows():
-    t2 = track.load_track("T2")
+    t2 = load_track("T2")
     p = np.array([100.13])
     psi, kappa, *_ = t2.interpolate(p)[:, 0]
     assert kappa == pytest.approx((p[0] - 25) / 269 / 1500, rel=1e-12)
@@ -68,13 +70,13 @@ def test_clothoid_is_exact_between_the_rows():
 
 
 def test_table_survives_its_csv_exactly(tmp_path):
-    table = track.load_track("T1").table
-    track.write_table(table, tmp_path / "T1.csv")
-    assert track.read_table(tmp_path / "T1.csv").equals(table)
+    table = load_track("T1").table
+    write_table(table, tmp_path / "T1.csv")
+    assert read_table(tmp_path / "T1.csv").equals(table)
 
 
 def spoil(tmp_path, change):
-    table = track.load_track("T3").table.iloc[:200].copy()
+    table = load_track("T3").table.iloc[:200].copy()
     table = change(table)
     file = tmp_path / "own.csv"
     table.to_csv(file, index=False)
@@ -103,7 +105,7 @@ def set_cell(row, column, value):
 )
 def test_wrong_tables_are_refused_with_one_sentence(tmp_path, change, sentence):
     with pytest.raises(InputError, match=sentence) as refused:
-        track.load_track(str(spoil(tmp_path, change)))
+        load_track(str(spoil(tmp_path, change)))
     assert "own.csv" in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -121,15 +123,15 @@ def test_wrong_alignments_are_refused(tmp_path, text, sentence):
     file = tmp_path / "own.toml"
     file.write_text(text)
     with pytest.raises(InputError, match=sentence):
-        track.alignments(file)
+        alignments(file)
 
 
 def test_irregularities_have_the_spectrum_they_claim():
     p = np.arange(0, 8000, 0.5)
-    rows = track.irregularities(p, "erri_low", seed=4, longest=100.0)
+    rows = irregularities(p, "erri_low", seed=4, longest=100.0)
     frequency, density = signal.welch(rows["lateral_m"].to_numpy(), fs=2.0, nperseg=2048)
     band = (frequency > 0.03) & (frequency < 0.2)
-    expected = 2 * np.pi * track.irregularity_spectrum("erri_low", "lateral", 2 * np.pi * frequency[band])
+    expected = 2 * np.pi * irregularity_spectrum("erri_low", "lateral", 2 * np.pi * frequency[band])
     assert np.mean(density[band] / expected) == pytest.approx(1.0, abs=0.15)
-    assert not rows["lateral_m"].equals(track.irregularities(p, "erri_low", seed=5)["lateral_m"])
+    assert not rows["lateral_m"].equals(irregularities(p, "erri_low", seed=5)["lateral_m"])
     assert isinstance(rows, pd.DataFrame)

@@ -12,12 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from railrepro import paths, simulate, tuning
+from railrepro import paths
 from railrepro.control.ndi import NDISettings
+from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.errors import InputError
-from railrepro.executor import executor, ordered_map
-from railrepro.guidance import CONTROLLERS, guidance
-from railrepro.parameters import load_vehicle
+from railrepro.simulation import simulate
+from railrepro.studies import tuning
+from railrepro.studies.executor import executor, ordered_map
+from railrepro.vehicle.parameters import load_vehicle
 
 
 def short_task(**budget):
@@ -126,7 +128,7 @@ def test_an_absent_cluster_is_told_in_one_sentence(monkeypatch):
 
 WORKERS = """
 import fcntl, sys, time
-from railrepro.executor import executor, ordered_map
+from railrepro.studies.executor import executor, ordered_map
 def hold(path):
     with open(path, "w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -169,7 +171,7 @@ def test_workers_end_with_a_killed_parent(tmp_path):
 SCRIPT = """
 import sys
 from pathlib import Path
-from railrepro import pso
+from railrepro.studies import pso
 def cost(particles, limits):
     import time
     time.sleep(0.05)

@@ -7,8 +7,10 @@ import sys
 
 import pytest
 
-from railrepro import codegen, paths, pipeline, verify
-from railrepro.compare import Comparison
+from railrepro import paths
+from railrepro.chain import pipeline, verify
+from railrepro.chain.compare import Comparison
+from railrepro.compile import codegen
 from railrepro.errors import InputError
 
 CHAIN = """
@@ -82,7 +84,7 @@ def test_unknown_variants_are_told_in_one_sentence():
 
 @pytest.mark.skipif(codegen.compiler() is None, reason="there is no C compiler")
 def test_flags_are_part_of_the_cache_key(tmp_path):
-    script = "from railrepro import codegen; print(codegen.build('int railrepro_nothing(void) { return 0; }\\n'))"
+    script = "from railrepro.compile import codegen; print(codegen.build('int nothing(void) { return 0; }'))"
     objects = set()
     for flags in ("-O2", "-O0", "-O2 -march=native"):
         environment = os.environ | {"RAILREPRO_CFLAGS": flags, "RAILREPRO_ROOT": str(tmp_path)}

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from railrepro.plant import EXCHANGE_PERIOD
+from railrepro.clock import EXCHANGE_PERIOD
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from railrepro.control.mpc import PredictiveController
+from railrepro.control.predictive import PredictiveController
 
 
 @dataclass

@@ -68,7 +68,7 @@ def differential_torque(gear: dict, road: dict, integral, gain, model):
     SX
         du (N m).
 
-    Source: exact linearisation of the corrected yaw equation (`railrepro.derivation.linearised_yaw_equation`).
+    Source: exact linearisation of the corrected yaw equation (`railrepro.model.derivation.linearised_yaw_equation`).
     """
     v, vdot = gear["v"], gear["vdot"]
     psi_r, psidot_r = gear["psi_r"], gear["psidot_Ax"] - v * road["kappa"]

@@ -1,0 +1,256 @@
+"""Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, or S1002 on 60E1 at 1:40.
+
+The plant needs, at each shift u (positive towards the flange): the radius of the equivalent wheel on a knife-edge rail
+(its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and
+contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
+
+A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
+the patch spans the jump. So geometry is averaged over the elastic patch at nominal load, which makes it continuous.
+
+Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from railrepro.contact import normal, profiles
+from railrepro.contact.creep import kalker_coefficients
+from railrepro.errors import InputError
+from railrepro.vehicle.parameters import Vehicle
+
+_LINEAR = (
+    *("rolling_radius_m", "wheel_contact_m", "semi_axis_x_m", "semi_axis_y_m"),
+    *("c11", "c22", "c23", "normal_stiffness"),
+)
+CONE_AXES = (6.28e-3, 7.02e-3)
+"""Semi-axes of the contact ellipse of the cone at nominal load, along and across the rail (m)."""
+SHIFTS = np.arange(-150, 121) * 1e-4
+"""Shifts of the table of S1002 on 60E1 (m)."""
+_LATERAL_STEP = 2e-5
+"""Step of the profiles across the rail (m)."""
+
+
+@dataclass(frozen=True)
+class ContactTable:
+    """Contact quantities over the shift of a wheel towards its flange.
+
+    Attributes
+    ----------
+    name : str
+    frame : DataFrame
+        Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, wheel_contact_m (lateral position
+        on the wheel, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal load), c11, c22, c23,
+        normal_stiffness (N/m^1.5).
+    """
+
+    name: str
+    frame: pd.DataFrame
+
+    @property
+    def start(self) -> float:
+        """First shift (m)."""
+        return float(self.frame["shift_m"].iloc[0])
+
+    @property
+    def step(self) -> float:
+        """Grid step (m)."""
+        return float(self.frame["shift_m"].iloc[1] - self.start)
+
+    def cells(self) -> np.ndarray:
+        """Rows for the compiled plant, shape (n, 21).
+
+        Shift at the start of the cell; four coefficients of the effective radius as a cubic in the offset (value and
+        slope continuous); value and slope of eight further quantities.
+        """
+        shift = self.frame["shift_m"].to_numpy()
+        h = np.diff(shift)
+        radius, slope = (
+            self.frame["effective_radius_m"].to_numpy(),
+            np.tan(self.frame["angle_rad"].to_numpy()),
+        )
+        secant = np.diff(radius) / h
+        square = (3 * secant - 2 * slope[:-1] - slope[1:]) / h
+        cube = (slope[:-1] + slope[1:] - 2 * secant) / h**2
+        columns = [shift[:-1], radius[:-1], slope[:-1], square, cube]
+        for name in _LINEAR:
+            values = self.frame[name].to_numpy()
+            columns += [values[:-1], np.diff(values) / h]
+        return np.ascontiguousarray(np.array(columns).T)
+
+
+def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
+    """Contact table of a profile pair ("cone" or "s1002") for a vehicle; see `ContactTable`."""
+    if profile == "cone":
+        return _cone(vehicle)
+    if profile == "s1002":
+        material = vehicle.contact
+        modulus = normal.contact_modulus(material.young, material.poisson)
+        return s1002_table(vehicle.wheel.radius, material.nominal_load, modulus, material.normal_stiffness)
+    raise InputError(f"contact profile {profile!r} is not known; there are 'cone' and 's1002'")
+
+
+def _cone(vehicle: Vehicle) -> ContactTable:
+    """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse. Source: paper, eq. (z_and_phi)."""
+    shift = np.arange(-400, 401) * 1e-4
+    slope = np.tan(vehicle.wheel.cone_angle)
+    a, b = CONE_AXES
+    c11, c22, c23 = kalker_coefficients(a / b)
+    radius = vehicle.wheel.radius + slope * shift
+    constant = {
+        "angle_rad": vehicle.wheel.cone_angle,
+        "wheel_contact_m": 0.0,
+        "semi_axis_x_m": a,
+        "semi_axis_y_m": b,
+        "c11": float(c11),
+        "c22": float(c22),
+        "c23": float(c23),
+        "normal_stiffness": vehicle.contact.normal_stiffness,
+    }
+    frame = {"shift_m": shift, "effective_radius_m": radius, "rolling_radius_m": radius}
+    return ContactTable("cone", pd.DataFrame(frame).assign(**constant))
+
+
+@dataclass(frozen=True)
+class Section:
+    """Cross-section of a wheel on its rail at a shift.
+
+    Attributes
+    ----------
+    position, height, slope, rail_depth : ndarray, shape (n,)
+        Distance from the track centre (m), height of the wheel profile (m) and its slope (-), depth of the rail (m).
+    """
+
+    position: np.ndarray
+    height: np.ndarray
+    slope: np.ndarray
+    rail_depth: np.ndarray
+
+    @property
+    def first_contact(self) -> int:
+        """Index of the point where rigid profiles touch."""
+        return int(np.argmax(self.height - self.rail_depth))
+
+
+@cache
+def _rail(step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Uniform lateral grid over the rail head and its depth (m)."""
+    points, depth = profiles.inclined_rail()
+    position = np.arange(np.ceil(points[0] / step), np.floor(points[-1] / step)) * step
+    return position, np.interp(position, points, depth)
+
+
+def section(shift: float, step: float = _LATERAL_STEP) -> Section:
+    """S1002 on 60E1 at 1:40 with the wheel shifted towards its flange by `shift` (m); see `Section`."""
+    position, depth = _rail(step)
+    height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
+    return Section(position, height, -slope, depth)
+
+
+def rigid_contact(shifts, radius: float) -> pd.DataFrame:
+    """Point contact of rigid S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
+
+    Parameters
+    ----------
+    shifts : array_like, shape (n,)
+        Shifts towards the flange (m).
+    radius : float
+        Nominal rolling radius (m).
+
+    Returns
+    -------
+    DataFrame
+        shift_m, position_m (from the track centre), tan_angle (-), rolling_radius_m.
+    """
+    rows = []
+    for shift in shifts:
+        cut = section(shift)
+        i = cut.first_contact
+        rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
+    return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
+
+
+@cache
+def s1002_table(radius: float, load: float, modulus: float, stiffness: float) -> ContactTable:
+    """S1002 on 60E1 at 1:40, averaged over the elastic patch.
+
+    The effective radius is the integral of the mean slope, so that at nominal load the normal forces of the patch have
+    the resultant that the table gives. The Hertz stiffness is the same at every shift: one that changed with the shift
+    would need a lateral force of its own, or the contact would make energy.
+
+    Parameters
+    ----------
+    radius : float
+        Nominal rolling radius (m).
+    load : float
+        Normal force (N).
+    modulus : float
+        Contact modulus E* (Pa).
+    stiffness : float
+        Hertz stiffness (N/m^1.5).
+
+    Returns
+    -------
+    ContactTable
+        With the elastic approach at nominal load (`approach_m`) as a further column.
+    """
+    patches = []
+    for shift in SHIFTS:
+        cut = section(shift)
+        patches.append(normal.strip_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus))
+    position, height, slope, curvature, approach = (
+        np.array([getattr(patch, name) for patch in patches])
+        for name in ("position", "height", "slope", "curvature", "approach")
+    )
+    centre = int(np.argmin(np.abs(SHIFTS)))
+    cut = section(0.0)
+    depth_at_contact = np.interp(position[centre], cut.position, cut.rail_depth)
+    climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
+    rolling = radius + height
+    a, b, _ = normal.hertz(1 / np.hypot(1, slope) / rolling, curvature, load, modulus)
+    c11, c22, c23 = kalker_coefficients(a / b)
+    columns = {
+        "shift_m": SHIFTS,
+        "effective_radius_m": rolling[centre] - depth_at_contact + climb - climb[centre],
+        "angle_rad": np.arctan(slope),
+        "rolling_radius_m": rolling,
+        "wheel_contact_m": position - profiles.TAPE_CIRCLE,
+        "semi_axis_x_m": a,
+        "semi_axis_y_m": b,
+        "c11": c11,
+        "c22": c22,
+        "c23": c23,
+        "normal_stiffness": stiffness,
+        "approach_m": approach,
+    }
+    return ContactTable("s1002", pd.DataFrame(columns))
+
+
+def equivalent_conicity(shift, rolling_radius, amplitude: float) -> float:
+    """Conicity of the cone whose wheelset would run with the same wavelength.
+
+    Parameters
+    ----------
+    shift, rolling_radius : array_like, shape (n,)
+        Shift towards the flange, ascending, covering both signs of the amplitude, and rolling radius (m).
+    amplitude : float
+        Amplitude of the lateral motion (m).
+
+    Returns
+    -------
+    float (-)
+
+    Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
+    """
+    y = np.linspace(0.0, amplitude, 4001)
+    difference = np.interp(y, shift, rolling_radius) - np.interp(-y, shift, rolling_radius)
+    potential = CubicSpline(y, difference).antiderivative()
+    theta = (np.arange(4000) + 0.5) * np.pi / 8000
+    speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(theta))))
+    quarter = np.mean(amplitude * np.cos(theta) / speed) * np.pi / 2
+    return float((np.pi / 2 / quarter) ** 2 / 2)

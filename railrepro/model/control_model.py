@@ -1,0 +1,184 @@
+"""The control-oriented model as CasADi functions, continuous and discretised.
+
+State x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx; inputs tau_ri, tau_le (traction-positive, N m); theta holds the
+track at the present position. Serves the paper's eqs. (discr_state_space1) and (eqn.parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import sympy as sp
+
+from railrepro.errors import InputError
+from railrepro.model import derivation
+from railrepro.vehicle.parameters import Vehicle
+
+STATES = ("x", "psi_Ax", "xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")
+Y = STATES.index("y_TrAx")
+THETA = ("psi_Tr", "dpsi_dp", "phi_Tr", "dphi_dp", "eps_Tr", "deps_dp", "psi_CB", "dpsi_dp_CB", "m_CB")
+_TABLEAU = {
+    "euler": ((0.0,), (1.0,)),
+    "midpoint": ((0.0, 0.5), (0.0, 1.0)),
+    "rk4": ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+}
+"""Fractions of the step and weights of explicit rules whose stages each need the one before."""
+METHODS = tuple(_TABLEAU)
+OUTSIDE = frozenset({"D4"})
+"""Entries of the register that a variant may name and that the forecast keeps, not the model."""
+
+
+@dataclass(frozen=True)
+class ControlModel:
+    """The model with its variant.
+
+    Attributes
+    ----------
+    rhs : casadi.Function
+        (x[6], u[2] = [tau_ri, tau_le], theta[9], par) -> dx/dt[6], SI.
+    discrepancies : frozenset of str
+        What is kept as printed.
+    """
+
+    rhs: ca.Function
+    discrepancies: frozenset[str]
+
+    parameters = derivation.PARAMETERS
+
+    @staticmethod
+    def parameter_vector(vehicle: Vehicle) -> np.ndarray:
+        """Values of `parameters` for a vehicle (SI), shape (14,)."""
+        suspension, wheel = vehicle.suspension, vehicle.wheel
+        values = (
+            vehicle.gear.mass,
+            vehicle.gear.mass,
+            vehicle.residual_roll_inertia,
+            vehicle.residual_yaw_inertia,
+        )
+        values += (wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, vehicle.gear.contact_base)
+        values += (wheel.cone_angle, suspension.yaw_stiffness, suspension.yaw_damping)
+        return np.array([*values, suspension.roll_stiffness, suspension.roll_damping, vehicle.gravity])
+
+
+def control_model(variant: str = "corrected", discrepancies: Iterable[str] | None = None) -> ControlModel:
+    """The control-oriented model.
+
+    Parameters
+    ----------
+    variant : str
+        "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3".
+    discrepancies : iterable of str, optional
+        Instead of a variant: which entries of `derivation.DISCREPANCIES` to keep as printed.
+
+    Returns
+    -------
+    ControlModel
+    """
+    kept = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
+    if kept - set(derivation.DISCREPANCIES) - OUTSIDE:
+        raise InputError(
+            f"discrepancies {sorted(kept)} are not all known; there are {sorted({*derivation.DISCREPANCIES, *OUTSIDE})}"
+        )
+    return _control_model(kept - OUTSIDE)
+
+
+def kept_as_printed(variant: str) -> frozenset[str]:
+    """Discrepancies that a variant keeps, those of the forecast included."""
+    if variant == "corrected":
+        return frozenset()
+    if variant == "printed":
+        return frozenset(derivation.DISCREPANCIES) | OUTSIDE
+    names = frozenset(name.strip() for name in variant.split(","))
+    if names - set(derivation.DISCREPANCIES) - OUTSIDE:
+        known = sorted({*derivation.DISCREPANCIES, *OUTSIDE})
+        raise InputError(f"model variant {variant!r} is not known; there are corrected, printed and lists of {known}")
+    return names
+
+
+@lru_cache
+def _control_model(discrepancies: frozenset[str]) -> ControlModel:
+    equations = derivation.equations(discrepancies)
+    state = [ca.SX.sym(name) for name in STATES]
+    torque = [ca.SX.sym("tau_ri"), ca.SX.sym("tau_le")]
+    theta = [ca.SX.sym(name) for name in THETA]
+    par = [ca.SX.sym(name) for name in derivation.PARAMETERS]
+    _, psi, xdot, psidot, y, psi_r = state
+    d = derivation
+    symbols = [d.psi, d.xd, d.psid, d.y, *d.torques, *d.theta, *d.parameters]
+    # The relative yaw angle is a state of its own; the track angle that fits it keeps both consistent.
+    track = [psi - psi_r, *theta[1:]]
+    entries = [*equations.mass, *equations.rest]
+    functions = {"sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt}
+    evaluate = sp.lambdify(symbols, entries, modules=[functions], cse=True)
+    m11, m12, m21, m22, h1, h2 = evaluate(psi, xdot, psidot, y, *torque, *track, *par)
+    determinant = m11 * m22 - m12 * m21
+    xddot = (m12 * h2 - m22 * h1) / determinant
+    psiddot = (m21 * h1 - m11 * h2) / determinant
+    rates = (xdot, psidot, xddot, psiddot, xdot * ca.sin(psi_r), psidot - theta[1] * xdot)
+    inputs = [ca.vertcat(*group) for group in (state, torque, theta, par)]
+    rhs = ca.Function("control_model", inputs, [ca.vertcat(*rates)], ["x", "u", "theta", "par"], ["dx"], {"cse": True})
+    return ControlModel(rhs, discrepancies)
+
+
+def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
+    """One step of the model with inputs and track held.
+
+    Parameters
+    ----------
+    model : ControlModel
+    method : str
+        "euler" (the paper), "midpoint" or "rk4".
+
+    Returns
+    -------
+    casadi.Function
+        (x[6], u[2], theta[9], par, T) -> x after T (s).
+
+    Source: eq. (discr_state_space1).
+    """
+    step, _, _ = _step(model, method)
+    return step
+
+
+def sensitivities(model: ControlModel, method: str) -> ca.Function:
+    """One step with its derivatives, chained stage by stage (half the operations of differentiating the whole step).
+
+    Parameters
+    ----------
+    model, method
+        See `discretise`.
+
+    Returns
+    -------
+    casadi.Function
+        (x[6], u[2], theta[9], par, T) -> x after T, its Jacobians with respect to x (6, 6) and u (6, 2), sparse.
+    """
+    step, inputs, (by_x, by_u) = _step(model, method)
+    return ca.Function("control_sensitivities", inputs, [step(*inputs), by_x, by_u], {"cse": True})
+
+
+def _step(model: ControlModel, method: str) -> tuple[ca.Function, list[ca.SX], tuple[ca.SX, ca.SX]]:
+    if method not in METHODS:
+        raise InputError(f"discretisation {method!r} is not known; there are {METHODS}")
+    x, u, theta = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("theta", len(THETA))
+    par, period = ca.SX.sym("par", len(derivation.PARAMETERS)), ca.SX.sym("T")
+    rate = model.rhs(x, u, theta, par)
+    jacobians = [ca.jacobian(rate, x), ca.jacobian(rate, u)]
+    rhs = ca.Function("rhs", [x, u, theta, par], [rate, *jacobians], {"cse": True})
+    fractions, weights = _TABLEAU[method]
+    x_next, by_x, by_u = x, ca.SX.eye(6), ca.SX(6, 2)
+    slope = slope_x = slope_u = 0
+    for fraction, weight in zip(fractions, weights, strict=True):
+        at = x + fraction * period * slope
+        along_x, along_u = ca.SX.eye(6) + fraction * period * slope_x, fraction * period * slope_u
+        slope, a, b = rhs(at, u, theta, par)
+        slope_x, slope_u = ca.mtimes(a, along_x), b + (ca.mtimes(a, along_u) if fraction else 0)
+        x_next = x_next + weight * period * slope
+        by_x, by_u = by_x + weight * period * slope_x, by_u + weight * period * slope_u
+    inputs = [x, u, theta, par, period]
+    step = ca.Function("control_step", inputs, [x_next], ["x", "u", "theta", "par", "T"], ["x_next"], {"cse": True})
+    return step, inputs, (by_x, by_u)

@@ -1,0 +1,143 @@
+"""Figures of merit of a run: tracking error, delay, effort, stopping distance, adhesion utilisation.
+
+Serves the paper's section Multi-Body Simulation Results.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from railrepro.contact.creep import adhesion_maximum, kalker_coefficients
+from railrepro.contact.table import CONE_AXES
+from railrepro.simulation.scenarios import Scenario
+from railrepro.vehicle.parameters import Vehicle
+
+
+def order_of_magnitude(value: float, floor: float) -> float:
+    """Smallest power of ten above |value|, `floor` at least: what can be said of a difference that is rounding."""
+    return float(10.0 ** np.ceil(np.log10(max(abs(value), floor))))
+
+
+def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
+    """y_TrAx - y* (m), shape (n,)."""
+    return (series[f"{gear}.y"] - series[f"{gear}.y_ref"]).to_numpy()
+
+
+def rmse(series: pd.DataFrame, gear: str = "front") -> float:
+    """Root mean squared lateral error (m). Source: paper, section Evaluation of Lateral Control."""
+    return float(np.sqrt(np.mean(lateral_error(series, gear) ** 2)))
+
+
+def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step: float = 0.1) -> float:
+    """Distance by which y trails y* (m): the lag of the largest cross-correlation of the detrended signals.
+
+    Parameters
+    ----------
+    series : DataFrame
+        Series of a run.
+    gear : str
+    longest : float
+        Largest lag considered, both directions (m).
+    step : float
+        Resolution of the lag (m).
+
+    Returns
+    -------
+    float
+        Positive when y comes after y* (m); nan when the set point does not move.
+    """
+    p = series[f"{gear}.p"].to_numpy()
+    grid = np.arange(p[0], p[-1], step)
+    y, reference = (_detrended(np.interp(grid, p, series[f"{gear}.{name}"])) for name in ("y", "y_ref"))
+    if np.ptp(reference) < 1e-9:
+        return float("nan")
+    most = min(round(longest / step), grid.size // 2)
+    lags = np.arange(-most, most + 1)
+    # Means, not sums: each lag has its own number of overlapping samples.
+    correlation = [
+        np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
+        for lag in lags
+    ]
+    return float(step * lags[np.argmax(correlation)])
+
+
+def _detrended(values: np.ndarray) -> np.ndarray:
+    """Values less their straight line of least squares."""
+    place = np.linspace(-1, 1, values.size)
+    return values - np.polyval(np.polyfit(place, values, 1), place)
+
+
+def effort(series: pd.DataFrame, gear: str = "front") -> float:
+    """Root mean squared differential torque (N m)."""
+    return float(np.sqrt(np.mean(series[f"{gear}.du"].to_numpy() ** 2)))
+
+
+def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
+    """Share of time in which a motor of the gear works at its torque limit (-)."""
+    torque = np.maximum(
+        np.abs(series[f"{gear}.tau_long"] + series[f"{gear}.du"]),
+        np.abs(series[f"{gear}.tau_long"] - series[f"{gear}.du"]),
+    )
+    return float(np.mean(torque >= 0.999 * limit))
+
+
+def stopping_distance(series: pd.DataFrame) -> float:
+    """Way of the front gear from the first to the last row (m)."""
+    return float(series["front.p"].iloc[-1] - series["front.p"].iloc[0])
+
+
+def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float, str]]:
+    """Metrics of a lateral run: name -> (value, unit)."""
+    error = lateral_error(series)
+    return {
+        "rmse_y": (rmse(series), "m"),
+        "rmse_y_rear": (rmse(series, "rear"), "m"),
+        "mean_error_last_third": (float(np.mean(error[-len(error) // 3 :])), "m"),
+        "largest_error": (float(np.abs(error).max()), "m"),
+        "delay": (delay(series), "m"),
+        "effort_du": (effort(series), "N m"),
+        "largest_du": (float(series["front.du"].abs().max()), "N m"),
+        "saturated_share": (saturated_share(series, torque_limit), "-"),
+    }
+
+
+def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
+    """Largest longitudinal adhesion at nominal load over speeds (m/s) and shares of the poor set (-), shape (n,).
+
+    Knowledge of the analyst, never of a controller. Between the sets it is interpolated.
+    """
+    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
+    patch = (load, *CONE_AXES, kalker_coefficients(CONE_AXES[0] / CONE_AXES[1]), vehicle.contact.shear_modulus)
+    grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
+    good, poor = (
+        np.interp(speed, grid, [adhesion_maximum(vehicle.adhesion[name], v, *patch)[0] for v in grid])
+        for name in (scenario.good, scenario.poor)
+    )
+    return good + share * (poor - good)
+
+
+def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
+    """Metrics of traction and braking of the front gear: name -> (value, unit).
+
+    `utilisation` is the mean adhesion of both wheels over the largest possible, where the demand exceeds the latter.
+    """
+    p, v = series["front.p"].to_numpy(), series["front.v"].to_numpy()
+    wheels = [f"{gear}_{side}" for gear in ("front", "rear") for side in ("le", "ri")]
+    moving = v > 2.0
+    slip = np.abs(series.loc[moving, [f"{wheel}.sx" for wheel in wheels]].to_numpy())
+    values = {
+        "stopping_distance": (stopping_distance(series), "m"),
+        "final_speed": (float(v[-1]), "m/s"),
+        "mean_longitudinal_torque": (float(series["front.tau_long"].mean()), "N m"),
+        "largest_slip": (float(slip.max()) if slip.size else float("nan"), "-"),
+    }
+    if scenario.force_kN:
+        shares = [np.interp(p, *zip(*points, strict=True)) for points in scenario.poor_shares]
+        limit = np.mean([adhesion_limit(v, share, scenario, vehicle) for share in shares], axis=0)
+        f = (series["front_le.fx"] + series["front_ri.fx"]).to_numpy() / 2
+        f_star = series["front.f_star"].to_numpy()
+        beyond = (np.abs(f_star) > limit) & moving
+        used = float(np.mean(np.sign(f_star[beyond]) * f[beyond] / limit[beyond])) if beyond.any() else float("nan")
+        values["utilisation"] = (used, "-")
+    return values

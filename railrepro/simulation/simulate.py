@@ -1,0 +1,198 @@
+"""The multi-rate co-simulation: the car and the fast law at 1 kHz, a lateral controller at its own period.
+
+Serves the paper's Fig. 4 and section Simulation Environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Protocol
+
+import numpy as np
+import pandas as pd
+
+from railrepro.car import equations
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.contact.table import contact_table
+from railrepro.control import law
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.ndi import NDISettings
+from railrepro.errors import InputError
+from railrepro.simulation.exchange import Exchange
+from railrepro.simulation.scenarios import Scenario
+from railrepro.track.route import Route
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+DERAILED = 0.030
+"""Lateral displacement at which a run counts as derailed and ends (m)."""
+GEARS = ("front", "rear")
+
+
+class LateralController(Protocol):
+    """A guidance law of one running gear that runs slower than the exchange."""
+
+    period: float
+
+    def plan(self, x_hat: np.ndarray, u_d: float) -> float:
+        """Differential torque (N m) from the six measured states (SI) and the base torque per wheel (N m)."""
+
+
+Guidance = NDISettings | Callable[[Vehicle, Route, int], LateralController]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Outcome of a simulation.
+
+    Attributes
+    ----------
+    series : DataFrame
+        One row per exchange (or every `stride`-th): t_s and the columns of `Exchange.columns` (SI).
+    ended : str
+        Why the run ended, one sentence.
+    failed : bool
+        True when it ended by derailment or by a number that is not finite.
+    warnings : tuple of str
+        Where the run left the validity of the models, one sentence each.
+    controllers : tuple
+        The lateral controllers of front and rear gear (empty for the inversion), with their solver statistics.
+    state : ndarray, shape (44,)
+        Plant state at the end.
+    """
+
+    series: pd.DataFrame
+    ended: str
+    failed: bool
+    warnings: tuple[str, ...]
+    controllers: tuple = ()
+    state: np.ndarray = field(default=None, repr=False)
+
+
+def run(
+    scenario: Scenario,
+    guidance: Guidance,
+    *,
+    vehicle: Vehicle | None = None,
+    plant_vehicle: Vehicle | None = None,
+    adhesion: AdhesionSettings | None = None,
+    estimate: law.EstimateSettings | None = None,
+    fixed_share: float = 0.0,
+    irregularities: pd.DataFrame | None = None,
+    compiled: bool = True,
+) -> Run:
+    """Drive the car through a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    guidance : NDISettings or callable
+        Settings of the inversion (1 kHz), or a factory (vehicle, route, gear) -> `LateralController`.
+    vehicle : Vehicle, optional
+        What the controllers believe; default data/vehicle.toml.
+    plant_vehicle : Vehicle, optional
+        The car itself; default the same.
+    adhesion, estimate, fixed_share : optional
+        Longitudinal law, estimates and allocation, see `law.gain_vector`.
+    irregularities : DataFrame, optional
+        See `railrepro.track.route.lay`.
+    compiled : bool
+        False runs without generated C (slower, equal up to rounding).
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    ArithmeticError
+        When a lateral controller returns a torque that is not finite.
+    """
+    vehicle = vehicle or load_vehicle()
+    body = plant_vehicle or vehicle
+    way = scenario.route(irregularities)
+    table = contact_table(body.contact.profile, body)
+    ndi = guidance if isinstance(guidance, NDISettings) else None
+    limits = {"lateral": DERAILED, "track_end": way.length, "stop_speed": scenario.stop_speed}
+    gains = law.gain_vector(vehicle, ndi, adhesion, estimate, fixed_share, **limits)
+    parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
+    exchange = Exchange(parameters, table, way, gains, equations.rest_state(body, table, scenario.speed), compiled)
+    controllers = () if ndi else tuple(guidance(vehicle, way, gear) for gear in range(2))
+    log = _drive(exchange, controllers, _longest(way, scenario))
+    series = pd.DataFrame(log, columns=exchange.columns)
+    series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
+    ended, failed = _reason(exchange, series, way)
+    series = series[np.isfinite(series).all(axis=1)]  # the row that is not finite is named in `ended`
+    return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy())
+
+
+def _longest(way: Route, scenario: Scenario) -> int:
+    """Most exchanges a run may take: the way at a tenth of the initial speed, at least 10 s."""
+    return int(max(10.0, 10 * way.length / scenario.speed) / EXCHANGE_PERIOD)
+
+
+def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
+    """Alternate lateral plans and exchanges until the run ends; rows of the log, shape (n, columns)."""
+    if not controllers:
+        return exchange.run(longest)
+    periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
+    if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
+        raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
+    steps = int(min(periods))
+    base = [law.MEMORY.index(f"{gear}.u") for gear in GEARS]
+    blocks = []
+    for _ in range(0, longest, steps):
+        measured = exchange.measure()
+        if not np.isfinite(measured).all():
+            break
+        for gear, controller in enumerate(controllers):
+            x_hat = measured[6 * gear : 6 * gear + 6].copy()
+            plan = controller.plan(x_hat, exchange.memory[base[gear]])
+            if not isfinite(plan):
+                raise ArithmeticError(
+                    f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {exchange.time:.3f} s, "
+                    f"p = {x_hat[0]:.1f} m"
+                )
+            exchange.held[gear] = plan
+        blocks.append(exchange.run(steps))
+        if exchange.ended:
+            break
+    return np.concatenate(blocks)
+
+
+def _reason(exchange: Exchange, series: pd.DataFrame, way: Route) -> tuple[str, bool]:
+    """Why a run ended, and whether that is a failure."""
+    last = series.iloc[-1]
+    at = f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
+    broken = [name for name, value in last.items() if not np.isfinite(value)]
+    if broken:
+        return f"{broken[0]} is not a finite number {at}", True
+    front, rear, track_end, speed = exchange.margins
+    for name, margin in (("front", front), ("rear", rear)):
+        if margin <= 0:
+            return f"{name} gear left the rail, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True
+    if track_end <= 0:
+        return f"end of the run {at}", False
+    if speed <= 0:
+        return f"stop speed reached {at}", False
+    return f"time limit reached {at}", False
+
+
+def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
+    """Sentences on where the run left the validity of the models."""
+    found = []
+
+    def first(mask, sentence):
+        if mask.any():
+            row = series[mask].iloc[0]
+            found.append(f"{sentence} at t = {row['t_s']:.3f} s, p = {row['front.p']:.1f} m")
+
+    for wheel in equations.WHEELS:
+        first(series[f"{wheel}.N"] <= 0, f"{wheel} wheel lifts")
+        first(series[f"{wheel}.angle"].abs() > np.radians(30), f"{wheel} wheel touches with its flange")
+    for gear in GEARS:
+        beyond = series[f"{gear}.yaw_to_body"].abs() > vehicle.suspension.yaw_stop_angle
+        first(beyond, f"{gear} gear is on its yaw end stop")
+        first(series[f"{gear}.v"] < equations.SLIP_FLOOR, f"{gear} gear is slower than the slip regularisation")
+    return tuple(found)

@@ -1,0 +1,149 @@
+"""Experiments that can be sent to any worker: scenario, controller and changes, and the row of numbers they give.
+
+Notebooks and studies are lists of these; the executor decides where they run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.law import EstimateSettings
+from railrepro.control.registry import guidance
+from railrepro.simulation import metrics, simulate
+from railrepro.simulation.scenarios import Scenario
+from railrepro.studies import tuning
+from railrepro.studies.executor import executor, ordered_map
+from railrepro.track.irregularity import irregularities
+from railrepro.track.route import CELL
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+_SERIES = {
+    **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
+    **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
+}
+_WHEEL = {"tau": "tau_{}_Nm", "fx": "fx_{}", "sx": "sx_{}"}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run to be made.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    controller : str
+        Key of `registry.CONTROLLERS`.
+    label : dict
+        Further columns of the row.
+    parameters : dict or None
+        Tuning parameters; None takes the tuned ones.
+    options, changes : dict
+        See `registry.guidance`.
+    vehicle, plant : dict
+        Vehicle parameters changed for car and controllers, and for the car alone (`parameters.load_vehicle`).
+    adhesion, estimate, fixed_share
+        See `simulate.run`.
+    irregular : dict
+        Arguments of `irregularity.irregularities` besides the coordinates; empty is an ideal track.
+    stride : int
+        Every n-th exchange of the front gear is kept as a series; 0 keeps none.
+    """
+
+    scenario: Scenario
+    controller: str
+    label: dict = field(default_factory=dict)
+    parameters: dict | None = None
+    options: dict = field(default_factory=dict)
+    changes: dict = field(default_factory=dict)
+    vehicle: dict = field(default_factory=dict)
+    plant: dict = field(default_factory=dict)
+    adhesion: AdhesionSettings | None = None
+    estimate: EstimateSettings | None = None
+    fixed_share: float = 0.0
+    irregular: dict = field(default_factory=dict)
+    stride: int = 0
+
+    def car(self) -> Vehicle:
+        """The car that is driven, with all changes."""
+        return load_vehicle(**self.vehicle | self.plant)
+
+    def run(self) -> simulate.Run:
+        """The simulation itself."""
+        parameters = tuning.load(self.controller)["parameters"] if self.parameters is None else self.parameters
+        law = guidance(self.controller, parameters, self.options, **self.changes)
+        way = np.arange(0.0, self.scenario.end_m, CELL)
+        rough = irregularities(way, **self.irregular) if self.irregular else None
+        return simulate.run(
+            self.scenario,
+            law,
+            irregularities=rough,
+            vehicle=load_vehicle(**self.vehicle),
+            plant_vehicle=self.car(),
+            adhesion=self.adhesion,
+            estimate=self.estimate,
+            fixed_share=self.fixed_share,
+        )
+
+    def __call__(self) -> tuple[dict, pd.DataFrame | None]:
+        """Row of metrics (SI) and the kept series; of a failed run the place instead of how well it followed."""
+        run, vehicle = self.run(), self.car()
+        values = metrics.summary(run.series, vehicle.drive.torque_limit)
+        if run.failed:
+            values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
+        values |= metrics.longitudinal(run.series, self.scenario, vehicle)
+        row = {"scenario": self.scenario.name, "controller": self.controller, **self.label}
+        row |= {name: value for name, (value, _) in values.items()}
+        row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
+        solves = [solve for controller in run.controllers for solve in controller.stats]
+        row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
+        row |= {"fallbacks": sum(solve.fallback for solve in solves)}
+        return row, tidy(run.series, self.stride).assign(**self.label) if self.stride else None
+
+
+def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame:
+    """Every `stride`-th row of one gear with the unit in each column's name (contract of data/results)."""
+    rows = series.iloc[::stride]
+    columns = {"t_s": rows["t_s"]} | {new: rows[f"{gear}.{old}"] for old, new in _SERIES.items()}
+    columns |= {
+        name.format(side): rows[f"{gear}_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()
+    }
+    return pd.DataFrame(columns)
+
+
+def _call(experiment: Experiment):
+    return experiment()
+
+
+def run_all(
+    experiments: Sequence[Experiment], title: str, quiet: bool = False
+) -> tuple[pd.DataFrame, pd.DataFrame | None]:
+    """Run experiments on the executor.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    title : str
+        Text of the progress bar.
+    quiet : bool
+        No progress bar.
+
+    Returns
+    -------
+    table : DataFrame
+        One row per experiment, in order.
+    series : DataFrame or None
+        Kept series with the column `controller`, or None.
+    """
+    with executor() as pool:
+        results = ordered_map(pool, _call, experiments, title, quiet)
+    kept = [
+        series.assign(controller=experiment.controller)
+        for experiment, (_, series) in zip(experiments, results, strict=True)
+        if series is not None
+    ]
+    return pd.DataFrame([row for row, _ in results]), pd.concat(kept, ignore_index=True) if kept else None

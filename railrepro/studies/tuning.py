@@ -1,0 +1,238 @@
+"""Tuning of all lateral controllers by particle swarm, with the same cost, budget and scenarios.
+
+`python -m railrepro.studies.tuning [controller …]` tunes and writes data/tuned; an interrupted run goes on where it
+was. Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+import tomllib
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from railrepro import __version__, paths
+from railrepro.control.registry import CONTROLLERS, guidance
+from railrepro.errors import InputError
+from railrepro.model.control_model import control_model
+from railrepro.simulation import metrics, simulate
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.studies import pso
+from railrepro.studies.executor import executor, ordered_map
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+TUNED = "data/tuned"
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a swarm is asked to minimise; see data/tuning.toml.
+
+    Attributes
+    ----------
+    budget, cost : dict
+    scenarios : tuple of Scenario
+    dimensions : dict
+        Controller -> list of `pso.Dimension`.
+    """
+
+    budget: dict
+    cost: dict
+    scenarios: tuple[Scenario, ...]
+    dimensions: dict[str, list[pso.Dimension]]
+
+
+def load_task(path: Path | str | None = None) -> Task:
+    """The tuning task of a TOML file; default data/tuning.toml."""
+    file = Path(path) if path else paths.source("data/tuning.toml")
+    try:
+        content = tomllib.loads(file.read_text())
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{file.name}: cannot be read as TOML ({error})") from error
+    scenarios = []
+    for entry in content["scenario"]:
+        changes = {k: tuple(map(tuple, v)) if isinstance(v, list) else v for k, v in entry.items()}
+        scenarios.append(load_scenario(changes.pop("scenario")).but(**changes))
+    dimensions = {}
+    for name, entry in content["controller"].items():
+        if name not in CONTROLLERS:
+            raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(CONTROLLERS)}")
+        bounds = content["controller"][entry["same_as"]] if "same_as" in entry else entry
+        dimensions[name] = [pso.Dimension(key, *value) for key, value in bounds.items()]
+    return Task(content["budget"], content["cost"], tuple(scenarios), dimensions)
+
+
+def scenario_cost(run: simulate.Run, scenario: Scenario, cost: dict) -> tuple[float, dict]:
+    """Cost of one run, and its parts: mean RMSE of y (m) and RMS of du (N m) over both gears, share of the way done."""
+    error = np.mean([metrics.rmse(run.series, gear) for gear in simulate.GEARS])
+    effort = np.mean([metrics.effort(run.series, gear) for gear in simulate.GEARS])
+    done = float(np.clip(np.nan_to_num(run.series["front.p"]).max() / scenario.end_m, 0, 1))
+    parts = {"rmse_y": float(error), "effort_du": float(effort), "done": 1.0}
+    if run.failed or not np.isfinite(error + effort):
+        return cost["failure"] * (2 - done), parts | {"done": done}
+    return 1e3 * error / cost["y_scale_mm"] + cost["weight"] * effort / cost["du_scale_Nm"], parts
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Cost of parameter sets of one controller; picklable, so that any executor can run it."""
+
+    controller: str
+    task: Task
+    vehicle: Vehicle
+
+    def __call__(self, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
+        """Mean cost over the scenarios, and the parts per scenario.
+
+        The last scenario, the hardest, comes first. Once a run has failed and the sum so far is beyond `limit`, the
+        rest is left out and counts nothing: the cost is then a lower bound.
+        """
+        options = {"solver": "rti"} if self.controller == "nmpc" else None
+        law = guidance(self.controller, parameters, options)
+        costs, parts, failed, number = [], [], False, len(self.task.scenarios)
+        for scenario in reversed(self.task.scenarios):
+            try:
+                run = simulate.run(scenario, law, vehicle=self.vehicle)
+                cost, part = scenario_cost(run, scenario, self.task.cost)
+            except (ArithmeticError, np.linalg.LinAlgError):
+                cost, part = 2 * self.task.cost["failure"], {"done": 0.0}
+            costs.append(cost)
+            parts.append({"scenario": scenario.name, "cost": cost, **part})
+            failed = failed or part["done"] < 1
+            if failed and sum(costs) > limit * number:
+                break
+        return sum(costs) / number, parts
+
+
+def _cost(evaluation: Evaluation, particle: tuple[dict, float]) -> float:
+    return evaluation(*particle)[0]
+
+
+def fingerprint(vehicle: Vehicle | None = None) -> str:
+    """Hash of what tuned parameters belong to: vehicle data, control model, tracks, tuning task."""
+    rhs = control_model().rhs
+    probe = [np.linspace(0.1, 1.0, rhs.nnz_in(i)).reshape(rhs.size_in(i)) for i in range(rhs.n_in())]
+    model = [f"{value:.9e}" for value in np.array(rhs(*probe)).ravel()]
+    tracks = tomllib.loads(paths.source("data/tracks.toml").read_text())
+    content = json.dumps([repr(vehicle or load_vehicle()), model, tracks, repr(load_task())], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+
+@lru_cache
+def _fingerprint_here() -> str:
+    return fingerprint()
+
+
+def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | None = None, quiet: bool = False) -> dict:
+    """Tune one controller, or go on with an interrupted tuning.
+
+    Parameters
+    ----------
+    controller : str
+    task : Task
+    pool : concurrent.futures.Executor
+    folder : Path
+        Checkpoints (`<controller>.checkpoint.json`).
+    vehicle : Vehicle, optional
+        Default data/vehicle.toml.
+    quiet : bool
+        No progress bar.
+
+    Returns
+    -------
+    dict
+        The tuned set (`controller`, `parameters`, `cost`, `scenarios`, `origin`) with the table of all evaluated
+        particles under `history`.
+    """
+    vehicle, budget = vehicle or load_vehicle(), task.budget
+    evaluation, origin = Evaluation(controller, task, vehicle), fingerprint(vehicle)
+    bar = tqdm(total=budget["iterations"], desc=controller, unit="iteration", disable=quiet)
+
+    def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
+        limited = list(zip(particles, limits, strict=True))
+        return ordered_map(pool, partial(_cost, evaluation), limited, controller, quiet=True)
+
+    def report(swarm: pso.Swarm) -> None:
+        bar.n = swarm.iteration
+        bar.set_postfix_str(f"best cost {swarm.best[1]:.4f}")
+
+    outcome = pso.minimise(
+        evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], budget["seed"],
+        folder / f"{controller}.checkpoint.json", origin + controller, budget["patience"], report,
+    )  # fmt: skip
+    bar.close()
+    cost, parts = ordered_map(pool, evaluation, [outcome.best], controller, quiet=True)[0]
+    provenance = {"fingerprint": origin, "version": __version__, "evaluations": len(outcome.history)}
+    return {
+        "controller": controller,
+        "parameters": outcome.best,
+        "cost": cost,
+        "scenarios": parts,
+        "origin": provenance | budget,
+        "history": outcome.history,
+    }
+
+
+def save(tuned: dict, folder: Path) -> None:
+    """Write a tuned set as JSON and its particles as CSV."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {key: value for key, value in tuned.items() if key != "history"}
+    (folder / f"{tuned['controller']}.json").write_text(json.dumps(content, indent=2) + "\n")
+    tuned["history"].to_csv(folder / f"{tuned['controller']}_particles.csv", index=False, float_format="%.6g")
+
+
+def load(controller: str, folder: Path | None = None) -> dict:
+    """Tuned set of a controller.
+
+    Raises
+    ------
+    InputError
+        When there is none, or when it was tuned for other vehicle data, tracks, scenarios or control model.
+    """
+    file = (folder or paths.source(TUNED)) / f"{controller}.json"
+    if not file.exists():
+        raise InputError(f"{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
+    content = json.loads(file.read_text())
+    if content["origin"]["fingerprint"] != _fingerprint_here():
+        raise InputError(
+            f"{file.name}: was tuned for other vehicle data, tracks, scenarios or control model "
+            f"({content['origin']['fingerprint']}, here {_fingerprint_here()}); `make tune` tunes again"
+        )
+    return content
+
+
+def tuned(controller: str, options: dict | None = None, **changes):
+    """Guidance of a controller with its tuned parameters, see `registry.guidance`."""
+    return guidance(controller, load(controller)["parameters"], options, **changes)
+
+
+def main(names: list[str]) -> None:
+    """Tune the named controllers, or all."""
+    task = load_task()
+    unknown = set(names) - set(task.dimensions)
+    if unknown:
+        raise InputError(f"controller {min(unknown)!r} is not in tuning.toml; there are {sorted(task.dimensions)}")
+    checkpoints = paths.BUILD / "tuning"
+    with executor() as pool:
+        for name in names or task.dimensions:
+            begin = time.perf_counter()
+            result = tune(name, task, pool, checkpoints)
+            save(result, paths.ROOT / TUNED)
+            print(f"{name}: cost {result['cost']:.4f} after {len(result['history'])} evaluations, "
+                  f"{time.perf_counter() - begin:.0f} s")  # fmt: skip
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except InputError as error:
+        sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("interrupted; run again to resume")

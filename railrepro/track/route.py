@@ -1,0 +1,213 @@
+"""Everything laid along the way: track geometry, irregularities, lateral set point, adhesion and force demand.
+
+A route is a table of cells of uniform length. A cell holds values and slopes at its start, so that the compiled
+simulation needs one row per body and a Taylor expansion inside the cell, which is exact for straight, clothoid and arc.
+Controllers read the same cells, so plant and preview agree about the road ahead (paper eq. (track), theta and y*).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from railrepro.errors import InputError
+from railrepro.track.table import Track
+
+CELL = 0.5
+"""Length of a cell (m)."""
+BEFORE, AFTER = 60.0, 400.0
+"""Straight on beyond both ends of the track for trailing gears and previews (m)."""
+
+COLUMNS = (
+    *("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z"),
+    *("lateral", "dlateral", "vertical", "dvertical", "crosslevel", "dcrosslevel"),
+    *("y_ref", "dy_ref", "ddy_ref", "dddy_ref"),
+    *("poor_le", "poor_ri", "force"),
+)
+INDEX = {name: i for i, name in enumerate(COLUMNS)}
+Profile = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Route:
+    """Cells along the way; build with `lay`.
+
+    Attributes
+    ----------
+    cells : ndarray, shape (n, len(COLUMNS))
+        One row per cell, SI units; `p` is the start of the cell (m).
+    length : float
+        Coordinate at which a run ends: the end of the track (m).
+    """
+
+    cells: np.ndarray
+    length: float
+
+    def rows_at(self, p: np.ndarray) -> np.ndarray:
+        """Cells that hold the positions p (m), shape (n, len(COLUMNS))."""
+        index = np.clip((np.asarray(p, dtype=float) - self.cells[0, 0]) / CELL, 0, len(self.cells) - 1)
+        return self.cells[index.astype(int)]
+
+    def _named(self, p: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(COLUMNS, self.rows_at(np.atleast_1d(p)).T, strict=True))
+
+    def track_at(self, p: np.ndarray) -> np.ndarray:
+        """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m) at positions p (m), shape (6, n)."""
+        return np.array(track_in(self._named(p), p))
+
+    def reference_at(self, p: np.ndarray) -> np.ndarray:
+        """Lateral set point y* (m) and its slope dy*/dp (-), shape (2, n)."""
+        return np.array(reference_in(self._named(p), p)[:2])
+
+
+def track_in(cell: dict, p) -> tuple:
+    """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols)."""
+    d = p - cell["p"]
+    psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
+    roll = cell["phi"] + cell["dphi"] * d, cell["dphi"]
+    return psi, cell["kappa"] + cell["dkappa"] * d, *roll, cell["eps"] + cell["deps"] * d, cell["deps"]
+
+
+def reference_in(cell: dict, p) -> tuple:
+    """Lateral set point and its first two derivatives over p inside a cell."""
+    d = p - cell["p"]
+    y, y1, y2, y3 = (cell[name] for name in ("y_ref", "dy_ref", "ddy_ref", "dddy_ref"))
+    return y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3
+
+
+def lay(
+    track: Track,
+    reference: ca.Function | None = None,
+    poor: tuple[Profile, Profile] | Profile | None = None,
+    force: Profile | None = None,
+    irregularities=None,
+) -> Route:
+    """Lay set point, adhesion, force demand and irregularities along a track.
+
+    Parameters
+    ----------
+    track : Track
+    reference : casadi.Function, optional
+        Scalar map p (m) -> y* (m); derivatives are taken symbolically. See `sine` and `sweep`.
+    poor : callable or pair of callables, optional
+        Share of the poor adhesion set in [0, 1] over p (m); a pair gives left and right rail.
+    force : callable, optional
+        Demanded longitudinal force F_x* per running gear over p (N), traction positive.
+    irregularities : DataFrame, optional
+        Columns p_m, lateral_m, vertical_m, crosslevel_rad (`railrepro.track.irregularity.irregularities`).
+
+    Returns
+    -------
+    Route
+    """
+    columns = dict(_geometry(track))
+    p = columns["p"]
+    cells = np.zeros((p.size, len(COLUMNS)))
+    if irregularities is not None:
+        for name, column in (
+            ("lateral", "lateral_m"),
+            ("vertical", "vertical_m"),
+            ("crosslevel", "crosslevel_rad"),
+        ):
+            value = np.interp(p, irregularities["p_m"], irregularities[column], left=0.0, right=0.0)
+            columns |= {name: value, "d" + name: np.append(np.diff(value), 0.0) / CELL}
+    if reference is not None:
+        columns |= dict(zip(("y_ref", "dy_ref", "ddy_ref", "dddy_ref"), _derivatives(reference, p), strict=True))
+    if poor is not None:
+        left, right = poor if isinstance(poor, tuple) else (poor, poor)
+        columns |= {"poor_le": left(p), "poor_ri": right(p)}
+    if force is not None:
+        columns["force"] = force(p)
+    for name, value in columns.items():
+        cells[:, INDEX[name]] = value
+    if not np.isfinite(cells).all():
+        row, column = np.argwhere(~np.isfinite(cells))[0]
+        raise InputError(
+            f"route: {COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}, a finite number is needed"
+        )
+    return Route(cells, track.length)
+
+
+@lru_cache
+def _geometry(track: Track) -> dict[str, np.ndarray]:
+    p = np.arange(-BEFORE, track.length + AFTER, CELL)
+    psi, kappa, phi, dphi, eps, deps = track.interpolate(p)
+    kappa_end = np.append(kappa[1:], kappa[-1])
+    columns = {"p": p, "psi": psi, "kappa": kappa, "dkappa": (kappa_end - kappa) / CELL}
+    columns |= {"phi": phi, "dphi": dphi, "eps": eps, "deps": deps}
+    return columns | dict(zip("xyz", track.position(p), strict=True))
+
+
+def _derivatives(reference: ca.Function, p: np.ndarray) -> np.ndarray:
+    """Set point and its first three derivatives with respect to p, shape (4, n)."""
+    s = ca.SX.sym("p")
+    terms = [reference(s)]
+    for _ in range(3):
+        terms.append(ca.jacobian(terms[-1], s))
+    return np.array(ca.Function("reference", [s], [ca.vertcat(*terms)])(p[None, :]))
+
+
+def _fade(s: ca.SX, length: float) -> ca.SX:
+    """Smooth step 0 -> 1 over `length` (m) with three vanishing derivatives at both ends."""
+    r = ca.fmin(ca.fmax(s / length, 0), 1)
+    return r**4 * (35 + r * (-84 + r * (70 - 20 * r)))
+
+
+def _within(s: ca.SX, start: float, end: float, fade: float) -> ca.SX:
+    return _fade(s - start, fade) * (1 - _fade(s - end + fade, fade))
+
+
+def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
+    """Sinusoidal lateral set point.
+
+    Parameters
+    ----------
+    amplitude, period, start, end : float
+        Amplitude, spatial period, first and last track coordinate (m).
+    fade : float
+        Length over which the amplitude rises and falls smoothly (m).
+
+    Returns
+    -------
+    casadi.Function
+        p (m) -> y* (m).
+
+    Source: paper, caption of Fig. 7 (period 150 m).
+    """
+    s = ca.SX.sym("p")
+    end = min(end, 1e6)
+    window = _within(s, start, end, fade)
+    return ca.Function("sine", [s], [amplitude * window * ca.sin(2 * np.pi * (s - start) / period)])
+
+
+def sweep(
+    amplitude: float, period_start: float, period_end: float, start: float, end: float, fade: float = 30.0
+) -> ca.Function:
+    """Sine-sweep lateral set point whose wavenumber grows linearly from start to end.
+
+    Parameters
+    ----------
+    amplitude : float
+        Amplitude (m).
+    period_start, period_end : float
+        Spatial periods at both ends (m).
+    start, end : float
+        First and last track coordinate (m).
+    fade : float
+        Length over which the amplitude rises and falls smoothly (m).
+
+    Returns
+    -------
+    casadi.Function
+        p (m) -> y* (m).
+
+    Source: paper, Figs. 6 and 9 (parameters not printed there).
+    """
+    s = ca.SX.sym("p")
+    d = ca.fmin(ca.fmax(s - start, 0), end - start)
+    phase = 2 * np.pi * (d / period_start + (1 / period_end - 1 / period_start) * d**2 / (2 * (end - start)))
+    return ca.Function("sweep", [s], [amplitude * _within(s, start, end, fade) * ca.sin(phase)])
