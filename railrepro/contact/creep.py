@@ -115,7 +115,10 @@ def _functions(*values):
 
 
 def _with_spin(m, nu_y, shift):
-    """Lateral creepage that includes spin where spin enlarges it."""
+    """Lateral creepage that includes spin where spin enlarges it.
+
+    Source: Polach 1999.
+    """
     shifted = nu_y + shift
     if m is ca:
         return ca.if_else(ca.fabs(shifted) > ca.fabs(nu_y), shifted, nu_y)
@@ -123,7 +126,10 @@ def _with_spin(m, nu_y, shift):
 
 
 def _spin_share(m, nu_yc, nu, spin, a, b, steepness):
-    """Lateral force from spin relative to the friction force (-)."""
+    """Lateral force from spin relative to the friction force (-).
+
+    Source: Polach 1999.
+    """
     factor = 1 + 6.3 * (1 - m.exp(-a / b))
     gradient = steepness / factor * m.sqrt(nu_yc**2 + 1e-14)
     delta = (gradient**2 - 1) / (gradient**2 + 1)

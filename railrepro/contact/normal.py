@@ -19,7 +19,10 @@ _INTERPENETRATION = 0.55
 
 
 def contact_modulus(young: float, poisson: float) -> float:
-    """Modulus E* = E / (2 (1 - nu^2)) of two bodies of the same material (Pa)."""
+    """Modulus E* = E / (2 (1 - nu^2)) of two bodies of the same material (Pa).
+
+    Source: Johnson 1985, Contact Mechanics, section 4.2.
+    """
     return young / (2 * (1 - poisson**2))
 
 
@@ -193,7 +196,10 @@ def half_space_pressure(gap: np.ndarray, load: float, cell: float, modulus: floa
 
 
 def _influence(shape: tuple[int, int], cell: float, modulus: float) -> np.ndarray:
-    """Deflection of the half spaces at grid distances under unit pressure on one cell (m/Pa), wrapped for the FFT."""
+    """Deflection of the half spaces at grid distances under unit pressure on one cell (m/Pa), wrapped for the FFT.
+
+    Source: Love 1929.
+    """
     x, y = np.meshgrid(*(fft.fftfreq(2 * n, 1 / (2 * n)) * cell for n in shape), indexing="ij")
     half, total = cell / 2, 0.0
     for sign_x in (1, -1):

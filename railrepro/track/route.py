@@ -47,9 +47,14 @@ class Route:
     cells: np.ndarray
     length: float
 
+    @property
+    def start(self) -> float:
+        """Coordinate at which the first cell starts (m)."""
+        return self.cells[0, INDEX["p"]]
+
     def rows_at(self, p: np.ndarray) -> np.ndarray:
         """Cells that hold the positions p (m), shape (n, len(COLUMNS))."""
-        index = np.clip((np.asarray(p, dtype=float) - self.cells[0, 0]) / CELL, 0, len(self.cells) - 1)
+        index = np.clip((np.asarray(p, dtype=float) - self.start) / CELL, 0, len(self.cells) - 1)
         return self.cells[index.astype(int)]
 
     def _named(self, p: np.ndarray) -> dict[str, np.ndarray]:
@@ -65,7 +70,10 @@ class Route:
 
 
 def track_in(cell: dict, p) -> tuple:
-    """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols)."""
+    """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols).
+
+    Source: eq. (track).
+    """
     d = p - cell["p"]
     psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
     roll = cell["phi"] + cell["dphi"] * d, cell["dphi"]
@@ -73,7 +81,10 @@ def track_in(cell: dict, p) -> tuple:
 
 
 def reference_in(cell: dict, p) -> tuple:
-    """Lateral set point and its first two derivatives over p inside a cell."""
+    """Lateral set point and its first two derivatives over p inside a cell.
+
+    Source: eq. (des_states), y*.
+    """
     d = p - cell["p"]
     y, y1, y2, y3 = (cell[name] for name in ("y_ref", "dy_ref", "ddy_ref", "dddy_ref"))
     return y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3
