@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from railrepro.contact import normal, profiles
-from railrepro.contact.table import contact_table, equivalent_conicity, rigid_contact
+from railrepro.contact.table import (
+    CELL_COLUMNS,
+    ContactTable,
+    contact_table,
+    equivalent_conicity,
+    in_cell,
+    rigid_contact,
+)
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -51,8 +58,23 @@ def test_radius_is_the_integral_of_the_angle(table):
 
 def test_elastic_averaging_has_no_jump(table):
     inside = table[table["shift_m"].between(-0.005, 0.005)]
-    assert np.abs(np.diff(inside["wheel_contact_m"])).max() < 1.5e-3  # a rigid contact jumps by 12 mm
+    assert np.abs(np.diff(inside["rail_contact_m"])).max() < 1.5e-3  # a rigid contact jumps by 12 mm
     assert (inside[["semi_axis_x_m", "semi_axis_y_m", "c11", "c22", "c23"]] > 0).all().all()
+
+
+def test_cells_give_the_table_back_by_name(table):
+    cells = dict(zip(CELL_COLUMNS, ContactTable("s1002", table).cells().T, strict=True))
+    shift = table["shift_m"].to_numpy()
+    at_start, inside = in_cell(cells, 0.0), in_cell(cells, 3e-5)
+    assert np.array_equal(cells["shift"], shift[:-1])
+    assert np.array_equal(at_start["effective_radius"], table["effective_radius_m"][:-1])
+    assert np.array_equal(at_start["slope"], np.tan(table["angle_rad"][:-1]))
+    at_end = in_cell(cells, np.diff(shift))
+    assert at_end["effective_radius"] == pytest.approx(table["effective_radius_m"][1:].to_numpy(), rel=1e-14)
+    assert at_end["slope"] == pytest.approx(np.tan(table["angle_rad"][1:].to_numpy()), rel=1e-9)
+    for column in table.columns.drop(["shift_m", "effective_radius_m", "angle_rad", "approach_m"]):
+        expected = np.interp(shift[:-1] + 3e-5, shift, table[column])
+        assert inside[column.removesuffix("_m")] == pytest.approx(expected, rel=1e-12), column
 
 
 def test_hertz_of_equal_curvatures_is_a_circle():

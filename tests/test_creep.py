@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from railrepro.contact import creep
-from railrepro.contact.table import CONE_AXES, contact_table
+from railrepro.contact.table import CELL_COLUMNS, CONE_AXES, contact_table, in_cell
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -69,9 +69,9 @@ def test_values_and_derivatives_stay_finite_at_rest_and_without_load():
 def test_cone_is_exact_and_cells_join_smoothly():
     vehicle = load_vehicle()
     table = contact_table("cone", vehicle)
-    cells, h = table.cells(), table.step
-    assert cells[:, 2] == pytest.approx(np.tan(vehicle.wheel.cone_angle))
-    at_end = cells[:-1, 1] + h * (cells[:-1, 2] + h * (cells[:-1, 3] + h * cells[:-1, 4]))
-    assert np.allclose(at_end, cells[1:, 1], atol=1e-15)
+    cells = dict(zip(CELL_COLUMNS, table.cells().T, strict=True))
+    assert cells["radius_slope"] == pytest.approx(np.tan(vehicle.wheel.cone_angle))
+    at_end = in_cell(cells, table.step)["effective_radius"]
+    assert np.allclose(at_end[:-1], cells["effective_radius"][1:], atol=1e-15)
     with pytest.raises(InputError, match="not known"):
         contact_table("square", vehicle)

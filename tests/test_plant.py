@@ -1,15 +1,19 @@
 """The multibody car: statics, energy, symmetry, steady curving, integrator, faults, both backends."""
 
+from dataclasses import astuple, replace
+
 import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
+from railrepro.car.kinematics import orientation
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.contact.creep import kalker_coefficients
-from railrepro.contact.table import CONE_AXES, contact_table
+from railrepro.contact.creep import kalker_coefficients, polach
+from railrepro.contact.table import CELL_COLUMNS, CONE_AXES, contact_table
 from railrepro.control import law
 from railrepro.control.ndi import NDISettings
 from railrepro.simulation import exchange
@@ -78,13 +82,7 @@ def test_static_wheel_loads_carry_the_car(vehicle):
 def test_energy_of_the_free_car_is_conserved(vehicle):
     table = contact_table("cone", vehicle)
     state = equations.rest_state(vehicle, table, 50.0)
-    names = {name: i for i, name in enumerate(equations.STATES)}
-    state[[names["body.y"], names["body.phi"], names["front.y"], names["rear.y"]]] = (
-        0.002,
-        0.002,
-        0.001,
-        -0.001,
-    )
+    state[equations.indices("body.y", "body.phi", "front.y", "rear.y")] = 0.002, 0.002, 0.001, -0.001
     coupled = start(vehicle, state=state, parameters=conservative(vehicle))
     before = energies(coupled)[0]
     coupled.run(10_000)
@@ -104,29 +102,39 @@ def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
     assert motor.max() > 1e5
 
 
+def mirror(name):
+    """Name of the same quantity on the other side of the track and its sign there."""
+    odd = {"y", "psi", "phi", "vy", "wx", "wz", "psi_Ax", "psi_TrAx", "psidot_Ax", "yaw_to_body", "y_ref", "du"}
+    odd |= {"Fy", "nu_y", "spin"}
+    other = name.replace("_le", "_*").replace("_ri", "_le").replace("_*", "_ri")
+    return other, -1 if name.split(".")[1] in odd else 1
+
+
 @pytest.mark.parametrize("profile", ["cone", "s1002"])
-def test_left_and_right_curves_mirror(vehicle, profile):
-    from dataclasses import replace
-
-    from railrepro.track.table import Track
-
+def test_left_and_right_curves_mirror_in_every_state_and_output(vehicle, profile):
     table = contact_table(profile, vehicle)
     track = load_track("T3")
     flipped = track.table.copy()
     for column in ("psi_rad", "dpsi_dp_1pm", "phi_rad", "dphi_dp_1pm", "y_m"):
         flipped[column] = -flipped[column]
-    logs = []
+    runs = []
     for sign, geometry in ((1, track), (-1, replace(track, table=flipped))):
         way = route.lay(geometry, route.sweep(sign * 2e-3, 150, 60, 25, 500))
         gains = law.gain_vector(vehicle, NDISettings(), lateral=0.03, track_end=500.0, stop_speed=-1.0)
         rest = equations.rest_state(vehicle, table, 280 * KMH)
         coupled = exchange.Exchange(equations.parameter_vector(vehicle), table, way, gains, rest)
-        logs.append(frame(coupled.run(3000), coupled))
-    right, left = logs
-    assert isinstance(track, Track)
-    assert np.abs(right["front.y"]).max() > 1e-3
-    assert np.abs(right["front.y"] + left["front.y"]).max() < 1e-9
-    assert np.abs(right["front_le.N"] - left["front_ri.N"]).max() < 1e-2
+        log = frame(coupled.run(3000), coupled)
+        runs.append((dict(zip(equations.STATES, coupled.state, strict=True)), log))
+    (right, right_log), (left, left_log) = runs
+    assert np.abs(right_log["front.y"]).max() > 1e-3
+    for name, value in right.items():
+        other, sign = mirror(name)
+        assert value == pytest.approx(sign * left[other], rel=1e-8, abs=1e-11), name
+        assert abs(value) > 1e-7, f"{name} says nothing about symmetry"
+    for name in right_log:
+        other, sign = mirror(name)
+        scale = np.abs(right_log[name]).max()
+        assert np.abs(right_log[name] - sign * left_log[other]).max() <= 1e-8 * scale + 1e-11, name
 
 
 @pytest.mark.parametrize(("track", "speed"), [("T1", 40), ("T2", 160), ("T3", 280), ("T4", 400)])
@@ -180,7 +188,8 @@ def test_step_converges_with_order_three_on_a_smooth_stretch(vehicle):
         return x
 
     exact = after(128)
-    errors = [np.abs(after(n) - exact)[:36].max() for n in (2, 4, 8)]
+    motion = equations.indices(*(f"{body}.{name}" for body in equations.BODIES for name in equations.COORDINATES))
+    errors = [np.abs(after(n) - exact)[motion].max() for n in (2, 4, 8)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 2.4).all()
 
@@ -219,8 +228,7 @@ def test_braking_holds_the_car_at_standstill(vehicle):
 def test_a_wheel_that_lifts_carries_nothing_and_the_run_stays_finite(vehicle):
     table = contact_table("cone", vehicle)
     state = equations.rest_state(vehicle, table, 30.0)
-    names = {name: i for i, name in enumerate(equations.STATES)}
-    state[names["front.z"]] -= 0.02
+    state[equations.INDEX["front.z"]] -= 0.02
     coupled = start(vehicle, state=state)
     log = frame(coupled.run(3000), coupled)
     assert log["front_le.N"].iloc[0] == 0.0
@@ -246,6 +254,101 @@ def test_gyroscopic_moment_of_the_rolling_axle_in_the_clothoid(vehicle):
     turning = vehicle.effective_yaw_inertia * (kappa[1] - kappa[0]) / 50 * speed**2
     expected = (gyro + turning) * vehicle.wheel.radius / vehicle.gear.contact_base
     assert (window["front.du"].mean() + window["rear.du"].mean()) / 2 == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("profile", ["cone", "s1002"])
+def test_the_car_starts_in_balance_and_without_slip(profile):
+    vehicle = load_vehicle(**{"contact.profile": profile})
+    out = SteppedCar("T5", 50.0, vehicle).outputs
+    weight = (vehicle.body.mass + 2 * vehicle.gear.mass) * vehicle.gravity / 4
+    for wheel in equations.WHEELS:
+        assert out[f"{wheel}.N"] * np.cos(out[f"{wheel}.angle"]) == pytest.approx(weight, rel=1e-6)
+        assert out[f"{wheel}.sx"] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("side", "sign"), [("le", -1), ("ri", 1)])
+def test_contact_of_a_wheel_follows_from_the_named_columns_of_its_cell(vehicle, side, sign):
+    """One gear off the centre of straight track, with yaw rate and lateral speed, worked out from names."""
+    cell = {"shift": sign * 1.5e-3 - 4e-4, "effective_radius": 0.46, "radius_slope": 0.03, "radius_square": 2.0}
+    cell |= {"radius_cube": 900.0, "rolling_radius": 0.4603, "drolling_radius": 0.04, "rail_contact": 4e-3}
+    cell |= {"drail_contact": 1.3, "semi_axis_x": 6e-3, "dsemi_axis_x": 0.4, "semi_axis_y": 5e-3, "dsemi_axis_y": -0.6}
+    cell |= {"c11": 4.1, "dc11": 30.0, "c22": 3.6, "dc22": -50.0, "c23": 1.5, "dc23": 70.0}
+    cell |= {"normal_stiffness": 9e10, "dnormal_stiffness": 4e12}
+    at = {name: cell[name] + cell[f"d{name}"] * 4e-4 for name in cell if f"d{name}" in cell}
+    radius = 0.46 + 4e-4 * (0.03 + 4e-4 * (2.0 + 4e-4 * 900.0))
+    slope = 0.03 + 2 * 2.0 * 4e-4 + 3 * 900.0 * 4e-4**2
+    vx, vy, wz, spin = 40.0, 0.03, 0.02, 87.05
+    moving = {"front.y": 1.5e-3, "front.z": 1e-4 - radius, "front.vx": vx, "front.vy": vy, "front.wz": wz}
+    state = np.zeros(len(equations.STATES))
+    for name, value in (moving | {f"w.front_{side}": spin}).items():
+        state[equations.INDEX[name]] = value
+    par = dict(zip(equations.PARAMETERS, equations.parameter_vector(vehicle), strict=True))
+    par["contact.normal_damping"] = 0.0
+    contacts = np.tile(np.array([[cell[name]] for name in CELL_COLUMNS]), 4)
+    car, rows = equations.car(), np.zeros((len(route.COLUMNS), 3))
+    found = np.array(car.output(state, np.zeros(4), rows, contacts, np.array(list(par.values())))).ravel()
+    found = {
+        name: found[car.outputs.index(f"front_{side}.{name}")] for name in ("N", "nu_x", "nu_y", "spin", "Fx", "Fy")
+    }
+
+    cos = 1 / np.hypot(1, slope)
+    load = at["normal_stiffness"] * (1e-4 * cos) ** 1.5
+    lever = sign * (vehicle.gear.contact_base / 2 + at["rail_contact"]) - 1.5e-3
+    sliding = vx - spin * (at["rolling_radius"] - 1e-4) - wz * lever, vy * cos
+    rolling = np.hypot(vx, vehicle.contact.rest_speed)
+    creepage = *(np.array(sliding) / rolling), (wz * cos - spin * sign * slope * cos) / rolling
+    scale = (load / vehicle.contact.nominal_load) ** (1 / 3)
+    ellipse = at["semi_axis_x"] * scale, at["semi_axis_y"] * scale
+    kalker = (at[name] for name in ("c11", "c22", "c23"))
+    law_ = astuple(vehicle.adhesion["dry"])
+    force = polach(*creepage, load, *ellipse, *kalker, vehicle.contact.shear_modulus, *law_, np.hypot(*sliding))
+    expected = dict(zip(found, (load, *creepage, *force), strict=True))
+    assert found == pytest.approx(expected, rel=2e-5)  # the car's law carries one newton more
+    assert max(abs(value) for value in creepage[:2]) > 5e-4
+
+
+def test_angles_turn_with_the_angular_velocity(vehicle):
+    """Rates of yaw, pitch and roll at large angles: the rotation they describe turns with w in body axes."""
+    state = equations.rest_state(vehicle, contact_table("cone", vehicle), 50.0)
+    angles, turn = np.array([0.3, 0.2, -0.4]), np.array([0.5, -0.7, 1.1])
+    state[equations.indices("body.psi", "body.pitch", "body.phi")] = angles
+    state[equations.indices("body.wx", "body.wy", "body.wz")] = turn
+    contacts = np.tile(contact_table("cone", vehicle).cells()[0][:, None], 4)
+    rows = np.zeros((len(route.COLUMNS), 3))
+    found = np.array(equations.car().rate(state, np.zeros(4), rows, contacts, equations.parameter_vector(vehicle)))
+    rates = found.ravel()[equations.indices("body.psi", "body.pitch", "body.phi")]
+
+    def attitude(time):
+        return Rotation.from_euler("ZYX", angles + rates * time).as_matrix()
+
+    assert np.array(ca.evalf(orientation(*angles))) == pytest.approx(attitude(0), abs=1e-15)
+    skew = attitude(0).T @ (attitude(1e-5) - attitude(-1e-5)) / 2e-5
+    assert [skew[2, 1], skew[0, 2], skew[1, 0]] == pytest.approx(turn, rel=1e-6)
+
+
+def test_pitch_is_nose_up_and_roll_is_right_side_down(vehicle):
+    car = SteppedCar("T5", 60.0)
+    car.step(exchanges=500)
+    a, spring = car.linearise().a, vehicle.suspension
+    lift = spring.k_z * vehicle.body.gear_spacing / vehicle.gear.mass
+    assert a.loc[["front.vz", "rear.vz"], "body.pitch"].tolist() == pytest.approx([-lift, lift], rel=1e-6)
+    assert a.loc[["front.vz", "rear.vz"], "body.phi"].tolist() == pytest.approx([0, 0], abs=1e-6)
+    tilt = spring.k_z * 2 * spring.half_spacing**2 + spring.antiroll_stiffness
+    assert a.loc["front.wx", "body.phi"] == pytest.approx(tilt / vehicle.gear.inertia_x, rel=0.15)
+    assert a.loc["front.wx", "body.pitch"] == pytest.approx(0, abs=1e-6)
+    for body in equations.BODIES:
+        angles, turns = (
+            [f"{body}.{name}" for name in names] for names in (("phi", "pitch", "psi"), ("wx", "wy", "wz"))
+        )
+        assert a.loc[angles, turns].to_numpy() == pytest.approx(np.eye(3), abs=1e-4)
+
+
+def test_outputs_that_are_states_bear_their_names():
+    car = SteppedCar("T5", 60.0)
+    car.state[:] += 1e-6 * np.arange(len(car.state))
+    shared = [name for name in car.outputs if name in equations.INDEX]
+    assert {"body.pitch", "body.phi", "front.y"} <= set(shared)
+    assert [car.outputs[name] for name in shared] == car.state[equations.indices(*shared)].tolist()
 
 
 def test_small_traction_slips_by_kalkers_longitudinal_coefficient():

@@ -9,6 +9,7 @@ Source: Sandu et al., Atmospheric Environment 31 (1997) 3459 (Rodas3); Hairer an
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 
 class Stages:
@@ -21,11 +22,14 @@ class Stages:
         self._symbols, self._definitions = [], []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Replace scalar expressions (of the state and earlier stages) by symbols."""
-        symbols = ca.SX.sym(f"stage{len(self._symbols)}", len(expressions))
+        """Replace expressions (of the state and earlier stages) by symbols of the same shapes."""
+        definition = ca.vertcat(*(ca.vec(expression) for expression in expressions))
+        symbols = ca.SX.sym(f"stage{len(self._symbols)}", definition.numel())
         self._symbols.append(symbols)
-        self._definitions.append(ca.vertcat(*expressions))
-        return ca.vertsplit(symbols)
+        self._definitions.append(definition)
+        limits = np.cumsum([0, *(expression.numel() for expression in expressions)])
+        parts = ca.vertsplit(symbols, limits.tolist())
+        return [ca.reshape(part, *expression.shape) for part, expression in zip(parts, expressions, strict=True)]
 
     def resolve(self, expression: ca.SX) -> ca.SX:
         """The expression with all held symbols replaced by what they stand for."""
@@ -64,6 +68,8 @@ def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]
         State after the step, local error O(h^4).
     error : SX, shape (n, 1)
         Difference to the embedded method of order 2.
+
+    Source: Sandu et al. 1997 (Rodas3), scaled as in Hairer and Wanner, Solving ODEs II, sec. IV.7.
     """
     parameters = _others(f, x)
     rate = ca.Function("rate", [x, *parameters], [f])
@@ -94,6 +100,8 @@ def factorise(matrix: ca.SX):
     -------
     callable
         Maps an SX right-hand side of shape (n, 1) to the solution.
+
+    Source: Markowitz 1957 (order of the pivots).
     """
     n = matrix.shape[0]
     rows = [{} for _ in range(n)]

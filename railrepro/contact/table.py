@@ -25,9 +25,15 @@ from railrepro.errors import InputError
 from railrepro.vehicle.parameters import Vehicle
 
 _LINEAR = (
-    *("rolling_radius_m", "wheel_contact_m", "semi_axis_x_m", "semi_axis_y_m"),
+    *("rolling_radius", "rail_contact", "semi_axis_x", "semi_axis_y"),
     *("c11", "c22", "c23", "normal_stiffness"),
 )
+CELL_COLUMNS = (
+    *("shift", "effective_radius", "radius_slope", "radius_square", "radius_cube"),
+    *(column for name in _LINEAR for column in (name, f"d{name}")),
+)
+"""A cell of the table: shift at its start, coefficients of the effective radius as a cubic in the offset from there,
+value and slope of the other quantities (SI)."""
 CONE_AXES = (6.28e-3, 7.02e-3)
 """Semi-axes of the contact ellipse of the cone at nominal load, along and across the rail (m)."""
 SHIFTS = np.arange(-150, 121) * 1e-4
@@ -44,9 +50,9 @@ class ContactTable:
     ----------
     name : str
     frame : DataFrame
-        Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, wheel_contact_m (lateral position
-        on the wheel, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal load), c11, c22, c23,
-        normal_stiffness (N/m^1.5).
+        Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, rail_contact_m (lateral position
+        on the rail, from half the contact base, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal
+        load), c11, c22, c23, normal_stiffness (N/m^1.5).
     """
 
     name: str
@@ -63,25 +69,47 @@ class ContactTable:
         return float(self.frame["shift_m"].iloc[1] - self.start)
 
     def cells(self) -> np.ndarray:
-        """Rows for the compiled plant, shape (n, 21).
+        """Cells for the compiled plant, shape (n, len(CELL_COLUMNS)); value and slope of the radius are continuous.
 
-        Shift at the start of the cell; four coefficients of the effective radius as a cubic in the offset (value and
-        slope continuous); value and slope of eight further quantities.
+        Source: cubic Hermite interpolation, de Boor, A Practical Guide to Splines, ch. IV.
         """
-        shift = self.frame["shift_m"].to_numpy()
-        h = np.diff(shift)
-        radius, slope = (
-            self.frame["effective_radius_m"].to_numpy(),
-            np.tan(self.frame["angle_rad"].to_numpy()),
-        )
+        quantities = {name.removesuffix("_m"): self.frame[name].to_numpy() for name in self.frame}
+        shift, radius = quantities["shift"], quantities["effective_radius"]
+        slope, h = np.tan(quantities["angle_rad"]), np.diff(shift)
         secant = np.diff(radius) / h
-        square = (3 * secant - 2 * slope[:-1] - slope[1:]) / h
-        cube = (slope[:-1] + slope[1:] - 2 * secant) / h**2
-        columns = [shift[:-1], radius[:-1], slope[:-1], square, cube]
+        columns = {
+            "shift": shift[:-1],
+            "effective_radius": radius[:-1],
+            "radius_slope": slope[:-1],
+            "radius_square": (3 * secant - 2 * slope[:-1] - slope[1:]) / h,
+            "radius_cube": (slope[:-1] + slope[1:] - 2 * secant) / h**2,
+        }
         for name in _LINEAR:
-            values = self.frame[name].to_numpy()
-            columns += [values[:-1], np.diff(values) / h]
-        return np.ascontiguousarray(np.array(columns).T)
+            columns |= {name: quantities[name][:-1], f"d{name}": np.diff(quantities[name]) / h}
+        return np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
+
+
+def in_cell(cell: dict, offset) -> dict:
+    """Contact at an offset from the start of a cell given by its columns (numbers, arrays or symbols).
+
+    Parameters
+    ----------
+    cell : dict
+        Values of `CELL_COLUMNS`.
+    offset : float, ndarray or SX
+        Distance from the shift at the start of the cell (m).
+
+    Returns
+    -------
+    dict
+        effective_radius (m) and its slope (-), which is the tangent of the contact angle, rolling_radius, rail_contact,
+        semi_axis_x, semi_axis_y (m), c11, c22, c23 (-), normal_stiffness (N/m^1.5).
+    """
+    slope, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
+    return {
+        "effective_radius": cell["effective_radius"] + offset * (slope + offset * (square + offset * cube)),
+        "slope": slope + offset * (2 * square + offset * 3 * cube),
+    } | {name: cell[name] + cell[f"d{name}"] * offset for name in _LINEAR}
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
@@ -104,7 +132,7 @@ def _cone(vehicle: Vehicle) -> ContactTable:
     radius = vehicle.wheel.radius + slope * shift
     constant = {
         "angle_rad": vehicle.wheel.cone_angle,
-        "wheel_contact_m": 0.0,
+        "rail_contact_m": 0.0,
         "semi_axis_x_m": a,
         "semi_axis_y_m": b,
         "c11": float(c11),
@@ -198,6 +226,8 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
     -------
     ContactTable
         With the elastic approach at nominal load (`approach_m`) as a further column.
+
+    Source: Piotrowski and Kik 2008 (patch), Johnson 1985 (ellipse), Kalker 1990 (coefficients).
     """
     patches = []
     for shift in SHIFTS:
@@ -219,7 +249,7 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
         "effective_radius_m": rolling[centre] - depth_at_contact + climb - climb[centre],
         "angle_rad": np.arctan(slope),
         "rolling_radius_m": rolling,
-        "wheel_contact_m": position - profiles.TAPE_CIRCLE,
+        "rail_contact_m": position - profiles.TAPE_CIRCLE,
         "semi_axis_x_m": a,
         "semi_axis_y_m": b,
         "c11": c11,
@@ -250,7 +280,7 @@ def equivalent_conicity(shift, rolling_radius, amplitude: float) -> float:
     y = np.linspace(0.0, amplitude, 4001)
     difference = np.interp(y, shift, rolling_radius) - np.interp(-y, shift, rolling_radius)
     potential = CubicSpline(y, difference).antiderivative()
-    theta = (np.arange(4000) + 0.5) * np.pi / 8000
-    speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(theta))))
-    quarter = np.mean(amplitude * np.cos(theta) / speed) * np.pi / 2
+    phase = (np.arange(4000) + 0.5) * np.pi / 8000
+    speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(phase))))
+    quarter = np.mean(amplitude * np.cos(phase) / speed) * np.pi / 2
     return float((np.pi / 2 / quarter) ** 2 / 2)

@@ -1,0 +1,136 @@
+"""Where the bodies of the car are and how they move: rotations, the track section at a body, the body in it.
+
+Serves the paper's section Coordinate Frames, for the plant.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+
+from railrepro.track import route
+
+COORDINATES = ("s", "y", "z", "psi", "pitch", "phi", "vx", "vy", "vz", "wx", "wy", "wz")
+"""State of a body: place in its own track section (m); yaw, pitch and roll against the track frame (rad); absolute
+velocity in track-frame components (m/s); absolute angular velocity in body axes (rad/s)."""
+
+
+def named(names: tuple[str, ...], vector: ca.SX) -> dict[str, ca.SX]:
+    """Entries of a symbolic vector by name."""
+    return dict(zip(names, ca.vertsplit(vector), strict=True))
+
+
+def rotation(axis: str, angle: ca.SX) -> ca.SX:
+    """Elementary rotation matrix about one axis, shape (3, 3); maps components of the turned frame to the old one."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    entries = {
+        "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+        "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+    }[axis]
+    return ca.vertcat(*(ca.horzcat(*row) for row in entries))
+
+
+def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
+    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3).
+
+    Source: eq. (rot_matrix).
+    """
+    return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
+
+
+class Section:
+    """Track section at a body: angles, rates per metre, position, irregularities as expressions of s.
+
+    Source: eq. (track), with the rotation of eq. (rot_matrix).
+    """
+
+    def __init__(self, s: ca.SX, row: ca.SX):
+        cell = named(route.COLUMNS, row)
+        d = s - cell["p"]
+        self.psi, self.kappa, self.phi, self.dphi, self.eps, self.deps = route.track_in(cell, s)
+        self.rotation = orientation(self.psi, self.eps, self.phi)
+        self.position = ca.vertcat(cell["x"], cell["y"], cell["z"]) + self._travel(cell, d)
+        self.lateral = cell["lateral"] + cell["dlateral"] * d
+        self.vertical = cell["vertical"] + cell["dvertical"] * d
+        self.crosslevel = cell["crosslevel"] + cell["dcrosslevel"] * d
+        self.irregularity_rates = (cell["dlateral"], cell["dvertical"], cell["dcrosslevel"])
+        self.poor = {"le": cell["poor_le"], "ri": cell["poor_ri"]}
+        sin, cos = ca.sin, ca.cos
+        self.turn_rate = ca.vertcat(
+            self.dphi - sin(self.eps) * self.kappa,
+            cos(self.phi) * self.deps + sin(self.phi) * cos(self.eps) * self.kappa,
+            -sin(self.phi) * self.deps + cos(self.phi) * cos(self.eps) * self.kappa,
+        )
+
+    @staticmethod
+    def _travel(cell: dict[str, ca.SX], d: ca.SX) -> ca.SX:
+        """Displacement inside the cell: third-order Taylor expansion of the integral of the tangent."""
+        q = ca.SX.sym("q")
+        psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * q / 2) * q
+        eps = cell["eps"] + cell["deps"] * q
+        tangent = [ca.vertcat(ca.cos(eps) * ca.cos(psi), ca.cos(eps) * ca.sin(psi), -ca.sin(eps))]
+        for _ in range(2):
+            tangent.append(ca.jacobian(tangent[-1], q))
+        at_start = [ca.substitute(term, q, 0) for term in tangent]
+        return d * (at_start[0] + d / 2 * (at_start[1] + d / 3 * at_start[2]))
+
+
+@lru_cache(maxsize=1)
+def section_kinematics() -> ca.Function:
+    """Track frame inside a cell: (s, row of a `Route`) -> rotation (3, 3), turn rate (1/m), position (m)."""
+    s, row = ca.SX.sym("s"), ca.SX.sym("row", len(route.COLUMNS))
+    section = Section(s, row)
+    return ca.Function("section", [s, row], [section.rotation, section.turn_rate, section.position])
+
+
+class Body:
+    """Kinematics and dynamics of one rigid body in its own track section; attributes are named as `COORDINATES`.
+
+    Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rates of the angles, rotating frame).
+    """
+
+    def __init__(self, name: str, state: dict[str, ca.SX], row: ca.SX):
+        for coordinate in COORDINATES:
+            setattr(self, coordinate, state[f"{name}.{coordinate}"])
+        self.section = Section(self.s, row)
+        self.rotation = orientation(self.psi, self.pitch, self.phi)
+        self.v = ca.vertcat(self.vx, self.vy, self.vz)
+        self.w = ca.vertcat(self.wx, self.wy, self.wz)
+        turn_rate = self.section.turn_rate
+        self.sdot = self.vx / (1 + turn_rate[1] * self.z - turn_rate[2] * self.y)
+        self.turn = turn_rate * self.sdot
+        relative = self.w - self.rotation.T @ self.turn
+        psidot = (relative[1] * ca.sin(self.phi) + relative[2] * ca.cos(self.phi)) / ca.cos(self.pitch)
+        self.rates = {
+            "s": self.sdot,
+            "y": self.vy + self.turn[0] * self.z,
+            "z": self.vz - self.turn[0] * self.y,
+            "psi": psidot,
+            "pitch": relative[1] * ca.cos(self.phi) - relative[2] * ca.sin(self.phi),
+            "phi": relative[0] + psidot * ca.sin(self.pitch),
+        }
+        self.attitude = self.section.rotation @ self.rotation
+        self.position = self.section.position + self.section.rotation @ ca.vertcat(0, self.y, self.z)
+
+    def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX = 0) -> ca.SX:
+        """Rates of change of `COORDINATES` after Newton and Euler, shape (12, 1).
+
+        Parameters
+        ----------
+        force : SX, shape (3, 1)
+            In track-frame components (N).
+        moment : SX, shape (3, 1)
+            About the centre of gravity, in body axes (N m).
+        mass, inertia : SX, scalar and shape (3, 1)
+            Mass (kg) and principal moments of inertia (kg m2).
+        spin : SX
+            Angular momentum about the y axis of rotors that the body carries (kg m2/s).
+
+        Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
+        """
+        momentum = inertia * self.w + ca.vertcat(0, spin, 0)
+        rates = self.rates | named(("vx", "vy", "vz"), force / mass - ca.cross(self.turn, self.v))
+        rates |= named(("wx", "wy", "wz"), (moment - ca.cross(self.w, momentum)) / inertia)
+        return ca.vertcat(*(rates[name] for name in COORDINATES))

@@ -1,0 +1,121 @@
+"""Forces between a wheel and its rail: where they touch, how they slide, what that gives.
+
+Serves the paper's section Train-Track Interaction, for the plant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import casadi as ca
+
+from railrepro.car.integrator import Stages
+from railrepro.car.kinematics import Body, named, rotation
+from railrepro.contact.creep import polach
+from railrepro.contact.table import CELL_COLUMNS, in_cell
+from railrepro.vehicle.parameters import AdhesionSet
+
+ADHESION = tuple(field.name for field in fields(AdhesionSet))
+"""Parameters of the creep law that a rail brings along."""
+_SIGN = {"le": -1, "ri": 1}
+"""Side of a wheel, positive to the right."""
+
+
+def shift_to_flange(gear: Body, side: str, par: dict[str, ca.SX]) -> ca.SX:
+    """Shift of a wheel towards its flange against the rail (m), abscissa of the contact table."""
+    sign = _SIGN[side]
+    return sign * (sign * par["gear.contact_base"] / 2 - _rail_in_axle(gear, sign, par)[0])
+
+
+def _rail_in_axle(gear: Body, sign: int, par: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Lateral and vertical coordinate of the rail point in the (unpitched) axle frame (m)."""
+    y = sign * par["gear.contact_base"] / 2 + gear.section.lateral - gear.y
+    z = gear.section.vertical + sign * par["gear.contact_base"] / 2 * gear.section.crosslevel - gear.z
+    across = y / ca.cos(gear.psi)
+    return ca.cos(gear.phi) * across + ca.sin(gear.phi) * z, -ca.sin(gear.phi) * across + ca.cos(gear.phi) * z
+
+
+class Contact:
+    """One wheel on its rail: normal force with damping and lift-off, creepages, tangential force.
+
+    Creepages are sliding speeds of the wheel over the running speed, along and across the rail and about its normal.
+
+    Source: eq. (kalker); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
+    """
+
+    def __init__(self, gear: Body, side: str, speed: ca.SX, cell: ca.SX, par: dict[str, ca.SX], stages: Stages):
+        sign, cell = _SIGN[side], named(CELL_COLUMNS, cell)
+        self.gear, section = gear, gear.section
+        offset = shift_to_flange(gear, side, par) - cell["shift"]
+        at = in_cell(cell, offset)
+        cos_angle = 1 / ca.sqrt(1 + at["slope"] ** 2)
+        rail_y, rail_z = _rail_in_axle(gear, sign, par)
+        self.penetration = (at["effective_radius"] - rail_z) * cos_angle
+        self.angle = ca.atan(at["slope"])
+
+        upright = rotation("z", gear.psi) @ rotation("x", gear.phi)
+        turn_rate, base = section.turn_rate, sign * par["gear.contact_base"] / 2
+        tangent = ca.vertcat(1, 0, turn_rate[0] * base / (1 - turn_rate[2] * base))
+        tangent /= ca.norm_2(tangent)
+        normal = upright @ ca.vertcat(0, sign * at["slope"] * cos_angle, cos_angle)
+        normal -= tangent * ca.dot(tangent, normal)
+        normal /= ca.norm_2(normal)
+        lateral = ca.cross(normal, tangent)
+        to_body = gear.rotation.T @ upright
+        centre = ca.vertcat(0, base, 0)
+        # A wheel is a body of revolution, so the normal meets its axis: on a rail that climbs against the axle (cant
+        # ramp) the contact sits ahead of or behind the lowest point.
+        normal_axes = upright.T @ normal
+        ahead = normal_axes[0] / normal_axes[2]
+        depth = at["rolling_radius"] - self.penetration / cos_angle
+        at_normal = to_body @ ca.vertcat(ahead * rail_z, rail_y, rail_z)
+        at_contact = to_body @ ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
+
+        spin = ca.vertcat(gear.wx, -speed, gear.wz)
+        slide = gear.v + gear.rotation @ (ca.cross(gear.w, centre) + ca.cross(spin, at_contact - centre))
+        rolling_speed = ca.sqrt(gear.vx**2 + par["contact.rest_speed"] ** 2)
+        motion = (offset, self.penetration, self._penetration_rate(gear, sign, par), ca.dot(slide, tangent))
+        motion += (ca.dot(slide, lateral), ca.dot(gear.rotation @ spin, normal), rolling_speed)
+        self._forces(stages.hold(*motion), cell, section.poor[side], par)
+        self.normal, *self.tangential = stages.hold(self.normal, *self.tangential)
+
+        creep_force = tangent * self.tangential[0] + lateral * self.tangential[1]
+        normal_force = -normal * self.normal
+        self.force = creep_force + normal_force
+        creep_axes, normal_axes = gear.rotation.T @ creep_force, gear.rotation.T @ normal_force
+        self.axle_moment = ca.cross(at_contact - centre, creep_axes) + ca.cross(at_normal - centre, normal_axes)
+        bearing = ca.cross(centre, creep_axes + normal_axes)
+        self.moment = ca.vertcat(self.axle_moment[0], 0, self.axle_moment[2]) + bearing
+
+    def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: dict[str, ca.SX]) -> None:
+        """Hertzian normal force with damping, and creep forces, from the motion of the contact.
+
+        Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping).
+        """
+        offset, penetration, rate, *self.sliding, turn, rolling_speed = motion
+        at = in_cell(cell, offset)
+        compression = ca.fmax(penetration, 0)
+        elastic = at["normal_stiffness"] * compression**1.5
+        self.normal = ca.fmax(elastic * (1 + par["contact.normal_damping"] * rate), 0)
+        self.energy = elastic * compression / 2.5
+        self.dissipation = (self.normal - elastic) * rate
+        self.creepage = (self.sliding[0] / rolling_speed, self.sliding[1] / rolling_speed)
+        self.spin = turn / rolling_speed
+        scale = ((self.normal + 1) / par["contact.nominal_load"]) ** (1 / 3)
+        adhesion = [par[f"adhesion.good.{n}"] * (1 - poor) + par[f"adhesion.poor.{n}"] * poor for n in ADHESION]
+        slip_speed = ca.sqrt(self.sliding[0] ** 2 + self.sliding[1] ** 2 + 1e-12)
+        self.tangential = polach(
+            *self.creepage, self.spin, self.normal, at["semi_axis_x"] * scale, at["semi_axis_y"] * scale,
+            at["c11"], at["c22"], at["c23"], par["contact.shear_modulus"], *adhesion, slip_speed,
+        )  # fmt: skip
+
+    def _penetration_rate(self, gear: Body, sign: int, par: dict[str, ca.SX]) -> ca.SX:
+        """Time derivative of the penetration along the motion of the carrier over the rail (m/s)."""
+        moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
+        rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
+        gradient = ca.jacobian(self.penetration, moving) @ rates
+        dlateral, dvertical, dcrosslevel = gear.section.irregularity_rates
+        y_change = -dlateral
+        z_change = -(dvertical + sign * par["gear.contact_base"] / 2 * dcrosslevel)
+        along = ca.jacobian(self.penetration, ca.vertcat(gear.y, gear.z)) @ ca.vertcat(y_change, z_change)
+        return gradient + along * gear.sdot
