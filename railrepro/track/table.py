@@ -8,6 +8,7 @@ Serves the paper's section Train-Track Interaction (eqs. track).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -208,14 +209,49 @@ def read_table(path: Path | str) -> pd.DataFrame:
         Missing column, NaN, p not increasing, implausible magnitude (wrong unit) or angles that do not fit their rates.
     """
     file = Path(path)
+    numbers = read_numbers(file, COLUMNS[:7], COLUMNS[7:])
+    step = np.diff(numbers["p_m"])
+    for column, (limit, unit) in _PLAUSIBLE.items():
+        if (numbers[column].abs() > limit).any():
+            row = int(np.argmax(numbers[column].abs() > limit))
+            found = numbers[column].iloc[row]
+            raise InputError(
+                f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit} {unit} is allowed (unit?)"
+            )
+    _check_rates(file, numbers, step)
+    if len(numbers.columns) < len(COLUMNS):
+        numbers = numbers.assign(**dict(zip(COLUMNS[-3:], _positions(numbers), strict=True)))
+    return numbers[list(COLUMNS)]
+
+
+def read_numbers(file: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> pd.DataFrame:
+    """Finite numbers of a CSV along the track.
+
+    Parameters
+    ----------
+    file : Path
+        CSV whose rows follow the coordinate p_m.
+    needed, optional : sequence of str
+        Columns; others are ignored.
+
+    Returns
+    -------
+    DataFrame
+        At least two rows; the columns that are there, in the order asked for.
+
+    Raises
+    ------
+    InputError
+        Missing column, anything but a finite number, p_m not increasing.
+    """
     try:
         table = pd.read_csv(file)
     except (OSError, ValueError) as error:
         raise InputError(f"{file.name}: cannot be read as CSV ({error})") from error
-    for column in COLUMNS[:7]:
+    for column in needed:
         if column not in table:
             raise InputError(f"{file.name}: column {column} is missing; found {list(table.columns)}")
-    columns = [column for column in COLUMNS if column in table]
+    columns = [*needed, *(column for column in optional if column in table)]
     numbers = table[columns].apply(pd.to_numeric, errors="coerce").astype(float)
     if len(numbers) < 2:
         raise InputError(f"{file.name}: {len(numbers)} rows found, at least 2 are needed")
@@ -229,17 +265,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 3
         raise InputError(f"{file.name}: row {row}, p_m does not increase ({numbers['p_m'].iloc[row - 2]})")
-    for column, (limit, unit) in _PLAUSIBLE.items():
-        if (numbers[column].abs() > limit).any():
-            row = int(np.argmax(numbers[column].abs() > limit))
-            found = numbers[column].iloc[row]
-            raise InputError(
-                f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit} {unit} is allowed (unit?)"
-            )
-    _check_rates(file, numbers, step)
-    if len(columns) < len(COLUMNS):
-        numbers = numbers.assign(**dict(zip(COLUMNS[-3:], _positions(numbers), strict=True)))
-    return numbers[list(COLUMNS)]
+    return numbers
 
 
 def _check_rates(file: Path, table: pd.DataFrame, step: np.ndarray) -> None:
