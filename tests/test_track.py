@@ -1,14 +1,11 @@
-"""Tracks: Table I, exact interpolation, frames, own tracks, refused input, irregularities."""
+"""Tracks: Table I, exact interpolation, frames, own tracks, refused input."""
 
 import numpy as np
-import pandas as pd
 import pytest
-from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from railrepro.errors import InputError
 from railrepro.track.alignment import alignments, superelevation
-from railrepro.track.irregularity import irregularities, irregularity_spectrum
 from railrepro.track.table import Track, build_table, load_track, read_table, write_table
 
 OWN = """
@@ -124,14 +121,3 @@ def test_wrong_alignments_are_refused(tmp_path, text, sentence):
     file.write_text(text)
     with pytest.raises(InputError, match=sentence):
         alignments(file)
-
-
-def test_irregularities_have_the_spectrum_they_claim():
-    p = np.arange(0, 8000, 0.5)
-    rows = irregularities(p, "erri_low", seed=4, longest=100.0)
-    frequency, density = signal.welch(rows["lateral_m"].to_numpy(), fs=2.0, nperseg=2048)
-    band = (frequency > 0.03) & (frequency < 0.2)
-    expected = 2 * np.pi * irregularity_spectrum("erri_low", "lateral", 2 * np.pi * frequency[band])
-    assert np.mean(density[band] / expected) == pytest.approx(1.0, abs=0.15)
-    assert not rows["lateral_m"].equals(irregularities(p, "erri_low", seed=5)["lateral_m"])
-    assert isinstance(rows, pd.DataFrame)

@@ -1,29 +1,50 @@
-"""Track irregularities: their spectrum and random realisations of it."""
+"""Track irregularities: spectra, random realisations, the rails of a track centre, standard deviation in a band.
+
+A frame of irregularities has the coordinate p_m and four channels of the track centre, signs as in the car: alignment
+(`lateral_m`, right positive), longitudinal level (`vertical_m`, down positive), cross level as an angle
+(`crosslevel_rad`, right rail down positive) and gauge (`gauge_m`, wider than nominal positive).
+"""
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
+from scipy import signal
 
+from railrepro import paths
 from railrepro.errors import InputError
 
-_IRREGULARITIES = {
-    "erri_low": (2.119e-7, 4.032e-7),
-    "erri_high": (6.125e-7, 10.80e-7),
+CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
+"""Channels in the order of their random generators, with their columns."""
+D1, D2 = (3.0, 25.0), (25.0, 70.0)
+"""Bands of wavelengths (m) in which EN 13848-1 judges level and alignment."""
+
+_ERRI = {
+    "erri_low": {"lateral": 2.119e-7, "vertical": 4.032e-7, "gauge": 5.32e-8},
+    "erri_high": {"lateral": 6.125e-7, "vertical": 10.80e-7, "gauge": 1.032e-7},
 }
 _WAVE = {"c": 0.8246, "r": 0.0206, "s": 0.4380}
 _HALF_BASE = 0.75
+_FADE = 30.0
 
 
 def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -> np.ndarray:
     """One-sided power spectral density of an irregularity channel.
 
+    The gauge has the shape of the cross level with an amplitude of its own; its numbers are recalled from the German
+    high-speed spectra that share all other numbers with ERRI B176 (confidence R).
+
     Parameters
     ----------
     spectrum : str
-        "erri_low" or "erri_high".
+        "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300": the shapes of "erri_low",
+        level and cross level scaled together, alignment and gauge scaled together, so that each rail has the entry's
+        standard deviation in the band D1.
     channel : str
-        "lateral", "vertical" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
+        "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
     wavenumber : ndarray
         Angular wavenumber (rad/m).
 
@@ -33,14 +54,54 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
 
     Source: ERRI B176.
     """
-    if spectrum not in _IRREGULARITIES:
-        raise InputError(f"spectrum {spectrum!r} is not known; there are {sorted(_IRREGULARITIES)}")
-    lateral, vertical = _IRREGULARITIES[spectrum]
+    if channel not in CHANNELS:
+        raise InputError(f"channel {channel!r} is not known; there are {list(CHANNELS)}")
+    amplitude = _amplitudes(spectrum)
     w2, c2, r2, s2 = wavenumber**2, *(_WAVE[k] ** 2 for k in "crs")
     shape = c2 / ((w2 + r2) * (w2 + c2))
     if channel == "crosslevel":
-        return vertical / _HALF_BASE**2 * shape * w2 / (w2 + s2)
-    return {"lateral": lateral, "vertical": vertical}[channel] * shape
+        return amplitude["vertical"] / _HALF_BASE**2 * shape * w2 / (w2 + s2)
+    if channel == "gauge":
+        return amplitude["gauge"] * shape * w2 / (w2 + s2)
+    return amplitude[channel] * shape
+
+
+def _amplitudes(spectrum: str) -> dict[str, float]:
+    """Amplitudes of lateral, vertical and gauge (m rad)."""
+    if spectrum in _ERRI:
+        return _ERRI[spectrum]
+    classes = track_quality()
+    if spectrum not in classes:
+        raise InputError(f"spectrum {spectrum!r} is not known; there are {sorted(_ERRI)} and {sorted(classes)}")
+    level, alignment = classes[spectrum]
+    low = _ERRI["erri_low"]
+    wavenumber = np.linspace(2 * np.pi / D1[1], 2 * np.pi / D1[0], 2000)
+    density = {channel: irregularity_spectrum("erri_low", channel, wavenumber) for channel in CHANNELS}
+    level /= np.sqrt(np.trapezoid(density["vertical"] + _HALF_BASE**2 * density["crosslevel"], wavenumber))
+    alignment /= np.sqrt(np.trapezoid(density["lateral"] + density["gauge"] / 4, wavenumber))
+    return {
+        "lateral": low["lateral"] * alignment**2,
+        "vertical": low["vertical"] * level**2,
+        "gauge": low["gauge"] * alignment**2,
+    }
+
+
+def track_quality(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
+    """Standard deviations of level and alignment of one rail in D1 (m) by name; default data/irregularities.toml."""
+    file = Path(path) if path else paths.source("data/irregularities.toml")
+    try:
+        content = tomllib.loads(file.read_text())
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{file.name}: cannot be read as TOML ({error})") from error
+    for name, entry in content.items():
+        needed = {"level_mm", "alignment_mm", "confidence"}
+        if not isinstance(entry, dict) or set(entry) != needed:
+            raise InputError(f"{file.name}: {name} has {entry}, exactly the keys {sorted(needed)} are needed")
+        for key in ("level_mm", "alignment_mm"):
+            value = entry[key]
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 20:
+                raise InputError(f"{file.name}: {name} {key} is {value!r}, above 0 and up to 20 mm is needed")
+    return {name: (entry["level_mm"] * 1e-3, entry["alignment_mm"] * 1e-3) for name, entry in content.items()}
 
 
 def irregularities(
@@ -61,16 +122,110 @@ def irregularities(
     Returns
     -------
     DataFrame
-        Columns p_m, lateral_m, vertical_m, crosslevel_rad; faded in and out smoothly over 30 m.
+        Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m; faded in and out smoothly over 30 m.
     """
+    if not 0 < shortest < longest:
+        raise InputError(f"irregularities: wavelengths from {shortest} to {longest} m, an increasing band is needed")
     frequency = np.linspace(1 / longest, 1 / shortest, 1200)
     step = frequency[1] - frequency[0]
-    r = np.clip(np.minimum(p - p[0], p[-1] - p) / 30.0, 0, 1)
-    fade = r**3 * (10 - 15 * r + 6 * r**2)
     columns = {"p_m": p}
-    for i, (channel, unit) in enumerate((("lateral", "m"), ("vertical", "m"), ("crosslevel", "rad"))):
+    for i, (channel, column) in enumerate(CHANNELS.items()):
         phase = np.random.default_rng((seed, i)).uniform(0, 2 * np.pi, frequency.size)
         density = 2 * np.pi * irregularity_spectrum(spectrum, channel, 2 * np.pi * frequency)
         waves = np.cos(2 * np.pi * np.outer(p, frequency) + phase)
-        columns[f"{channel}_{unit}"] = fade * (waves @ np.sqrt(2 * density * step))
+        columns[column] = waves @ np.sqrt(2 * density * step)
+    return faded(pd.DataFrame(columns))
+
+
+def smooth_step(r: np.ndarray) -> np.ndarray:
+    """Step from 0 at r <= 0 to 1 at r >= 1 with vanishing first and second derivatives at both ends."""
+    r = np.clip(r, 0, 1)
+    return r**3 * (10 - 15 * r + 6 * r**2)
+
+
+def faded(frame: pd.DataFrame) -> pd.DataFrame:
+    """A frame that fades in and out smoothly over 30 m, so that it begins and ends on the ideal track."""
+    p = frame["p_m"].to_numpy()
+    fade = smooth_step(np.minimum(p - p[0], p[-1] - p) / _FADE)
+    return frame.assign(**{column: fade * frame[column] for column in frame.columns.drop("p_m")})
+
+
+def rails(frame: pd.DataFrame) -> pd.DataFrame:
+    """Offsets of both rails from their ideal places.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        p_m and the columns of `CHANNELS`.
+
+    Returns
+    -------
+    DataFrame
+        p_m, then lateral_le_m, lateral_ri_m (right positive), vertical_le_m, vertical_ri_m (down positive).
+    """
+    columns = {"p_m": frame["p_m"]}
+    for side, sign in (("le", -1), ("ri", 1)):
+        columns[f"lateral_{side}_m"] = frame["lateral_m"] + sign / 2 * frame["gauge_m"]
+        columns[f"vertical_{side}_m"] = frame["vertical_m"] + sign * _HALF_BASE * frame["crosslevel_rad"]
     return pd.DataFrame(columns)
+
+
+def track_centre(offsets: pd.DataFrame) -> pd.DataFrame:
+    """Frame of irregularities of the track centre from the offsets of both rails; the inverse of `rails`."""
+    lateral, vertical = (
+        {side: offsets[f"{name}_{side}_m"] for side in ("le", "ri")} for name in ("lateral", "vertical")
+    )
+    return pd.DataFrame(
+        {
+            "p_m": offsets["p_m"],
+            "lateral_m": (lateral["ri"] + lateral["le"]) / 2,
+            "vertical_m": (vertical["ri"] + vertical["le"]) / 2,
+            "crosslevel_rad": (vertical["ri"] - vertical["le"]) / (2 * _HALF_BASE),
+            "gauge_m": lateral["ri"] - lateral["le"],
+        }
+    )
+
+
+def sampling(frame: pd.DataFrame) -> float:
+    """Distance of the rows of a frame (m); InputError when they are not evenly spaced."""
+    steps = np.diff(frame["p_m"])
+    if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.max():
+        raise InputError("irregularities: p_m is not evenly spaced and increasing, resample the frame first")
+    return float(steps.mean())
+
+
+def band_standard_deviation(frame: pd.DataFrame, band: tuple[float, float] = D1) -> pd.Series:
+    """Standard deviation of each channel within a band of wavelengths.
+
+    Butterworth high-pass and low-pass of fourth order over the distance, forwards and backwards (no phase), with the
+    half-power points of the whole at the ends of the band. A stretch of the longest wavelength is left out at both
+    ends, where filter and fade have not settled.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Evenly spaced p_m and any channels: track centre or rails (as EN 13848 judges them).
+    band : tuple of float
+        Shortest and longest wavelength (m): `D1` or `D2`.
+
+    Returns
+    -------
+    Series
+        By column, in its unit.
+
+    Source: EN 13848-1, bands; its filter is less steep (confidence R).
+    """
+    shortest, longest = band
+    step, order = sampling(frame), 4
+    # Two passes damp twice: each is widened so that the power is halved at the ends of the band only once.
+    widened = (np.sqrt(2) - 1) ** (1 / (2 * order))
+    if widened * shortest <= 2 * step or len(frame) * step < 3 * longest:
+        raise InputError(
+            f"irregularities: {len(frame)} rows each {step:g} m, waves of {shortest:g} to {longest:g} m need rows "
+            f"closer than {widened * shortest / 2:.3g} m over at least {3 * longest:g} m"
+        )
+    values = frame.drop(columns="p_m")
+    for kind, edge in (("highpass", widened / longest), ("lowpass", 1 / (widened * shortest))):
+        values = signal.sosfiltfilt(signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0)
+    margin = int(np.ceil(longest / step))
+    return pd.Series(values[margin:-margin].std(axis=0), frame.columns.drop("p_m"))

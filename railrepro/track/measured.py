@@ -1,0 +1,85 @@
+"""Track irregularities measured by a recording car, read from a CSV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from railrepro.errors import InputError
+from railrepro.track.irregularity import CHANNELS
+from railrepro.track.table import read_numbers
+
+_ALLOWED = {"lateral_m": (-0.020, 0.020), "gauge_m": (-0.010, 0.035)}
+_LARGEST = 0.1
+_GAP = 1.5
+"""Longest allowed step of p_m over the usual one."""
+
+
+def read_irregularities(path: Path | str, length: float | None = None, shortest: float = 3.0) -> pd.DataFrame:
+    """Read and check measured irregularities; CSV with one row per sample and these columns:
+
+    - p_m: coordinate along the track (m), increasing, 0 where the run begins;
+    - lateral_m: alignment of the track centre (m), right positive;
+    - vertical_m: longitudinal level of the track centre (m), down positive;
+    - crosslevel_rad: deviation from the designed cant as an angle (rad), right rail down positive: the height
+      difference over the base of 1.5 m divided by 1.5 m;
+    - gauge_m: deviation from the nominal gauge (m), wider positive.
+
+    Rails measured one by one become a track centre by `railrepro.track.irregularity.track_centre`. The numbers are
+    returned as they are; `railrepro.track.irregularity.faded` makes them begin and end on the ideal track.
+
+    Parameters
+    ----------
+    path : path
+    length : float, optional
+        Length of the run from p = 0 that has to be covered (m).
+    shortest : float
+        Shortest wavelength that is wanted of the file (m); its rows may be at most half of it apart.
+
+    Returns
+    -------
+    DataFrame
+        The columns above.
+
+    Raises
+    ------
+    InputError
+        Missing column, anything but a finite number, p_m not increasing or with a gap, wrong unit, beyond the
+        flangeway, shorter than the run, sampled too coarsely; one sentence naming file and row.
+    """
+    file = Path(path)
+    frame = read_numbers(file, ("p_m", *CHANNELS.values()))
+    p = frame["p_m"].to_numpy()
+    steps = np.diff(p)
+    usual = float(np.median(steps))
+    if (steps > _GAP * usual).any():
+        row = int(np.argmax(steps > _GAP * usual))
+        raise InputError(
+            f"{file.name}: row {row + 3}, p_m has a gap from {p[row]:g} to {p[row + 1]:g} m, steps of up to {_GAP} "
+            f"times the usual {usual:g} m are allowed"
+        )
+    for column in CHANNELS.values():
+        _check_range(file, frame[column], (-_LARGEST, _LARGEST), " (unit?)")
+    for column, allowed in _ALLOWED.items():
+        _check_range(file, frame[column], allowed, "; more than the flangeway takes")
+    if length is not None and (p[0] > 0 or p[-1] < length):
+        raise InputError(f"{file.name}: p_m goes from {p[0]:g} to {p[-1]:g} m, the run needs 0 to {length:g} m")
+    if steps.max() > shortest / 2:
+        row = int(np.argmax(steps > shortest / 2))
+        raise InputError(
+            f"{file.name}: row {row + 3}, p_m makes a step of {steps[row]:g} m, up to {shortest / 2:g} m is allowed "
+            f"for wavelengths of {shortest:g} m"
+        )
+    return frame
+
+
+def _check_range(file: Path, values: pd.Series, allowed: tuple[float, float], hint: str) -> None:
+    low, high = allowed
+    outside = ((values < low) | (values > high)).to_numpy()
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise InputError(
+            f"{file.name}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {low:g} to {high:g} is allowed{hint}"
+        )

@@ -1,0 +1,131 @@
+"""What a controller may know of the irregularities ahead, and the line that it plans with this knowledge.
+
+Serves the paper's outlook: set-point preview for known track irregularities.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from railrepro.errors import InputError
+from railrepro.track.irregularity import sampling
+
+
+def known(
+    frame: pd.DataFrame,
+    amplitude_error: float = 0.0,
+    localisation_error_m: float = 0.0,
+    smoothing_m: float = 0.0,
+) -> pd.DataFrame:
+    """Irregularities as a controller believes them.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        The true irregularities; evenly spaced p_m and any channels.
+    amplitude_error : float
+        Relative: 0.1 believes them ten per cent too large.
+    localisation_error_m : float
+        Believed minus true place of a feature (m). What would come from beyond the frame is zero.
+    smoothing_m : float
+        Standard deviation of the Gaussian window that blurs them (m): a wave of length l keeps
+        exp(-2 (pi smoothing_m / l)^2) of its amplitude.
+
+    Returns
+    -------
+    DataFrame
+        Same p_m and channels.
+    """
+    if smoothing_m < 0:
+        raise InputError(f"known irregularities: smoothing_m is {smoothing_m:g}, at least 0 is needed")
+    p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
+    values = channels.to_numpy()
+    if smoothing_m > 0:
+        values = gaussian_filter1d(values, smoothing_m / sampling(frame), axis=0, mode="constant")
+    place = p - localisation_error_m
+    inside = (place >= p[0]) & (place <= p[-1])
+    believed = (1 + amplitude_error) * inside[:, None] * CubicSpline(p, values)(np.clip(place, p[0], p[-1]))
+    return pd.DataFrame({"p_m": p} | dict(zip(channels, believed.T, strict=True)))
+
+
+def planned_line(frame: pd.DataFrame, share: float, smoothing_m: float, limit: float) -> np.ndarray:
+    """Lateral set point between the ideal line and the rails, planned ahead within the flangeway.
+
+    Minimises sum (y - share lateral)^2 + smoothing_m^4 sum (y'')^2 subject to |y - lateral| <= limit + gauge / 2 at
+    every row, so a wave of wavenumber w keeps 1 / (1 + (smoothing_m w)^4) of its amplitude where the limit is far. The
+    line begins and ends on the ideal line.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Believed irregularities: evenly spaced p_m, lateral_m, gauge_m; they begin and end within the limit (`faded`).
+    share : float
+        0 asks for the ideal line, 1 for the middle between the rails.
+    smoothing_m : float
+        Length over which the line is smooth (m); 0 asks for no smoothness.
+    limit : float
+        Lateral play of a wheel pair to either side between rails of nominal gauge (m).
+
+    Returns
+    -------
+    ndarray, shape (4, n)
+        Set point (m) and its first three derivatives (1, 1/m, 1/m^2) at p_m: a cubic spline, hence with a continuous
+        second derivative, in the form in which cells of a `Route` hold a set point.
+    """
+    step, lateral = sampling(frame), frame["lateral_m"].to_numpy()
+    play = limit + frame["gauge_m"].to_numpy() / 2
+    if not 0 <= share <= 1 or smoothing_m < 0:
+        raise InputError(
+            f"planned line: share {share:g} and smoothing_m {smoothing_m:g}, 0 to 1 and at least 0 are needed"
+        )
+    if play.min() <= 0:
+        place = frame["p_m"].iloc[int(np.argmin(play))]
+        raise InputError(
+            f"planned line: limit {limit:g} m leaves {play.min():g} m of play at p = {place:g} m, above 0 is needed"
+        )
+    low, high = lateral - play, lateral + play
+    ends = [0, 1, -2, -1]
+    if (low[ends] > 0).any() or (high[ends] < 0).any():
+        raise InputError("planned line: the irregularities do not begin and end within the limit, fade them first")
+    low[ends] = high[ends] = 0.0
+    line = _smoothest(share * lateral, low, high, (smoothing_m / step) ** 2)
+    spline = CubicSpline(frame["p_m"], line, bc_type="clamped")
+    return np.array([spline(frame["p_m"], order) for order in range(4)])
+
+
+_UNIT = 1e-3
+"""The solver works in millimetres, so that its tolerances are nanometres."""
+
+
+def _smoothest(target: np.ndarray, low: np.ndarray, high: np.ndarray, weight: float) -> np.ndarray:
+    """Minimiser y of |y - target|^2 + |weight second difference of y|^2 within bounds (m), shape (n,)."""
+    n = target.size
+    y, bend = ca.SX.sym("y", n), ca.SX.sym("bend", n - 2)
+    # Bending as unknowns of their own: with the weight squared in the Hessian rounding would exceed the tolerance.
+    problem = {
+        "x": ca.vertcat(y, bend),
+        "f": ca.sumsqr(y - target / _UNIT) + ca.sumsqr(bend),
+        "g": bend - weight * (y[:-2] - 2 * y[1:-1] + y[2:]),
+    }
+    options = {
+        "print_time": False,
+        "error_on_fail": True,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": 1e-9,
+            "bound_relax_factor": 0.0,
+            "nlp_scaling_method": "none",
+            "hessian_constant": "yes",
+            "jac_c_constant": "yes",
+        },
+    }
+    solver = ca.nlpsol("line", "ipopt", problem, options)
+    free = np.full(n - 2, np.inf)
+    start = np.concatenate([np.clip(target, low, high) / _UNIT, np.zeros(n - 2)])
+    solution = solver(x0=start, lbx=np.append(low / _UNIT, -free), ubx=np.append(high / _UNIT, free), lbg=0.0, ubg=0.0)
+    return np.array(solution["x"]).ravel()[:n] * _UNIT

@@ -1,0 +1,348 @@
+"""Irregularities: spectra, quality, rails, measured files, defects, what a controller knows and plans."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import signal
+from scipy.interpolate import CubicSpline
+
+from railrepro.errors import InputError
+from railrepro.track import defects
+from railrepro.track.irregularity import (
+    CHANNELS,
+    D2,
+    band_standard_deviation,
+    faded,
+    irregularities,
+    irregularity_spectrum,
+    rails,
+    track_centre,
+    track_quality,
+)
+from railrepro.track.measured import read_irregularities
+from railrepro.track.preview import known, planned_line
+
+COLUMNS = ["p_m", *CHANNELS.values()]
+
+
+@pytest.fixture(scope="module")
+def long_stretch():
+    """A little more than a period of the sum of waves, so that a standard deviation is nearly free of chance."""
+    return np.arange(0, 4000, 1.0)
+
+
+@pytest.fixture(scope="module")
+def rough():
+    return irregularities(np.arange(0, 600, 0.5), "erri_low", seed=3)
+
+
+def sine(p, amplitude=3e-3, wavelength=25.0):
+    frame = pd.DataFrame({column: np.zeros(p.size) for column in COLUMNS})
+    return faded(frame.assign(p_m=p, lateral_m=amplitude * np.sin(2 * np.pi * p / wavelength)))
+
+
+def test_realisations_keep_the_numbers_of_the_published_runs():
+    """The tolerance leaves room for another mathematical library only; the products depend on these numbers."""
+    rows = irregularities(np.arange(0, 1000, 0.25))
+    low = rows[["lateral_m", "vertical_m", "crosslevel_rad"]]
+    assert np.allclose(low.std(), [1.64157609009597e-3, 2.3319868611646646e-3, 1.1936661152878994e-3], rtol=1e-9)
+    high = irregularities(np.arange(0, 1000, 0.25), "erri_high", seed=7)[low.columns]
+    assert np.allclose(high.std(), [3.1356497556002958e-3, 3.9160258244209595e-3, 1.970311012273014e-3], rtol=1e-9)
+
+
+@pytest.mark.parametrize("spectrum", ["erri_low", "erri_high", "en_B_300"])
+def test_irregularities_have_the_spectrum_they_claim(long_stretch, spectrum):
+    rows = irregularities(long_stretch, spectrum, seed=4, longest=100.0)
+    for channel, column in CHANNELS.items():
+        frequency, density = signal.welch(rows[column].to_numpy(), fs=1.0, nperseg=1024)
+        band = (frequency > 0.03) & (frequency < 0.2)
+        expected = 2 * np.pi * irregularity_spectrum(spectrum, channel, 2 * np.pi * frequency[band])
+        assert np.mean(density[band] / expected) == pytest.approx(1.0, abs=0.15), channel
+
+
+def test_gauge_has_the_shape_of_the_cross_level_and_its_own_amplitude():
+    wavenumber = 2 * np.pi * np.linspace(0.01, 0.33, 50)
+    for spectrum, ratio in (("erri_low", 5.32e-8 / 4.032e-7), ("erri_high", 1.032e-7 / 10.80e-7)):
+        crosslevel = 0.75**2 * irregularity_spectrum(spectrum, "crosslevel", wavenumber)
+        assert np.allclose(irregularity_spectrum(spectrum, "gauge", wavenumber), ratio * crosslevel, rtol=1e-12)
+
+
+def test_same_seed_same_numbers_and_independent_channels(long_stretch):
+    rows = irregularities(long_stretch, seed=4)
+    assert rows.equals(irregularities(long_stretch, seed=4))
+    assert not rows["lateral_m"].equals(irregularities(long_stretch, seed=5)["lateral_m"])
+    correlation = rows[list(CHANNELS.values())].corr().to_numpy() - np.eye(4)
+    assert np.abs(correlation).max() < 0.3
+
+
+def test_irregularities_begin_and_end_on_the_ideal_track(rough):
+    assert (rough.iloc[[0, -1]].drop(columns="p_m") == 0).all(axis=None)
+    assert np.abs(rough["lateral_m"].iloc[:3]).max() < 1e-5 < rough["lateral_m"].abs().max()
+
+
+@pytest.mark.parametrize(("spectrum", "seed"), [("en_A_300", 1), ("en_D_300", 2), ("en_C_120", 3)])
+def test_rails_have_the_standard_deviation_of_their_quality_class(long_stretch, spectrum, seed):
+    """Within 3 %: 1 % between filter and ideal band, the rest is chance; both rails in the root mean square, in which
+    the chance correlation of level and cross level, which makes one rail 2 % worse and the other better, falls out."""
+    measured = band_standard_deviation(rails(irregularities(long_stretch, spectrum, seed=seed)))
+    level, alignment = track_quality()[spectrum]
+    assert np.hypot(*measured[["vertical_le_m", "vertical_ri_m"]]) / np.sqrt(2) == pytest.approx(level, rel=0.03)
+    assert np.hypot(*measured[["lateral_le_m", "lateral_ri_m"]]) / np.sqrt(2) == pytest.approx(alignment, rel=0.03)
+
+
+def test_worse_classes_and_slower_bands_allow_more():
+    quality = pd.Series(track_quality())
+    for entry in range(2):
+        table = np.array([[quality[f"en_{c}_{v}"][entry] for c in "ABCD"] for v in (80, 120, 160, 230, 300)])
+        assert (np.diff(table, axis=1) > 0).all()
+        assert (np.diff(table, axis=0) < 0).all()
+
+
+def test_band_standard_deviation_separates_wavelengths(long_stretch):
+    p = long_stretch
+    waves = {"short_m": 2e-3 * np.sin(2 * np.pi * p / 10), "long_m": 2e-3 * np.sin(2 * np.pi * p / 45)}
+    waves["edge_m"] = 2e-3 * np.sin(2 * np.pi * p / 25)
+    frame = pd.DataFrame({"p_m": p} | waves)
+    rms = 2e-3 / np.sqrt(2)
+    assert np.allclose(band_standard_deviation(frame), [rms, 0.0, rms / np.sqrt(2)], atol=0.03 * rms)
+    assert np.allclose(band_standard_deviation(frame, D2), [0.0, rms, rms / np.sqrt(2)], atol=0.03 * rms)
+
+
+def test_band_standard_deviation_refuses_what_it_cannot_judge(rough):
+    with pytest.raises(InputError, match="need rows closer"):
+        band_standard_deviation(rough.iloc[::4])
+    with pytest.raises(InputError, match="at least 75 m"):
+        band_standard_deviation(rough.iloc[:100])
+    with pytest.raises(InputError, match="not evenly spaced"):
+        band_standard_deviation(rough.drop(index=50))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"spectrum": "erri"}, "'erri' is not known.*erri_high.*en_B_300"),
+        ({"shortest": 100.0, "longest": 3.0}, "increasing band"),
+    ],
+)
+def test_wrong_realisations_are_refused(arguments, sentence):
+    with pytest.raises(InputError, match=sentence):
+        irregularities(np.arange(10.0), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("own = 3", "own has 3"),
+        ("own = { level_mm = 1, alignment_mm = 1 }", "exactly the keys"),
+        ("own = { level_mm = -1, alignment_mm = 1, confidence = 'A' }", "own level_mm is -1"),
+        ("own = {", "cannot be read"),
+    ],
+)
+def test_wrong_track_quality_is_refused(tmp_path, text, sentence):
+    file = tmp_path / "own.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        track_quality(file)
+
+
+def test_rails_and_track_centre_are_inverse(rough):
+    assert np.allclose(track_centre(rails(rough)), rough, rtol=0, atol=1e-15)
+
+
+def test_signs_of_the_rails():
+    """Wider gauge moves the right rail right and the left one left; positive cross level lowers the right rail."""
+    frame = pd.DataFrame([[0.0, 1e-3, 2e-3, 4e-3, 6e-3]], columns=COLUMNS)
+    offsets = rails(frame).iloc[0]
+    assert offsets["lateral_ri_m"] == pytest.approx(4e-3)
+    assert offsets["lateral_le_m"] == pytest.approx(-2e-3)
+    assert offsets["vertical_ri_m"] == pytest.approx(5e-3)
+    assert offsets["vertical_le_m"] == pytest.approx(-1e-3)
+
+
+def test_measured_irregularities_are_read_as_written(tmp_path, rough):
+    rough.to_csv(tmp_path / "measured.csv", index=False, float_format="%.17g")
+    assert read_irregularities(tmp_path / "measured.csv", length=590.0).equals(rough)
+
+
+def cell(row, column, value):
+    def change(frame):
+        frame[column] = frame[column].astype(object)
+        frame.loc[row, column] = value
+        return frame
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda f: f.drop(columns="gauge_m"), "column gauge_m is missing"),
+        (cell(7, "vertical_m", np.nan), "row 9, vertical_m is nan"),
+        (cell(7, "vertical_m", "deep"), "row 9, vertical_m is 'deep'"),
+        (cell(7, "p_m", 0.0), "row 9, p_m does not increase"),
+        (lambda f: f.drop(index=[20, 21]), "row 22, p_m has a gap from 9.5 to 11 m"),
+        (lambda f: f.assign(vertical_m=1e3 * f["vertical_m"]), r"vertical_m = \S+ -0.1 to 0.1 is allowed \(unit\?\)"),
+        (cell(40, "lateral_m", 0.021), "row 42, lateral_m = 0.021, -0.02 to 0.02 is allowed; more than the flangeway"),
+        (cell(40, "gauge_m", -0.011), "row 42, gauge_m = -0.011, -0.01 to 0.035"),
+        (lambda f: f.iloc[:100], "goes from 0 to 49.5 m, the run needs 0 to 590 m"),
+        (lambda f: f.iloc[10:], "goes from 5 to 599.5 m"),
+        (lambda f: f.iloc[::4], "row 3, p_m makes a step of 2 m, up to 1.5 m is allowed for wavelengths of 3 m"),
+    ],
+)
+def test_wrong_measured_files_are_refused_with_one_sentence(tmp_path, rough, change, sentence):
+    file = tmp_path / "measured.csv"
+    change(rough.copy()).to_csv(file, index=False)
+    with pytest.raises(InputError, match=sentence) as refused:
+        read_irregularities(file, length=590.0)
+    assert str(refused.value).startswith("measured.csv: ")
+    assert "\n" not in str(refused.value)
+
+
+def test_coarse_files_serve_longer_waves(tmp_path, rough):
+    rough.iloc[::4].to_csv(tmp_path / "coarse.csv", index=False)
+    assert len(read_irregularities(tmp_path / "coarse.csv", shortest=4.0)) == 300
+
+
+def test_dip_of_one_rail_leaves_the_other():
+    p = np.arange(0, 100, 0.5)
+    offsets = rails(defects.dip(p, start=40.0, length=10.0, depth=8e-3, rail="le"))
+    assert offsets["vertical_le_m"].max() == pytest.approx(8e-3)
+    assert offsets.loc[p == 45.0, "vertical_le_m"].item() == pytest.approx(8e-3)
+    assert offsets.loc[p == 42.5, "vertical_le_m"].item() == pytest.approx(4e-3)
+    assert (offsets.loc[(p <= 40) | (p >= 50), "vertical_le_m"] == 0).all()
+    assert np.abs(offsets.drop(columns=["p_m", "vertical_le_m"])).to_numpy().max() < 1e-17
+    both = defects.dip(p, 40.0, 10.0, 8e-3)
+    assert both["vertical_m"].max() == pytest.approx(8e-3)
+    assert (both["crosslevel_rad"] == 0).all()
+
+
+def test_alignment_fault_and_lateral_offset_move_both_rails():
+    p = np.arange(0, 200, 0.25)
+    fault = defects.alignment_fault(p, 50.0, 20.0, -5e-3)
+    assert fault["lateral_m"].min() == fault.loc[p == 60.0, "lateral_m"].item() == -5e-3
+    offset = defects.lateral_offset(p, 100.0, 60.0, 4e-3, transition=15.0)
+    assert np.allclose(offset.loc[(p >= 115) & (p <= 145), "lateral_m"], 4e-3)
+    assert offset.loc[p == 107.5, "lateral_m"].item() == pytest.approx(2e-3)
+    assert (offset.loc[(p <= 100) | (p >= 160), "lateral_m"] == 0).all()
+    bend = np.diff(offset["lateral_m"], 2) / 0.25**2
+    assert np.abs(np.diff(bend)).max() < 0.2 * np.abs(bend).max()
+    for frame in (fault, offset):
+        assert list(frame) == COLUMNS
+        assert (frame[["vertical_m", "crosslevel_rad", "gauge_m"]] == 0).all(axis=None)
+
+
+def test_superposition_is_the_sum(rough):
+    p = rough["p_m"].to_numpy()
+    dip, fault = defects.dip(p, 100.0, 10.0, 5e-3, "ri"), defects.alignment_fault(p, 200.0, 15.0, 2e-3)
+    total = defects.superpose(rough, dip, fault)
+    assert np.allclose(total.drop(columns="p_m"), (rough + dip + fault).drop(columns="p_m"), rtol=0, atol=1e-18)
+    assert total["p_m"].equals(rough["p_m"])
+    with pytest.raises(InputError, match="different p_m"):
+        defects.superpose(rough, fault.iloc[1:])
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda p: defects.dip(p, 95.0, 10.0, 5e-3), "dip: 95 to 105 m, a stretch within 0 to 99.5 m"),
+        (lambda p: defects.dip(p, 50.0, 1.0, 5e-3), "dip: 1 m long, at least 2 m"),
+        (lambda p: defects.dip(p, 50.0, 10.0, 5e-3, "left"), "rail is 'left'"),
+        (lambda p: defects.alignment_fault(p, 50.0, -10.0, 5e-3), "alignment fault: 50 to 40 m"),
+        (lambda p: defects.lateral_offset(p, 50.0, 10.0, 5e-3, 8.0), "at least two transitions of 8 m"),
+    ],
+)
+def test_wrong_defects_are_refused(make, sentence):
+    with pytest.raises(InputError, match=sentence):
+        make(np.arange(0, 100, 0.5))
+
+
+def test_known_irregularities_are_shifted_and_scaled_exactly(rough):
+    believed = known(rough, amplitude_error=0.1, localisation_error_m=2.0)
+    assert list(believed) == COLUMNS
+    columns = list(CHANNELS.values())
+    assert np.allclose(believed[columns].iloc[4:], 1.1 * rough[columns].iloc[:-4], rtol=0, atol=1e-15)
+    assert (believed[columns].iloc[:4] == 0).all(axis=None)
+    assert np.allclose(known(rough)[columns], rough[columns], rtol=0, atol=1e-18)
+    unfaded = known(rough.assign(lateral_m=1e-3), localisation_error_m=-2.0)["lateral_m"]
+    assert np.allclose(unfaded, np.where(rough["p_m"] <= 597.5, 1e-3, 0.0), rtol=0, atol=1e-15)
+
+
+def test_known_irregularities_between_the_rows_follow_the_wave():
+    p = np.arange(0, 400, 0.5)
+    inside = (p > 60) & (p < 340)
+    believed = known(sine(p, wavelength=5.0), localisation_error_m=0.25)
+    expected = 3e-3 * np.sin(2 * np.pi * (p - 0.25) / 5.0)
+    assert np.allclose(believed["lateral_m"][inside], expected[inside], rtol=0, atol=0.01 * 3e-3)
+
+
+def test_known_irregularities_are_smoothed_by_the_stated_window():
+    p = np.arange(0, 400, 0.5)
+    inside = (p > 60) & (p < 340)
+    wave = sine(p)["lateral_m"]
+    believed = known(sine(p), smoothing_m=4.0)["lateral_m"]
+    gain = np.exp(-2 * (np.pi * 4.0 / 25) ** 2)
+    assert np.allclose(believed[inside], gain * wave[inside], rtol=0, atol=1e-3 * 3e-3)
+    with pytest.raises(InputError, match="smoothing_m is -1"):
+        known(sine(p), smoothing_m=-1.0)
+
+
+@pytest.mark.parametrize(("share", "smoothing", "limit"), [(0.0, 10.0, 2e-3), (0.5, 5.0, 1.5e-3), (1.0, 20.0, 3e-3)])
+def test_planned_line_keeps_the_limit(rough, share, smoothing, limit):
+    line = planned_line(rough, share, smoothing, limit)
+    play = limit + rough["gauge_m"] / 2
+    apart = np.abs(line[0] - rough["lateral_m"])
+    assert (apart <= play + 1e-12).all()
+    assert (apart > play - 1e-8).any(), "the limit is not at work, so the test shows nothing"
+    assert (line[:2, [0, -1]] == 0).all()
+
+
+def test_planned_line_is_a_spline_whose_derivatives_belong_together(rough):
+    p = rough["p_m"].to_numpy()
+    line = planned_line(rough, 0.5, 5.0, 2e-3)
+    assert line.shape == (4, p.size)
+    d = np.diff(p)
+    value, slope, bend, jerk = line[:, :-1]
+    assert np.allclose(value + d * (slope + d * (bend / 2 + d * jerk / 6)), line[0, 1:], rtol=0, atol=1e-15)
+    assert np.allclose(slope + d * (bend + d * jerk / 2), line[1, 1:], rtol=0, atol=1e-15)
+    assert np.allclose(bend + d * jerk, line[2, 1:], rtol=0, atol=1e-15)
+
+
+def test_planned_line_shares_between_ideal_line_and_rails(rough):
+    """Without smoothing and far from the limit the share is met exactly, but for two rows at each end."""
+    for share in (0.0, 0.3, 1.0):
+        line = planned_line(rough, share, smoothing_m=0.0, limit=0.1)
+        assert np.allclose(line[0, 2:-2], share * rough["lateral_m"].iloc[2:-2], rtol=0, atol=1e-12)
+
+
+def test_planned_line_smooths_by_the_stated_gain():
+    p = np.arange(0, 600, 0.5)
+    inside = (p > 150) & (p < 450)
+    for smoothing in (2.0, 5.0):
+        line = planned_line(sine(p), 1.0, smoothing, limit=0.1)[0]
+        gain = 1 / (1 + (2 * np.pi * smoothing / 25) ** 4)
+        assert np.allclose(line[inside], gain * sine(p)["lateral_m"][inside], rtol=0, atol=0.01 * 3e-3)
+
+
+def test_planned_line_bends_before_a_fault_that_it_foresees():
+    """Smoother than the rails that it may not leave, and off the ideal line ahead of the fault."""
+    p = np.arange(0, 200, 0.5)
+    fault = defects.alignment_fault(p, 90.0, 20.0, 8e-3)
+    line = planned_line(fault, 0.0, 10.0, 4e-3)
+    rail = CubicSpline(p, fault["lateral_m"])(p, 2)
+    assert line[0, p == 100.0].item() == pytest.approx(4e-3, rel=1e-3)
+    assert line[0, p == 90.0].item() > 0.2e-3
+    assert np.abs(line[2]).max() < 0.5 * np.abs(rail).max()
+
+
+@pytest.mark.parametrize(
+    ("change", "arguments", "sentence"),
+    [
+        ({}, (1.5, 5.0, 5e-3), "share 1.5"),
+        ({}, (0.5, -5.0, 5e-3), "smoothing_m -5"),
+        ({"gauge_m": -9e-3}, (0.5, 5.0, 4e-3), "leaves -0.0005 m of play at p = 0 m"),
+        ({"lateral_m": 8e-3}, (0.5, 5.0, 5e-3), "begin and end within the limit, fade them first"),
+    ],
+)
+def test_wrong_plans_are_refused(rough, change, arguments, sentence):
+    with pytest.raises(InputError, match=sentence):
+        planned_line(rough.assign(**change), *arguments)
