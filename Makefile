@@ -49,10 +49,10 @@ report: $(STAMPS)  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro.report.claims
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
-	$(PY) -m railrepro.chain.verify
+	$(PY) -m railrepro.chain verify
 
 variants: $(VENV)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
-	$(PY) -m railrepro.chain.verify variants $(VARIANTS)
+	$(PY) -m railrepro.chain variants $(VARIANTS)
 
 bench: $(VENV)  ## measure speed, as ratios in one run
 	$(PY) -m railrepro.studies.bench
@@ -61,10 +61,10 @@ study: $(VENV)  ## robustness study over the unpublished parameters (long, resum
 	$(PY) -m railrepro.studies.robustness
 
 html: $(STAMPS)  ## executed notebooks as an HTML book in build/html
-	$(PY) -m railrepro.chain.pipeline html
+	$(PY) -m railrepro.chain html
 
 strip: $(VENV)  ## remove outputs from the notebooks
-	$(PY) -m railrepro.chain.pipeline strip
+	$(PY) -m railrepro.chain strip
 
 lock:  ## renew environment.lock from pyproject.toml
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; cd $$d; \
@@ -90,6 +90,6 @@ $(VENV): environment.lock pyproject.toml
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
 	@touch $@
 
-build/chain.mk: notebooks/chain.toml railrepro/chain/pipeline.py | $(VENV)
+build/chain.mk: notebooks/chain.toml railrepro/chain/graph.py | $(VENV)
 	@mkdir -p build
-	@$(PY) -m railrepro.chain.pipeline rules > $@.part && mv $@.part $@
+	@$(PY) -m railrepro.chain rules > $@.part && mv $@.part $@

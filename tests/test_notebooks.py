@@ -3,7 +3,7 @@
 import pytest
 
 from railrepro import paths
-from railrepro.chain import compare, pipeline
+from railrepro.chain import compare, graph, runner
 
 
 @pytest.fixture(scope="module")
@@ -11,10 +11,10 @@ def root(tmp_path_factory):
     return tmp_path_factory.mktemp("products")
 
 
-@pytest.mark.parametrize("notebook", pipeline.chain(), ids=lambda notebook: notebook.name)
+@pytest.mark.parametrize("notebook", graph.chain(), ids=lambda notebook: notebook.name)
 def test_notebook(notebook, root):
     parameters = notebook.parameters | notebook.test_parameters
-    pipeline.run_notebook(notebook, parameters, root, root / "executed")
+    runner.run_notebook(notebook, parameters, root, root / "executed")
     assert all((root / product).stat().st_size > 0 for product in notebook.products)
     if not notebook.test_parameters:  # the real run, so numbers and images must be the committed ones
         assert not differing(notebook, root), "products are stale, `make figures` renews them"
@@ -22,6 +22,6 @@ def test_notebook(notebook, root):
 
 def differing(notebook, root):
     """Products that are not those of the checkout."""
-    tolerance = pipeline.verify_tolerance()
+    tolerance = graph.verify_tolerance()
     compared = [product for product in notebook.products if product.endswith(compare.SUFFIXES)]
     return [p for p in compared if compare.compare(paths.ROOT / p, root / p, tolerance).different]

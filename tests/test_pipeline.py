@@ -7,7 +7,7 @@ import re
 import pytest
 
 from railrepro import paths
-from railrepro.chain import pipeline
+from railrepro.chain import cleaning, graph, manifest, runner
 from railrepro.errors import InputError
 
 CELLS = [
@@ -45,26 +45,24 @@ def tiny(tmp_path, monkeypatch):
 
 def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capsys):
     product = tiny / "data/results/out.csv"
-    pipeline.refresh("01_tiny")
+    runner.refresh("01_tiny")
     assert product.read_text() == "a\n1\n"
     assert "01_tiny" in (tiny / "data/MANIFEST.csv").read_text()
     capsys.readouterr()
-    pipeline.refresh("01_tiny")
+    runner.refresh("01_tiny")
     assert capsys.readouterr().err == ""
     product.unlink()
-    pipeline.refresh("01_tiny")
+    runner.refresh("01_tiny")
     assert product.exists()
     write_notebook(tiny / "notebooks", [CELLS[0], "value = 2", CELLS[2]])
-    pipeline.refresh("01_tiny")
+    runner.refresh("01_tiny")
     assert product.read_text() == "a\n2\n"
 
 
 def test_executed_notebooks_are_identical_bytes(tiny):
     executed = []
     for _ in range(2):
-        result = pipeline.run_notebook(
-            pipeline.find("01_tiny"), {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb"
-        )
+        result = runner.run_notebook(graph.find("01_tiny"), {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb")
         executed.append(result.read_bytes())
     assert executed[0] == executed[1]
     assert not (tiny / "data/results/out.csv").exists()
@@ -72,7 +70,7 @@ def test_executed_notebooks_are_identical_bytes(tiny):
 
 def test_unknown_parameter_is_refused_before_running(tiny):
     with pytest.raises(InputError, match=r"unknown parameter 'valeu'; the notebook has \['value'\]"):
-        pipeline.run_notebook(pipeline.find("01_tiny"), {"valeu": 3}, tiny, tiny / "build")
+        runner.run_notebook(graph.find("01_tiny"), {"valeu": 3}, tiny, tiny / "build")
 
 
 @pytest.mark.parametrize(
@@ -84,10 +82,10 @@ def test_unknown_parameter_is_refused_before_running(tiny):
     ],
 )
 def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
-    pipeline.refresh("01_tiny")
+    runner.refresh("01_tiny")
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
     with pytest.raises(InputError, match=sentence) as failed:
-        pipeline.refresh("01_tiny")
+        runner.refresh("01_tiny")
     assert "\n" not in str(failed.value)
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
     assert not list((tiny / "build").glob("staging/*/*"))
@@ -99,7 +97,7 @@ def test_a_read_only_checkout_is_told_in_one_sentence(tiny, monkeypatch):
 
     monkeypatch.setattr("pathlib.Path.mkdir", refuse)
     with pytest.raises(InputError, match="no write permission"):
-        pipeline.run_notebook(pipeline.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
+        runner.run_notebook(graph.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
 
 
 def test_chain_refuses_double_products_and_wrong_order(tiny):
@@ -107,10 +105,36 @@ def test_chain_refuses_double_products_and_wrong_order(tiny):
     entry = '[[notebook]]\nname = "{}"\ntitle = "x"\nwrites = ["{}"]\nreads = ["{}"]\n'
     file.write_text(entry.format("01_a", "data/x.csv", "") + entry.format("02_b", "data/x.csv", ""))
     with pytest.raises(InputError, match="written by 01_a and by 02_b"):
-        pipeline.chain()
+        graph.chain()
     file.write_text(entry.format("01_a", "data/x.csv", "data/y.csv") + entry.format("02_b", "data/y.csv", ""))
     with pytest.raises(InputError, match="reads data/y.csv before"):
-        pipeline.chain()
+        graph.chain()
+
+
+def test_a_broken_stamp_means_stale(tiny):
+    notebook = graph.find("01_tiny")
+    (tiny / "data/results").mkdir()
+    (tiny / "data/results/out.csv").write_text("a\n1\n")
+    manifest.record(notebook, manifest.inputs_hash(notebook))
+    assert manifest.is_fresh(notebook)
+    (tiny / "build/stamps/01_tiny.json").write_text("{")
+    assert not manifest.is_fresh(notebook)
+
+
+def test_stripping_keeps_source_and_tags_only(tiny):
+    file = tiny / "notebooks/01_tiny.ipynb"
+    content = json.loads(file.read_text())
+    content["metadata"]["vscode"] = {"hash": "x"}
+    output = {"output_type": "stream", "name": "stdout", "text": ["1\n"]}
+    content["cells"][2] |= {"execution_count": 7, "outputs": [output], "metadata": {"scrolled": True}}
+    file.write_text(json.dumps(content))
+    cleaning.strip(file)
+    stripped = json.loads(file.read_text())
+    assert set(stripped["metadata"]) == {"kernelspec", "language_info"}
+    assert [cell["id"] for cell in stripped["cells"]] == ["c01", "c02", "c03"]
+    assert [cell["metadata"] for cell in stripped["cells"]] == [{}, {"tags": ["parameters"]}, {}]
+    assert not any(cell["outputs"] or cell["execution_count"] for cell in stripped["cells"])
+    assert ["".join(cell["source"]) for cell in stripped["cells"]] == CELLS
 
 
 def test_committed_notebooks_are_clean():
@@ -125,4 +149,4 @@ def test_committed_notebooks_are_clean():
 
 
 def test_every_notebook_is_in_the_chain():
-    assert [n.name for n in pipeline.chain()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))
+    assert [n.name for n in graph.chain()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))

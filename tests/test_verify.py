@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from railrepro import paths
-from railrepro.chain import pipeline, verify
+from railrepro.chain import graph, verify
 from railrepro.chain.compare import Comparison
 from railrepro.compile import codegen
 from railrepro.errors import InputError
@@ -63,7 +63,7 @@ def checkout(tmp_path, monkeypatch):
 
 
 def test_one_failing_notebook_hides_nothing(checkout):
-    total, findings = verify.rerun(pipeline.chain(), paths.BUILD / "verify")
+    total, findings = verify.rerun(graph.chain(), paths.BUILD / "verify")
     assert any("01_one" in line and "odd" in line for line in findings)
     assert any(line.startswith("data/two.csv") and "2.0e-01 in a" not in line and " in a" in line for line in findings)
     assert not any(line.startswith(("data/one.csv", "data/late.csv")) for line in findings)

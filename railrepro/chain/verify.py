@@ -1,11 +1,7 @@
-"""Rerun and compare: the committed products on this machine, and as another compiler or processor would make them.
-
-`python -m railrepro.chain.verify` reruns the chain; with `variants [NAME …]` its quick notebooks compiled otherwise.
-"""
+"""Rerun and compare: the committed products on this machine, and as another compiler or processor would make them."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
 import shutil
@@ -15,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from railrepro import paths
-from railrepro.chain import compare, pipeline
+from railrepro.chain import compare, graph, runner
 from railrepro.errors import InputError
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
@@ -43,7 +39,7 @@ QUICK_MINUTES = 1.0
 """Longest stated run time of a notebook that the variants rerun (minutes)."""
 
 
-def rerun(notebooks: Sequence[pipeline.Notebook], root: Path) -> tuple[compare.Comparison, list[str]]:
+def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comparison, list[str]]:
     """Run notebooks beside the checkout and compare all their products with the committed ones.
 
     Parameters
@@ -59,11 +55,11 @@ def rerun(notebooks: Sequence[pipeline.Notebook], root: Path) -> tuple[compare.C
         One line per notebook that failed and per product that differs; empty is good.
     """
     shutil.rmtree(root, ignore_errors=True)
-    tolerance, total, findings = pipeline.verify_tolerance(), compare.Comparison(), []
+    tolerance, total, findings = graph.verify_tolerance(), compare.Comparison(), []
     for notebook in notebooks:
         print(f"{notebook.name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
         try:
-            pipeline.run_notebook(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
+            runner.run_notebook(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
         except InputError as error:
             findings.append(str(error))
         for product in notebook.products:
@@ -75,12 +71,23 @@ def rerun(notebooks: Sequence[pipeline.Notebook], root: Path) -> tuple[compare.C
     return total, findings
 
 
-def verify() -> int:
-    """Rerun the whole chain; 1 when a notebook fails or a product differs by more than the tolerance, else 0."""
-    return _tell(*rerun(pipeline.chain(), paths.BUILD / "verify"))
+def verify(quick: bool = False, into: Path | None = None) -> int:
+    """Rerun the chain and print what differs.
 
+    Parameters
+    ----------
+    quick : bool
+        Only the notebooks of at most `QUICK_MINUTES`.
+    into : Path, optional
+        Folder for the products of the rerun, emptied first; default build/verify.
 
-def _tell(total: compare.Comparison, findings: list[str]) -> int:
+    Returns
+    -------
+    int
+        1 when a notebook fails or a product differs by more than the tolerance, else 0.
+    """
+    notebooks = [notebook for notebook in graph.chain() if not quick or notebook.minutes <= QUICK_MINUTES]
+    total, findings = rerun(notebooks, into or paths.BUILD / "verify")
     print(f"all: {total}")
     for line in findings:
         print(f"not reproduced: {line}")
@@ -119,7 +126,7 @@ def variants(names: Sequence[str]) -> int:
         log = paths.BUILD / "variants" / f"{name}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
         with log.open("w") as stream:
-            command = [sys.executable, "-m", "railrepro.chain.verify", "quick", name]
+            command = [sys.executable, "-m", "railrepro.chain", "verify", "--quick", "--into", log.with_suffix("")]
             code = subprocess.run(command, env=os.environ | VARIANTS[name], stdout=stream, stderr=subprocess.STDOUT)
         lines = [line for line in log.read_text().splitlines() if line.startswith(("all: ", "not reproduced: "))]
         failed += code.returncode != 0
@@ -136,28 +143,3 @@ def _hindrance(name: str) -> str:
     if feature and (platform.machine() != "x86_64" or feature not in Path("/proc/cpuinfo").read_text().split()):
         return f"this processor has no {feature}"
     return ""
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Command line: nothing, `variants [NAME …]`, or `quick NAME` for the quick notebooks in this very environment."""
-    parser = argparse.ArgumentParser(prog="python -m railrepro.chain.verify", description=__doc__.splitlines()[0])
-    parser.add_argument("command", choices=("all", "variants", "quick"), default="all", nargs="?")
-    parser.add_argument("names", nargs="*")
-    chosen = parser.parse_args(arguments)
-    try:
-        if chosen.command == "variants":
-            return variants(chosen.names)
-        if chosen.command == "quick":
-            quick = [notebook for notebook in pipeline.chain() if notebook.minutes <= QUICK_MINUTES]
-            return _tell(*rerun(quick, paths.BUILD / "variants" / "-".join(chosen.names or ["here"])))
-        return verify()
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; the committed products are untouched", file=sys.stderr)
-        return 130
-
-
-if __name__ == "__main__":
-    sys.exit(main())

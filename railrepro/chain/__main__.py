@@ -1,0 +1,65 @@
+"""Command line of the chain: `python -m railrepro.chain COMMAND`; make calls it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from railrepro.chain import graph
+from railrepro.errors import InputError
+
+
+def parser() -> argparse.ArgumentParser:
+    """The commands and their arguments."""
+    top = argparse.ArgumentParser(prog="python -m railrepro.chain", description="The notebooks and their products.")
+    commands = top.add_subparsers(dest="command", required=True)
+    commands.add_parser("rules", help="print the make rules of notebooks/chain.toml")
+    commands.add_parser("run", help="run one notebook if it is stale").add_argument("name")
+    commands.add_parser("html", help="executed notebooks as a book in build/html")
+    commands.add_parser("strip", help="remove outputs from the notebooks")
+    rerun = commands.add_parser("verify", help="rerun everything and compare with the committed products")
+    rerun.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
+    rerun.add_argument("--into", type=Path, help="folder for the products of the rerun, emptied first")
+    others = commands.add_parser("variants", help="rerun the quick notebooks with other compilers and processors")
+    others.add_argument("names", nargs="*", metavar="NAME")
+    return top
+
+
+def _do(chosen: argparse.Namespace) -> int:
+    """Run a command; modules that take long to import are imported by the command that needs them."""
+    if chosen.command == "rules":
+        print(graph.rules())
+    elif chosen.command == "run":
+        from railrepro.chain.runner import refresh
+
+        refresh(chosen.name)
+    elif chosen.command == "html":
+        from railrepro.chain.book import html
+
+        print(html())
+    elif chosen.command == "strip":
+        from railrepro.chain.cleaning import strip_all
+
+        strip_all()
+    else:
+        from railrepro.chain.verify import variants, verify
+
+        return verify(chosen.quick, chosen.into) if chosen.command == "verify" else variants(chosen.names)
+    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns 1 after an error of the user, which is told in one sentence."""
+    try:
+        return _do(parser().parse_args(arguments))
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted; nothing half-written, run again to resume", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())
