@@ -1,13 +1,16 @@
-"""Generated C: several argument sets side by side equal one after the other."""
+"""Generated C: sets side by side equal one after the other. The hand-written C compiles without a warning."""
 
 import ctypes
+import shutil
+import subprocess
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from railrepro import paths
-from railrepro.compile import codegen
+from railrepro.compile import cache, codegen
+from railrepro.errors import InputError
 
 needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="there is no C compiler")
 
@@ -43,3 +46,58 @@ def test_an_operation_without_translation_is_refused():
     x = ca.SX.sym("x")
     with pytest.raises(ValueError, match="odd: operation .* is not translated"):
         codegen.lanes_text(ca.Function("odd", [x], [ca.erf(x)]))
+
+
+GENERATED = """
+enum { N = 6, N_THETA = 9, N_A = 12 };
+static void prediction_lanes(const lanes_t *x, const lanes_t *du, const double *u_d, const lanes_t *theta,
+                             const double *par, const double *period, const double *affine, lanes_t *x_next, lanes_t *a,
+                             lanes_t *b) {
+  for (int i = 0; i < N; ++i) x_next[i] = x[i] + *period * (*du + *u_d) + theta[i] * par[i], b[i] = lanes(*affine);
+  for (int i = 0; i < N_A; ++i) a[i] = lanes(1.0);
+}
+"""
+
+
+@pytest.mark.parametrize("command", ["gcc", "clang"])
+@pytest.mark.parametrize("parts", [["simulation/loop.c"], ["compile/lanes.h", GENERATED, "control/solvers/riccati.c"]])
+def test_hand_written_c_compiles_without_warning(tmp_path, command, parts):
+    if shutil.which(command) is None:
+        pytest.skip(f"there is no {command}")
+    library = paths.ROOT / "railrepro"
+    texts = [part if part is GENERATED else (library / part).read_text() for part in ["compile/call.h", *parts]]
+    source = tmp_path / "source.c"
+    source.write_text("\n".join(texts))
+    # the headers offer functions that not every file uses; vectors are passed within one file only
+    strict = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wshadow", "-Werror", "-Wno-unused-function", "-Wno-psabi"]
+    done = subprocess.run([command, *strict, "-c", source, "-o", tmp_path / "object.o"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@needs_compiler
+def test_the_source_is_kept_on_demand(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    text = "int kept(void) { return 3; }\n"
+    target = cache.build(text)
+    assert not target.with_suffix(".c").exists()
+    monkeypatch.setenv("RAILREPRO_KEEP_SOURCE", "1")
+    assert cache.build(text) == target
+    assert target.with_suffix(".c").read_text() == text
+
+
+@needs_compiler
+def test_a_refused_source_is_kept_and_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    with pytest.raises(InputError, match=r"refused the generated source .*\.failed\.c"):
+        cache.build("this is no C")
+    assert len(list((tmp_path / "compiled").glob("*.failed.c"))) == 1
+
+
+def test_a_shared_cache_that_others_can_write_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path / "nowhere")
+    monkeypatch.setattr(cache.os, "access", lambda *_: False)
+    monkeypatch.setattr(cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    folder = cache.cache_folder()
+    folder.chmod(0o777)
+    with pytest.raises(InputError, match="only you can write"):
+        cache.cache_folder()
