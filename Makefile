@@ -9,6 +9,10 @@ endif
 PYTHON ?= python3
 VARIANTS ?=
 PY := .venv/bin/python
+CORES := $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
+# Notebooks at a time; each has the workers of its share of the processors.
+AT_ONCE := $(shell echo $$(( $(CORES) < 4 ? $(CORES) : 4 )))
+PYTEST_JOBS := -n $(AT_ONCE) --dist loadgroup
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
@@ -28,16 +32,30 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   include build/chain.mk
 endif
 
-.PHONY: help figures test lab tune report verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-all lab tune report verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
+	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
 	@echo "figNN       one figure with what it needs, for example make fig06"
 
-figures: $(STAMPS)  ## run the notebooks whose inputs changed; writes data/ and figures/
+# Several at a time, unless the caller says how many with -j.
+figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
+	@+jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
+	  export RAILREPRO_WORKERS=$${RAILREPRO_WORKERS:-$$(( share > 1 ? share : 1 ))}; \
+	  $(MAKE) --no-print-directory $(if $(filter -j% --jobserver%,$(MAKEFLAGS)),,-j$(AT_ONCE)) chain
 
-test: $(VENV)  ## run all tests, the notebooks with small parameters among them
-	$(PY) -m pytest
+chain: $(STAMPS)
+
+check: $(VENV)  ## lint, format and types
+	$(PY) -m ruff check
+	$(PY) -m ruff format --check
+	$(PY) -m mypy
+
+test: $(VENV)  ## run the tests, the notebooks with small parameters among them
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS)
+
+test-all: $(VENV)  ## run the tests that take minutes, too
+	$(PY) -m pytest $(PYTEST_JOBS)
 
 lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks
@@ -45,7 +63,7 @@ lab: $(VENV)  ## open the notebooks in JupyterLab
 tune: $(VENV)  ## tune all controllers by particle swarm (long, resumes); figures follow
 	$(PY) -m railrepro.studies.tuning
 
-report: $(STAMPS)  ## write REPLICATION.md from the measured results
+report: figures  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro.report.claims
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
@@ -60,14 +78,14 @@ bench: $(VENV)  ## measure speed, as ratios in one run
 study: $(VENV)  ## robustness study over the unpublished parameters (long, resumes)
 	$(PY) -m railrepro.studies.robustness
 
-html: $(STAMPS)  ## executed notebooks as an HTML book in build/html
+html: figures  ## executed notebooks as an HTML book in build/html
 	$(PY) -m railrepro.chain html
 
 strip: $(VENV)  ## remove outputs from the notebooks
 	$(PY) -m railrepro.chain strip
 
 lock:  ## renew environment.lock from pyproject.toml
-	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; cd $$d; \
+	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
 	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=venv/bin/uv; }; \
 	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
 	    > $(CURDIR)/environment.lock; rm -rf $$d

@@ -34,8 +34,8 @@ class Comparison:
 
     def __add__(self, other: Comparison) -> Comparison:
         worst = max(self, other, key=lambda c: c.largest)
-        counts = (getattr(self, name) + getattr(other, name) for name in ("same", "near", "different"))
-        return Comparison(*counts, worst.largest, worst.where)
+        same, near, different = self.same + other.same, self.near + other.near, self.different + other.different
+        return Comparison(same, near, different, worst.largest, worst.where)
 
     def __str__(self) -> str:
         text = f"{self.same} same, {self.near} within tolerance, {self.different} different"
@@ -72,9 +72,8 @@ def _columns(a: pd.Series, b: pd.Series, limit: float, name: str) -> Comparison:
     a, b = a.to_numpy(dtype=float), b.to_numpy(dtype=float)
     apart = np.where(same, 0.0, np.abs(a - b) / np.nanmax(np.abs(a), initial=np.finfo(float).tiny))
     near = apart <= limit  # false where only one of both is a number
-    counts = (int(mask.sum()) for mask in (same, near & ~same, ~near))
     largest = float(np.nan_to_num(apart, nan=np.inf).max())
-    return Comparison(*counts, largest, name)
+    return Comparison(int(same.sum()), int((near & ~same).sum()), int((~near).sum()), largest, name)
 
 
 def _images(committed: Path, rerun: Path, tolerance: dict) -> Comparison:

@@ -73,10 +73,14 @@ def find(name: str) -> Notebook:
 
 
 def rules() -> str:
-    """Make rules of the chain: one stamp per notebook, after the stamps of what it reads."""
+    """Make rules of the chain: one stamp per notebook, after the stamps of what it reads.
+
+    The longest come first, so that none of them is left alone at the end when several run at a time.
+    """
     notebooks = chain()
     maker = {product: notebook.name for notebook in notebooks for product in notebook.products}
-    lines = ["STAMPS := " + " ".join(f"build/stamps/{n.name}.json" for n in notebooks), ""]
+    longest_first = sorted(notebooks, key=lambda notebook: -notebook.minutes)
+    lines = ["STAMPS := " + " ".join(f"build/stamps/{n.name}.json" for n in longest_first), ""]
     for notebook in notebooks:
         stamp = f"build/stamps/{notebook.name}.json"
         before = sorted({f"build/stamps/{maker[read]}.json" for read in notebook.reads if read in maker})

@@ -33,7 +33,7 @@ def _imports(text: str) -> set[str]:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names if alias.name.startswith("railrepro")}
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("railrepro"):
-            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
     return found
 
 
@@ -50,7 +50,7 @@ def _code(notebook: Notebook) -> list[str]:
 def inputs_hash(notebook: Notebook, parameters: dict | None = None) -> str:
     """Hash of all that a notebook's products depend on: cells, parameters, reads, imported modules, environment."""
     cells = json.loads(notebook.path.read_text())["cells"]
-    parts = {"cells": ["".join(cell["source"]) for cell in cells]}
+    parts: dict[str, object] = {"cells": ["".join(cell["source"]) for cell in cells]}
     parts["parameters"] = notebook.parameters if parameters is None else parameters
     pending, modules = [module for code in _code(notebook) for module in _imports(code)], {}
     while pending:

@@ -104,7 +104,13 @@ def _check_parameters(notebook: Notebook, parameters: dict) -> None:
     cells = json.loads(notebook.path.read_text())["cells"]
     tagged = [c for c in cells if "parameters" in c.get("metadata", {}).get("tags", [])]
     tree = ast.parse("".join(tagged[0]["source"])) if tagged else ast.parse("")
-    known = {target.id for node in tree.body if isinstance(node, ast.Assign) for target in node.targets}
+    known = {
+        target.id
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
     for name in parameters:
         if name not in known:
             raise InputError(f"{notebook.name}: unknown parameter {name!r}; the notebook has {sorted(known)}")

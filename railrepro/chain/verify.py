@@ -126,7 +126,7 @@ def variants(names: Sequence[str]) -> int:
         log = paths.BUILD / "variants" / f"{name}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
         with log.open("w") as stream:
-            command = [sys.executable, "-m", "railrepro.chain", "verify", "--quick", "--into", log.with_suffix("")]
+            command = [sys.executable, "-m", "railrepro.chain", "verify", "--quick", "--into", str(log.with_suffix(""))]
             code = subprocess.run(command, env=os.environ | VARIANTS[name], stdout=stream, stderr=subprocess.STDOUT)
         lines = [line for line in log.read_text().splitlines() if line.startswith(("all: ", "not reproduced: "))]
         failed += code.returncode != 0

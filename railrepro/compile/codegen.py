@@ -69,7 +69,8 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
     signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
     signature += [f"lanes_t *out_{name}" for name in outputs]
-    lines, slots = [], {}
+    lines: list[str] = []
+    slots: dict[int, tuple[str, bool]] = {}
     for i in range(function.n_instructions()):
         kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
         if kind == ca.OP_OUTPUT:

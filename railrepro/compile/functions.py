@@ -45,16 +45,19 @@ class CompiledFunction:
 
 
 class InterpretedFunction:
-    """The same interface on CasADi's virtual machine, for machines without a C compiler."""
+    """The same interface on CasADi's virtual machine, for machines without a C compiler.
+
+    CasADi's type stubs ask for the size of a buffer that a memoryview tells by itself.
+    """
 
     def __init__(self, function: ca.Function, arguments=None, results=None):
         self.name = function.name()
         self.arguments, self.results = _buffers(function, arguments, results)
         self._buffer, self._trigger = function.buffer()
         for i, array in enumerate(self.arguments):
-            self._buffer.set_arg(i, memoryview(array))
+            self._buffer.set_arg(i, memoryview(array))  # type: ignore[call-arg, arg-type]
         for i, array in enumerate(self.results):
-            self._buffer.set_res(i, memoryview(array))
+            self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg, arg-type]
 
     def __call__(self) -> list[np.ndarray]:
         """Evaluate `arguments` into `results` (returned as the same arrays)."""

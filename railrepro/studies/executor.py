@@ -59,6 +59,7 @@ def _follow_the_parent() -> None:
     """Leave interrupts to the parent process, and end with it, also when it was killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
+    assert parent is not None, "this runs in a worker"
 
     def watch() -> None:
         parent.join()
