@@ -1,8 +1,10 @@
 """Generated C: sets side by side equal one after the other. The hand-written C compiles without a warning."""
 
 import ctypes
+import os
 import shutil
 import subprocess
+import sys
 
 import casadi as ca
 import numpy as np
@@ -101,3 +103,19 @@ def test_a_shared_cache_that_others_can_write_is_refused(tmp_path, monkeypatch):
     folder.chmod(0o777)
     with pytest.raises(InputError, match="only you can write"):
         cache.cache_folder()
+
+
+@needs_compiler
+def test_processes_that_need_the_same_object_compile_it_once(tmp_path):
+    slow, log = tmp_path / "slow-cc", tmp_path / "log"
+    wait = f'case "$*" in *--version*) ;; *) echo compiled >> {log}; sleep 1;; esac'
+    slow.write_text(f'#!/bin/sh\n{wait}\nexec {codegen.compiler()} "$@"\n')
+    slow.chmod(0o755)
+    environment = os.environ | {"CC": str(slow), "RAILREPRO_ROOT": str(tmp_path), "PYTHONPATH": str(paths.ROOT)}
+    script = "from railrepro.compile import cache; print(cache.build('int shared(void) { return 4; }'))"
+    command = [sys.executable, "-c", script]
+    both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    objects = {process.communicate()[0] for process in both}
+    assert len(objects) == 1
+    assert log.read_text() == "compiled\n"
+    assert [file.suffix for file in (tmp_path / "build/compiled").iterdir()] == [".so"]
