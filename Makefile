@@ -38,11 +38,11 @@ help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
 	@echo "figNN       one figure with what it needs, for example make fig06"
 
-# Several at a time, unless the caller says how many with -j.
+# One look at all of them first; then several at a time, unless the caller says how many with -j.
 figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
-	@+jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
+	@+$(PY) -m railrepro.chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
 	  export RAILREPRO_WORKERS=$${RAILREPRO_WORKERS:-$$(( share > 1 ? share : 1 ))}; \
-	  $(MAKE) --no-print-directory $(if $(filter -j% --jobserver%,$(MAKEFLAGS)),,-j$(AT_ONCE)) chain
+	  $(MAKE) --no-print-directory $(if $(filter -j% --jobserver%,$(MAKEFLAGS)),,-j$(AT_ONCE)) chain; }
 
 chain: $(STAMPS)
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from railrepro.chain import graph
+from railrepro.chain import graph, manifest
 from railrepro.errors import InputError
 
 
@@ -15,6 +15,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="python -m railrepro.chain", description="The notebooks and their products.")
     commands = top.add_subparsers(dest="command", required=True)
     commands.add_parser("rules", help="print the make rules of notebooks/chain.toml")
+    commands.add_parser("fresh", help="succeed if no notebook is stale")
     commands.add_parser("run", help="run one notebook if it is stale").add_argument("name")
     commands.add_parser("html", help="executed notebooks as a book in build/html")
     commands.add_parser("strip", help="remove outputs from the notebooks")
@@ -30,6 +31,8 @@ def _do(chosen: argparse.Namespace) -> int:
     """Run a command; modules that take long to import are imported by the command that needs them."""
     if chosen.command == "rules":
         print(graph.rules())
+    elif chosen.command == "fresh":
+        return int(not all(map(manifest.is_fresh, graph.chain())))
     elif chosen.command == "run":
         from railrepro.chain.runner import refresh
 

@@ -11,6 +11,7 @@ import fcntl
 import hashlib
 import json
 import os
+from functools import cache
 from pathlib import Path
 
 from railrepro import paths
@@ -26,15 +27,16 @@ def file_hash(path: Path) -> str:
     return _hash(path.read_bytes()) if path.exists() else "missing"
 
 
-def _imports(text: str) -> set[str]:
+@cache
+def _imports(text: str) -> frozenset[str]:
     """Names of railrepro modules that a piece of Python imports."""
-    found = set()
+    found: set[str] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names if alias.name.startswith("railrepro")}
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("railrepro"):
             found |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def _module_file(module: str) -> Path | None:
