@@ -1,0 +1,193 @@
+"""Each step of the adhesion law by itself: segments, corridor, dead zone, both directions of travel of the torque.
+
+The paper's rule: with the error nu = f* - f (24) the torque moves by p sgn(nu) in regular operation (22), (25); where
+the switching function f' s' (21) tells that the maximum is passed, it is lowered whatever nu says (23). Slip as printed
+is negative in traction, so a stable wheel has f' s' < 0; the cases below give its amount in the demanded direction.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.control.adhesion import AdhesionSettings, base_torque
+
+LAW = AdhesionSettings(raise_step=2.0, lower_step=5.0, drop_step=15.0, corridor=3e-3, filter_time=4e-3, dead_zone=1e-3)
+LIMIT, PER_ADHESION = 4000.0, 36e3
+SET_POINT, SLIP = 0.05, 0.01
+POLE = 1 / 5  # of the filter: 1 ms / (4 ms + 1 ms)
+MEMORY = ("u", "f_0", "f_1", "s_0", "s_1")
+
+
+def law_function():
+    f, s, memory = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", 5)
+    f_star, gains = ca.SX.sym("f_star"), ca.SX.sym("gains", len(LAW.gains()) + 1)
+    named = dict(zip((*LAW.gains(), "adhesion.torque_per_adhesion"), ca.vertsplit(gains), strict=True))
+    known = dict(zip(MEMORY, ca.vertsplit(memory), strict=True))
+    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, known, named, LIMIT)
+    kept = ca.vertcat(*(kept[name] for name in MEMORY))
+    return ca.Function("law", [f, s, f_star, memory, gains], [u, kept, segment])
+
+
+FUNCTION = law_function()
+
+
+def call(f, s, f_star, memory, settings=LAW):
+    """Next torque, memory and segment; all as the controller sees them, slip as printed."""
+    u, kept, segment = FUNCTION(f, s, f_star, memory, [*settings.gains().values(), PER_ADHESION])
+    return float(u), np.array(kept).ravel(), int(segment)
+
+
+def change(adhesion, slip=(0.0, 0.0), rise=(0.0, 0.0), u=1000.0, sign=1, settings=LAW, level=SLIP):
+    """Change of torque and segment in the demanded direction (sign -1: braking, third quadrant).
+
+    Adhesions of both wheels (-), their `rise` since the last call and that of their slip, `slip`, from `level`.
+    """
+    f, slipped = np.array(adhesion), np.full(2, level)
+    memory = sign * np.array([u, *(f - rise), *-(slipped - slip)])
+    found, _, segment = call(sign * f, -sign * slipped, sign * SET_POINT, memory, settings)
+    return sign * found - u, segment
+
+
+BELOW, INSIDE, ABOVE = (0.02, 0.02), (0.05, 0.05), (0.08, 0.08)
+BACK = (-1e-4, -1e-4)
+AHEAD = (1e-4, 1e-4)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("adhesion", "step", "segment"),
+    [
+        (BELOW, 2.0, 1),
+        (INSIDE, 0.0, 2),
+        (ABOVE, -5.0, 3),
+        ((0.04701, 0.04701), 0.0, 2),
+        ((0.04699, 0.04699), 2.0, 1),
+        ((0.05299, 0.05299), 0.0, 2),
+        ((0.05301, 0.05301), -5.0, 3),
+        ((0.02, 0.08), 0.0, 2),  # the mean of both wheels counts
+        ((0.02, 0.07), 2.0, 1),
+        ((0.03, 0.09), -5.0, 3),
+        ((-0.08, -0.08), 2.0, 1),
+    ],
+)
+def test_regular_steps(adhesion, step, segment, sign):
+    """Estimates at rest: f' s' = 0 says nothing, the error of adhesion decides."""
+    assert change(adhesion, sign=sign) == (pytest.approx(step), segment)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("adhesion", [BELOW, INSIDE, ABOVE])
+@pytest.mark.parametrize(
+    ("rise", "slip"),
+    [
+        (BACK, AHEAD),  # past the maximum and going on
+        (AHEAD, BACK),  # past the maximum and coming back
+        ((-1e-4, 0.0), (1e-4, 0.0)),  # one wheel is enough
+        ((0.0, -1e-4), (0.0, 1e-4)),
+        ((-1e-4, 1e-4), (1e-4, 1e-4)),
+        ((1e-4, -1e-4), (1e-4, 1e-4)),
+    ],
+)
+def test_a_wheel_past_its_maximum_drops_the_torque(adhesion, rise, slip, sign):
+    assert change(adhesion, slip, rise, sign=sign) == (pytest.approx(-15.0), 3)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("adhesion", "step", "segment"), [(BELOW, 2.0, 1), (INSIDE, 0.0, 2), (ABOVE, -5.0, 3)])
+@pytest.mark.parametrize(("rise", "slip"), [(AHEAD, AHEAD), (BACK, BACK), (BACK, (0.0, 0.0)), ((0.0, 0.0), AHEAD)])
+def test_on_the_stable_branch_the_regular_steps_hold(adhesion, step, segment, rise, slip, sign):
+    assert change(adhesion, slip, rise, sign=sign) == (pytest.approx(step), segment)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("share", "step"), [(0.99, 2.0), (1.01, -15.0), (-0.99, 2.0), (-1.01, -15.0)])
+def test_dead_zone_is_a_rate_of_the_filtered_slip(share, step, sign):
+    moved = share * LAW.dead_zone * EXCHANGE_PERIOD / POLE
+    rise = -1e-4 * np.sign(share)
+    found, _ = change(BELOW, (moved, moved), (rise, rise), sign=sign)
+    assert found == pytest.approx(step)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_slip_against_the_demand_is_not_past_the_maximum(sign):
+    assert change(BELOW, AHEAD, BACK, sign=sign, level=-SLIP) == (pytest.approx(2.0), 1)
+    assert change(BELOW, AHEAD, BACK, sign=sign, level=SLIP) == (pytest.approx(-15.0), 3)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("u", "following"), [(16.0, 1.0), (15.0, 0.0), (7.0, 0.0), (1.0, 0.0), (0.0, 2.0), (-3.0, -1.0)]
+)
+def test_letting_go_ends_at_zero_torque(u, following, sign):
+    step, segment = change(BELOW, AHEAD, BACK, u=u, sign=sign)
+    assert u + step == pytest.approx(following)
+    assert segment == 3
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("adhesion", "u", "step"), [(BELOW, LIMIT - 1, 1.0), (BELOW, LIMIT, 0.0), (ABOVE, 1 - LIMIT, -1.0)]
+)
+def test_the_torque_limit_ends_a_step(adhesion, u, step, sign):
+    assert change(adhesion, u=u, sign=sign)[0] == pytest.approx(step)
+
+
+@pytest.mark.parametrize("key", ["raise_step", "lower_step", "drop_step"])
+def test_each_step_size_has_its_own_place(key):
+    """Changing one step size changes the torque in its segment only, by as much."""
+    situations = {
+        "raise_step": ((BELOW,), 1.0),
+        "lower_step": ((ABOVE,), -1.0),
+        "drop_step": ((INSIDE, AHEAD, BACK), -1.0),
+    }
+    other = replace(LAW, **{key: getattr(LAW, key) + 1.0})
+    for name, (situation, sense) in situations.items():
+        difference = change(*situation, settings=other)[0] - change(*situation)[0]
+        assert difference == pytest.approx(sense if name == key else 0.0), name
+
+
+def test_estimates_are_filtered_by_a_first_order_lag():
+    f, s, before = [0.04, 0.06], [-0.01, -0.02], [100.0, 0.03, 0.05, -0.02, -0.03]
+    _, kept, _ = call(f, s, SET_POINT, before)
+    assert kept[1:] == pytest.approx(np.array(before[1:]) + POLE * (np.array([*f, *s]) - before[1:]))
+
+
+def test_the_memory_carries_the_torque():
+    u, kept, _ = call([0.02, 0.02], [-0.01, -0.01], SET_POINT, [100.0, 0.02, 0.02, -0.01, -0.01])
+    assert kept[0] == u == pytest.approx(102.0)
+
+
+def test_braking_is_traction_mirrored():
+    generator = np.random.default_rng(3)
+    segments = set()
+    for _ in range(300):
+        memory = np.array([generator.uniform(-40, 40), *generator.normal(0, (0.1, 0.1, 0.02, 0.02))])
+        f = memory[1:3] + generator.normal(0, 1e-3, 2)
+        s = memory[3:] + generator.normal(0, 1e-4, 2)
+        u, kept, segment = call(f, s, SET_POINT, memory)
+        mirrored, kept_mirrored, other = call(-f, -s, -SET_POINT, -memory)
+        assert (mirrored, other) == (pytest.approx(-u), segment)
+        assert kept_mirrored == pytest.approx(-kept)
+        segments.add(segment)
+    assert segments == {1, 2, 3}
+
+
+@pytest.mark.parametrize(
+    ("f_star", "u", "following"),
+    [
+        (0.05, 1000.0, 1002.0),
+        (0.05, 1799.0, 1800.0),
+        (0.05, 1801.5, 1800.0),
+        (0.05, 2000.0, 1998.0),
+        (-0.05, 0.0, -2.0),
+        (0.2, 3999.0, 4000.0),
+        (-0.2, -3999.0, -4000.0),
+    ],
+)
+def test_without_slip_control_the_torque_follows_the_demand(f_star, u, following):
+    idle = replace(LAW, active=False)
+    found, kept, _ = call([0.02, 0.02], [-0.01, -0.01], f_star, [u, 0.03, 0.03, -0.005, -0.005], idle)
+    assert found == kept[0] == pytest.approx(following)
