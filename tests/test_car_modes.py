@@ -1,0 +1,161 @@
+"""Suspension of the car against hand formulas: modes with damping, sway in an arc, heights of springs and links."""
+
+import numpy as np
+import pytest
+
+from railrepro.car import equations
+from railrepro.car.component import SteppedCar
+from railrepro.control.ndi import NDISettings
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import load_vehicle
+
+V = load_vehicle()
+BODY, GEAR, SPRING = V.body, V.gear, V.suspension
+BELOW = BODY.cg_height - SPRING.height
+"""Depth of the secondary springs below the body's centre of gravity (m)."""
+TO_LINK = BODY.cg_height - V.wheel.radius
+"""Depth of the traction link below the body's centre of gravity (m)."""
+
+
+def stiffness_and_damping(lever, own_stiffness, own_damping):
+    """Matrices of coordinates whose lateral deflection at the four springs is lever @ q, plus diagonal terms."""
+    square = 4 * np.outer(lever, lever)
+    return SPRING.k_y * square + np.diag(own_stiffness), SPRING.c_y * square + np.diag(own_damping)
+
+
+def roll_terms():
+    """Vertical springs and anti-roll bars of both gears, less the weight that stands on the springs."""
+    return 2 * SPRING.roll_stiffness - BODY.mass * V.gravity * BELOW, 2 * SPRING.roll_damping
+
+
+def modes(matrix):
+    """Frequency (Hz) and damping ratio (-) of the oscillations of dx/dt = matrix x, ascending, shape (n, 2)."""
+    poles = np.linalg.eigvals(matrix)
+    poles = poles[poles.imag > 1e-6]
+    return np.array(sorted(zip(np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles), strict=True)))
+
+
+def hand_modes(inertia, stiffness, damping):
+    unit, inverse = np.eye(len(inertia)), np.diag(1 / np.array(inertia))
+    return modes(np.block([[0 * unit, unit], [-inverse @ stiffness, -inverse @ damping]]))
+
+
+def distance(found, expected):
+    """Largest relative distance of an expected mode from the nearest one that was found."""
+    return max(np.abs(found / mode - 1).max(axis=1).min() for mode in expected)
+
+
+@pytest.fixture(scope="module")
+def rolling():
+    """Linear model of the car in steady rolling at 50 m/s."""
+    car = SteppedCar("T5", 50.0, V)
+    car.step(exchanges=1000)
+    return car.linearise().a
+
+
+@pytest.fixture(scope="module")
+def sliding():
+    """Linear model of the car without friction on wheels that are all but cylinders: rails carry, but do not guide."""
+    car = SteppedCar("T5", 50.0, load_vehicle(**{"wheel.cone_angle": 1e-6}))
+    for i, name in enumerate(equations.PARAMETERS):
+        if name.endswith(".mu0"):
+            car.parameters[i] = 1e-12
+    return car.linearise().a
+
+
+def test_sway_and_roll_of_the_body_on_held_carriers(rolling):
+    names = ["body.y", "body.phi", "body.vy", "body.wx"]
+    roll_stiffness, roll_damping = roll_terms()
+    matrices = stiffness_and_damping([1, -BELOW], [0, roll_stiffness], [0, roll_damping])
+    expected = hand_modes([BODY.mass, BODY.inertia_x], *matrices)
+    assert modes(rolling.loc[names, names].to_numpy()) == pytest.approx(expected, rel=1e-6)
+    # On its rolling carriers the car sways nearly so.
+    assert distance(modes(rolling.to_numpy()), expected[:1]) < 0.04
+
+
+def test_yaw_of_the_body_on_held_carriers(rolling):
+    names = ["body.psi", "body.wz"]
+    stiffness = SPRING.k_y * BODY.gear_spacing**2 + 2 * SPRING.yaw_stiffness
+    damping = SPRING.c_y * BODY.gear_spacing**2 + 2 * SPRING.yaw_damping
+    frequency = np.sqrt(stiffness / BODY.inertia_z)
+    expected = np.array([[frequency / (2 * np.pi), damping / (2 * frequency * BODY.inertia_z)]])
+    assert modes(rolling.loc[names, names].to_numpy()) == pytest.approx(expected, rel=1e-6)
+    assert distance(modes(rolling.to_numpy()), expected[:1]) < 0.04
+
+
+def test_body_against_free_carriers_without_friction(sliding):
+    """Sway: body, its roll, both carriers alike. Yaw: body, carriers opposite to each other, their own yaw."""
+    roll_stiffness, roll_damping = roll_terms()
+    matrices = stiffness_and_damping([1, -BELOW, -1], [0, roll_stiffness, 0], [0, roll_damping, 0])
+    sway = hand_modes([BODY.mass, BODY.inertia_x, 2 * GEAR.mass], *matrices)
+    stiffness, damping = stiffness_and_damping([BODY.gear_spacing / 2, -1, 0], [0, 0, 0], [0, 0, 0])
+    turn = 2 * np.outer([1, 0, -1], [1, 0, -1])
+    yaw = hand_modes(
+        [BODY.inertia_z, 2 * GEAR.mass, 2 * GEAR.inertia_z],
+        stiffness + SPRING.yaw_stiffness * turn,
+        damping + SPRING.yaw_damping * turn,
+    )
+    assert len(sway) == 2 and len(yaw) == 2
+    assert distance(modes(sliding.to_numpy()), [*sway, *yaw]) < 5e-3
+
+
+def test_springs_and_link_act_at_their_heights(rolling):
+    """What a displacement of the front carrier turns: forces times height, and the preload that wanders."""
+    preload = BODY.mass * V.gravity / 2
+    above_axle = SPRING.height - V.wheel.radius
+    expected = {
+        ("body.wy", "front.s"): (SPRING.link_stiffness * TO_LINK + 2 * SPRING.k_x * BELOW) / BODY.inertia_y,
+        ("body.wy", "front.vx"): (SPRING.link_damping * TO_LINK + 2 * SPRING.c_x * BELOW) / BODY.inertia_y,
+        ("front.wy", "front.s"): (preload + 2 * SPRING.k_x * above_axle) / GEAR.inertia_y,
+        ("body.wx", "front.y"): -2 * SPRING.k_y * BELOW / BODY.inertia_x,
+        ("body.wx", "front.vy"): -2 * SPRING.c_y * BELOW / BODY.inertia_x,
+        ("front.wx", "body.y"): (preload + 2 * SPRING.k_y * above_axle) / GEAR.inertia_x,
+        ("body.wy", "front.z"): -SPRING.k_z * BODY.gear_spacing / BODY.inertia_y,
+    }
+    assert {place: rolling.loc[place] for place in expected} == pytest.approx(expected, rel=1e-4)
+
+
+def test_traction_pitches_the_body_by_link_height_and_motor_reaction():
+    torque = 1000.0
+    car = SteppedCar("T5", 20.0, V)
+    car.step(np.full(4, torque), 4000)
+    before = car.outputs["front.v"]
+    car.step(exchanges=500)
+    pull = BODY.mass * (car.outputs["front.v"] - before) / 0.5
+    stiffness = SPRING.k_z * BODY.gear_spacing**2
+    assert car.outputs["body.theta"] == pytest.approx((pull * TO_LINK + 4 * torque) / stiffness, rel=0.02)
+
+
+@pytest.mark.parametrize(("track", "bumps"), [("T2", False), ("T3", False), ("T4", True)])
+def test_sway_of_the_body_in_an_arc(track, bumps):
+    """Lateral offset and roll of the body under the unbalanced acceleration, between guided carriers."""
+    geometry = load_track(track)
+    scenario = load_scenario(f"curve_entry_{track}").but(set_point={"kind": "none"}, end_m=geometry.length)
+    run = simulate.run(scenario, NDISettings(integral=0.2))
+    assert not run.failed
+    log = run.series.tail(1500).mean()
+    _, kappa, phi, *_ = geometry.interpolate(np.array([geometry.length]))[:, 0]
+    centrifugal, weight = BODY.mass * log["front.v"] ** 2 * kappa, BODY.mass * V.gravity
+    outwards = centrifugal * np.cos(phi) - weight * np.sin(phi)
+    pressed = centrifugal * np.sin(phi) + weight * np.cos(phi)
+    deflection = outwards / (4 * SPRING.k_y)
+    assert (deflection > SPRING.bump_clearance) == bumps
+    if bumps:
+        stops = 2 * SPRING.bump_stiffness
+        deflection = (outwards + stops * SPRING.bump_clearance) / (4 * SPRING.k_y + stops)
+    roll = outwards * BELOW / (2 * SPRING.roll_stiffness - pressed * BELOW)
+    versine = BODY.gear_spacing**2 * kappa / 8
+    assert log["body.phi"] == pytest.approx(-roll, rel=0.02)
+    assert log["body.y"] - versine == pytest.approx(-(deflection + BELOW * roll), rel=0.02)
+
+
+def test_derived_springs_and_dampers_are_those_of_their_source():
+    """The sources of vehicle.toml: 0.6 Hz and damping ratio 0.3 laterally, 1.0 Hz and 0.2 vertically, on 13 t."""
+    for stiffness, damping, frequency, ratio in (
+        (SPRING.k_y, SPRING.c_y, 0.6, 0.3),
+        (SPRING.k_z, SPRING.c_z, 1.0, 0.2),
+    ):
+        found = hand_modes([BODY.mass / 2], np.array([[2 * stiffness]]), np.array([[2 * damping]]))
+        assert found == pytest.approx(np.array([[frequency, ratio]]), rel=0.02)
