@@ -79,6 +79,14 @@ def test_regular_steps(adhesion, step, segment, sign):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("edge", [-(2**-8), 2**-8])
+def test_the_edge_of_the_corridor_belongs_to_it(edge, sign):
+    f, rest = sign * np.full(2, 0.0625 + edge), sign * np.full(2, -SLIP)
+    u, _, segment = call(f, rest, sign * 0.0625, [100.0, *f, *rest], replace(LAW, corridor=2**-8))
+    assert (u, segment) == (100.0, 2)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("adhesion", [BELOW, INSIDE, ABOVE])
 @pytest.mark.parametrize(
     ("rise", "slip"),
@@ -114,7 +122,14 @@ def test_dead_zone_is_a_rate_of_the_filtered_slip(share, step, sign):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_slip_against_the_demand_is_not_past_the_maximum(sign):
     assert change(BELOW, AHEAD, BACK, sign=sign, level=-SLIP) == (pytest.approx(2.0), 1)
+    assert change(BELOW, AHEAD, BACK, sign=sign, level=0.0) == (pytest.approx(2.0), 1)
     assert change(BELOW, AHEAD, BACK, sign=sign, level=SLIP) == (pytest.approx(-15.0), 3)
+
+
+def test_a_demand_of_zero_counts_as_traction():
+    f, s, memory = [0.02, 0.02], [-0.02, -0.02], [100.0, 0.03, 0.03, -0.01, -0.01]
+    u, _, segment = call(f, s, 0.0, memory)
+    assert (u, segment) == (pytest.approx(85.0), 3)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

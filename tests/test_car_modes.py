@@ -117,15 +117,19 @@ def test_springs_and_link_act_at_their_heights(rolling):
     assert {place: rolling.loc[place] for place in expected} == pytest.approx(expected, rel=1e-4)
 
 
-def test_traction_pitches_the_body_by_link_height_and_motor_reaction():
+def test_traction_pitches_body_and_carriers():
+    """The link pulls at axle height: it adds nothing to the motor reaction on a carrier, but lifts the body's nose."""
     torque = 1000.0
     car = SteppedCar("T5", 20.0, V)
     car.step(np.full(4, torque), 4000)
     before = car.outputs["front.v"]
     car.step(exchanges=500)
     pull = BODY.mass * (car.outputs["front.v"] - before) / 0.5
-    stiffness = SPRING.k_z * BODY.gear_spacing**2
-    assert car.outputs["body.theta"] == pytest.approx((pull * TO_LINK + 4 * torque) / stiffness, rel=0.02)
+    pitch = {name: car.state[equations.STATES.index(f"{name}.theta")] for name in ("body", "front", "rear")}
+    expected = (pull * TO_LINK + 4 * torque) / (SPRING.k_z * BODY.gear_spacing**2)
+    assert pitch["body"] == pytest.approx(expected, rel=0.02)
+    for carrier in ("front", "rear"):
+        assert pitch[carrier] - pitch["body"] == pytest.approx(2 * torque / SPRING.pitch_stiffness, rel=0.05)
 
 
 @pytest.mark.parametrize(("track", "bumps"), [("T2", False), ("T3", False), ("T4", True)])
