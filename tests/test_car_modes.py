@@ -125,7 +125,7 @@ def test_traction_pitches_body_and_carriers():
     before = car.outputs["front.v"]
     car.step(exchanges=500)
     pull = BODY.mass * (car.outputs["front.v"] - before) / 0.5
-    pitch = {name: car.state[equations.STATES.index(f"{name}.theta")] for name in ("body", "front", "rear")}
+    pitch = {name: car.state[equations.STATES.index(f"{name}.pitch")] for name in ("body", "front", "rear")}
     expected = (pull * TO_LINK + 4 * torque) / (SPRING.k_z * BODY.gear_spacing**2)
     assert pitch["body"] == pytest.approx(expected, rel=0.02)
     for carrier in ("front", "rear"):
