@@ -1,0 +1,531 @@
+"""Ride and safety of a run in the quantities of vehicle acceptance: rail forces, flange contact, wear, comfort, energy.
+
+Functions work on arrays (SI, forces on the rail); `ride_summary` takes the series of a run and is the edge where units
+of the trade appear. How sure a number is stands with it: *read* in a public document that quotes the standard,
+*recalled* from the standard. The standards themselves were not at hand.
+
+Two kinds of filter. Forces are low-passed forwards and backwards (no phase), so that peaks keep their place on the
+track and those of different wheels can be added. Comfort weightings run forwards only: the standards give a transfer
+function, a second pass would square it, and root mean squares do not see the phase.
+
+The paper judges tracking and torque only; these figures say what a tracking error means to vehicle and passenger.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from scipy import integrate, signal
+
+from railrepro.car.equations import WHEELS
+from railrepro.errors import InputError
+from railrepro.vehicle.parameters import Vehicle
+
+GEARS = ("front", "rear")
+FORCE_CUTOFF = 20.0
+"""Cut-off of rail forces (Hz). Source: EN 14363 and UIC 518 (read)."""
+Y_OVER_Q_LIMIT = 0.8
+"""Largest sliding mean of Y/Q (-). Source: EN 14363 (recalled; Nadal's limit for a flange of 70 degrees)."""
+FLANGE_ANGLE = np.radians(30)
+"""Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
+FLOOR = ("floor_front", "floor_centre", "floor_rear")
+"""Points of the car body floor: above the front gear, midway, above the rear gear."""
+COMFORT_BLOCK, COMFORT_RUN = 5.0, 300.0
+"""Length of a block of mean comfort and of the run that its percentile is defined for (s). Source: EN 12299 (read,
+recalled)."""
+_BLOCK_STEP = 0.5
+# Transition frequency (Hz) and quality, upward step f5 (Hz), Q5, f6 (Hz), Q6, and gain above the step.
+WEIGHTINGS = {
+    "Wk": (12.5, 0.63, (2.37, 0.91, 3.35, 0.91), 1.0),
+    "Wd": (2.0, 0.63, None, 1.0),
+    "Wb": (16.0, 0.63, (2.5, 0.8, 4.0, 0.8), 1.024),
+    "Wb_ISO": (16.0, 0.55, (2.5, 0.9, 4.0, 0.95), 1.024),
+}
+"""Frequency weightings: Wk, Wd of ISO 2631-1, Wb of EN 12299, and Wb of ISO 2631-4 and BS 6841, which is another curve
+of the same name (EN 12299 is 7 % lower at 5 Hz, 13 % higher at 16 Hz).
+
+Source: Wk, Wd, Wb_ISO: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open
+software, agrees with what is recalled of UIC 513)."""
+_BAND = (0.4, 100.0)
+_FEWEST = 20
+
+
+def static_wheel_load(vehicle: Vehicle) -> float:
+    """Q0, vertical force of a wheel on straight level track at rest (N)."""
+    return (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity
+
+
+def rail_forces(normal, creep, angle, side: str, roll=0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Lateral and vertical force of a wheel on its rail.
+
+    Parameters
+    ----------
+    normal, creep : array_like, shape (n,)
+        Normal force and lateral creep force on the wheel, positive to the right (N); outputs `N` and `Fy` of the car.
+    angle : array_like, shape (n,)
+        Contact angle against the axle, positive towards the flange (rad).
+    side : str
+        "le" or "ri".
+    roll : array_like, optional
+        Roll of the axle against the track (rad). Zero gives the forces in axes of the axle; 1 mrad is worth 0.16 kN of
+        sum-Y with 16 t on the rails.
+
+    Returns
+    -------
+    y, q : ndarray, shape (n,)
+        Y, positive to the right on both rails, and Q, positive downwards (N), in axes of the track.
+    """
+    tilt = outward(side) * np.asarray(angle, dtype=float) - roll
+    y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
+    q = np.multiply(normal, np.cos(tilt)) + np.multiply(creep, np.sin(tilt))
+    return y, q
+
+
+def outward(side: str) -> int:
+    """Sign of a force to the right that pushes the rail outwards: 1 on the right rail, -1 on the left."""
+    if side not in ("le", "ri"):
+        raise InputError(f"side is {side!r}, 'le' or 'ri' is needed")
+    return 1 if side == "ri" else -1
+
+
+def low_pass(values, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
+    """Low-pass of a force without phase: Butterworth of second order, forwards and backwards.
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+    rate : float
+        Samples per second (Hz).
+    cutoff : float
+        Frequency at which both passes together reach -3 dB (Hz); 24 dB per octave beyond.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+
+    Source: EN 14363 (cut-off read, slope of 24 dB per octave recalled).
+    """
+    single = cutoff / (np.sqrt(2) - 1) ** 0.25
+    return signal.sosfiltfilt(signal.butter(2, single, fs=rate, output="sos"), values)
+
+
+def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarray:
+    """Sliding mean over the way.
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+    p : array_like, shape (n,)
+        Track coordinate, never decreasing (m).
+    window, step : float
+        Length of the mean and distance of successive means (m).
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Means of all windows that lie within the run, the first from p[0] on.
+
+    Raises
+    ------
+    InputError
+        When the run is shorter than the window or goes back.
+
+    Source: EN 14363 and UIC 518 (2 m, 0.5 m: read).
+    """
+    p = np.asarray(p, dtype=float)
+    if (np.diff(p) < 0).any():
+        back = -np.diff(p).min()
+        raise InputError(f"a sliding mean needs a track coordinate that never decreases, it goes back by {back:.3g} m")
+    room = p[-1] - p[0] - window
+    if room < 0:
+        raise InputError(f"a sliding mean over {window:g} m needs a longer run than the {p[-1] - p[0]:.3g} m found")
+    starts = p[0] + step * np.arange(int(room / step + 1e-9) + 1)
+    total = integrate.cumulative_trapezoid(values, p, initial=0)
+    return (np.interp(starts + window, p, total) - np.interp(starts, p, total)) / window
+
+
+def track_shifting_force(y_left, y_right, p, rate: float) -> np.ndarray:
+    """Sum-Y of a pair of wheels: 20 Hz low-pass, then means over 2 m every 0.5 m.
+
+    Parameters
+    ----------
+    y_left, y_right : array_like, shape (n,)
+        Y of both wheels, positive to the right (N).
+    p : array_like, shape (n,)
+        Track coordinate (m).
+    rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Positive to the right (N).
+
+    Source: EN 14363 and UIC 518 (read). They evaluate percentiles 0.15 and 99.85 over many sections; of one short run
+    take the largest absolute value.
+    """
+    return sliding_mean(low_pass(np.add(y_left, y_right), rate), p)
+
+
+def track_shifting_limit(wheel_load: float, k1: float = 1.0) -> float:
+    """Limit of sum-Y (N), k1 (10 kN + 2 Q0 / 3).
+
+    Parameters
+    ----------
+    wheel_load : float
+        Static wheel load Q0 (N).
+    k1 : float
+        1 for locomotives and passenger vehicles, 0.85 for freight wagons (recalled).
+
+    Source: EN 14363, Prud'homme's limit (recalled).
+    """
+    return k1 * (10e3 + 2 * wheel_load / 3)
+
+
+def y_over_q(y, q, p, rate: float, least: float = 1e3) -> np.ndarray:
+    """Y/Q of a wheel: 20 Hz low-pass of both, quotient, then means over 2 m every 0.5 m.
+
+    Parameters
+    ----------
+    y, q : array_like, shape (n,)
+        Y, positive outwards (see `outward`), and Q (N).
+    p : array_like, shape (n,)
+        Track coordinate (m).
+    rate : float
+        Samples per second (Hz).
+    least : float
+        Divisor where Q is smaller (N), so that a wheel that lifts gives no infinity.
+
+    Returns
+    -------
+    ndarray, shape (m,) (-)
+
+    Source: EN 14363 and UIC 518 (read), limit `Y_OVER_Q_LIMIT`.
+    """
+    return sliding_mean(low_pass(y, rate) / np.maximum(low_pass(q, rate), least), p)
+
+
+def wheel_unloading(q, wheel_load: float, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
+    """dQ/Q0 = (Q0 - Q)/Q0 of a wheel, positive where it is relieved.
+
+    Parameters
+    ----------
+    q : array_like, shape (n,)
+        Q (N).
+    wheel_load : float
+        Static wheel load Q0 (N).
+    rate : float
+        Samples per second (Hz).
+    cutoff : float
+        Low-pass (Hz): 20, as EN 14363 filters Q (read); 2 gives the quantity of cross wind, EN 14067-6, limit 0.9
+        (both recalled).
+
+    Returns
+    -------
+    ndarray, shape (n,) (-)
+    """
+    return 1 - low_pass(q, rate, cutoff) / wheel_load
+
+
+def flange_contacts(angle, p, threshold: float = FLANGE_ANGLE, gap: float = 1.0) -> float:
+    """Flange contacts of a wheel per kilometre: stretches with a contact angle above a threshold.
+
+    Parameters
+    ----------
+    angle : array_like, shape (n,)
+        Contact angle (rad).
+    p : array_like, shape (n,)
+        Track coordinate (m).
+    threshold : float
+        (rad)
+    gap : float
+        Stretches less than this apart count as one, so that a bouncing flange is one contact (m).
+
+    Returns
+    -------
+    float (1/km)
+    """
+    p = np.asarray(p, dtype=float)
+    edges = np.diff((np.abs(angle) > threshold).astype(int), prepend=0, append=0)
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    separate = np.count_nonzero(p[starts[1:]] - p[ends[:-1]] >= gap)
+    return float(1e3 * (separate + (starts.size > 0)) / (p[-1] - p[0]))
+
+
+def wear_number(force_x, force_y, creepage_x, creepage_y, moment=0.0, spin=0.0) -> np.ndarray:
+    """Wear number T-gamma of a wheel, the work lost in the contact per metre.
+
+    Parameters
+    ----------
+    force_x, force_y : array_like, shape (n,)
+        Creep forces on the wheel (N).
+    creepage_x, creepage_y : array_like, shape (n,)
+        Creepages (-), against which the forces act.
+    moment, spin : array_like, optional
+        Spin moment on the wheel (N m) and spin creepage (1/m). The car has no spin moment (its creep law gives none);
+        T-gamma is usually quoted without it.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        (N, that is J/m)
+
+    Source: Elkins and Eickhoff 1982 (recalled).
+    """
+    lost = np.multiply(force_x, creepage_x) + np.multiply(force_y, creepage_y) + np.multiply(moment, spin)
+    return -lost
+
+
+def along_the_way(values, p) -> tuple[float, float]:
+    """Mean and 95th percentile over the way (not over time, so that a slow stretch counts by its length).
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+    p : array_like, shape (n,)
+        Track coordinate, never decreasing (m).
+
+    Returns
+    -------
+    mean, percentile : float
+        In the unit of the values.
+    """
+    metres = np.gradient(np.asarray(p, dtype=float))
+    return (
+        float(np.average(values, weights=metres)),
+        float(np.quantile(values, 0.95, weights=metres, method="inverted_cdf")),
+    )
+
+
+def weighting_filter(name: str, rate: float) -> np.ndarray:
+    """Digital filter of a frequency weighting.
+
+    Band limits of 0.4 and 100 Hz (Butterworth, second order), transition from acceleration to velocity, upward step;
+    each analogue factor goes through the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 %
+    of the analogue ones up to 20 Hz and within 4 % up to 80 Hz.
+
+    Parameters
+    ----------
+    name : str
+        Key of `WEIGHTINGS`.
+    rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    ndarray, shape (3 or 4, 6)
+        Second-order sections.
+
+    Source: ISO 2631-1, annex A (read in the manual of a vibration meter).
+    """
+    if name not in WEIGHTINGS:
+        raise InputError(f"weighting {name!r} is not known; there are {sorted(WEIGHTINGS)}")
+    transition, quality, step, gain = WEIGHTINGS[name]
+    low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in _BAND)
+    factors = [([low[0], 0, 0], low), ([1], high)]
+    factors.append(([gain / (2 * np.pi * transition), gain], _quadratic(transition, quality)))
+    if step is not None:
+        f5, q5, f6, q6 = step
+        factors.append(((f5 / f6) ** 2 * _quadratic(f5, q5), _quadratic(f6, q6)))
+    return np.array([np.concatenate(signal.bilinear(*factor, fs=rate)) for factor in factors])
+
+
+def _quadratic(frequency: float, quality: float) -> np.ndarray:
+    """Coefficients of (s/w)^2 + s/(Q w) + 1."""
+    w = 2 * np.pi * frequency
+    return np.array([1 / w**2, 1 / (quality * w), 1.0])
+
+
+def weighted(acceleration, name: str, rate: float) -> np.ndarray:
+    """Frequency-weighted acceleration.
+
+    The filter starts settled at the first sample, as if that value had lasted forever: gravity in the reading of an
+    accelerometer, or steady cant deficiency, makes no transient.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (n,)
+        (m/s2)
+    name : str
+        Key of `WEIGHTINGS`.
+    rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        (m/s2)
+    """
+    sections = weighting_filter(name, rate)
+    values = np.asarray(acceleration, dtype=float)
+    return signal.sosfilt(sections, values, zi=signal.sosfilt_zi(sections) * values[0])[0]
+
+
+def weighted_rms(acceleration, name: str, rate: float) -> float:
+    """Root mean square a_w of the weighted acceleration over the whole run (m/s2).
+
+    Vertical accelerations take Wk, those along and across Wd. Less than 0.315 m/s2 is not uncomfortable (recalled).
+
+    Source: ISO 2631-1.
+    """
+    return float(np.sqrt(np.mean(np.square(weighted(acceleration, name, rate)))))
+
+
+def block_rms(acceleration, rate: float) -> np.ndarray:
+    """Root mean squares over blocks of 5 s.
+
+    Blocks follow each other, as in the standard, from 5 minutes on. In a shorter run they overlap and start every
+    0.5 s, so that few blocks cover all of the run.
+
+    Parameters
+    ----------
+    acceleration : array_like, shape (n,)
+        Weighted acceleration (m/s2).
+    rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    ndarray, shape (blocks,)
+        (m/s2); empty when the run is shorter than one block.
+
+    Source: EN 12299.
+    """
+    count, block = len(acceleration), round(COMFORT_BLOCK * rate)
+    step = block if count >= COMFORT_RUN * rate else round(_BLOCK_STEP * rate)
+    total = np.concatenate([[0.0], np.cumsum(np.square(acceleration))])
+    starts = np.arange(0, count - block + 1, step)
+    return np.sqrt((total[starts + block] - total[starts]) / block)
+
+
+def mean_comfort(along, across, vertical, rate: float) -> float:
+    """N_MV of a floor point: 6 times the root of the summed squares of three 95th percentiles.
+
+    Each acceleration is weighted (Wd, Wd, Wb), then comes the percentile of its `block_rms`. The standard asks for the
+    60 blocks of 5 minutes; what a shorter run gives is a figure to compare controllers on the same run, not one to hold
+    against published values.
+
+    Parameters
+    ----------
+    along, across, vertical : array_like, shape (n,)
+        Acceleration of the floor along, across and vertical (m/s2).
+    rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    float
+        N_MV (-): below 1.5 very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable (recalled); nan
+        when the run is shorter than one block.
+
+    Source: EN 12299:2009, mean comfort, standard method (formerly simplified; formula read in open software).
+    """
+    directions = ((along, "Wd"), (across, "Wd"), (vertical, "Wb"))
+    blocks = [block_rms(weighted(acceleration, name, rate), rate) for acceleration, name in directions]
+    if blocks[0].size == 0:
+        return float("nan")
+    return float(6 * np.linalg.norm(np.percentile(blocks, 95, axis=1)))
+
+
+def motor_energy(torque, speed, t) -> tuple[float, float, float]:
+    """Mechanical energy of the motors.
+
+    Parameters
+    ----------
+    torque, speed : array_like, shape (n,) or (n, motors)
+        Motor torque (N m) and wheel speed (rad/s), traction-positive. The carrier's pitch rate, which the motor feels
+        as well, is left out.
+    t : array_like, shape (n,)
+        Time (s).
+
+    Returns
+    -------
+    net, traction, braking : float
+        Energy given, its positive part and what was taken back (J), net = traction - braking. Each motor counts by
+        itself, so that a differential torque drives on one side and brakes on the other.
+    """
+    power = np.multiply(torque, speed)
+    traction = float(np.sum(integrate.trapezoid(np.maximum(power, 0), t, axis=0)))
+    braking = float(np.sum(integrate.trapezoid(np.maximum(-power, 0), t, axis=0)))
+    return traction - braking, traction, braking
+
+
+def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
+    """All figures of a run: name -> (value, unit).
+
+    Forces, Y/Q and unloading are the largest of the run and of the wheels, flange contacts the sum over the wheels.
+
+    Parameters
+    ----------
+    series : DataFrame
+        t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x, nu_y, angle, w, tau of each wheel;
+        ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car body, as an accelerometer reads them. Columns are
+        called `front.p`, `front_le.N`, `floor_centre.az`.
+    vehicle : Vehicle
+        The car itself (of a run with two vehicles the plant's).
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        When a column is missing, or the run is shorter than 20 rows or 2 m.
+    """
+    _check(series)
+    t = series["t_s"].to_numpy()
+    rate = (t.size - 1) / (t[-1] - t[0])
+    found = _force_figures(series, static_wheel_load(vehicle), rate)
+    for wheel in WHEELS:
+        p = series[f"{wheel.split('_')[0]}.p"]
+        wear = wear_number(*(series[f"{wheel}.{name}"] for name in ("Fx", "Fy", "nu_x", "nu_y")))
+        mean, high = along_the_way(wear, p)
+        found |= {f"wear_mean_{wheel}": (mean, "N"), f"wear_p95_{wheel}": (high, "N")}
+    found["comfort_duration"] = (float(t[-1] - t[0]), "s")
+    for point in FLOOR:
+        along, across, vertical = (series[f"{point}.{name}"].to_numpy() for name in ("ax", "ay", "az"))
+        found |= {
+            f"n_mv_{point}": (mean_comfort(along, across, vertical, rate), "-"),
+            f"a_wk_vertical_{point}": (weighted_rms(vertical, "Wk", rate), "m/s2"),
+            f"a_wd_lateral_{point}": (weighted_rms(across, "Wd", rate), "m/s2"),
+        }
+    torque, speed = (series[[f"{wheel}.{name}" for wheel in WHEELS]].to_numpy() for name in ("tau", "w"))
+    names = ("motor_energy_net", "motor_energy_traction", "motor_energy_braking")
+    energies = motor_energy(torque, speed, t)
+    return found | {name: (energy / 3.6e6, "kWh") for name, energy in zip(names, energies, strict=True)}
+
+
+def _check(series: pd.DataFrame) -> None:
+    names = ("N", "Fx", "Fy", "nu_x", "nu_y", "angle", "w", "tau")
+    needed = ["t_s", *(f"{gear}.{name}" for gear in GEARS for name in ("p", "phi"))]
+    needed += [f"{wheel}.{name}" for wheel in WHEELS for name in names]
+    needed += [f"{point}.{name}" for point in FLOOR for name in ("ax", "ay", "az")]
+    missing = [name for name in needed if name not in series]
+    if missing:
+        raise InputError(f"the series lacks {len(missing)} columns that ride figures need, the first is {missing[0]!r}")
+    if len(series) < _FEWEST:
+        raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
+
+
+def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
+    """Largest rail forces of a run, and flange contacts."""
+    found, ratios, unloading, contacts = {}, [], [], 0.0
+    for gear in GEARS:
+        p, lateral = series[f"{gear}.p"].to_numpy(), []
+        for side in ("le", "ri"):
+            normal, creep, angle = (series[f"{gear}_{side}.{name}"].to_numpy() for name in ("N", "Fy", "angle"))
+            y, q = rail_forces(normal, creep, angle, side, series[f"{gear}.phi"].to_numpy())
+            lateral.append(y)
+            ratios.append(y_over_q(outward(side) * y, q, p, rate).max())
+            unloading.append(wheel_unloading(q, wheel_load, rate).max())
+            contacts += flange_contacts(angle, p)
+        sum_y = np.abs(track_shifting_force(*lateral, p, rate)).max()
+        found[f"sum_y_{gear}"] = (float(sum_y) / 1e3, "kN")
+    limit = track_shifting_limit(wheel_load) / 1e3
+    return found | {
+        "sum_y_over_limit": (max(found[f"sum_y_{gear}"][0] for gear in GEARS) / limit, "-"),
+        "y_over_q": (float(max(ratios)), "-"),
+        "wheel_unloading": (float(max(unloading)), "-"),
+        "flange_contacts": (contacts, "1/km"),
+    }

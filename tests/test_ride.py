@@ -1,0 +1,337 @@
+"""Ride and safety figures: rail forces, sliding means, flange contacts, wear, comfort weightings, energy."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import signal
+
+from railrepro.car import equations
+from railrepro.contact.table import contact_table
+from railrepro.errors import InputError
+from railrepro.simulation import ride
+from railrepro.track import route
+from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import load_vehicle
+
+RATE = 1000.0
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return load_vehicle()
+
+
+def time(duration):
+    return np.arange(round(duration * RATE)) / RATE
+
+
+def gain(name, frequency):
+    return abs(signal.freqz_sos(ride.weighting_filter(name, RATE), np.atleast_1d(frequency), fs=RATE)[1])
+
+
+# Columns of the tables of weights of ISO 2631-1; Wb at 100 rad/s is the reference value of ISO 8041.
+@pytest.mark.parametrize(
+    ("name", "weights"),
+    [
+        ("Wk", {0.1: 0.0312, 0.5: 0.418, 1: 0.482, 2: 0.531, 4: 0.967, 5: 1.039, 8: 1.036, 16: 0.768}),
+        ("Wd", {0.1: 0.0624, 0.5: 0.853, 1: 1.011, 2: 0.890, 4: 0.512, 8: 0.253, 100 / (2 * np.pi): 0.1261}),
+        ("Wb_ISO", {100 / (2 * np.pi): 0.8126}),
+    ],
+)
+def test_weights_are_those_of_the_standard(name, weights):
+    np.testing.assert_allclose(gain(name, list(weights)), list(weights.values()), rtol=2e-3)
+
+
+def test_weight_at_the_upper_band_limit_is_within_the_warping():
+    assert gain("Wk", 80.0)[0] == pytest.approx(0.132, rel=0.04)
+
+
+# The bilinear transform moves frequencies and nothing else, so moved frequencies leave rounding only.
+@pytest.mark.parametrize(
+    ("name", "transition", "q4", "step"),
+    [("Wb", 16, 0.63, (2.5, 0.8, 4, 0.8, 1.024)), ("Wb_ISO", 16, 0.55, (2.5, 0.9, 4, 0.95, 1.024))],
+)
+def test_both_weightings_wb_follow_their_transfer_functions(name, transition, q4, step):
+    at = np.array([0.3, 0.5, 1, 2, 3, 4, 5, 8, 12, 16, 25, 50, 100, 150])
+    f = RATE / np.pi * np.tan(np.pi * at / RATE)
+    f5, q5, f6, q6, k = step
+
+    def size(corner, quality):
+        return np.hypot(1 - (f / corner) ** 2, f / corner / quality)
+
+    band = f**2 / np.sqrt(f**4 + 0.4**4) / np.sqrt(1 + (f / 100) ** 4)
+    expected = band * k * np.hypot(1, f / transition) / size(transition, q4)
+    expected *= (f5 / f6) ** 2 * size(f5, q5) / size(f6, q6)
+    np.testing.assert_allclose(gain(name, at), expected, rtol=1e-6)
+
+
+def test_an_unknown_weighting_is_refused():
+    with pytest.raises(InputError, match="weighting 'Wx'"):
+        ride.weighting_filter("Wx", RATE)
+
+
+def test_a_constant_acceleration_is_not_felt():
+    steady = np.full(10_000, -9.81)
+    assert ride.weighted_rms(steady, "Wk", RATE) < 1e-9
+    assert ride.mean_comfort(steady, steady, steady, RATE) < 1e-8
+
+
+@pytest.mark.parametrize(("axis", "weight"), [(0, 0.409), (1, 0.409), (2, 0.957)])
+def test_mean_comfort_of_a_sine_of_five_hertz(axis, weight):
+    sine, still = np.sin(2 * np.pi * 5 * time(60)), np.zeros(60_000)
+    directions = [sine if i == axis else still for i in range(3)]
+    assert ride.mean_comfort(*directions, RATE) == pytest.approx(6 * weight / np.sqrt(2), rel=3e-3)
+
+
+def test_mean_comfort_sums_the_squares_of_three_directions():
+    sine = np.sin(2 * np.pi * 5 * time(60))
+    together = 6 / np.sqrt(2) * np.sqrt(2 * 0.409**2 + 0.957**2)
+    assert ride.mean_comfort(sine, sine, sine, RATE) == pytest.approx(together, rel=3e-3)
+
+
+def test_weighted_rms_of_a_sine_of_five_hertz():
+    sine = np.sin(2 * np.pi * 5 * time(60))
+    assert ride.weighted_rms(sine, "Wk", RATE) == pytest.approx(1.039 / np.sqrt(2), rel=3e-3)
+
+
+@pytest.mark.parametrize(("loud", "expected"), [(2, 0.0), (6, 1.0)])
+def test_comfort_is_the_95th_percentile_of_sixty_blocks(loud, expected):
+    amplitude = np.repeat(np.arange(60) < loud, 5000)
+    vertical, still = amplitude * np.sin(2 * np.pi * 5 * time(300)), np.zeros(300_000)
+    assert ride.mean_comfort(still, still, vertical, RATE) == pytest.approx(expected * 6 * 0.957 / np.sqrt(2), abs=0.05)
+
+
+def test_blocks_follow_each_other_in_a_long_run_and_overlap_in_a_short_one():
+    assert ride.block_rms(np.ones(300_000), RATE).shape == (60,)
+    ramp = np.sqrt(np.arange(7000))
+    blocks = ride.block_rms(ramp, RATE)
+    assert blocks.shape == (5,)
+    np.testing.assert_allclose(blocks**2, 2499.5 + 500 * np.arange(5))
+
+
+def test_a_run_shorter_than_one_block_has_no_mean_comfort():
+    assert np.isnan(ride.mean_comfort(*np.zeros((3, 4999)), RATE))
+
+
+def test_the_end_of_a_short_run_counts():
+    t, still = time(7), np.zeros(7000)
+    late = np.where(t > 5.5, np.sin(2 * np.pi * 5 * t), 0)
+    assert ride.mean_comfort(still, still, late, RATE) > 1
+
+
+def test_low_pass_has_its_cut_off_slope_and_no_phase():
+    t = time(4)
+    middle = slice(1500, 2500)
+    for frequency, level in ((5, 1.0), (20, 1 / np.sqrt(2)), (40, 10 ** (-17.7 / 20))):
+        wave = np.sin(2 * np.pi * frequency * t)
+        np.testing.assert_allclose(ride.low_pass(wave, RATE)[middle], level * wave[middle], atol=0.003)
+
+
+@pytest.mark.parametrize(("length", "expected"), [(1.0, 0.5), (2.0, 1.0), (3.0, 1.0)])
+def test_sliding_mean_of_a_rectangle(length, expected):
+    p = np.arange(0, 40, 0.01)
+    pulse = 8.0 * ((p >= 20) & (p < 20 + length))
+    assert ride.sliding_mean(pulse, p).max() == pytest.approx(expected * 8.0, rel=1e-2)
+
+
+def test_sliding_mean_of_a_ramp_is_the_ramp_whatever_the_speed():
+    p = 100 + 30 * np.linspace(0, 1, 3000) ** 2
+    means = ride.sliding_mean(5 * p, p)
+    np.testing.assert_allclose(means, 5 * (101 + 0.5 * np.arange(57)), rtol=1e-4)
+
+
+def test_sliding_mean_refuses_a_short_or_backward_run():
+    with pytest.raises(InputError, match="longer run than the 1.5 m"):
+        ride.sliding_mean(np.ones(4), [0, 0.5, 1, 1.5])
+    with pytest.raises(InputError, match="never decreases"):
+        ride.sliding_mean(np.ones(4), [0, 5, 4, 9])
+
+
+def test_rail_forces_of_hand_made_contacts():
+    y, q = ride.rail_forces(50e3, 4e3, 0.0, "ri")
+    assert (y, q) == pytest.approx((-4e3, 50e3))
+    y, q = ride.rail_forces(50e3, 0.0, np.radians(30), "ri")
+    assert (y, q) == pytest.approx((25e3, 43.301e3), rel=1e-4)
+    y, q = ride.rail_forces(50e3, 4e3, np.radians(30), "ri")
+    assert (y, q) == pytest.approx((25e3 - 3.4641e3, 43.301e3 + 2e3), rel=1e-4)
+    mirrored = ride.rail_forces(50e3, -4e3, np.radians(30), "le")
+    assert mirrored == pytest.approx((-y, q))
+    y, q = ride.rail_forces(50e3, 0.0, np.radians(2), "ri", roll=np.radians(2))
+    assert (y, q) == pytest.approx((0.0, 50e3))
+    with pytest.raises(InputError, match="'le' or 'ri'"):
+        ride.rail_forces(1.0, 0.0, 0.0, "left")
+
+
+def test_rail_forces_are_what_accelerates_the_car(vehicle):
+    """Whatever the springs do, masses times accelerations are weight less Q and minus Y, summed over the wheels."""
+    car, table = equations.car(), contact_table("s1002", vehicle)
+    way = route.lay(load_track("T5"))
+    x = equations.rest_state(vehicle, table, 50.0)
+    index = {name: i for i, name in enumerate(equations.STATES)}
+    moves = {"front.y": 4e-3, "front.psi": 3e-3, "front.phi": 4e-4, "rear.y": -5e-3, "rear.psi": -2e-3, "body.y": 1e-2}
+    for name, value in moves.items():
+        x[index[name]] += value
+    rows, par = way.rows_at(x[[0, 12, 24]]).T, equations.parameter_vector(vehicle)
+    shifts = np.array(car.coordinates(x, rows, par)).ravel()[3:]
+    cells = table.cells()
+    contacts = cells[((shifts - table.start) / table.step).astype(int)].T
+    rate = np.array(car.rate(x, np.zeros(4), rows, contacts, par)).ravel()
+    out = dict(zip(car.outputs, np.array(car.output(x, np.zeros(4), rows, contacts, par)).ravel(), strict=True))
+    forces = []
+    for wheel in equations.WHEELS:
+        gear, side = wheel.split("_")
+        values = (out[f"{wheel}.{name}"] for name in ("N", "Fy", "angle"))
+        forces.append(ride.rail_forces(*values, side, roll=x[index[f"{gear}.phi"]]))
+    y, q = np.sum(forces, axis=0)
+    masses = (vehicle.body.mass, vehicle.gear.mass, vehicle.gear.mass)
+    across, down = (
+        sum(mass * rate[index[f"{body}.{name}"]] for mass, body in zip(masses, equations.BODIES, strict=True))
+        for name in ("vy", "vz")
+    )
+    weight = sum(masses) * vehicle.gravity
+    assert abs(y) > 5e3
+    assert y == pytest.approx(-across, abs=1.0)
+    assert q == pytest.approx(weight - down, abs=5.0)
+    assert weight == pytest.approx(4 * ride.static_wheel_load(vehicle))
+
+
+def test_track_shifting_force_of_hand_made_forces():
+    t = time(5)
+    p = 10 * t
+    pulse = 6e3 * ((p >= 20) & (p < 21))
+    sum_y = ride.track_shifting_force(np.full(5000, -3e3), 10e3 + pulse, p, RATE)
+    assert sum_y.min() == pytest.approx(7e3, rel=2e-3)
+    assert sum_y.max() == pytest.approx(7e3 + 3e3, rel=5e-3)
+
+
+def test_track_shifting_force_leaves_out_fast_vibration():
+    t = time(2)
+    fast = 100e3 * np.sin(2 * np.pi * 60 * t)
+    assert np.abs(ride.sliding_mean(fast, 100 * t)).max() > 14e3
+    assert np.abs(ride.track_shifting_force(fast, np.zeros(2000), 100 * t, RATE)[50:-50]).max() < 1e3
+
+
+def test_track_shifting_limit_of_an_axle_of_sixteen_tonnes():
+    assert ride.track_shifting_limit(78_480.0) == pytest.approx(62_320.0)
+    assert ride.track_shifting_limit(78_480.0, 0.85) == pytest.approx(52_972.0)
+
+
+def test_y_over_q_is_a_quotient_of_filtered_forces_and_finite_when_the_wheel_lifts():
+    t = time(2)
+    p, wave = 50 * t, np.sin(2 * np.pi * 100 * t)
+    inner = slice(20, -20)
+    ratio = ride.y_over_q(30e3 * (1 + wave), 60e3 * (1 - wave), p, RATE)
+    np.testing.assert_allclose(ratio[inner], 0.5, rtol=1e-3)
+    assert ride.y_over_q(np.full(2000, 2e3), np.zeros(2000), p, RATE).max() == pytest.approx(2.0)
+
+
+def test_wheel_unloading_is_positive_for_a_relieved_wheel_and_filtered():
+    t = time(2)
+    q = 70e3 + 20e3 * np.sin(2 * np.pi * 10 * t)
+    at_20_hz, at_2_hz = (ride.wheel_unloading(q, 100e3, RATE, cutoff)[500:1500] for cutoff in (20.0, 2.0))
+    assert at_20_hz.max() == pytest.approx(0.3 + 0.2, rel=0.03)
+    assert at_2_hz.max() == pytest.approx(0.3, rel=0.03)
+    np.testing.assert_allclose(ride.wheel_unloading(q, 100e3, RATE).max(), at_20_hz.max(), rtol=0.01)
+
+
+def test_flange_contacts_are_counted_once_when_they_bounce():
+    p = np.arange(0, 500.01, 0.1)
+    angle = np.full(p.size, np.radians(3))
+
+    def touch(start, end, degrees):
+        angle[(p >= start - 1e-6) & (p <= end + 1e-6)] = np.radians(degrees)
+
+    assert ride.flange_contacts(angle, p) == 0
+    touch(0, 2, 60)
+    touch(100, 101, 45)
+    touch(101.5, 102, -45)
+    touch(200, 201, 29)
+    touch(499, 500, 70)
+    assert ride.flange_contacts(angle, p) == pytest.approx(6.0)
+    assert ride.flange_contacts(angle, p, gap=0.1) == pytest.approx(8.0)
+
+
+def test_wear_number_of_constant_slip_is_the_work_per_metre():
+    assert ride.wear_number(-9e3, 4e3, 2e-3, -1e-3) == pytest.approx(22.0)
+    assert ride.wear_number(-9e3, 4e3, 2e-3, -1e-3, -100.0, 0.05) == pytest.approx(27.0)
+
+
+def test_wear_is_averaged_over_the_way():
+    p = np.concatenate([np.arange(0, 50, 0.01), np.arange(50, 100, 1.0)])
+    mean, high = ride.along_the_way(np.where(p < 50, 10.0, 30.0), p)
+    assert mean == pytest.approx(20.0, rel=0.01)
+    assert high == 30.0
+    assert ride.along_the_way(np.where(p < 96, 10.0, 30.0), p)[1] == 10.0
+
+
+def test_energy_of_constant_power_and_of_opposed_motors():
+    t = np.linspace(0, 36, 36_001)
+    net, traction, braking = ride.motor_energy(np.full(t.size, 2e3), np.full(t.size, 50.0), t)
+    assert (net, traction, braking) == pytest.approx((3.6e6, 3.6e6, 0.0))
+    torque = np.tile([2e3, -1e3], (t.size, 1))
+    energies = ride.motor_energy(torque, np.full(torque.shape, 50.0), t)
+    assert energies == pytest.approx((1.8e6, 3.6e6, 1.8e6))
+
+
+def steady_series(vehicle, duration=8.0, speed=50.0):
+    """A run whose figures are known: half the static load more on the right, 4 kN of creep, 5 Hz of floor motion."""
+    t = time(duration)
+    load = ride.static_wheel_load(vehicle)
+    series = {"t_s": t, "front.p": speed * t + 14, "rear.p": speed * t, "front.phi": 0 * t, "rear.phi": 0 * t}
+    for wheel in equations.WHEELS:
+        constant = {"Fx": -5e3, "Fy": -2e3, "nu_x": 1e-3, "nu_y": 5e-4, "angle": 0.0, "w": 100.0, "tau": 90.0}
+        constant["N"] = load * (1.5 if wheel.endswith("ri") else 0.5)
+        series |= {f"{wheel}.{name}": np.full(t.size, value) for name, value in constant.items()}
+    for point in ride.FLOOR:
+        series |= {f"{point}.ax": 0 * t, f"{point}.ay": 0 * t, f"{point}.az": np.sin(2 * np.pi * 5 * t) - 9.81}
+    series["floor_centre.ay"] = 0.1 * np.sin(2 * np.pi * 5 * t)
+    return pd.DataFrame(series)
+
+
+def test_summary_names_every_figure_with_its_unit(vehicle):
+    found = ride.ride_summary(steady_series(vehicle), vehicle)
+    expected = {
+        "sum_y_front": (4.0, "kN"),
+        "sum_y_rear": (4.0, "kN"),
+        "sum_y_over_limit": (4.0 / 62.32, "-"),
+        "y_over_q": (2e3 / (1.5 * 78_480), "-"),
+        "wheel_unloading": (0.5, "-"),
+        "flange_contacts": (0.0, "1/km"),
+        "wear_mean_front_le": (6.0, "N"),
+        "wear_p95_rear_ri": (6.0, "N"),
+        "comfort_duration": (7.999, "s"),
+        "n_mv_floor_front": (6 * 0.957 / np.sqrt(2), "-"),
+        "a_wk_vertical_floor_rear": (1.039 / np.sqrt(2), "m/s2"),
+        "a_wd_lateral_floor_centre": (0.0409 / np.sqrt(2), "m/s2"),
+        "a_wd_lateral_floor_front": (0.0, "m/s2"),
+        "motor_energy_net": (4 * 9e3 * 7.999 / 3.6e6, "kWh"),
+        "motor_energy_traction": (4 * 9e3 * 7.999 / 3.6e6, "kWh"),
+        "motor_energy_braking": (0.0, "kWh"),
+    }
+    for name, (value, unit) in expected.items():
+        assert found[name][0] == pytest.approx(value, rel=5e-3, abs=1e-9), name
+        assert found[name][1] == unit, name
+    assert len(found) == 4 + 2 + 8 + 1 + 9 + 3
+    assert all(isinstance(value, float) for value, _ in found.values())
+
+
+def test_summary_takes_the_worst_wheel_the_roll_and_all_flanges(vehicle):
+    series = steady_series(vehicle)
+    series.loc[2000:3000, "rear_le.angle"] = np.radians(40)
+    series["rear.phi"] = 1e-3
+    series.loc[1000:1500, ["front_le.Fy", "front_ri.Fy"]] = 3e3
+    plain, found = (ride.ride_summary(each, vehicle) for each in (steady_series(vehicle), series))
+    assert found["flange_contacts"][0] == pytest.approx(1e3 / (50 * 7.999))
+    assert found["sum_y_front"][0] == pytest.approx(6.0, rel=0.03)
+    assert found["y_over_q"][0] > 0.7 > plain["y_over_q"][0]
+    tail = ride.ride_summary(series.iloc[4000:].reset_index(drop=True), vehicle)
+    assert tail["sum_y_rear"][0] == pytest.approx(4.0 - 2 * 0.07848, rel=1e-3)
+    assert tail["sum_y_front"][0] == pytest.approx(4.0, rel=1e-6)
+
+
+def test_summary_refuses_a_series_without_its_columns_or_length(vehicle):
+    series = steady_series(vehicle)
+    with pytest.raises(InputError, match="lacks 1 columns.*'floor_rear.ay'"):
+        ride.ride_summary(series.drop(columns="floor_rear.ay"), vehicle)
+    with pytest.raises(InputError, match="has 1 rows"):
+        ride.ride_summary(series.iloc[:1], vehicle)
