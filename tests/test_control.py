@@ -13,7 +13,7 @@ from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
-from railrepro.model.forecast import believed, forecast
+from railrepro.model.forecast import forecast, nominal_values
 from railrepro.simulation import scenarios
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -157,10 +157,10 @@ def test_a_failing_solver_falls_back_on_the_shifted_plan(vehicle, monkeypatch):
 def test_forecast_drives_both_wheels_and_stops_at_rest(vehicle):
     way = scenarios.load_scenario("braking").route()
     x = np.array([100.0, 0, 40.0, 0, 0, 0])
-    here = believed(vehicle, 0)
+    here = nominal_values(vehicle, 0)
     rate = np.diff(forecast(way, here, x, -1000.0, 0.02, 20).x_d[:, 2]) / 0.02
     assert rate == pytest.approx(-2000 / vehicle.wheel.radius / vehicle.effective_longitudinal_mass)
-    printed = forecast(way, believed(vehicle, 0, printed=True), x, -1000.0, 0.02, 20)
+    printed = forecast(way, nominal_values(vehicle, 0, printed=True), x, -1000.0, 0.02, 20)
     assert printed.x_d[-1, 2] > x[2]
     x[2] = 0.1
     assert forecast(way, here, x, -4000.0, 0.02, 50).x_d[:, 2].min() == pytest.approx(0.0, abs=1e-12)
@@ -168,7 +168,7 @@ def test_forecast_drives_both_wheels_and_stops_at_rest(vehicle):
 
 def test_forecast_at_rest_and_coasting_is_finite(vehicle):
     way = scenarios.load_scenario("curve_entry_T3").route()
-    ahead = forecast(way, believed(vehicle, 1), np.array([300.0, 0.02, 77.0, 0.01, 0, 0]), 0.0, 0.01, 10)
+    ahead = forecast(way, nominal_values(vehicle, 1), np.array([300.0, 0.02, 77.0, 0.01, 0, 0]), 0.0, 0.01, 10)
     assert np.isfinite(ahead.x_d).all()
     partner = way.track_at(ahead.x_d[:, 0] + vehicle.body.gear_spacing)[0]
     assert ahead.theta[:, 6] == pytest.approx((ahead.theta[:, 0] + partner) / 2)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from railrepro.control.predictive import PredictiveController
+from railrepro.model.control_model import DPSI_DP, PSI_AX, PSI_TR, PSIDOT_AX, XDOT, X
 
 
 @dataclass
@@ -30,10 +31,11 @@ class LTVMPC(PredictiveController):
     def solve(self, du: np.ndarray) -> tuple[np.ndarray, int]:
         """See `PredictiveController.solve`; the start does not matter."""
         horizon = self.horizon
-        horizon.x[:], horizon.u[:] = 0.0, 0.0
-        horizon.x[:, 0], horizon.x[:, 2] = horizon.x_d[:, 0], horizon.x_d[:, 2]
+        x, x_d, theta = horizon.x, horizon.x_d, horizon.theta
+        x[:], horizon.u[:] = 0.0, 0.0
+        x[:, X], x[:, XDOT] = x_d[:, X], x_d[:, XDOT]
         if not self.printed:
-            horizon.x[:, 1], horizon.x[:, 3] = horizon.theta[:, 0], horizon.theta[:, 1] * horizon.x_d[:, 2]
+            x[:, PSI_AX], x[:, PSIDOT_AX] = theta[:, PSI_TR], theta[:, DPSI_DP] * x_d[:, XDOT]
         horizon.linearise()
         horizon.solve()
         return horizon.du.copy(), 1

@@ -51,7 +51,7 @@ class NMPC(PredictiveController):
         if self.solver != "rti" or self.recorded is not None:
             return super().plan(x_hat, u_d)
         begin = time.perf_counter()
-        x_hat, u_d = self.observed(x_hat), self.told(u_d)
+        x_hat, u_d = self.observed(x_hat), self.known_base_torque(u_d)
         if not self._started:
             self._prepare(x_hat, u_d)
         horizon, bound = self.horizon, self.settings.torque_bound(u_d, self.vehicle.drive.torque_limit)

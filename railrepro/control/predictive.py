@@ -10,7 +10,7 @@ import numpy as np
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers.riccati import horizon
 from railrepro.model import forecast
-from railrepro.model.control_model import Y, control_model, kept_as_printed
+from railrepro.model.control_model import PSI_TRAX, XDOT, Y, control_model, kept_as_printed
 from railrepro.model.forecast import Forecast
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
@@ -59,8 +59,8 @@ class PredictiveController:
         self.stats: list[Solve] = []
         s = self.settings
         self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
-        believed = forecast.believed(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
-        self.horizon = horizon(s, believed, self.parameters, self.route)
+        nominal = forecast.nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
+        self.horizon = horizon(s, nominal, self.parameters, self.route)
         self.plan_du = np.zeros(s.steps)
         self.offset, self._expected_y = 0.0, None
 
@@ -71,7 +71,7 @@ class PredictiveController:
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The optimal control problem at a measured state (6,) and base torque (N m)."""
-        self.look_ahead(x_hat, self.told(u_d))
+        self.look_ahead(x_hat, self.known_base_torque(u_d))
         return self._problem_ahead()
 
     def look_ahead(self, x_hat: np.ndarray, u_d: float) -> None:
@@ -93,7 +93,7 @@ class PredictiveController:
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now; a failing solver falls back on the shifted previous plan, counted."""
         begin = time.perf_counter()
-        self.look_ahead(self.observed(x_hat), self.told(u_d))
+        self.look_ahead(self.observed(x_hat), self.known_base_torque(u_d))
         if self.recorded is not None:
             self.recorded.append(self._problem_ahead())
         bound, start = self.horizon.bound, self.plan_du
@@ -114,13 +114,13 @@ class PredictiveController:
         s = self.settings
         if s.observer <= 0:
             return x_hat
-        if self._expected_y is not None and x_hat[2] > 1.0:
-            self.offset += s.observer * (x_hat[Y] - self._expected_y) / (x_hat[2] * s.period)
+        if self._expected_y is not None and x_hat[XDOT] > 1.0:
+            self.offset += s.observer * (x_hat[Y] - self._expected_y) / (x_hat[XDOT] * s.period)
         corrected = np.array(x_hat)
-        corrected[5] += self.offset
+        corrected[PSI_TRAX] += self.offset
         return corrected
 
-    def told(self, u_d: float) -> float:
+    def known_base_torque(self, u_d: float) -> float:
         """Base torque that forecast and model get to know (N m), see `MPCSettings.informed`."""
         return u_d if self.settings.informed else 0.0
 

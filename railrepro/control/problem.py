@@ -1,22 +1,150 @@
-"""What nonlinear and linear time-variant MPC minimise: settings and the optimal control problem.
+"""The optimal control problem of nonlinear and linear time-variant MPC, stated once: all solvers are derived from it.
 
-Minimised over the differential torques du_0 … du_(L-1) of one running gear:
-sum T |x_k - x_d,k|_Q^2 + T R du_k^2 + T |x_L - x_d,L|_QL^2 with QL = Q diag(0,0,0,0,q,q), torques within their limits,
-lateral position within a bound that is soft (quadratic slack), so that no state makes it infeasible.
+Minimise over the differential torques du_0 … du_(L-1) of one running gear
+sum T |x_k - x_d,k|_Q^2 + T R du_k^2 + T |x_L - x_d,L|_QL^2 with QL = Q diag(0,0,0,0,q,q), with the states of the
+prediction model, torques within their limits, and the lateral position within a bound that is soft (a quadratic cost on
+the slack), so that no state makes it infeasible.
 
-Serves eqs. (constraints) and (terminal_cost) of the paper.
+The costs are expressions: they take numbers or CasADi symbols, and `Tuning` names what they weigh with. Serves
+eqs. (constraints) and (terminal_cost) of the paper.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
-from railrepro.control.solvers.riccati import model_function
 from railrepro.errors import InputError
-from railrepro.model.control_model import Y
+from railrepro.model.control_model import (
+    INPUTS,
+    PSI_TRAX,
+    STATES,
+    TAU_LE,
+    TAU_RI,
+    THETA,
+    Y,
+    control_model,
+    sensitivities,
+)
+from railrepro.model.derivation import PARAMETERS
 from railrepro.model.forecast import Forecast
+
+TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "lateral_bound", "bound_weight")
+"""Entries of a tuning vector: what the statement takes from `MPCSettings`, for solvers of any kind."""
+
+
+class Tuning(NamedTuple):
+    """A tuning vector by name; see `MPCSettings` for meaning and units."""
+
+    q: ca.SX
+    r: ca.SX
+    q_terminal: ca.SX
+    period: ca.SX
+    lateral_bound: ca.SX
+    bound_weight: ca.SX
+
+    @classmethod
+    def of(cls, vector) -> Tuning:
+        """The entries of a vector in the order of `TUNING`."""
+        return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
+
+
+def stage_cost(x, x_d, slack, t: Tuning):
+    """Cost of a state on the way, and of the slack of its lateral bound. Source: eq. (constraints)."""
+    return ca.dot(t.q * t.period, (x - x_d) ** 2) + slack_cost(slack, t)
+
+
+def terminal_cost(x, x_d, slack, t: Tuning):
+    """Cost of the last state, which weighs lateral position and yaw only. Source: eq. (terminal_cost)."""
+    weighed = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
+    return sum(weighed) + slack_cost(slack, t)
+
+
+def effort_cost(du, t: Tuning):
+    """Cost of a differential torque. Source: eq. (constraints)."""
+    return t.r * t.period * du**2
+
+
+def slack_cost(slack, t: Tuning):
+    """Cost of the slack (m) of the lateral bound in one state."""
+    return t.bound_weight * t.q[Y] * t.period * slack**2
+
+
+def lateral_excess(x, t: Tuning) -> tuple:
+    """How far y lies beyond its upper and its lower bound (m); slack is needed for what is positive."""
+    return x[Y] - t.lateral_bound, -x[Y] - t.lateral_bound
+
+
+def slack_on(side, x, t: Tuning):
+    """Slack (m) of a state that is known to lie beyond the bound on a side, 1 or -1, or on none, 0."""
+    return side * (x[Y] - side * t.lateral_bound)
+
+
+@lru_cache
+def dynamics(variant: str, discretisation: str) -> ca.Function:
+    """One step of the prediction model with derivatives.
+
+    Returns
+    -------
+    casadi.Function
+        (x[6], du, u_d, theta[9], par, T, affine) -> x_next[6], A (sparse), B[6]. With affine = 0, x_next is the printed
+        linear model A x + B u, which drops the affine term (D6).
+    """
+    step = sensitivities(control_model(variant), discretisation)
+    x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
+    theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
+    torques = {"tau_ri": u_d - du, "tau_le": u_d + du}
+    x_next, a, by_torque = step(x, ca.vertcat(*(torques[name] for name in INPUTS)), theta, par, period)
+    by_ri, by_le = by_torque[:, TAU_RI], by_torque[:, TAU_LE]
+    b, common = ca.densify(by_le - by_ri), by_ri + by_le
+    linear = ca.mtimes(a, x) + b * du + common * u_d
+    reported = ca.densify(affine * x_next + (1 - affine) * linear)
+    inputs = [x, du, u_d, theta, par, period, affine]
+    names = ["x", "du", "u_d", "theta", "par", "T", "affine"], ["x_next", "A", "B"]
+    return ca.Function("prediction", inputs, [reported, a, b], *names, {"cse": True})
+
+
+@lru_cache
+def _costs() -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Costs of a state on the way, of the last state, with the least slack, and of a torque, as functions of numbers."""
+    x, x_d, du = ca.SX.sym("x", len(STATES)), ca.SX.sym("x_d", len(STATES)), ca.SX.sym("du")
+    vector = ca.SX.sym("tuning", len(TUNING))
+    tuning = Tuning.of(vector)
+    slack = ca.fmax(ca.fmax(*lateral_excess(x, tuning)), 0)
+    of_states = [
+        ca.Function(cost.__name__, [x, x_d, vector], [cost(x, x_d, slack, tuning)])
+        for cost in (stage_cost, terminal_cost)
+    ]
+    return *of_states, ca.Function("effort_cost", [du, vector], [effort_cost(du, tuning)])
+
+
+class Curvature(NamedTuple):
+    """Halved second derivatives of the costs: by the states 1 … L (L, 6), by a torque, by a slack; none mix."""
+
+    states: np.ndarray
+    torque: float
+    slack: float
+
+
+def curvature(settings: MPCSettings) -> Curvature:
+    """Weights of the squares in the stated costs under some settings."""
+    return _curvature(tuple(settings.tuning()), settings.steps)
+
+
+@lru_cache
+def _curvature(tuning: tuple[float, ...], steps: int) -> Curvature:
+    x, du, slack = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("slack")
+    t, x_d = Tuning.of(ca.DM(tuning)), ca.DM.zeros(len(STATES))
+    pairs = [(cost(x, x_d, 0, t), x) for cost in (stage_cost, terminal_cost)]
+    pairs += [(effort_cost(du, t), du), (slack_cost(slack, t), slack)]
+    on_the_way, last, torque, of_slack = (
+        np.array(ca.DM(ca.diag(ca.hessian(cost, by)[0]) / 2)).ravel() for cost, by in pairs
+    )
+    return Curvature(np.vstack([np.tile(on_the_way, (steps - 1, 1)), last]), torque.item(), of_slack.item())
 
 
 @dataclass(frozen=True)
@@ -68,7 +196,7 @@ class MPCSettings:
     observer: float = 0.0
 
     def __post_init__(self):
-        if len(self.q_diag) != 6 or min(self.q_diag) < 0 or self.q_diag[Y] <= 0 or self.r <= 0:
+        if len(self.q_diag) != len(STATES) or min(self.q_diag) < 0 or self.q_diag[Y] <= 0 or self.r <= 0:
             raise InputError(
                 f"MPC weights: q_diag = {self.q_diag}, r = {self.r}; six weights not below 0, those of y and du above, "
                 "are needed"
@@ -76,19 +204,13 @@ class MPCSettings:
         if self.steps < 2 or self.period <= 0:
             raise InputError(f"MPC horizon: {self.steps} steps of {self.period} s; 2 or more above 0 s are needed")
 
-    def weights(self) -> np.ndarray:
-        """State weights T Q of the stages 1 … L, terminal cost included, shape (L, 6)."""
-        stage = np.tile(self.q_diag, (self.steps, 1)) * self.period
-        stage[-1] *= (0.0, 0.0, 0.0, 0.0, self.q_terminal, self.q_terminal)
-        return stage
-
-    @property
-    def soft_weight(self) -> float:
-        """Weight of the squared violation of the lateral bound in a stage (s/m^2)."""
-        return self.bound_weight * self.q_diag[Y] * self.period
+    def tuning(self) -> np.ndarray:
+        """What the statement weighs with, shape (len(TUNING),)."""
+        rest = (getattr(self, name) for name in TUNING[len(STATES) :])
+        return np.array([*self.q_diag, *rest], dtype=float)
 
     def torque_bound(self, u_d: float, tau_max: float) -> float:
-        """Largest |du| (N m) at a base torque and a torque limit (N m), see `yielding`."""
+        """Largest |du| (N m) at a base torque and a torque limit (N m), see `yielding`. Source: eq. (constraints)."""
         return tau_max if self.yielding else max(tau_max - abs(u_d), 0.0)
 
 
@@ -110,16 +232,16 @@ class Problem:
 
     def cost(self, states: np.ndarray, du: np.ndarray) -> float:
         """Cost of predicted states (L + 1, 6) and torques (L,), without the constant stage 0."""
-        s = self.settings
-        error = (states - self.ahead.x_d)[1:]
-        over = np.maximum(np.abs(states[1:, Y]) - s.lateral_bound, 0)
-        soft = s.soft_weight * np.sum(over**2)
-        return float(np.sum(s.weights() * error**2) + s.r * s.period * np.sum(du**2) + soft)
+        stage, terminal, effort = _costs()
+        tuning, x_d = self.settings.tuning()[:, None], self.ahead.x_d
+        on_the_way = stage(states[1:-1].T, x_d[1:-1].T, np.tile(tuning, len(du) - 1))
+        torques = effort(np.reshape(du, (1, -1)), np.tile(tuning, len(du)))
+        return float(ca.sum2(on_the_way) + terminal(states[-1], x_d[-1], tuning) + ca.sum2(torques))
 
     def roll_out(self, du: np.ndarray) -> np.ndarray:
         """Predicted states under torques (L,) from the measured state, shape (L + 1, 6)."""
         s = self.settings
-        step, states = model_function(s.variant, s.discretisation), [self.x_hat]
+        step, states = dynamics(s.variant, s.discretisation), [self.x_hat]
         for torque, theta in zip(du, self.ahead.theta[:-1], strict=True):
             x_next, *_ = step(states[-1], torque, self.u_d, theta, self.parameters, s.period, 1.0)
             states.append(np.array(x_next).ravel())

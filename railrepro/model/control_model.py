@@ -19,8 +19,11 @@ from railrepro.model import derivation
 from railrepro.vehicle.parameters import Vehicle
 
 STATES = ("x", "psi_Ax", "xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")
-Y = STATES.index("y_TrAx")
+X, PSI_AX, XDOT, PSIDOT_AX, Y, PSI_TRAX = range(len(STATES))
+INPUTS = ("tau_ri", "tau_le")
+TAU_RI, TAU_LE = range(len(INPUTS))
 THETA = ("psi_Tr", "dpsi_dp", "phi_Tr", "dphi_dp", "eps_Tr", "deps_dp", "psi_CB", "dpsi_dp_CB", "m_CB")
+PSI_TR, DPSI_DP, PHI_TR, DPHI_DP, EPS_TR, DEPS_DP, PSI_CB, DPSI_DP_CB, M_CB = range(len(THETA))
 _TABLEAU = {
     "euler": ((0.0,), (1.0,)),
     "midpoint": ((0.0, 0.5), (0.0, 1.0)),

@@ -12,11 +12,11 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from railrepro.track import route
-from railrepro.track.route import Route
+from railrepro.model.control_model import STATES, THETA, XDOT, X
+from railrepro.track.route import COLUMNS, Route, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 
-BELIEVED = ("acceleration_per_torque", "partner", "m_CB")
+NOMINAL = ("acceleration_per_torque", "partner", "m_CB")
 """What the forecast needs of the vehicle: 1/(kg m), signed distance to the other gear (m), body mass (kg)."""
 
 
@@ -36,8 +36,8 @@ class Forecast:
     theta: np.ndarray
 
 
-def believed(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
-    """Values of `BELIEVED` for a gear (0 front, 1 rear); `printed` keeps D4, one wheel and the opposite sign."""
+def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
+    """Values of `NOMINAL` for a gear (0 front, 1 rear); `printed` keeps D4, one wheel and the opposite sign."""
     if printed:
         gain = -1 / (vehicle.wheel.radius * vehicle.longitudinal_mass)
     else:
@@ -47,9 +47,9 @@ def believed(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
 
 def _motion(x_hat: ca.SX, u_d: ca.SX, t: ca.SX, gain: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Position (m) and speed (m/s) after t (s) with the base torque held, until standstill."""
-    acceleration = u_d * gain
-    driven = ca.if_else(acceleration < 0, ca.fmin(t, ca.fmax(x_hat[2], 0) / ca.fmax(-acceleration, 1e-12)), t)
-    return x_hat[0] + (x_hat[2] + acceleration * driven / 2) * driven, x_hat[2] + acceleration * driven
+    position, speed, acceleration = x_hat[X], x_hat[XDOT], u_d * gain
+    driven = ca.if_else(acceleration < 0, ca.fmin(t, ca.fmax(speed, 0) / ca.fmax(-acceleration, 1e-12)), t)
+    return position + (speed + acceleration * driven / 2) * driven, speed + acceleration * driven
 
 
 @lru_cache
@@ -59,35 +59,39 @@ def functions() -> tuple[ca.Function, ca.Function]:
     Returns
     -------
     place : casadi.Function
-        (x_hat[6], u_d, t, believed) -> track coordinates of this and of the other gear (m).
+        (x_hat[6], u_d, t, nominal) -> track coordinates of this and of the other gear (m).
     stage : casadi.Function
-        (x_hat[6], u_d, t, believed, cell here, cell there) -> x_d[6], theta[9]; cells are rows of a `Route`.
+        (x_hat[6], u_d, t, nominal, cell here, cell there) -> x_d[6], theta[9]; cells are rows of a `Route`.
 
     Source: eqs. (des_states) and (track_dep_variables).
     """
-    x_hat, u_d, t, vehicle = ca.SX.sym("x_hat", 6), ca.SX.sym("u_d"), ca.SX.sym("t"), ca.SX.sym("v", len(BELIEVED))
-    cells = [ca.SX.sym(name, len(route.COLUMNS)) for name in ("here", "there")]
+    x_hat, u_d, t = ca.SX.sym("x_hat", len(STATES)), ca.SX.sym("u_d"), ca.SX.sym("t")
+    vehicle = ca.SX.sym("nominal", len(NOMINAL))
+    cells = [ca.SX.sym(name, len(COLUMNS)) for name in ("here", "there")]
     gain, partner, mass = ca.vertsplit(vehicle)
     position, speed = _motion(x_hat, u_d, t, gain)
     inputs = [x_hat, u_d, t, vehicle]
     place = ca.Function("preview_place", inputs, [ca.vertcat(position, position + partner)])
-    here, there = (dict(zip(route.COLUMNS, ca.vertsplit(cell), strict=True)) for cell in cells)
-    y_ref, slope, bend = route.reference_in(here, position)
-    track, other = route.track_in(here, position), route.track_in(there, position + partner)
-    theta = ca.vertcat(*track, (track[0] + other[0]) / 2, (track[1] + other[1]) / 2, mass)
-    yaw, yaw_rate = slope + track[0], (bend + track[1]) * speed
-    x_d = ca.vertcat(position, yaw, speed, yaw_rate, y_ref, slope)
-    return place, ca.Function("preview_stage", [*inputs, *cells], [x_d, theta], {"cse": True})
+    here, there = (dict(zip(COLUMNS, ca.vertsplit(cell), strict=True)) for cell in cells)
+    y_ref, slope, bend = reference_in(here, position)
+    psi, kappa, phi, dphi, eps, deps = track_in(here, position)
+    psi_there, kappa_there, *_ = track_in(there, position + partner)
+    theta = {"psi_Tr": psi, "dpsi_dp": kappa, "phi_Tr": phi, "dphi_dp": dphi, "eps_Tr": eps, "deps_dp": deps}
+    theta |= {"psi_CB": (psi + psi_there) / 2, "dpsi_dp_CB": (kappa + kappa_there) / 2, "m_CB": mass}
+    x_d = {"x": position, "psi_Ax": slope + psi, "xdot": speed, "psidot_Ax": (bend + kappa) * speed}
+    x_d |= {"y_TrAx": y_ref, "psi_TrAx": slope}
+    results = [ca.vertcat(*(x_d[name] for name in STATES)), ca.vertcat(*(theta[name] for name in THETA))]
+    return place, ca.Function("preview_stage", [*inputs, *cells], results, {"cse": True})
 
 
-def forecast(way: Route, here: np.ndarray, x_hat: np.ndarray, u_d: float, period: float, steps: int) -> Forecast:
+def forecast(route: Route, nominal: np.ndarray, x_hat: np.ndarray, u_d: float, period: float, steps: int) -> Forecast:
     """Desired states and track parameters over the horizon.
 
     Parameters
     ----------
-    way : Route
-    here : ndarray
-        What is believed of the vehicle, see `believed`.
+    route : Route
+    nominal : ndarray
+        What the forecast needs of the vehicle, see `NOMINAL`.
     x_hat : ndarray, shape (6,)
         Measured state.
     u_d : float
@@ -102,7 +106,7 @@ def forecast(way: Route, here: np.ndarray, x_hat: np.ndarray, u_d: float, period
     place, stage = functions()
     t = period * np.arange(steps + 1)[None, :]
     wide = [np.tile(np.reshape(value, (-1, 1)), steps + 1) for value in (x_hat, u_d)]
-    arguments = [*wide, t, np.tile(here[:, None], steps + 1)]
+    arguments = [*wide, t, np.tile(nominal[:, None], steps + 1)]
     places = np.array(place(*arguments))
-    x_d, theta = stage(*arguments, *(way.rows_at(p).T for p in places))
+    x_d, theta = stage(*arguments, *(route.rows_at(p).T for p in places))
     return Forecast(np.array(x_d).T, np.array(theta).T)

@@ -26,13 +26,14 @@ from railrepro.car import equations
 from railrepro.compile import codegen
 from railrepro.contact.table import contact_table
 from railrepro.control import law
+from railrepro.control import problem as ocp
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.ndi import NDISettings
 from railrepro.control.nmpc import NMPC
-from railrepro.control.problem import MPCSettings, Problem
+from railrepro.control.problem import MPCSettings, Problem, Tuning
 from railrepro.control.registry import mpc_settings
 from railrepro.control.solvers import condensed
-from railrepro.control.solvers.riccati import PlainHorizon, model_function
+from railrepro.control.solvers.riccati import PlainHorizon
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.exchange import Exchange
@@ -171,7 +172,7 @@ def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFram
 
     recording = record("curve_entry_T3", settings, vehicle, count)
     ours, seconds, *_ = solve_all("gauss_newton", recording, vehicle)
-    step = model_function(settings.variant, settings.discretisation)
+    step = ocp.dynamics(settings.variant, settings.discretisation)
     rows = []
     for problem, plan, own in zip(recording.problems, ours, seconds, strict=True):
         s, scale = problem.settings, 1e3
@@ -186,13 +187,9 @@ def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFram
         controller.settings.store_full_solution = False
         controller.settings.supress_ipopt_output()
         controller.settings.nlpsol_opts |= {"ipopt.tol": 1e-10}
-        error, big = x - x_d, 1e6
-        weight = ca.DM(s.q_diag)
-        effort = s.r * s.period * (scale * du) ** 2
-        terminal = ca.DM(problem.settings.weights()[-1])
-        controller.set_objective(
-            mterm=big * ca.dot(terminal, error**2), lterm=big * (s.period * ca.dot(weight, error**2) + effort)
-        )
+        tuning, big = Tuning.of(ca.DM(s.tuning())), 1e6
+        stage = ocp.stage_cost(x, x_d, 0, tuning) + ocp.effort_cost(scale * du, tuning)
+        controller.set_objective(mterm=big * ocp.terminal_cost(x, x_d, 0, tuning), lterm=big * stage)
         controller.set_rterm(du=0.0)
         controller.bounds["lower", "_u", "du"] = -problem.bound / scale
         controller.bounds["upper", "_u", "du"] = problem.bound / scale

@@ -13,11 +13,13 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from railrepro.model.control_model import Y
+from railrepro.control.problem import curvature
+from railrepro.model.control_model import STATES, Y
 
 UNIT = 1e3
-"""Differential torques are optimised in kN m and costs in mm^2-like units, or solvers stop too early."""
-_COST = 1e6
+"""Differential torques are optimised in kN m, or solvers stop too early."""
+COST = 1e6
+"""Factor on costs, so that they are of the order of one."""
 
 
 @dataclass
@@ -40,26 +42,26 @@ class CondensedQP:
 
 
 def condense(horizon) -> CondensedQP:
-    """Gauss-Newton model about the trajectory of a linearised horizon (`riccati.PlainHorizon`)."""
+    """Half the stated cost about the trajectory of a linearised horizon (`riccati.PlainHorizon`), times `COST`."""
     s, steps, a, b = horizon.settings, horizon.settings.steps, horizon.matrices, horizon.b * UNIT
     gaps = horizon.x_next - horizon.x[1:]
-    sensitivity, drift = np.zeros((steps, 6, steps)), np.empty((steps, 6))
-    block, move = np.zeros((6, steps)), horizon.x_hat - horizon.x[0]
+    sensitivity, drift = np.zeros((steps, len(STATES), steps)), np.empty((steps, len(STATES)))
+    block, move = np.zeros((len(STATES), steps)), horizon.x_hat - horizon.x[0]
     for k in range(steps):
         block = a[k] @ block
         block[:, k] = b[k]
         move = a[k] @ move + gaps[k]
         sensitivity[k], drift[k] = block, move
-    weights = s.weights()
+    weights, torque_weight, slack_weight = curvature(s)
     error = (horizon.x - horizon.x_d)[1:] + drift
     used = np.flatnonzero(weights.any(axis=0))
     flat = sensitivity[:, used].reshape(-1, steps)
-    hessian = _COST * (flat.T @ (flat * weights[:, used].reshape(-1, 1)))
-    effort = _COST * s.r * s.period * UNIT**2
+    hessian = COST * (flat.T @ (flat * weights[:, used].reshape(-1, 1)))
+    effort = COST * torque_weight * UNIT**2
     hessian[np.diag_indices(steps)] += effort
-    gradient = _COST * (flat.T @ (weights * error)[:, used].ravel()) + effort * horizon.u / UNIT
+    gradient = COST * (flat.T @ (weights * error)[:, used].ravel()) + effort * horizon.u / UNIT
     low, high = (-horizon.bound - horizon.u) / UNIT, (horizon.bound - horizon.u) / UNIT
-    soft = _COST * s.soft_weight
+    soft = COST * slack_weight
     y_free = horizon.x[1:, Y] + drift[:, Y]
     return CondensedQP(hessian, gradient, low, high, sensitivity, drift, y_free, s.lateral_bound, soft)
 

@@ -1,4 +1,4 @@
-"""The optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers.
+"""The stated optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers.
 
 Serves the paper's section Nonlinear Model Predictive Control.
 """
@@ -10,43 +10,52 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from railrepro.control.solvers.condensed import UNIT
-from railrepro.control.solvers.riccati import PlainHorizon, model_function
-from railrepro.model.control_model import THETA, Y
+from railrepro.control import problem
+from railrepro.control.problem import TUNING, Tuning
+from railrepro.control.solvers.condensed import COST, UNIT
+from railrepro.control.solvers.riccati import PlainHorizon
+from railrepro.model.control_model import STATES, THETA
 from railrepro.model.derivation import PARAMETERS
 
-_SCALE = np.array([1.0, 1e-2, 1.0, 1e-2, 1e-3, 1e-3])
-_COST = 1e6
+_N = len(STATES)
+_SCALES = {"x": 1.0, "psi_Ax": 1e-2, "xdot": 1.0, "psidot_Ax": 1e-2, "y_TrAx": 1e-3, "psi_TrAx": 1e-3}
+_SCALE = np.array([_SCALES[name] for name in STATES])
+SLACK = 1e-3
+"""Slacks are optimised in mm (m)."""
+
+
+@lru_cache
+def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
+    """Multiple-shooting NLP: variables x, parameters p, objective f = `COST` times the stated cost, constraints g.
+
+    States are scaled deviations from the desired ones, torques are in kN m, slacks in mm.
+    """
+    step = problem.dynamics(variant, discretisation)
+    z, du, slack = ca.MX.sym("z", _N, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
+    x_d, theta = ca.MX.sym("x_d", _N, steps + 1), ca.MX.sym("theta", len(THETA), steps)
+    par, tuning, u_d = ca.MX.sym("par", len(PARAMETERS)), ca.MX.sym("tuning", len(TUNING)), ca.MX.sym("u_d")
+    t, states = Tuning.of(tuning), x_d + ca.repmat(ca.DM(_SCALE), 1, steps + 1) * z
+    cost, defects, sides = 0, [], []
+    for k in range(steps):
+        x, x_plus, torque = states[:, k], states[:, k + 1], UNIT * du[k]
+        x_next, *_ = step(x, torque, u_d, theta[:, k], par, t.period, 1)
+        defects.append((x_next - x_plus) / _SCALE)
+        of_state = problem.terminal_cost if k == steps - 1 else problem.stage_cost
+        cost += of_state(x_plus, x_d[:, k + 1], SLACK * slack[k], t) + problem.effort_cost(torque, t)
+        sides += [excess / SLACK - slack[k] for excess in problem.lateral_excess(x_plus, t)]
+    return {
+        "x": ca.vertcat(ca.vec(z), du, slack),
+        "p": ca.vertcat(ca.vec(x_d), ca.vec(theta), par, tuning, u_d),
+        "f": COST * cost,
+        "g": ca.vertcat(*defects, *sides),
+    }
 
 
 @lru_cache
 def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
-    """Multiple-shooting NLP; states as scaled deviations from the desired ones, torques in kN m, slacks in mm."""
-    step = model_function(variant, discretisation)
-    z, du, slack = ca.MX.sym("z", 6, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
-    x_d, theta = ca.MX.sym("x_d", 6, steps + 1), ca.MX.sym("theta", len(THETA), steps)
-    par, q, rest = ca.MX.sym("par", len(PARAMETERS)), ca.MX.sym("q", 6), ca.MX.sym("rest", 6)
-    r, q_terminal, period, u_d, bound, soft = ca.vertsplit(rest)
-    states = x_d + ca.repmat(ca.DM(_SCALE), 1, steps + 1) * z
-    cost, defects, sides = 0, [], []
-    for k in range(steps):
-        torque = UNIT * du[k]
-        x_next, *_ = step(states[:, k], torque, u_d, theta[:, k], par, period, 1)
-        defects.append((x_next - states[:, k + 1]) / _SCALE)
-        error = states[:, k + 1] - x_d[:, k + 1]
-        weight = q * ca.vertcat(0, 0, 0, 0, q_terminal, q_terminal) if k == steps - 1 else q
-        cost += period * (ca.dot(weight, error**2) + r * torque**2 + soft * (1e-3 * slack[k]) ** 2)
-        y = states[Y, k + 1]
-        sides += [1e3 * (y - bound) - slack[k], 1e3 * (-y - bound) - slack[k]]
-    problem = {
-        "x": ca.vertcat(ca.vec(z), du, slack),
-        "p": ca.vertcat(ca.vec(x_d), ca.vec(theta), par, q, rest),
-        "f": _COST * cost,
-        "g": ca.vertcat(*defects, *sides),
-    }
     quiet = {"print_time": False, "expand": True, "error_on_fail": False}
     quiet |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9, "ipopt.bound_relax_factor": 0.0}
-    return ca.nlpsol("nmpc", "ipopt", problem, quiet)
+    return ca.nlpsol("nmpc", "ipopt", program(variant, discretisation, steps), quiet)
 
 
 def solver(settings) -> ca.Function:
@@ -85,21 +94,21 @@ def solve(
     deviation = (horizon.x - x_d) / _SCALE
     start = np.concatenate([deviation.ravel(), du / UNIT, np.zeros(steps)])
     initial = (horizon.x_hat - x_d[0]) / _SCALE
-    free = np.full(6 * steps, np.inf)
+    free = np.full(_N * steps, np.inf)
     low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
     high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
     p = np.concatenate(
-        [x_d.ravel(), horizon.theta[:-1].ravel(), parameters, s.q_diag]
-        + [[s.r, s.q_terminal, s.period, horizon.u_d, s.lateral_bound, s.soft_weight / s.period]]
+        [x_d.ravel(), horizon.theta[:-1].ravel(), parameters, s.tuning(), [horizon.u_d]]
     )
-    defects = np.zeros(6 * steps)
+    defects = np.zeros(_N * steps)
     found = function(
         x0=start, p=p, lbx=low, ubx=high,
-        lbg=np.concatenate([defects, np.full(2 * steps, -np.inf)]), ubg=np.zeros(8 * steps),
+        lbg=np.concatenate([defects, np.full(2 * steps, -np.inf)]), ubg=np.zeros((_N + 2) * steps),
     )  # fmt: skip
     stats = function.stats()
     if not stats["success"]:
         raise ArithmeticError(f"Ipopt ended with {stats['return_status']}")
     solution = np.array(found["x"]).ravel()
-    horizon.x[:] = x_d + solution[: 6 * (steps + 1)].reshape(steps + 1, 6) * _SCALE
-    return UNIT * solution[6 * (steps + 1) :][:steps], stats["iter_count"]
+    deviation, torques, _ = np.split(solution, [_N * (steps + 1), _N * (steps + 1) + steps])
+    horizon.x[:] = x_d + deviation.reshape(steps + 1, _N) * _SCALE
+    return UNIT * torques, stats["iter_count"]

@@ -1,21 +1,20 @@
 /* One sample of a predictive controller: forecast, linearise along the horizon, solve the quadratic problem by a Riccati
    recursion inside an active-set loop, repeat. Knows nothing of railways: generated functions and tables of cells.
-   All arrays are row-major, one row per stage. Starts after call.h, lanes.h, the numbers of states N, of track parameters
-   N_THETA and of entries N_A of the matrix A, and the prediction model prediction_lanes. */
+   All arrays are row-major, one row per stage. Starts after call.h, lanes.h, the places of
+   states and tuning by name (STATE_…, TUNING_…), the numbers of states N, of track parameters N_THETA, of columns of a
+   cell N_CELL and of entries N_A of the matrix A, and the prediction model prediction_lanes. */
 
 enum { FREE = 0, LOW = -1, HIGH = 1 };
 
 typedef struct {
-  casadi_int steps, n_cell, n_cells, most_sets;
+  casadi_int steps, n_cells, most_sets;
   double cell_start, cell_step;
   const double *cells;
   call_t place, preview, terminal, backward, forward;
-  /* inputs: measured state, believed vehicle of the forecast and of the model; base torque, sampling time, printed switch */
-  const double *x_hat, *believed, *par;
-  double u_d, period, affine;
-  /* quadratic problem: weights of stage 0 … L, effort weight, torque bound, soft lateral bound and its weight */
-  const double *weight;
-  double effort, bound, y_bound, soft;
+  /* inputs: measured state, nominal vehicle of the forecast and of the model, tuning; base torque, bound of the
+     differential torque, printed switch */
+  const double *x_hat, *nominal, *par, *tuning;
+  double u_d, bound, affine;
   /* forecast and trajectory */
   double *x_d, *theta, *x, *u;
   /* model along the trajectory */
@@ -31,17 +30,17 @@ static int call(const call_t *f, const double *const *arguments, int n_arguments
 }
 
 static const double *cell_at(const horizon_t *h, double p) {
-  return row_at(h->cells, p, h->cell_start, h->cell_step, h->n_cells, h->n_cell);
+  return row_at(h->cells, p, h->cell_start, h->cell_step, h->n_cells, N_CELL);
 }
 
 /* Desired states x_d and track parameters theta of all stages. */
 int horizon_forecast(const horizon_t *h) {
   for (casadi_int k = 0; k <= h->steps; ++k) {
-    double t = (double)k * h->period, at[2];
-    const double *where[] = {h->x_hat, &h->u_d, &t, h->believed};
+    double t = (double)k * h->tuning[TUNING_period], at[2];
+    const double *where[] = {h->x_hat, &h->u_d, &t, h->nominal};
     double *place[] = {at};
     if (call(&h->place, where, 4, place, 1)) return 1;
-    const double *ahead[] = {h->x_hat, &h->u_d, &t, h->believed, cell_at(h, at[0]), cell_at(h, at[1])};
+    const double *ahead[] = {h->x_hat, &h->u_d, &t, h->nominal, cell_at(h, at[0]), cell_at(h, at[1])};
     double *stage[] = {h->x_d + k * N, h->theta + k * N_THETA};
     if (call(&h->preview, ahead, 6, stage, 2)) return 1;
   }
@@ -58,7 +57,7 @@ void horizon_linearise(const horizon_t *h) {
       for (int j = 0; j < N_THETA; ++j) theta[j][i] = h->theta[k * N_THETA + j];
       u[i] = h->u[k];
     }
-    prediction_lanes(x, &u, &h->u_d, theta, h->par, &h->period, &h->affine, x_next, a, b);
+    prediction_lanes(x, &u, &h->u_d, theta, h->par, h->tuning + TUNING_period, &h->affine, x_next, a, b);
     for (casadi_int i = 0; i < LANES && first + i < h->steps; ++i) {
       casadi_int k = first + i;
       for (int j = 0; j < N; ++j) h->x_next[k * N + j] = x_next[j][i], h->b[k * N + j] = b[j][i];
@@ -69,16 +68,16 @@ void horizon_linearise(const horizon_t *h) {
 
 static int backward(const horizon_t *h) {
   casadi_int k = h->steps;
-  const double *end[] = {h->x + k * N, h->x_d + k * N, h->weight + k * N, h->side + k, &h->y_bound, &h->soft};
+  const double *end[] = {h->x + k * N, h->x_d + k * N, h->side + k, h->tuning};
   double *cost[] = {h->cost_matrix + k * N * N, h->cost_vector + k * N};
-  if (call(&h->terminal, end, 6, cost, 2)) return 1;
+  if (call(&h->terminal, end, 4, cost, 2)) return 1;
   while (k-- > 0) {
     const double to_bound = h->fixed[k] * h->bound - h->u[k];
     const double *in[] = {h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N, h->x + (k + 1) * N,
-                          h->x_next + k * N, h->a + k * N_A, h->b + k * N, h->u + k, &h->effort, h->fixed + k, &to_bound,
-                          h->x + k * N, h->x_d + k * N, h->weight + k * N, h->side + k, &h->y_bound, &h->soft};
+                          h->x_next + k * N, h->a + k * N_A, h->b + k * N, h->u + k, h->fixed + k, &to_bound,
+                          h->x + k * N, h->x_d + k * N, h->side + k, h->tuning};
     double *out[] = {h->cost_matrix + k * N * N, h->cost_vector + k * N, h->feedback + k * N, h->feedforward + k};
-    if (call(&h->backward, in, 16, out, 4)) return 1;
+    if (call(&h->backward, in, 13, out, 4)) return 1;
   }
   return 0;
 }
@@ -88,7 +87,7 @@ static int forward(const horizon_t *h) {
   for (casadi_int k = 0; k < h->steps; ++k) {
     const double *in[] = {h->dx + k * N, h->feedback + k * N, h->feedforward + k, h->x_next + k * N, h->x + (k + 1) * N,
                           h->a + k * N_A, h->b + k * N, h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N,
-                          h->u + k, &h->effort};
+                          h->u + k, h->tuning};
     double *out[] = {h->dx + (k + 1) * N, h->du + k, h->slope + k};
     if (call(&h->forward, in, 11, out, 3)) return 1;
   }
@@ -105,8 +104,8 @@ static casadi_int revise(const horizon_t *h) {
     else if (fixed * h->slope[k] > 0)  /* the cost falls towards the inside */
       fixed = FREE;
     if (fixed != h->fixed[k]) h->fixed[k] = fixed, ++moved;
-    double y = h->x[(k + 1) * N + 4] + h->dx[(k + 1) * N + 4];
-    double side = y > h->y_bound ? 1 : y < -h->y_bound ? -1 : 0;
+    double y = h->x[(k + 1) * N + STATE_y_TrAx] + h->dx[(k + 1) * N + STATE_y_TrAx];
+    double y_bound = h->tuning[TUNING_lateral_bound], side = y > y_bound ? 1 : y < -y_bound ? -1 : 0;
     if (side != h->side[k + 1]) h->side[k + 1] = side, ++moved;
   }
   return moved;

@@ -1,6 +1,7 @@
 """The compiled horizon: forecast, linearisation and Riccati recursion of one sample, without Python between stages.
 
-One optimal control problem needs one call. The time grows linearly with the horizon; torque limits and the soft lateral
+Hessians and gradients are CasADi's derivatives of the costs stated in `railrepro.control.problem`. One optimal control
+problem needs one call. The time grows linearly with the horizon; torque limits and the soft lateral
 bound are active sets around the recursion. `riccati.c` drives the functions generated here; without a C compiler the
 condensed problem of `condensed` gives the same minimisers.
 
@@ -10,6 +11,7 @@ Source: Rao, Wright and Rawlings 1998 (recursion); Hintermueller, Ito and Kunisc
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,11 +19,11 @@ import casadi as ca
 import numpy as np
 
 from railrepro.compile import codegen
+from railrepro.control.problem import TUNING, Tuning, dynamics, effort_cost, slack_on, stage_cost, terminal_cost
 from railrepro.control.solvers import condensed
 from railrepro.model import forecast
-from railrepro.model.control_model import STATES, THETA, Y, control_model, sensitivities
-from railrepro.model.derivation import PARAMETERS
-from railrepro.track import route
+from railrepro.model.control_model import STATES, THETA
+from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 
 _N = len(STATES)
 _UNSETTLED, _DIVERGED = 2, 3
@@ -33,80 +35,54 @@ _FIELDS += ("feedback", "feedforward", "dx", "du", "slope", "fixed", "side")
 
 class _Horizon(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_longlong) for name in ("steps", "n_cell", "n_cells", "most_sets")),
+        *((name, ctypes.c_longlong) for name in ("steps", "n_cells", "most_sets")),
         *((name, ctypes.c_double) for name in ("cell_start", "cell_step")),
         ("cells", ctypes.c_void_p),
         *((name, codegen.Call) for name in ("place", "preview", "terminal", "backward", "forward")),
-        *((name, ctypes.c_void_p) for name in ("x_hat", "believed", "par")),
-        *((name, ctypes.c_double) for name in ("u_d", "period", "affine")),
-        ("weight", ctypes.c_void_p),
-        *((name, ctypes.c_double) for name in ("effort", "bound", "y_bound", "soft")),
+        *((name, ctypes.c_void_p) for name in ("x_hat", "nominal", "par", "tuning")),
+        *((name, ctypes.c_double) for name in ("u_d", "bound", "affine")),
         *((name, ctypes.c_void_p) for name in _FIELDS),
     ]
 
 
-@lru_cache
-def model_function(variant: str, discretisation: str) -> ca.Function:
-    """One step of the prediction model with derivatives.
-
-    Returns
-    -------
-    casadi.Function
-        (x[6], du, u_d, theta[9], par, T, affine) -> x_next[6], A (sparse), B[6]. With affine = 0, x_next is the printed
-        linear model A x + B u, which drops the affine term (D6).
-    """
-    step = sensitivities(control_model(variant), discretisation)
-    x, du, u_d, affine = ca.SX.sym("x", _N), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
-    theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
-    x_next, a, by_torque = step(x, ca.vertcat(u_d - du, u_d + du), theta, par, period)
-    b, common = ca.densify(by_torque[:, 1] - by_torque[:, 0]), by_torque[:, 0] + by_torque[:, 1]
-    linear = ca.mtimes(a, x) + b * du + common * u_d
-    reported = ca.densify(affine * x_next + (1 - affine) * linear)
-    inputs = [x, du, u_d, theta, par, period, affine]
-    names = ["x", "du", "u_d", "theta", "par", "T", "affine"], ["x_next", "A", "B"]
-    return ca.Function("prediction", inputs, [reported, a, b], *names, {"cse": True})
-
-
-def _state_cost(x, x_d, weight, side, y_bound, soft):
-    """Hessian and gradient (both halved) of |x - x_d|_W^2 + soft (y - side y_bound)^2 where `side` is not 0."""
-    hessian, gradient = ca.diag(weight), weight * (x - x_d)
-    beyond = soft * side**2
-    hessian[Y, Y] += beyond
-    gradient[Y] += beyond * (x[Y] - side * y_bound)
-    return ca.densify(hessian), gradient
+def _halved(cost: ca.SX, by: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Hessian and gradient of a cost, both halved, dense."""
+    hessian, gradient = ca.hessian(cost, by)
+    return ca.densify(hessian / 2), ca.densify(gradient / 2)
 
 
 @lru_cache
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Last stage, one stage backward and one stage forward of the Riccati recursion about a trajectory."""
-    n, sparsity = _N, model_function(variant, discretisation).sparsity_out(1)
-    names = ("p", "x_plus", "x_next", "b", "x", "x_d", "weight", "dx", "feedback")
+    n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
+    names = ("p", "x_plus", "x_next", "b", "x", "x_d", "dx", "feedback")
     v = {name: ca.SX.sym(name, n) for name in names}
-    names = ("u", "effort", "fixed", "to_bound", "side", "y_bound", "soft", "ff")
-    s = {name: ca.SX.sym(name) for name in names}
-    matrix, a = ca.SX.sym("P", n, n), ca.SX.sym("A", sparsity)
-    state = [v["x"], v["x_d"], v["weight"], s["side"], s["y_bound"], s["soft"]]
-    hessian, gradient = _state_cost(*state)
-    terminal = ca.Function("riccati_terminal", state, [hessian, gradient], {"cse": True})
+    s = {name: ca.SX.sym(name) for name in ("u", "fixed", "to_bound", "side", "ff")}
+    matrix, a, tuning = ca.SX.sym("P", n, n), ca.SX.sym("A", sparsity), ca.SX.sym("tuning", len(TUNING))
+    t = Tuning.of(tuning)
+    state, slack = [v["x"], v["x_d"], s["side"], tuning], slack_on(s["side"], v["x"], t)
+    last = _halved(terminal_cost(v["x"], v["x_d"], slack, t), v["x"])
+    terminal = ca.Function("riccati_terminal", state, last, {"cse": True})
 
+    hessian, gradient = _halved(stage_cost(v["x"], v["x_d"], slack, t), v["x"])
+    effort, effort_slope = _halved(effort_cost(s["u"], t), s["u"])
     gap = v["x_next"] - v["x_plus"]
     free = 1 - s["fixed"] ** 2
     pb, ahead = ca.mtimes(matrix, v["b"]), ca.mtimes(matrix, gap) + v["p"]
-    curvature = s["effort"] + ca.dot(v["b"], pb)
+    curvature = effort + ca.dot(v["b"], pb)
     coupling = ca.mtimes(a.T, pb)
     feedback = -free * coupling / curvature
-    feedforward = -free * (s["effort"] * s["u"] + ca.dot(v["b"], ahead)) / curvature + (1 - free) * s["to_bound"]
+    feedforward = -free * (effort_slope + ca.dot(v["b"], ahead)) / curvature + (1 - free) * s["to_bound"]
     cost = hessian + ca.mtimes(a.T, ca.mtimes(matrix, a)) + ca.mtimes(coupling, feedback.T)
     cost = ca.densify(ca.triu2symm(ca.triu(cost)))
     vector = ca.densify(gradient + ca.mtimes(a.T, ahead + pb * feedforward))
-    inputs = [matrix, v["p"], v["x_plus"], v["x_next"], a, v["b"]]
-    inputs += [s["u"], s["effort"], s["fixed"], s["to_bound"], *state]
+    inputs = [matrix, v["p"], v["x_plus"], v["x_next"], a, v["b"], s["u"], s["fixed"], s["to_bound"], *state]
     backward = ca.Function("riccati_backward", inputs, [cost, vector, ca.densify(feedback), feedforward], {"cse": True})
 
     du = ca.dot(v["feedback"], v["dx"]) + s["ff"]
     dx_next = ca.densify(ca.mtimes(a, v["dx"]) + v["b"] * du + gap)
-    slope = s["effort"] * (s["u"] + du) + ca.dot(v["b"], ca.mtimes(matrix, dx_next) + v["p"])
-    inputs = [v["dx"], v["feedback"], s["ff"], v["x_next"], v["x_plus"], a, v["b"], matrix, v["p"], s["u"], s["effort"]]
+    slope = ca.substitute(effort_slope, s["u"], s["u"] + du) + ca.dot(v["b"], ca.mtimes(matrix, dx_next) + v["p"])
+    inputs = [v["dx"], v["feedback"], s["ff"], v["x_next"], v["x_plus"], a, v["b"], matrix, v["p"], s["u"], tuning]
     forward = ca.Function("riccati_forward", inputs, [dx_next, du, slope], {"cse": True})
     return terminal, backward, forward
 
@@ -116,11 +92,17 @@ def _functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
     return *forecast.functions(), *recursion(variant, discretisation)
 
 
+def _enum(names: Iterable[str]) -> str:
+    """C constants that count from 0."""
+    return f"enum {{ {', '.join(names)} }};\n"
+
+
 @lru_cache
 def _library(variant: str, discretisation: str) -> ctypes.CDLL | None:
-    headers, model = Path(codegen.__file__), model_function(variant, discretisation)
+    headers, model = Path(codegen.__file__), dynamics(variant, discretisation)
     extra = "".join(headers.with_name(name).read_text() for name in ("call.h", "lanes.h"))
-    extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_A = {model.nnz_out(1)} }};\n"
+    extra += _enum(f"STATE_{name}" for name in STATES) + _enum(f"TUNING_{name}" for name in TUNING)
+    extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
     extra += codegen.lanes_text(model, common=("u_d", "par", "T", "affine"))
     extra += Path(__file__).with_name("riccati.c").read_text()
     return codegen.library(_functions(variant, discretisation), extra)
@@ -141,10 +123,10 @@ class PlainHorizon:
         Steps of the last quadratic problem.
     """
 
-    def __init__(self, settings, believed: np.ndarray, parameters: np.ndarray, way: route.Route):
+    def __init__(self, settings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
         steps = settings.steps
-        self.settings, self.way, self._believed, self._parameters = settings, way, believed, parameters
-        self._model = model_function(settings.variant, settings.discretisation).map(steps)
+        self.settings, self.route, self._nominal, self._parameters = settings, route, nominal, parameters
+        self._model = dynamics(settings.variant, settings.discretisation).map(steps)
         self.x_hat, self.u_d, self.bound, self.affine = np.zeros(_N), 0.0, 0.0, 1.0
         self.x_d, self.x = np.zeros((2, steps + 1, _N))
         self.theta, self.u = np.zeros((steps + 1, len(THETA))), np.zeros(steps)
@@ -157,7 +139,7 @@ class PlainHorizon:
     def forecast(self) -> None:
         """Fill `x_d` and `theta` from `x_hat` and the base torque."""
         s = self.settings
-        ahead = forecast.forecast(self.way, self._believed, self.x_hat, self.u_d, s.period, s.steps)
+        ahead = forecast.forecast(self.route, self._nominal, self.x_hat, self.u_d, s.period, s.steps)
         self.x_d[:], self.theta[:] = ahead.x_d, ahead.theta
 
     def linearise(self) -> None:
@@ -212,12 +194,12 @@ class PlainHorizon:
 class Horizon(PlainHorizon):
     """The same on compiled code. Torques and stages on their bounds stay known from one problem to the next."""
 
-    def __init__(self, settings, believed: np.ndarray, parameters: np.ndarray, way: route.Route):
-        self.settings, steps, cells = settings, settings.steps, way.cells
+    def __init__(self, settings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
+        self.settings, steps, cells = settings, settings.steps, route.cells
         functions = _functions(settings.variant, settings.discretisation)
         library = _library(settings.variant, settings.discretisation)
         self._calls = [codegen.CompiledFunction(library, function) for function in functions]
-        matrix = model_function(settings.variant, settings.discretisation).sparsity_out(1)
+        matrix = dynamics(settings.variant, settings.discretisation).sparsity_out(1)
         self._sparsity = [np.array(index) for index in matrix.get_triplet()]
         n_a = self._sparsity[0].size
         shapes = {"x_d": (steps + 1, _N), "theta": (steps + 1, len(THETA)), "x": (steps + 1, _N), "u": (steps,)}
@@ -225,17 +207,14 @@ class Horizon(PlainHorizon):
         shapes |= {"cost_matrix": (steps + 1, _N**2), "cost_vector": (steps + 1, _N)}
         shapes |= {"feedback": (steps, _N), "feedforward": (steps,), "dx": (steps + 1, _N)}
         shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,)}
-        self.weight = np.ascontiguousarray(np.vstack([np.zeros(_N), settings.weights()]))
         self.x_hat, self.cells = np.zeros(_N), np.ascontiguousarray(cells)
-        self._inputs = believed.astype(float), parameters.astype(float)
+        self._inputs = nominal.astype(float), parameters.astype(float), settings.tuning()
         for name in _FIELDS:
             setattr(self, name, np.zeros(shapes[name]))
         self.c = _Horizon(
-            steps, len(route.COLUMNS), len(cells), MOST_SETS,
-            cells[0, 0], route.CELL, self.cells.ctypes.data, *(function.call for function in self._calls),
-            self.x_hat.ctypes.data, *(array.ctypes.data for array in self._inputs), 0.0, settings.period, 1.0,
-            self.weight.ctypes.data, settings.r * settings.period, 0.0, settings.lateral_bound,
-            settings.soft_weight,
+            steps, len(cells), MOST_SETS,
+            cells[0, INDEX["p"]], CELL, self.cells.ctypes.data, *(function.call for function in self._calls),
+            self.x_hat.ctypes.data, *(array.ctypes.data for array in self._inputs), 0.0, 0.0, 1.0,
             *(getattr(self, name).ctypes.data for name in _FIELDS),
         )  # fmt: skip
         self._pointer = ctypes.byref(self.c)
@@ -301,7 +280,7 @@ class Horizon(PlainHorizon):
             raise ArithmeticError("horizon: " + ("no convergence" if code == _DIVERGED else "a value is not finite"))
 
 
-def horizon(settings, believed: np.ndarray, parameters: np.ndarray, way: route.Route) -> PlainHorizon:
+def horizon(settings, nominal: np.ndarray, parameters: np.ndarray, route: Route) -> PlainHorizon:
     """The fastest horizon that this machine can run."""
     kind = PlainHorizon if codegen.compiler() is None else Horizon
-    return kind(settings, believed, parameters, way)
+    return kind(settings, nominal, parameters, route)
