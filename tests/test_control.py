@@ -9,7 +9,7 @@ import pytest
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
 from railrepro.control.ltv_mpc import LTVMPC
-from railrepro.control.ndi import NDISettings
+from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
@@ -175,8 +175,8 @@ def test_forecast_at_rest_and_coasting_is_finite(vehicle):
 
 
 def test_gains_of_a_triple_pole():
-    gains = NDISettings(pole=10, frequency=10, damping=1.0).gains()
-    assert [gains[k] for k in ("ndi.k0", "ndi.k1", "ndi.k2")] == pytest.approx([1000, 300, 30])
+    gains = NDI(pole=10, frequency=10, damping=1.0).gains()
+    assert [gains[k] for k in ("k0", "k1", "k2")] == pytest.approx([1000, 300, 30])
 
 
 def test_unknown_solver_is_refused(vehicle):

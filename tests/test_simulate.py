@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from railrepro.control.ndi import NDISettings
+from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
@@ -15,7 +15,7 @@ from railrepro.vehicle.parameters import load_vehicle
 @pytest.fixture(scope="module")
 def curve():
     scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=250)
-    guidance = {"nmpc": NMPC, "ndi": NDISettings(pole=40, frequency=40)}
+    guidance = {"nmpc": NMPC, "ndi": NDI(pole=40, frequency=40)}
     return {name: simulate.run(scenario, how) for name, how in guidance.items()}
 
 
@@ -37,7 +37,7 @@ def test_two_runs_are_identical(curve):
 
 
 def test_an_unguided_car_leaves_the_rail_and_the_run_says_so():
-    run = simulate.run(scenarios.load_scenario("curve_entry_T2"), NDISettings(pole=1e-3, frequency=1e-3))
+    run = simulate.run(scenarios.load_scenario("curve_entry_T2"), NDI(pole=1e-3, frequency=1e-3))
     assert run.failed
     assert "left the rail" in run.ended
 
@@ -101,9 +101,7 @@ def test_a_controller_that_returns_nan_is_named():
 
 def test_no_number_that_is_not_finite_leaves_a_run():
     light = load_vehicle(**{"suspension.link_stiffness": 5e6, "drive.lag": 0.002})
-    state = simulate.run(
-        scenarios.load_scenario("sine_tracking").but(end_m=30.0), NDISettings(900, 900), plant_vehicle=light
-    )
+    state = simulate.run(scenarios.load_scenario("sine_tracking").but(end_m=30.0), NDI(900, 900), plant_vehicle=light)
     assert np.isfinite(state.series).all().all()
 
 

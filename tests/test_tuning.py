@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from railrepro import paths
-from railrepro.control.ndi import NDISettings
+from railrepro.control.ndi import NDI
 from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.errors import InputError
 from railrepro.simulation import simulate
@@ -59,7 +59,7 @@ def test_fingerprint_follows_the_vehicle():
 
 def test_failures_cost_more_the_earlier_they_happen():
     task, scenario = tuning.load_task(), tuning.load_task().scenarios[2]
-    run = simulate.run(scenario.but(end_m=60.0), NDISettings())
+    run = simulate.run(scenario.but(end_m=60.0), NDI())
     costs = []
     for share in (0.2, 0.8):
         series = run.series.assign(

@@ -1,4 +1,4 @@
-/* FMI 2.0 co-simulation interface around the generated car. Starts after call.h and the constants of the exported route,
+/* FMI 2.0 co-simulation interface around the generated car. Starts after car.c and the constants of the exported route,
    contact table and vehicle. Value references: outputs first, then the four torque commands. */
 
 #include <stdlib.h>
@@ -18,44 +18,47 @@ typedef struct {
   void *finished, *environment;
 } fmi2CallbackFunctions;
 
-enum { TORQUES = 4, WORK = 65536 };
+enum { LOOKUPS = BODIES + WHEELS, POINTERS = 16, INTEGERS = 256, WORK = 65536 };
 
 typedef struct {
-  double x[N_STATE], next[N_STATE], error[N_STATE], tau[TORQUES], rows[3 * N_CELL], contacts[4 * N_CONTACT], y[N_OUTPUT];
-  double places[7], work[WORK];
-  casadi_int integers[256];
+  double x[N_STATE], next[N_STATE], error[N_STATE], tau[WHEELS], y[N_OUTPUT], places[LOOKUPS], period;
+  double rows[BODIES * N_CELL], contacts[WHEELS * N_CONTACT];
+  lookup_t lookups[LOOKUPS];
+  const double *in[3][POINTERS];
+  double *out[3][POINTERS];
+  casadi_int integers[INTEGERS];
+  double work[WORK];
+  car_t car;
   const fmi2CallbackFunctions *callbacks;
 } unit_t;
 
-static void copy_cell(double *row, double place) {
-  memcpy(row, row_at(CELLS, place, CELL_START, CELL_STEP, N_CELLS, N_CELL), N_CELL * sizeof(double));
+static call_t bind(unit_t *u, int function, casadi_fn evaluate) {
+  return (call_t){evaluate, u->in[function], u->out[function], u->integers, u->work};
 }
 
-static void copy_contact(double *row, double place) {
-  memcpy(row, row_at(CONTACTS, place, CONTACT_START, CONTACT_STEP, N_CONTACTS, N_CONTACT), N_CONTACT * sizeof(double));
-}
-
-static void surroundings(unit_t *u) {
-  const double *in[16] = {u->x, u->rows, PARAMETERS};
-  double *out[16] = {u->places};
-  car_coordinates(in, out, u->integers, u->work, 0);
-  for (int i = 0; i < 3; ++i) copy_cell(u->rows + i * N_CELL, u->places[i]);
-  for (int i = 0; i < 4; ++i) copy_contact(u->contacts + i * N_CONTACT, u->places[3 + i]);
-}
-
-static void measure(unit_t *u) {
-  const double *in[16] = {u->x, u->tau, u->rows, u->contacts, PARAMETERS};
-  double *out[16] = {u->y};
-  surroundings(u);
-  car_output(in, out, u->integers, u->work, 0);
+/* Let the generated functions share the buffers of the unit. */
+static void connect(unit_t *u) {
+  const double *in[3][6] = {{u->x, u->rows, PARAMETERS},
+                            {u->x, u->tau, u->rows, u->contacts, PARAMETERS},
+                            {u->x, u->tau, u->rows, u->contacts, PARAMETERS, &u->period}};
+  double *out[3][2] = {{u->places}, {u->y}, {u->next, u->error}};
+  for (int i = 0; i < 3; ++i) memcpy(u->in[i], in[i], sizeof in[i]), memcpy(u->out[i], out[i], sizeof out[i]);
+  for (int i = 0; i < BODIES; ++i)
+    u->lookups[i] = (lookup_t){CELLS, CELL_START, CELL_STEP, N_CELLS, N_CELL, u->rows + i * N_CELL};
+  for (int i = 0; i < WHEELS; ++i)
+    u->lookups[BODIES + i] =
+        (lookup_t){CONTACTS, CONTACT_START, CONTACT_STEP, N_CONTACTS, N_CONTACT, u->contacts + i * N_CONTACT};
+  u->car = (car_t){bind(u, 0, car_coordinates), bind(u, 1, car_output), bind(u, 2, car_step),
+                   u->places, u->lookups, LOOKUPS, u->x, u->next, N_STATE};
 }
 
 static void reset(unit_t *u) {
   memcpy(u->x, START, sizeof u->x);
   memset(u->tau, 0, sizeof u->tau);
-  for (int i = 0; i < 3; ++i) copy_cell(u->rows + i * N_CELL, u->x[12 * i]);
-  surroundings(u);
-  measure(u);
+  memset(u->rows, 0, sizeof u->rows);
+  u->period = PERIOD;
+  car_look_up(&u->car);  /* the look-up of contacts uses the irregularities of the rows found before */
+  car_measure(&u->car);
 }
 
 static fmi2Status complain(unit_t *u, const char *text) {
@@ -71,7 +74,7 @@ fmi2Component fmi2Instantiate(fmi2String name, int type, fmi2String guid, fmi2St
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
   if (type != 1 || strcmp(guid, GUID)) return NULL;
   unit_t *u = calloc(1, sizeof(unit_t));
-  if (u) u->callbacks = callbacks, reset(u);
+  if (u) u->callbacks = callbacks, connect(u), reset(u);
   return u;
 }
 void fmi2FreeInstance(fmi2Component c) { free(c); }
@@ -79,14 +82,14 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean t, fmi2Real tol, fmi
   return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return measure(c), fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return car_measure(&((unit_t *)c)->car), fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2Reset(fmi2Component c) { return reset(c), fmi2OK; }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real values[]) {
   unit_t *u = c;
   for (size_t i = 0; i < n; ++i) {
-    if (r[i] >= N_OUTPUT + TORQUES) return complain(u, "unknown value reference");
+    if (r[i] >= N_OUTPUT + WHEELS) return complain(u, "unknown value reference");
     values[i] = r[i] < N_OUTPUT ? u->y[r[i]] : u->tau[r[i] - N_OUTPUT];
   }
   return fmi2OK;
@@ -95,7 +98,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real values[]) {
   unit_t *u = c;
   for (size_t i = 0; i < n; ++i) {
-    if (r[i] < N_OUTPUT || r[i] >= N_OUTPUT + TORQUES) return complain(u, "only the four torques can be set");
+    if (r[i] < N_OUTPUT || r[i] >= N_OUTPUT + WHEELS) return complain(u, "only the four torques can be set");
     u->tau[r[i] - N_OUTPUT] = values[i];
   }
   return fmi2OK;
@@ -103,18 +106,11 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean keep) {
   unit_t *u = c;
-  const double period = PERIOD, count = step / period, steps = floor(count + 0.5);
+  const double count = step / PERIOD, steps = floor(count + 0.5);
   if (steps < 1 || fabs(count - steps) > 1e-6) return complain(u, "the communication step must be a whole number of ms");
-  for (int k = 0; k < (int)steps; ++k) {
-    const double *in[16] = {u->x, u->tau, u->rows, u->contacts, PARAMETERS, &period};
-    double *out[16] = {u->next, u->error};
-    surroundings(u);
-    car_step(in, out, u->integers, u->work, 0);
-    for (int i = 0; i < N_STATE; ++i)
-      if (!isfinite(u->next[i])) return complain(u, "a state of the car is no longer a finite number");
-    memcpy(u->x, u->next, sizeof u->x);
-  }
-  measure(u);
+  if (car_run(&u->car, (casadi_int)steps, INFINITY) < steps)
+    return complain(u, "a state of the car is no longer a finite number");
+  car_measure(&u->car);
   return fmi2OK;
 }
 

@@ -12,16 +12,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from railrepro.car import equations
+from railrepro.car import equations, stepper
 from railrepro.car.component import SteppedCar
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
 from railrepro.errors import InputError
-from railrepro.track import route
+from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
 
-def export_fmu(path: Path | str, way: route.Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
+def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
     """Write the car on a route as an FMI 2.0 co-simulation unit for this platform.
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
@@ -43,10 +43,9 @@ def export_fmu(path: Path | str, way: route.Route | str, speed: float, vehicle: 
     """
     if codegen.compiler() is None:
         raise InputError("an FMU holds compiled code: a C compiler is needed")
-    car = SteppedCar(way, speed, vehicle)
-    functions = (equations.car().coordinates, equations.car().output, equations.car().step)
+    car = SteppedCar(route, speed, vehicle)
     guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {speed} {car.parameters.tobytes().hex()[:200]}"))
-    text = codegen.source_text(functions) + Path(codegen.__file__).with_name("call.h").read_text()
+    text = codegen.source_text(stepper.functions()) + stepper.c_text()
     text += _constants(car, guid) + Path(__file__).with_name("fmu.c").read_text()
     target = Path(path)
     system = {"linux": "linux64", "darwin": "darwin64"}.get(sys.platform, sys.platform + platform.machine()[-2:])
@@ -69,14 +68,15 @@ def _constants(car: SteppedCar, guid: str) -> str:
         return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
     contacts = car.table.cells()
-    sizes = {"N_STATE": len(equations.STATES), "N_OUTPUT": len(equations.car().outputs), "N_CELL": len(route.COLUMNS)}
-    sizes |= {"N_CELLS": len(car.way.cells), "N_CONTACT": equations.CONTACT_COLUMNS, "N_CONTACTS": len(contacts)}
-    grids = {"CELL_START": car.way.cells[0, 0], "CELL_STEP": route.CELL}
+    sizes = {"N_STATE": len(equations.STATES), "N_OUTPUT": len(equations.car().outputs), "N_CELL": len(COLUMNS)}
+    sizes |= {"N_CELLS": len(car.route.cells), "N_CONTACT": equations.CONTACT_COLUMNS, "N_CONTACTS": len(contacts)}
+    sizes |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
+    grids = {"CELL_START": car.route.cells[0, INDEX["p"]], "CELL_STEP": CELL}
     grids |= {"CONTACT_START": car.table.start, "CONTACT_STEP": car.table.step, "PERIOD": EXCHANGE_PERIOD}
     text = f'\n#define GUID "{guid}"\n'
     text += "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     text += "".join(f"#define {name} {float(value).hex()}\n" for name, value in grids.items())
-    arrays = {"CELLS": car.way.cells, "CONTACTS": contacts, "PARAMETERS": car.parameters, "START": car.state}
+    arrays = {"CELLS": car.route.cells, "CONTACTS": contacts, "PARAMETERS": car.parameters, "START": car.state}
     return text + "".join(array(name, values) for name, values in arrays.items())
 
 

@@ -1,52 +1,45 @@
 """The control law of the 1 kHz exchange as one function: estimates, adhesion law, lateral law, integration rule.
 
-A slower lateral controller (MPC) hands in `held` differential torques; with `ndi.active` the inversion runs here.
-All gains are run-time inputs, so one compiled object serves every controller, scenario and tuning particle.
+The lateral law is a `railrepro.control.lateral.LateralLaw`. All gains are run-time inputs, so one compiled object
+serves every scenario and tuning particle of one kind of law.
 
 Serves the paper's Fig. 4 and sections Adhesion Control and Integration Approach.
 """
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from railrepro.car import equations
 from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.compile import codegen
+from railrepro.control import lateral
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
-from railrepro.control.ndi import NDISettings, differential_torque
-from railrepro.track import route
+from railrepro.errors import InputError
+from railrepro.model.control_model import STATES
+from railrepro.track.route import COLUMNS, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 
 GEARS = ("front", "rear")
 SIDES = ("le", "ri")
-MODEL = ("J_eff", "k_sz", "k_dz", "J_Wy", "r0", "b", "gamma", "tan_delta", "mass")
+_OUTPUT = {"x": "p", "xdot": "v", "y_TrAx": "y"}
+MEASURED_STATES = {gear: tuple(f"{gear}.{_OUTPUT.get(name, name)}" for name in STATES) for gear in GEARS}
+"""Outputs of the car that are the states of each gear, in the order of the control model."""
+MEASURED = (
+    *(name for gear in GEARS for name in MEASURED_STATES[gear]),
+    *(f"{gear}_{side}.{name}" for gear in GEARS for side in SIDES for name in ("fx", "sx")),
+)
+"""Outputs of the car that the law measures."""
 LIMITS = ("lateral", "track_end", "stop_speed")
-GAINS = (
-    "ndi.active",
-    *NDISettings().gains(),
-    *AdhesionSettings().gains(),
-    "adhesion.torque_per_adhesion",
-    "estimate.noise_f",
-    "estimate.noise_s",
-    "estimate.bias_f",
-    "estimate.bias_s",
-    "estimate.lag",
-    "tau_max",
-    "fixed_share",
-    "nominal_load",
-    *(f"model.{name}" for name in MODEL),
-    *(f"limit.{name}" for name in LIMITS),
-)
-MEMORY = (
-    "ticks",
-    *(f"{gear}.{name}" for gear in GEARS for name in ("u", "f_0", "f_1", "s_0", "s_1", "integral")),
-    *(f"{gear}.{kind}_{i}" for gear in GEARS for kind in ("f_hat", "s_hat") for i in range(2)),
-)
+MARGINS = (*(f"{gear}.lateral" for gear in GEARS), "track_end", "stop_speed")
+"""Distances to the limits of a run."""
+_ADHESION_MEMORY = ("u", "f_0", "f_1", "s_0", "s_1")
+_ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
 GUIDANCE_FADE = 1.0
 """Speed below which the differential torque fades (m/s): a wheel that stands cannot steer."""
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
@@ -78,112 +71,176 @@ class EstimateSettings:
         return {f"estimate.{name}": float(value) for name, value in vars(self).items()}
 
 
-def gain_vector(
+@dataclass(frozen=True)
+class ControlLaw:
+    """The 1 kHz law with its numbers.
+
+    Attributes
+    ----------
+    kind : lateral.Kind
+        Lateral law without its numbers.
+    gains : ndarray
+        Run-time gains in the order of `gain_names`.
+    """
+
+    kind: lateral.Kind
+    gains: np.ndarray
+
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """Names of the states of the law."""
+        return memory_names(self.kind)
+
+    @property
+    def function(self) -> ca.Function:
+        """See `function`."""
+        return function(self.kind)
+
+    def library(self) -> ctypes.CDLL | None:
+        """The law as a shared object; None without a C compiler."""
+        return _library(self.kind)
+
+
+def control_law(
     vehicle: Vehicle,
-    ndi: NDISettings | None = None,
+    guidance: lateral.LateralLaw | None = None,
     adhesion: AdhesionSettings | None = None,
     estimate: EstimateSettings | None = None,
     fixed_share: float = 0.0,
     **limits: float,
-) -> np.ndarray:
-    """Run-time gains in the order of `GAINS`, shape (len(GAINS),).
+) -> ControlLaw:
+    """The 1 kHz law for a vehicle.
 
     Parameters
     ----------
     vehicle : Vehicle
-        Nominal vehicle that the controllers believe in.
-    ndi : NDISettings, optional
-        Given, the inversion guides; otherwise the held differential torque does.
+        Nominal vehicle of the controllers.
+    guidance : LateralLaw, optional
+        Default: the held torque of a slower controller guides.
     adhesion, estimate : optional
         Settings of the adhesion law and of its estimates.
     fixed_share : float
         See `allocate`.
     limits : float
         lateral (m), track_end (m), stop_speed (m/s): where a run ends.
+
+    Raises
+    ------
+    InputError
+        When the lateral law is not well formed, see `lateral.kind`.
     """
+    guidance = guidance or lateral.Held()
+    if set(limits) != set(LIMITS):
+        raise InputError(f"control law: the limits {sorted(limits)} are given, {sorted(LIMITS)} are needed")
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    gains = {"ndi.active": float(ndi is not None), "fixed_share": fixed_share}
-    gains |= (ndi or NDISettings()).gains() | (adhesion or AdhesionSettings()).gains()
-    gains |= (estimate or EstimateSettings()).gains()
-    gains |= {"tau_max": vehicle.drive.torque_limit, "nominal_load": load}
+    gains = {f"lateral.{name}": value for name, value in guidance.gains().items()}
+    gains |= (adhesion or AdhesionSettings()).gains() | (estimate or EstimateSettings()).gains()
+    gains |= {"fixed_share": fixed_share, "nominal_load": load}
     gains["adhesion.torque_per_adhesion"] = load * vehicle.wheel.radius
     gains |= {
         "model.J_eff": vehicle.effective_yaw_inertia,
         "model.k_sz": vehicle.suspension.yaw_stiffness,
         "model.k_dz": vehicle.suspension.yaw_damping,
         "model.J_Wy": vehicle.wheel.spin_inertia,
-        "model.r0": vehicle.wheel.radius,
+        "model.r_0": vehicle.wheel.radius,
         "model.b": vehicle.gear.contact_base,
         "model.gamma": vehicle.gamma,
         "model.tan_delta": np.tan(vehicle.wheel.cone_angle),
-        "model.mass": vehicle.effective_longitudinal_mass,
+        "model.m_x_eff": vehicle.effective_longitudinal_mass,
+        "model.tau_max": vehicle.drive.torque_limit,
     }
     gains |= {f"limit.{name}": value for name, value in limits.items()}
-    return np.array([gains[name] for name in GAINS])
+    kind = lateral.kind(guidance)
+    return ControlLaw(kind, np.array([gains[name] for name in gain_names(kind)], dtype=float))
 
 
-@lru_cache(maxsize=1)
-def law() -> ca.Function:
-    """The 1 kHz law.
+def gain_names(kind: lateral.Kind) -> tuple[str, ...]:
+    """Names of the run-time gains."""
+    return (
+        *(f"lateral.{name}" for name in kind.gains),
+        *AdhesionSettings().gains(),
+        "adhesion.torque_per_adhesion",
+        *EstimateSettings().gains(),
+        *("fixed_share", "nominal_load"),
+        *(f"model.{name}" for name in lateral.MODEL),
+        *(f"limit.{name}" for name in LIMITS),
+    )
+
+
+def memory_names(kind: lateral.Kind) -> tuple[str, ...]:
+    """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m)."""
+    own = (*_ADHESION_MEMORY, *_ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
+    return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in own))
+
+
+@lru_cache
+def _library(kind: lateral.Kind) -> ctypes.CDLL | None:
+    return codegen.library((function(kind),))
+
+
+@lru_cache
+def function(kind: lateral.Kind) -> ca.Function:
+    """The 1 kHz law as a function.
 
     Returns
     -------
     casadi.Function
-        (y, rows, held[2], gains, memory) -> command[4] (N m), memory, record, margins; a run goes on while all margins
-        (`LIMITS`, lateral twice: front, rear) are positive.
+        (measured, cells of both gears, held[2], gains, memory) -> command[4] (N m), memory, record, margins; a run goes
+        on while all margins are positive.
     """
-    outputs = equations.car().outputs
-    y_, rows = ca.SX.sym("y", len(outputs)), ca.SX.sym("rows", len(route.COLUMNS), 3)
-    held, gains, memory = (
-        ca.SX.sym("held", 2),
-        ca.SX.sym("gains", len(GAINS)),
-        ca.SX.sym("memory", len(MEMORY)),
-    )
-    y = dict(zip(outputs, ca.vertsplit(y_), strict=True))
-    gain = dict(zip(GAINS, ca.vertsplit(gains), strict=True))
-    old = dict(zip(MEMORY, ca.vertsplit(memory), strict=True))
-    model = {name: gain[f"model.{name}"] for name in MODEL}
-    cells = {gear: dict(zip(route.COLUMNS, ca.vertsplit(rows[:, 1 + g]), strict=True)) for g, gear in enumerate(GEARS)}
-    roads = {gear: _road(cells[gear], y[f"{gear}.p"]) for gear in GEARS}
-    heading = {name: (roads["front"][name] + roads["rear"][name]) / 2 for name in ("psi_Tr", "kappa")}
+    names = {"y": MEASURED, "gains": gain_names(kind), "memory": memory_names(kind)}
+    symbols = {name: ca.SX.sym(name, len(entries)) for name, entries in names.items()}
+    y, gain, old = (_named(names[name], symbols[name]) for name in names)
+    rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
+    model = {name: gain[f"model.{name}"] for name in lateral.MODEL}
+    states = {gear: dict(zip(STATES, (y[name] for name in MEASURED_STATES[gear]), strict=True)) for gear in GEARS}
+    cells = {gear: _named(COLUMNS, rows[:, g]) for g, gear in enumerate(GEARS)}
+    roads = {gear: _road(cells[gear], states[gear]["x"]) for gear in GEARS}
+    body = {name: (roads["front"][name] + roads["rear"][name]) / 2 for name in ("psi_Tr", "dpsi_dp")}
 
     new, record, command = {"ticks": old["ticks"] + 1}, {}, []
     for g, gear in enumerate(GEARS):
-        road = roads[gear] | {"psi_CB": heading["psi_Tr"], "kappa_CB": heading["kappa"]}
-        estimates = _estimates(gear, g, y, old, gain)
-        new |= {f"{gear}.{kind}_{i}": value for (kind, i), value in estimates.items()}
+        own = {name.removeprefix(f"{gear}."): value for name, value in old.items() if name.startswith(f"{gear}.")}
+        estimates = _estimates(gear, g, y, old["ticks"], own, gain)
         f_star = cells[gear]["force"] / (2 * gain["nominal_load"])
-        own = {name: old[f"{gear}.{name}"] for name in ("u", "f_0", "f_1", "s_0", "s_1")}
-        f, s = ([estimates[kind, i] for i in range(2)] for kind in ("f_hat", "s_hat"))
-        u_d, kept, segment = base_torque(f, s, f_star, own, gain, gain["tau_max"])
-        new |= {f"{gear}.{name}": value for name, value in kept.items()}
-        state = {name: y[f"{gear}.{name}"] for name in ("v", "y", "psidot_Ax", "psi_Ax")}
-        state |= {"psi_r": y[f"{gear}.psi_TrAx"], "vdot": 2 * u_d / (model["r0"] * model["mass"])}
-        inverse = differential_torque(state, road, old[f"{gear}.integral"], gain, model)
-        wanted = ca.if_else(gain["ndi.active"], inverse, held[g]) * _fade(state["v"], GUIDANCE_FADE)
-        tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, gain["tau_max"], gain["fixed_share"])
+        f, s = ([estimates[f"{kind_}_hat_{i}"] for i in range(2)] for kind_ in ("f", "s"))
+        u_d, kept, segment = base_torque(f, s, f_star, own, gain, model["tau_max"])
+
+        state = states[gear] | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
+        road = roads[gear] | {"psi_CB": body["psi_Tr"], "dpsi_dp_CB": body["dpsi_dp"]}
+        wanted, following = _lateral(kind, state, road, own, gain, model)
+        wanted *= _fade(state["xdot"], GUIDANCE_FADE)
+        tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, model["tau_max"], gain["fixed_share"])
         command += [tau_le, tau_ri]
-        free = ca.fabs(wanted) < gain["tau_max"]
-        error = road["y0"] - state["y"]
-        new[f"{gear}.integral"] = old[f"{gear}.integral"] + ca.if_else(free, EXCHANGE_PERIOD * error, 0)
-        values = (u_d, du, tau_long, f_star, segment, road["y0"])
+        new |= {f"{gear}.{name}": value for name, value in (estimates | kept | following).items()}
+        values = (u_d, du, tau_long, f_star, segment, road["y_ref"])
         record |= {f"{gear}.{name}": value for name, value in zip(_RECORDED, values, strict=True)}
-    margins = [gain["limit.lateral"] - ca.fabs(y[f"{gear}.y"]) for gear in GEARS]
-    margins += [gain["limit.track_end"] - y["front.p"], y["front.v"] - gain["limit.stop_speed"]]
-    results = [
-        ca.vertcat(*command),
-        ca.vertcat(*(new[name] for name in MEMORY)),
-        ca.vertcat(*(record[name] for name in RECORD)),
-        ca.vertcat(*margins),
-    ]
+    margins = {f"{gear}.lateral": gain["limit.lateral"] - ca.fabs(states[gear]["y_TrAx"]) for gear in GEARS}
+    margins["track_end"] = gain["limit.track_end"] - states["front"]["x"]
+    margins["stop_speed"] = states["front"]["xdot"] - gain["limit.stop_speed"]
+    results = {"command": command, "memory_next": [new[name] for name in names["memory"]]}
+    results |= {"record": [record[name] for name in RECORD], "margins": [margins[name] for name in MARGINS]}
     return ca.Function(
-        "fast_law",
-        [y_, rows, held, gains, memory],
-        [ca.densify(result) for result in results],
+        "control_law",
+        [symbols["y"], rows, held, symbols["gains"], symbols["memory"]],
+        [ca.densify(ca.vertcat(*entries)) for entries in results.values()],
         ["y", "rows", "held", "gains", "memory"],
-        ["command", "memory_next", "record", "margins"],
+        list(results),
         {"cse": True},
     )
+
+
+def _named(names: tuple[str, ...], vector: ca.SX) -> dict[str, ca.SX]:
+    return dict(zip(names, ca.vertsplit(vector), strict=True))
+
+
+def _lateral(kind: lateral.Kind, state: dict, road: dict, own: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    """Torque of the lateral law (N m) and its next memory."""
+    memory = [f"lateral.{name}" for name in kind.memory]
+    groups = ((state, lateral.GEAR), (road, lateral.ROAD), (own, memory))
+    groups += ((gain, [f"lateral.{name}" for name in kind.gains]), (model, lateral.MODEL))
+    du, following = kind.function(*(ca.vertcat(*(group[name] for name in names)) for group, names in groups))
+    return du, dict(zip(memory, ca.vertsplit(following), strict=True))
 
 
 def _fade(v: ca.SX, speed: float) -> ca.SX:
@@ -192,23 +249,24 @@ def _fade(v: ca.SX, speed: float) -> ca.SX:
 
 
 def _road(cell: dict, p: ca.SX) -> dict:
-    """Track and set point at a gear from its cell."""
-    psi, kappa, _, dphi, *_ = route.track_in(cell, p)
-    y0, y1, y2 = route.reference_in(cell, p)
-    track = {"psi_Tr": psi, "kappa": kappa, "dkappa": cell["dkappa"], "dphi": dphi}
-    return track | {"y0": y0, "y1": y1, "y2": y2, "y3": cell["dddy_ref"]}
+    """Track and set point at a gear from its cell, but for the car body's heading; see `lateral.ROAD`."""
+    psi, kappa, phi, dphi, eps, deps = track_in(cell, p)
+    y_ref, dy_ref, ddy_ref = reference_in(cell, p)
+    track = {"psi_Tr": psi, "dpsi_dp": kappa, "ddpsi_dp": cell["dkappa"]}
+    track |= {"phi_Tr": phi, "dphi_dp": dphi, "eps_Tr": eps, "deps_dp": deps}
+    return track | {"y_ref": y_ref, "dy_ref": dy_ref, "ddy_ref": ddy_ref, "dddy_ref": cell["dddy_ref"]}
 
 
-def _estimates(gear: str, g: int, y: dict, old: dict, gain: dict) -> dict:
+def _estimates(gear: str, g: int, y: dict, ticks: ca.SX, own: dict, gain: dict) -> dict:
     """Adhesion and slip estimates of both wheels: scaled, noisy and lagging copies of the plant's values."""
     estimates = {}
     pole = EXCHANGE_PERIOD / (gain["estimate.lag"] + EXCHANGE_PERIOD)
     for i, side in enumerate(SIDES):
-        for k, (kind, name, short) in enumerate((("f_hat", "fx", "f"), ("s_hat", "sx", "s"))):
+        for k, (name, short) in enumerate((("fx", "f"), ("sx", "s"))):
             exact = y[f"{gear}_{side}.{name}"] * (1 + gain[f"estimate.bias_{short}"])
-            noise = gain[f"estimate.noise_{short}"] * white_noise(old["ticks"], 1 + 4 * g + 2 * i + k)
-            before = old[f"{gear}.{kind}_{i}"]
-            estimates[kind, i] = before + pole * (exact + noise - before)
+            noise = gain[f"estimate.noise_{short}"] * white_noise(ticks, 1 + 4 * g + 2 * i + k)
+            before = own[f"{short}_hat_{i}"]
+            estimates[f"{short}_hat_{i}"] = before + pole * (exact + noise - before)
     return estimates
 
 

@@ -13,10 +13,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from railrepro.clock import EXCHANGE_PERIOD
+
 
 @dataclass(frozen=True)
-class NDISettings:
-    """Error dynamics of the inversion.
+class NDI:
+    """The inversion and the error dynamics it gives, a `railrepro.control.lateral.LateralLaw`.
 
     Attributes
     ----------
@@ -36,62 +38,75 @@ class NDISettings:
     integral: float = 0.0
     derivatives: int = 0
 
+    memory = ("integral",)
+    """Integral of y* - y (m s)."""
+
     def gains(self) -> dict[str, float]:
         """Coefficients k0, k1, k2 (1/s^3, 1/s^2, 1/s), integral gain (1/s^4) and feed-forward switches."""
         w, z, a = self.frequency, self.damping, self.pole
         k0 = a * w**2
         return {
-            "ndi.k0": k0,
-            "ndi.k1": w**2 + 2 * z * w * a,
-            "ndi.k2": 2 * z * w + a,
-            "ndi.ki": self.integral * self.pole * k0,
-            **{f"ndi.ff{i}": float(self.derivatives >= i) for i in (1, 2, 3)},
+            "k0": k0,
+            "k1": w**2 + 2 * z * w * a,
+            "k2": 2 * z * w + a,
+            "ki": self.integral * self.pole * k0,
+            **{f"ff{i}": float(self.derivatives >= i) for i in (1, 2, 3)},
         }
 
+    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """Differential torque that gives the lateral error its wanted third-order dynamics; see `LateralLaw.torque`.
 
-def differential_torque(gear: dict, road: dict, integral, gain, model):
-    """Differential torque that gives the lateral error its wanted third-order dynamics.
+        The integral rests while the torque is beyond its limit.
+        """
+        du = inverse(wanted_jerk(gear, road, memory["integral"], gain), gear, road, model)
+        free = ca.fabs(du) < model["tau_max"]
+        error = road["y_ref"] - gear["y_TrAx"]
+        return du, {"integral": memory["integral"] + ca.if_else(free, EXCHANGE_PERIOD * error, 0)}
+
+
+def wanted_jerk(gear: dict, road: dict, integral, gain: dict):
+    """Third derivative of y (m/s^3) that the error dynamics ask for.
 
     Parameters
     ----------
-    gear : dict of SX
-        v, vdot, y, psi_r, psidot_Ax, psi_Ax of the running gear (SI).
-    road : dict of SX
-        psi_Tr, kappa, dkappa, dphi, psi_CB, kappa_CB at the gear, and y_ref with derivatives over p: y0, y1, y2, y3.
+    gear, road : dict of SX
+        See `railrepro.control.lateral.GEAR` and `ROAD`.
     integral : SX
         Integral of y* - y (m s).
-    gain, model : mapping
-        Gains of `NDISettings.gains`; model parameters J_eff, k_sz, k_dz, J_Wy, r0, b, gamma, tan_delta.
+    gain : dict of SX
+        See `NDI.gains`.
+    """
+    v, vdot, psi_r = gear["xdot"], gear["xddot"], gear["psi_TrAx"]
+    psidot_r = gear["psidot_Ax"] - v * road["dpsi_dp"]
+    ydot = v * psi_r
+    yddot = v * psidot_r + vdot * psi_r
+    ref1 = v * road["dy_ref"]
+    ref2 = v**2 * road["ddy_ref"] + vdot * road["dy_ref"]
+    ref3 = v**3 * road["dddy_ref"] + 3 * v * vdot * road["ddy_ref"]
+    return (
+        gain["k0"] * (road["y_ref"] - gear["y_TrAx"])
+        + gain["k1"] * (gain["ff1"] * ref1 - ydot)
+        + gain["k2"] * (gain["ff2"] * ref2 - yddot)
+        + gain["ff3"] * ref3
+        + gain["ki"] * integral
+    )
 
-    Returns
-    -------
-    SX
-        du (N m).
+
+def inverse(jerk, gear: dict, road: dict, model: dict):
+    """Differential torque (N m) under which y has a third derivative (m/s^3); see `wanted_jerk`.
 
     Source: exact linearisation of the corrected yaw equation (`railrepro.model.derivation.linearised_yaw_equation`).
     """
-    v, vdot = gear["v"], gear["vdot"]
-    psi_r, psidot_r = gear["psi_r"], gear["psidot_Ax"] - v * road["kappa"]
-    ydot = v * psi_r
-    yddot = v * psidot_r + vdot * psi_r
-    ref1 = v * road["y1"]
-    ref2 = v**2 * road["y2"] + vdot * road["y1"]
-    ref3 = v**3 * road["y3"] + 3 * v * vdot * road["y2"]
-    wanted = (
-        gain["ndi.k0"] * (road["y0"] - gear["y"])
-        + gain["ndi.k1"] * (gain["ndi.ff1"] * ref1 - ydot)
-        + gain["ndi.k2"] * (gain["ndi.ff2"] * ref2 - yddot)
-        + gain["ndi.ff3"] * ref3
-        + gain["ndi.ki"] * integral
-    )
-    psiddot_r = (wanted - 2 * vdot * psidot_r) / ca.fmax(v, 1.0)
-    psiddot = psiddot_r + road["dkappa"] * v**2 + road["kappa"] * vdot
-    roll_rate = road["dphi"] * v - model["gamma"] * ydot
+    v, vdot = gear["xdot"], gear["xddot"]
+    ydot, psidot_r = v * gear["psi_TrAx"], gear["psidot_Ax"] - v * road["dpsi_dp"]
+    psiddot_r = (jerk - 2 * vdot * psidot_r) / ca.fmax(v, 1.0)
+    psiddot = psiddot_r + road["ddpsi_dp"] * v**2 + road["dpsi_dp"] * vdot
+    roll_rate = road["dphi_dp"] * v - model["gamma"] * ydot
     moment = (
         model["J_eff"] * psiddot
         + model["k_sz"] * (gear["psi_Ax"] - road["psi_CB"])
-        + model["k_dz"] * (gear["psidot_Ax"] - v * road["kappa_CB"])
-        - 2 * model["J_Wy"] * v / model["r0"] * roll_rate
-        + model["J_Wy"] * model["b"] * v * model["tan_delta"] / model["r0"] ** 3 * ydot
+        + model["k_dz"] * (gear["psidot_Ax"] - v * road["dpsi_dp_CB"])
+        - 2 * model["J_Wy"] * v / model["r_0"] * roll_rate
+        + model["J_Wy"] * model["b"] * v * model["tan_delta"] / model["r_0"] ** 3 * ydot
     )
-    return model["r0"] / model["b"] * moment
+    return model["r_0"] / model["b"] * moment

@@ -110,7 +110,7 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
 
 @lru_cache
 def _costs() -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Costs of a state on the way, of the last state, with the least slack, and of a torque, as functions of numbers."""
+    """Costs of a state on the way and of the last one, both with the least slack, and of a torque, as functions."""
     x, x_d, du = ca.SX.sym("x", len(STATES)), ca.SX.sym("x_d", len(STATES)), ca.SX.sym("du")
     vector = ca.SX.sym("tuning", len(TUNING))
     tuning = Tuning.of(vector)

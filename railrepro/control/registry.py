@@ -1,17 +1,17 @@
-"""The lateral controllers by name: from a set of tuning parameters to what `simulate.run` takes.
+"""The lateral controllers by name, and the set-ups of the comparisons: from tuning parameters to guidance laws.
 
-A new controller is one entry in `CONTROLLERS`; nothing else in the library knows their names. Serves the paper's
+A new controller is one entry in `CONTROLLERS`, which is also the order in which they are shown. Serves the paper's
 section Multi-Body Simulation Results (which methods are compared).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 
 from railrepro.control.ltv_mpc import LTVMPC
-from railrepro.control.ndi import NDISettings
+from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
@@ -34,12 +34,15 @@ class Controller:
         Whether it sees the set point and the track ahead.
     information : str
         What it is given, one phrase.
+    quick : dict
+        Options of `guidance` for many runs: a faster way to nearly the same torques.
     """
 
     build: Callable
     settings: Callable
     preview: bool
     information: str
+    quick: dict = field(default_factory=dict)
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
@@ -59,28 +62,50 @@ class Predictive:
     settings: MPCSettings
     options: tuple = ()
 
-    def __call__(self, vehicle, way, gear: int):
-        return self.kind(vehicle, way, gear, self.settings, **dict(self.options))
+    def __call__(self, vehicle, route, gear: int):
+        return self.kind(vehicle, route, gear, self.settings, **dict(self.options))
 
 
-def _inversion(settings: NDISettings) -> NDISettings:
+def _inversion(settings: NDI) -> NDI:
     return settings
 
 
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
 CONTROLLERS = {
-    "nmpc": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD),
+    "nmpc": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
     "ltv_mpc": Controller(partial(Predictive, LTVMPC), mpc_settings, True, _AHEAD),
     "ltv_mpc_printed": Controller(
         partial(Predictive, LTVMPC, options=(("printed", True),)), mpc_settings, True, _AHEAD
     ),
-    "ndi": Controller(_inversion, lambda p: NDISettings(**p), False, _STATE + ", set point now"),
+    "ndi": Controller(_inversion, lambda p: NDI(**p), False, _STATE + ", set point now"),
     "ndi_feedforward": Controller(
-        _inversion, lambda p: NDISettings(**p, derivatives=3), False, _STATE + ", set point and its rates now"
+        _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
     ),
-    "ndi_integral": Controller(_inversion, lambda p: NDISettings(**p), False, _STATE + ", set point now"),
+    "ndi_integral": Controller(_inversion, lambda p: NDI(**p), False, _STATE + ", set point now"),
 }
+PREDICTIVE = tuple(name for name, controller in CONTROLLERS.items() if controller.preview)
+INVERSIONS = tuple(name for name in CONTROLLERS if name not in PREDICTIVE)
+PAPER_TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
+"""The three methods of the paper, LTV-MPC as printed."""
+TRIO = ("nmpc", "ltv_mpc", "ndi")
+"""The same with the LTV-MPC that keeps its affine term."""
+COMPARED = (*PREDICTIVE, "ndi")
+"""The paper's methods with LTV-MPC in both readings."""
+WITH_OBSERVER, OBSERVER = "nmpc_observer", 0.05
+"""Name of the NMPC with an offset observer, and the observer's gain, see `MPCSettings.observer`."""
+EMPHASIS = 10.0
+"""Factor on R of NMPC where the longitudinal task counts more (Fig. 8)."""
+
+
+def with_r_times(parameters: dict, factor: float) -> dict:
+    """Tuning parameters or changes with R times a factor."""
+    return parameters | {"r": factor * parameters["r"]}
+
+
+def r_times(factor: float, controller: str = "") -> str:
+    """Name of a set-up with R times a factor: "R x 10", or "NMPC, R x 10" for a controller called NMPC."""
+    return (f"{controller}, " if controller else "") + f"R x {factor:g}"
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
@@ -95,11 +120,12 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     options : dict, optional
         Further arguments of a predictive controller, for example {"solver": "rti"}.
     changes : optional
-        Fields of the settings to change afterwards (`MPCSettings`, `NDISettings`).
+        Fields of the settings to change afterwards (`MPCSettings`, `NDI`).
 
     Returns
     -------
-    NDISettings or callable
+    LateralLaw or callable
+        See `simulate.run`.
     """
     if name not in CONTROLLERS:
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")

@@ -19,13 +19,13 @@ import sympy as sp
 
 from railrepro import paths
 from railrepro.control.allocation import allocate
+from railrepro.control.registry import COMPARED, EMPHASIS, PAPER_TRIO, PREDICTIVE, TRIO, r_times
 from railrepro.errors import InputError
 
 REPRODUCED, PARTLY, NOT, UNTESTABLE = "reproduced", "partly", "not reproduced", "not testable"
 VERDICTS = (REPRODUCED, PARTLY, NOT, UNTESTABLE)
 _KEYS = {"section", "statement", "kind", "unit", "tolerance", "reason", "evidence", "notebook"}
-_MPC, _PAPER_TRIO = ("nmpc", "ltv_mpc", "ltv_mpc_printed"), ("nmpc", "ltv_mpc_printed", "ndi")
-_FIG08 = "NMPC, R x 10"
+_FIG08 = r_times(EMPHASIS, "NMPC")
 MEASURES: dict[str, Callable] = {}
 
 
@@ -121,7 +121,7 @@ def _effort_on_t1(r: Results, claim: dict) -> Measured:
 
 @measure("C04")
 def _all_follow(r: Results, claim: dict) -> Measured:
-    worst = 1e3 * r.curve.loc[["nmpc", "ltv_mpc", "ltv_mpc_printed", "ndi"], "largest_error"].max()
+    worst = 1e3 * r.curve.loc[list(COMPARED), "largest_error"].max()
     return _yes(worst, worst < claim["tolerance"])
 
 
@@ -148,7 +148,7 @@ def _ltv_slightly_worse(r: Results, claim: dict) -> Measured:
 
 @measure("C08")
 def _no_delay(r: Results, claim: dict) -> Measured:
-    worst = r.curve.loc[["nmpc", "ltv_mpc", "ltv_mpc_printed"], "delay"].abs().max()
+    worst = r.curve.loc[list(PREDICTIVE), "delay"].abs().max()
     return _yes(worst, worst < claim["tolerance"], worst < r.curve.loc["ndi", "delay"] / 2)
 
 
@@ -169,7 +169,7 @@ def _same_torque_later(r: Results, claim: dict) -> Measured:
 def _gyroscope(r: Results, claim: dict) -> Measured:
     expected = _gyroscopic_torque()
     ratios = []
-    for name in ("nmpc", "ltv_mpc", "ndi"):
+    for name in TRIO:
         rows = r.fig06[name]
         step = rows[rows["p_m"].between(60, 300)]["du_Nm"].mean() - rows[rows["p_m"] < 20]["du_Nm"].mean()
         ratios.append(step / expected)
@@ -227,7 +227,7 @@ def _feasible(r: Results, claim: dict) -> Measured:
 
 def _ranked(table: pd.DataFrame) -> pd.Series:
     """Where NMPC < printed LTV-MPC < NDI; a run that failed counts as worst."""
-    rmse = table[list(_PAPER_TRIO)].fillna(np.inf)
+    rmse = table[list(PAPER_TRIO)].fillna(np.inf)
     return (rmse["nmpc"] < rmse["ltv_mpc_printed"]) & (rmse["ltv_mpc_printed"] < rmse["ndi"])
 
 
@@ -246,7 +246,7 @@ def _ranking_on_sine(r: Results, claim: dict) -> Measured:
 
 @measure("C18")
 def _slower_is_better(r: Results, claim: dict) -> Measured:
-    ranks = r.sine[list(_PAPER_TRIO)].rank()
+    ranks = r.sine[list(PAPER_TRIO)].rank()
     place = pd.Series(r.sine.index, index=r.sine.index).rank()
     worst = min(np.corrcoef(ranks[name], place)[0, 1] for name in ranks)
     return _yes(worst, worst > claim["tolerance"], worst > 0)

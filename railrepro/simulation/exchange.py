@@ -1,7 +1,7 @@
-"""Plant and fast control law coupled at 1 kHz: one call runs many exchanges.
+"""Car and control law coupled at 1 kHz: one call runs many exchanges.
 
-With a C compiler the loop of `loop.c` runs over generated functions; without one the same loop runs in Python over the
-same functions in CasADi's virtual machine, slower, with equal results up to rounding.
+With a C compiler the loop of `loop.c` runs over the compiled car and the compiled law; without one the same loop runs
+in Python over the same functions in CasADi's virtual machine, slower, with equal results up to rounding.
 """
 
 from __future__ import annotations
@@ -13,96 +13,90 @@ from pathlib import Path
 import numpy as np
 
 from railrepro.car import equations
+from railrepro.car.stepper import CarStepper
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
 from railrepro.contact.table import ContactTable
 from railrepro.control import law
-from railrepro.track import route
-
-
-class _Lookup(ctypes.Structure):
-    _fields_ = [
-        ("cells", ctypes.c_void_p),
-        ("start", ctypes.c_double),
-        ("step", ctypes.c_double),
-        ("n", ctypes.c_longlong),
-        ("width", ctypes.c_longlong),
-        ("row", ctypes.c_void_p),
-    ]
+from railrepro.track.route import Route
 
 
 class _Copy(ctypes.Structure):
     _fields_ = [("to", ctypes.c_void_p), ("from_", ctypes.c_void_p), ("n", ctypes.c_longlong)]
 
 
-@lru_cache(maxsize=1)
-def _functions() -> tuple:
-    car = equations.car()
-    return car.coordinates, car.output, law.law(), car.step
+def _copy(source: np.ndarray, to: np.ndarray | None = None) -> _Copy:
+    return _Copy(None if to is None else to.ctypes.data, source.ctypes.data, source.size)
+
+
+class _Loop(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("car", "measure", "advance")),
+        ("law", codegen.Call),
+        *((name, ctypes.c_void_p) for name in ("sensed", "logged", "carried")),
+        *((name, ctypes.c_longlong) for name in ("n_sensed", "n_logged", "n_carried")),
+        ("margins", ctypes.c_void_p),
+        ("n_margins", ctypes.c_longlong),
+    ]
 
 
 @lru_cache(maxsize=1)
-def compiled_car() -> ctypes.CDLL | None:
-    """Car, fast law and loop as one shared object; None without a C compiler."""
-    extra = Path(codegen.__file__).with_name("call.h").read_text() + Path(__file__).with_name("loop.c").read_text()
-    return codegen.library(_functions(), extra)
+def _library() -> ctypes.CDLL | None:
+    """The loop as a shared object; None without a C compiler."""
+    parts = Path(codegen.__file__).with_name("call.h"), Path(__file__).with_name("loop.c")
+    loaded = codegen.library((), "".join(part.read_text() for part in parts))
+    if loaded is not None:
+        loaded.loop_run.restype = ctypes.c_longlong
+    return loaded
 
 
 class Exchange:
-    """The car on a route under the fast law; `run` advances it by whole exchanges of 1 ms.
+    """The car on a route under a control law; `run` advances it by whole exchanges of 1 ms.
 
     Attributes
     ----------
+    car : CarStepper
+        The car with its buffers.
     state : ndarray, shape (44,)
         Plant state, see `equations.STATES`; writable.
     held : ndarray, shape (2,)
         Differential torques of a slower lateral controller, front and rear (N m); writable.
     memory : ndarray
-        Memory of the fast law, see `law.MEMORY`.
+        States of the law, see `law.ControlLaw.memory`.
     columns : tuple of str
         Names of the columns that `run` returns.
-    time : float
-        Simulated time (s).
-    functions : list
-        The four functions behind an exchange, on shared buffers: places, outputs, fast law, step.
+    functions : dict
+        The functions behind an exchange by name, on shared buffers: coordinates, output, law, step.
     """
 
-    def __init__(self, car_parameters, table: ContactTable, way: route.Route, gains, state, compiled: bool = True):
-        coordinates, output, fast_law, step = _functions()
-        self.columns = (*equations.car().outputs, *law.RECORD)
-        self.state, self.held = np.array(state, dtype=float), np.zeros(2)
-        self.memory = np.zeros(len(law.MEMORY))
-        self.exchanges = 0
-        self._par, self._gains = np.array(car_parameters, dtype=float), np.array(gains, dtype=float)
-        self._rows, self._contacts = np.zeros((3, len(route.COLUMNS))), np.zeros((4, equations.CONTACT_COLUMNS))
-        self._places, self._y = np.zeros(7), np.zeros(len(equations.car().outputs))
-        self._command, self._record = np.zeros(4), np.zeros(len(law.RECORD))
-        self._margins = np.zeros(fast_law.nnz_out(3))
-        self._next_state, self._next_memory = np.zeros_like(self.state), np.zeros_like(self.memory)
-        self._error, self._h = np.zeros(len(equations.STATES)), np.array([EXCHANGE_PERIOD])
-        self._way = np.ascontiguousarray(way.cells)
-        self._table = np.ascontiguousarray(table.cells())
-        self._table_grid = (table.start, table.step)
-        rows, contacts = self._rows.reshape(-1), self._contacts.reshape(-1)
-        common = (self.state, self._command, rows, contacts, self._par)
-        bindings = (
-            (coordinates, [self.state, rows, self._par], [self._places]),
-            (output, list(common), [self._y]),
-            (
-                fast_law,
-                [self._y, rows, self.held, self._gains, self.memory],
-                [self._command, self._next_memory, self._record, self._margins],
-            ),
-            (step, [*common, self._h], [self._next_state, self._error]),
+    def __init__(
+        self, car_parameters, table: ContactTable, route: Route, control: law.ControlLaw, state, compiled: bool = True
+    ):
+        self.car = CarStepper(car_parameters, table, route, state, compiled)
+        self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
+        self.exchanges, self.ended = 0, False
+        outputs = equations.car().outputs
+        self.columns = (*outputs, *law.RECORD)
+        self._sensed = [outputs.index(name) for name in law.MEASURED]
+        self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
+        self._base = [control.memory.index(f"{gear}.u") for gear in law.GEARS]
+        self.memory, self._gains = np.zeros(len(control.memory)), np.array(control.gains)
+        self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(law.RECORD))
+        self._measured, self._margins = np.zeros(len(law.MEASURED)), np.zeros(len(law.MARGINS))
+        first = equations.BODIES.index(law.GEARS[0])
+        cells = self.car.rows[first : first + len(law.GEARS)].reshape(-1)
+        binding = (
+            control.function,
+            [self._measured, cells, self.held, self._gains, self.memory],
+            [self.car.torque, self._next_memory, self._record, self._margins],
         )
-        self._library = compiled_car() if compiled else None
-        if self._library is None:
-            self.functions = [codegen.InterpretedFunction(*binding) for binding in bindings]
+        self._loop = None
+        if self.car.pointer is None:
+            control_law = codegen.InterpretedFunction(*binding)
         else:
-            self.functions = [codegen.CompiledFunction(self._library, *binding) for binding in bindings]
-            self._prepare_loop()
-        for _ in range(2):  # the look-up of contacts uses the irregularities of the rows found before
-            self._look_up()
+            control_law = codegen.CompiledFunction(control.library(), *binding)
+            self._loop = self._structure(control_law)
+        self.functions = self.car.functions | {"law": control_law}
 
     def run(self, n: int) -> np.ndarray:
         """Advance by up to n exchanges.
@@ -119,12 +113,10 @@ class Exchange:
             `ended` is true and `state` is that of the last row.
         """
         rows = np.empty((n, len(self.columns)))
-        done = self._run_python(rows) if self._library is None else self._run_compiled(rows)
+        done = self._run_python(rows) if self._loop is None else self._run_compiled(rows)
         self.exchanges += done
         self.ended = done < n
         return rows[: min(done + 1, n)]
-
-    ended = False
 
     @property
     def time(self) -> float:
@@ -132,75 +124,50 @@ class Exchange:
         return self.exchanges * EXCHANGE_PERIOD
 
     @property
-    def margins(self) -> np.ndarray:
-        """Distance to each limit of the run, `law.law` order: lateral front, lateral rear, track end, speed."""
-        return self._margins
+    def margins(self) -> dict[str, float]:
+        """Distance to each limit of the run, see `law.MARGINS`."""
+        return dict(zip(law.MARGINS, self._margins.tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
         """Arguments x, u, rows, contacts, par of the functions of `equations.car()` at the present state."""
-        self._look_up()
-        return (
-            self.state.copy(),
-            self._command.copy(),
-            self._rows.T.copy(),
-            self._contacts.T.copy(),
-            self._par.copy(),
-        )
+        return self.car.inputs()
 
     def measure(self) -> np.ndarray:
         """Outputs at the present state, in the order of `equations.car().outputs`."""
-        if self._library is None:
-            self._look_up()
-            self.functions[1]()
-        elif self._library.railrepro_measure(*self._surroundings):
-            raise ArithmeticError("the outputs of the car could not be evaluated")
-        return self._y
+        return self.car.measure()
 
-    def _tables(self):
-        for i in range(3):
-            yield self._places[i], self._way, self._way[0, 0], route.CELL, self._rows[i]
-        for i in range(4):
-            yield self._places[3 + i], self._table, *self._table_grid, self._contacts[i]
+    def measured_states(self) -> np.ndarray:
+        """States of front and rear gear as last measured, shape (2, 6), in the order of the control model."""
+        return self.car.outputs[self._states]
 
-    def _look_up(self) -> None:
-        self.functions[0]()
-        for place, cells, start, step, row in self._tables():
-            cell = (place - start) / step
-            row[:] = cells[int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0]
+    def base_torques(self) -> np.ndarray:
+        """Base torque per wheel of front and rear gear (N m), shape (2,)."""
+        return self.memory[self._base]
 
     def _run_python(self, rows: np.ndarray) -> int:
         for k in range(len(rows)):
-            self._look_up()
-            self.functions[1]()
-            self.functions[2]()
-            rows[k] = np.concatenate([self._y, self._record])
+            self._measured[:] = self.car.measure()[self._sensed]
+            self.functions["law"]()
+            rows[k] = np.concatenate([self.car.outputs, self._record])
             if not (self._margins > 0).all() or not np.isfinite(rows[k]).all():
                 return k
-            self.functions[3]()
-            self.state[:], self.memory[:] = self._next_state, self._next_memory
+            self.car.advance()
+            self.memory[:] = self._next_memory
         return len(rows)
 
-    def _prepare_loop(self) -> None:
-        def copies(*pairs):
-            return (_Copy * len(pairs))(
-                *(_Copy(to if to is None else to.ctypes.data, source.ctypes.data, source.size) for to, source in pairs)
-            )
-
-        self._c_calls = (codegen.Call * 4)(*(function.call for function in self.functions))
-        self._c_lookups = (_Lookup * 7)(
-            *(
-                _Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data)
-                for _, cells, start, step, row in self._tables()
-            )
-        )
-        self._c_log = copies((None, self._y), (None, self._record))
-        self._c_carry = copies((self.state, self._next_state), (self.memory, self._next_memory))
-        places, margins = (ctypes.c_void_p(array.ctypes.data) for array in (self._places, self._margins))
-        self._surroundings = self._c_calls, places, self._c_lookups, ctypes.c_longlong(7)
-        self._rest = margins, ctypes.c_longlong(self._margins.size), self._c_log, ctypes.c_longlong(2)
-        self._loop = self._library.railrepro_run
-        self._loop.restype = ctypes.c_longlong
+    def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
+        outputs = self.car.outputs
+        sensed = [_copy(outputs[j : j + 1], self._measured[i : i + 1]) for i, j in enumerate(self._sensed)]
+        logged = [_copy(outputs), _copy(self._record)]
+        carried = [_copy(self._next_memory, self.memory)]
+        self._copies = [(_Copy * len(group))(*group) for group in (sensed, logged, carried)]
+        addresses = (ctypes.addressof(copies) for copies in self._copies)
+        car = ctypes.cast(self.car.pointer, ctypes.c_void_p)
+        return _Loop(
+            car, *self.car.c_functions(), control_law.call, *addresses, *map(len, self._copies),
+            self._margins.ctypes.data, self._margins.size,
+        )  # fmt: skip
 
     def _run_compiled(self, rows: np.ndarray) -> int:
-        count, to, n_carry = ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data), ctypes.c_longlong(2)
-        return self._loop(count, *self._surroundings, *self._rest, to, self._c_carry, n_carry)
+        to = ctypes.c_void_p(rows.ctypes.data)
+        return _library().loop_run(ctypes.byref(self._loop), ctypes.c_longlong(len(rows)), to)

@@ -1,14 +1,12 @@
-"""The multi-rate co-simulation: the car and the fast law at 1 kHz, a lateral controller at its own period.
+"""The multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
 
 Serves the paper's Fig. 4 and section Simulation Environment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -16,10 +14,11 @@ import pandas as pd
 from railrepro.car import equations
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.table import contact_table
-from railrepro.control import law
+from railrepro.control import lateral, law
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.ndi import NDISettings
+from railrepro.control.law import GEARS
 from railrepro.errors import InputError
+from railrepro.model.control_model import X
 from railrepro.simulation.exchange import Exchange
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.route import Route
@@ -27,19 +26,6 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 DERAILED = 0.030
 """Lateral displacement at which a run counts as derailed and ends (m)."""
-GEARS = ("front", "rear")
-
-
-class LateralController(Protocol):
-    """A guidance law of one running gear that runs slower than the exchange."""
-
-    period: float
-
-    def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Differential torque (N m) from the six measured states (SI) and the base torque per wheel (N m)."""
-
-
-Guidance = NDISettings | Callable[[Vehicle, Route, int], LateralController]
 
 
 @dataclass(frozen=True)
@@ -57,7 +43,7 @@ class Run:
     warnings : tuple of str
         Where the run left the validity of the models, one sentence each.
     controllers : tuple
-        The lateral controllers of front and rear gear (empty for the inversion), with their solver statistics.
+        The slower lateral controllers of front and rear gear, if any, with their solver statistics.
     state : ndarray, shape (44,)
         Plant state at the end.
     """
@@ -72,7 +58,7 @@ class Run:
 
 def run(
     scenario: Scenario,
-    guidance: Guidance,
+    guidance: lateral.Guidance,
     *,
     vehicle: Vehicle | None = None,
     plant_vehicle: Vehicle | None = None,
@@ -87,14 +73,15 @@ def run(
     Parameters
     ----------
     scenario : Scenario
-    guidance : NDISettings or callable
-        Settings of the inversion (1 kHz), or a factory (vehicle, route, gear) -> `LateralController`.
+    guidance : LateralLaw or callable
+        A 1 kHz law such as `NDI`, or a factory (vehicle, route, gear) of slower controllers such as `NMPC`; see
+        `railrepro.control.lateral`.
     vehicle : Vehicle, optional
         What the controllers believe; default data/vehicle.toml.
     plant_vehicle : Vehicle, optional
         The car itself; default the same.
     adhesion, estimate, fixed_share : optional
-        Longitudinal law, estimates and allocation, see `law.gain_vector`.
+        Longitudinal law, estimates and allocation, see `law.control_law`.
     irregularities : DataFrame, optional
         See `railrepro.track.route.lay`.
     compiled : bool
@@ -111,25 +98,25 @@ def run(
     """
     vehicle = vehicle or load_vehicle()
     body = plant_vehicle or vehicle
-    way = scenario.route(irregularities)
+    route = scenario.route(irregularities)
     table = contact_table(body.contact.profile, body)
-    ndi = guidance if isinstance(guidance, NDISettings) else None
-    limits = {"lateral": DERAILED, "track_end": way.length, "stop_speed": scenario.stop_speed}
-    gains = law.gain_vector(vehicle, ndi, adhesion, estimate, fixed_share, **limits)
+    lateral_law, factory = lateral.split(guidance)
+    limits = {"lateral": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    control = law.control_law(vehicle, lateral_law, adhesion, estimate, fixed_share, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
-    exchange = Exchange(parameters, table, way, gains, equations.rest_state(body, table, scenario.speed), compiled)
-    controllers = () if ndi else tuple(guidance(vehicle, way, gear) for gear in range(2))
-    log = _drive(exchange, controllers, _longest(way, scenario))
+    exchange = Exchange(parameters, table, route, control, equations.rest_state(body, table, scenario.speed), compiled)
+    controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
+    log = _drive(exchange, controllers, _longest(route, scenario))
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
-    ended, failed = _reason(exchange, series, way)
+    ended, failed = _reason(exchange, series)
     series = series[np.isfinite(series).all(axis=1)]  # the row that is not finite is named in `ended`
     return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy())
 
 
-def _longest(way: Route, scenario: Scenario) -> int:
+def _longest(route: Route, scenario: Scenario) -> int:
     """Most exchanges a run may take: the way at a tenth of the initial speed, at least 10 s."""
-    return int(max(10.0, 10 * way.length / scenario.speed) / EXCHANGE_PERIOD)
+    return int(max(10.0, 10 * route.length / scenario.speed) / EXCHANGE_PERIOD)
 
 
 def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
@@ -140,19 +127,17 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
         raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
     steps = int(min(periods))
-    base = [law.MEMORY.index(f"{gear}.u") for gear in GEARS]
     blocks = []
     for _ in range(0, longest, steps):
-        measured = exchange.measure()
-        if not np.isfinite(measured).all():
+        if not np.isfinite(exchange.measure()).all():
             break
+        states, base = exchange.measured_states(), exchange.base_torques()
         for gear, controller in enumerate(controllers):
-            x_hat = measured[6 * gear : 6 * gear + 6].copy()
-            plan = controller.plan(x_hat, exchange.memory[base[gear]])
+            plan = controller.plan(states[gear], base[gear])
             if not isfinite(plan):
                 raise ArithmeticError(
                     f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {exchange.time:.3f} s, "
-                    f"p = {x_hat[0]:.1f} m"
+                    f"p = {states[gear, X]:.1f} m"
                 )
             exchange.held[gear] = plan
         blocks.append(exchange.run(steps))
@@ -161,20 +146,20 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
     return np.concatenate(blocks)
 
 
-def _reason(exchange: Exchange, series: pd.DataFrame, way: Route) -> tuple[str, bool]:
+def _reason(exchange: Exchange, series: pd.DataFrame) -> tuple[str, bool]:
     """Why a run ended, and whether that is a failure."""
     last = series.iloc[-1]
     at = f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
     broken = [name for name, value in last.items() if not np.isfinite(value)]
     if broken:
         return f"{broken[0]} is not a finite number {at}", True
-    front, rear, track_end, speed = exchange.margins
-    for name, margin in (("front", front), ("rear", rear)):
-        if margin <= 0:
+    margins = exchange.margins
+    for name in GEARS:
+        if margins[f"{name}.lateral"] <= 0:
             return f"{name} gear left the rail, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True
-    if track_end <= 0:
+    if margins["track_end"] <= 0:
         return f"end of the run {at}", False
-    if speed <= 0:
+    if margins["stop_speed"] <= 0:
         return f"stop speed reached {at}", False
     return f"time limit reached {at}", False
 

@@ -28,7 +28,7 @@ from railrepro.contact.table import contact_table
 from railrepro.control import law
 from railrepro.control import problem as ocp
 from railrepro.control.ltv_mpc import LTVMPC
-from railrepro.control.ndi import NDISettings
+from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings, Problem, Tuning
 from railrepro.control.registry import mpc_settings
@@ -55,6 +55,7 @@ KINDS = ("ipopt", "dense", "gauss_newton", "rti", "ltv_mpc")
 WINDOW = 32
 """Successive samples recorded per scenario."""
 HORIZONS = (10, 20, 40, 80, 160)
+_PARTS = {"coordinates": "places", "output": "outputs", "law": "law", "step": "step"}
 
 
 @dataclass(frozen=True)
@@ -272,16 +273,15 @@ def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
         scenario = base.but(speed_kmh=speed_kmh, end_m=max(20.0, speed_kmh / 3.6 * 9))
         exchange, loop = _loop(scenario, vehicle)
         begin = time.perf_counter()
-        run = simulate.run(scenario, NDISettings(), vehicle=vehicle)
+        run = simulate.run(scenario, NDI(), vehicle=vehicle)
         whole = (time.perf_counter() - begin) / run.series["t_s"].iloc[-1]
-        add("car alone", 1e6 * _seconds(exchange.functions[-1]), per_second, speed_kmh)
+        add("car alone", 1e6 * _seconds(exchange.functions["step"]), per_second, speed_kmh)
         add("loop with NDI, adhesion law and log", 1e6 * loop, per_second, speed_kmh)
         add("whole run, Python included", 1e3 * whole, per_second, speed_kmh)
     exchange, loop = _loop(base, vehicle)
     nothing = ca.SX.sym("x")
     overhead = _seconds(codegen.compiled(ca.Function("nothing", [nothing], [nothing])))
-    seconds = [_seconds(function) - overhead for function in exchange.functions]
-    parts = dict(zip(("places", "outputs", "law", "step"), seconds, strict=True))
+    parts = {part: _seconds(exchange.functions[name]) - overhead for name, part in _PARTS.items()}
     for name, seconds in parts.items():
         add(f"share of {name}", seconds / loop, "-")
     add("share of look-up and log", 1 - sum(parts.values()) / loop, "-")
@@ -309,10 +309,10 @@ def _loop(scenario, vehicle: Vehicle, exchanges: int = 1000) -> tuple[Exchange, 
 def _exchange(scenario, vehicle: Vehicle, compiled: bool = True) -> Exchange:
     table = contact_table(vehicle.contact.profile, vehicle)
     limits = {"lateral": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
-    gains = law.gain_vector(vehicle, NDISettings(), **limits)
+    control = law.control_law(vehicle, NDI(), **limits)
     parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
     state = equations.rest_state(vehicle, table, scenario.speed)
-    return Exchange(parameters, table, scenario.route(), gains, state, compiled)
+    return Exchange(parameters, table, scenario.route(), control, state, compiled)
 
 
 def executor_speed(vehicle: Vehicle, particles: int = 24, rounds: int = 2) -> pd.DataFrame:

@@ -76,8 +76,8 @@ class Experiment:
         """The simulation itself."""
         parameters = tuning.load(self.controller)["parameters"] if self.parameters is None else self.parameters
         law = guidance(self.controller, parameters, self.options, **self.changes)
-        way = np.arange(0.0, self.scenario.end_m, CELL)
-        rough = irregularities(way, **self.irregular) if self.irregular else None
+        p = np.arange(0.0, self.scenario.end_m, CELL)
+        rough = irregularities(p, **self.irregular) if self.irregular else None
         return simulate.run(
             self.scenario,
             law,

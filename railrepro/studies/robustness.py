@@ -23,7 +23,7 @@ import pandas as pd
 from scipy import stats
 
 from railrepro import paths
-from railrepro.control.registry import guidance
+from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, guidance, with_r_times
 from railrepro.errors import InputError
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -35,8 +35,6 @@ from railrepro.track.table import build_table, write_table
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, SEED = 128, 2026
-_RTI = {"solver": "rti"}
-_TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
 
 
 def _kept(call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False) -> list[dict]:
@@ -89,9 +87,9 @@ def stability(
         )
         label = {"speed_kmh": speed, "adhesion": name, "drive": drive}
         for factor, period in product(factors, periods_ms):
-            parameters = tuned | {"r": tuned["r"] * factor, "period_ms": period}
+            parameters = with_r_times(tuned, factor) | {"period_ms": period}
             own = label | {"controller": "nmpc", "r_factor": factor, "period_ms": period}
-            experiments.append(Experiment(scenario, "nmpc", own, parameters, _RTI))
+            experiments.append(Experiment(scenario, "nmpc", own, parameters, CONTROLLERS["nmpc"].quick))
         for pole in poles:
             parameters = {"pole": pole, "frequency": pole, "damping": 1.0}
             experiments.append(Experiment(scenario, "ndi", label | {"controller": "ndi", "pole": pole}, parameters))
@@ -160,21 +158,20 @@ def evaluate(sample: Sample) -> dict:
     sine = load_scenario("sine_tracking").but(end_m=300.0, good=sample.good)
 
     def run(scenario, name, parameters):
-        option = _RTI if name == "nmpc" else None
-        variant = {} if name == "ndi" else {"variant": sample.variant}
-        return simulate.run(
-            scenario, guidance(name, parameters, option, **variant), vehicle=vehicle, plant_vehicle=plant
-        )
+        variant = {"variant": sample.variant} if CONTROLLERS[name].preview else {}
+        law = guidance(name, parameters, CONTROLLERS[name].quick, **variant)
+        return simulate.run(scenario, law, vehicle=vehicle, plant_vehicle=plant)
 
     with tempfile.TemporaryDirectory() as folder:
         curve = _curve(sample, folder)
         row = {"number": sample.number}
         chosen = {}
-        for name in _TRIO:
+        for name in PAPER_TRIO:
             base, best = tuning.load(name)["parameters"], np.inf
-            scales = (0.1, 1.0, 10.0) if name != "ndi" else (0.7, 1.0, 1.4)
+            preview = CONTROLLERS[name].preview
+            scales = (0.1, 1.0, 10.0) if preview else (0.7, 1.0, 1.4)
             for scale in scales:
-                keys = ("r",) if name != "ndi" else ("pole", "frequency")
+                keys = ("r",) if preview else ("pole", "frequency")
                 parameters = base | {key: base[key] * scale for key in keys}
                 runs = {s.name: run(s, name, parameters) for s in (curve, sine)}
                 cost = sum(tuning.scenario_cost(runs[s.name], s, task.cost)[0] for s in (curve, sine))
@@ -190,7 +187,7 @@ def evaluate(sample: Sample) -> dict:
                 f"{name}.sine160": metrics.rmse(run(sine.but(speed_kmh=160.0), name, parameters=chosen[name]).series),
             }
         brake = load_scenario("braking").but(speed_kmh=80.0, good=sample.good, end_m=900.0)
-        soft = chosen["nmpc"] | {"r": 100 * chosen["nmpc"]["r"]}
+        soft = with_r_times(chosen["nmpc"], 100)
         for label, name, parameters in (
             ("ndi", "ndi", chosen["ndi"]),
             ("nmpc", "nmpc", chosen["nmpc"]),
@@ -200,7 +197,7 @@ def evaluate(sample: Sample) -> dict:
             row |= {f"brake.{label}.rmse": metrics.rmse(done.series), f"brake.{label}.failed": bool(done.failed)}
             row |= {f"brake.{label}.distance": metrics.stopping_distance(done.series)}
         loss = load_scenario("adhesion_loss").but(end_m=450.0)
-        lost = run(loss, "nmpc", chosen["nmpc"] | {"r": 10 * chosen["nmpc"]["r"]})  # as in the adhesion notebook
+        lost = run(loss, "nmpc", with_r_times(chosen["nmpc"], EMPHASIS))  # as in the adhesion notebook
         values = metrics.longitudinal(lost.series, loss, plant)
         row |= {"loss.failed": bool(lost.failed), "loss.slip": values["largest_slip"][0]}
         row |= {"loss.utilisation": values["utilisation"][0]}
@@ -217,7 +214,7 @@ def _limits() -> dict[str, float]:
 def _holds(t: pd.DataFrame) -> dict[str, pd.Series]:
     """For each claim that the samples can answer: whether it holds, per sample."""
     limit = _limits()
-    n, p, d = (f"{name}." for name in _TRIO)
+    n, p, d = (f"{name}." for name in PAPER_TRIO)
     ok = ~t[n + "failed"].astype(bool)
     curve = {name: t[name + "curve"].where(~t[name + "failed"].astype(bool), np.inf) for name in (n, p, d)}
     slope = {name: t[name + "sine400"] - t[name + "sine160"] for name in (n, p, d)}

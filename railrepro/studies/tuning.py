@@ -94,8 +94,7 @@ class Evaluation:
         The last scenario, the hardest, comes first. Once a run has failed and the sum so far is beyond `limit`, the
         rest is left out and counts nothing: the cost is then a lower bound.
         """
-        options = {"solver": "rti"} if self.controller == "nmpc" else None
-        law = guidance(self.controller, parameters, options)
+        law = guidance(self.controller, parameters, CONTROLLERS[self.controller].quick)
         costs, parts, failed, number = [], [], False, len(self.task.scenarios)
         for scenario in reversed(self.task.scenarios):
             try:

@@ -97,9 +97,7 @@ def solve(
     free = np.full(_N * steps, np.inf)
     low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
     high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
-    p = np.concatenate(
-        [x_d.ravel(), horizon.theta[:-1].ravel(), parameters, s.tuning(), [horizon.u_d]]
-    )
+    p = np.concatenate([x_d.ravel(), horizon.theta[:-1].ravel(), parameters, s.tuning(), [horizon.u_d]])
     defects = np.zeros(_N * steps)
     found = function(
         x0=start, p=p, lbx=low, ubx=high,

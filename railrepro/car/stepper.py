@@ -1,0 +1,176 @@
+"""The car on a route, one exchange at a time: what a loop needs of it, compiled where there is a C compiler.
+
+`car.c` runs over the generated functions; without a compiler the same runs in Python over the same functions in
+CasADi's virtual machine, slower, with equal results up to rounding. Serves the paper's section Simulation Environment.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from functools import lru_cache, partial
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from railrepro.car import equations
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.compile import codegen
+from railrepro.contact.table import ContactTable
+from railrepro.track.route import CELL, COLUMNS, INDEX, Route
+
+
+class _Lookup(ctypes.Structure):
+    _fields_ = [
+        ("cells", ctypes.c_void_p),
+        ("start", ctypes.c_double),
+        ("step", ctypes.c_double),
+        ("n", ctypes.c_longlong),
+        ("width", ctypes.c_longlong),
+        ("row", ctypes.c_void_p),
+    ]
+
+
+class _Car(ctypes.Structure):
+    _fields_ = [
+        *((name, codegen.Call) for name in ("coordinates", "output", "step")),
+        ("places", ctypes.c_void_p),
+        ("lookups", ctypes.c_void_p),
+        ("n_lookups", ctypes.c_longlong),
+        ("state", ctypes.c_void_p),
+        ("next", ctypes.c_void_p),
+        ("n_states", ctypes.c_longlong),
+    ]
+
+
+def functions() -> tuple[ca.Function, ca.Function, ca.Function]:
+    """The functions behind a step: coordinates, output, step."""
+    car = equations.car()
+    return car.coordinates, car.output, car.step
+
+
+def c_text() -> str:
+    """Hand-written C around the generated functions."""
+    return Path(codegen.__file__).with_name("call.h").read_text() + Path(__file__).with_name("car.c").read_text()
+
+
+@lru_cache(maxsize=1)
+def library() -> ctypes.CDLL | None:
+    """The car as a shared object; None without a C compiler."""
+    loaded = codegen.library(functions(), c_text())
+    if loaded is not None:
+        loaded.car_run.restype = ctypes.c_longlong
+    return loaded
+
+
+class CarStepper:
+    """Buffers of one car on one route, and what advances them.
+
+    Attributes
+    ----------
+    state, next_state : ndarray, shape (44,)
+        Plant state, see `equations.STATES`; `state` is writable.
+    torque : ndarray, shape (4,)
+        Motor torque commands of `equations.WHEELS`, traction-positive (N m); writable.
+    period : ndarray, shape (1,)
+        Step (s); writable.
+    rows : ndarray, shape (3, len(route.COLUMNS))
+        Track cells of `equations.BODIES`.
+    contacts : ndarray, shape (4, 21)
+        Contact cells of `equations.WHEELS`.
+    outputs : ndarray
+        Values of `equations.car().outputs` as last measured.
+    functions : dict
+        The functions on these buffers by name: coordinates, output, step.
+    pointer : ctypes pointer or None
+        The car for the functions of `car.c`; None without compiled code.
+    """
+
+    def __init__(self, parameters, table: ContactTable, route: Route, state, compiled: bool = True):
+        self.state, self.torque = np.array(state, dtype=float), np.zeros(len(equations.WHEELS))
+        self.next_state, self.period = np.zeros_like(self.state), np.array([EXCHANGE_PERIOD])
+        self.rows = np.zeros((len(equations.BODIES), len(COLUMNS)))
+        self.contacts = np.zeros((len(equations.WHEELS), equations.CONTACT_COLUMNS))
+        self.parameters = np.array(parameters, dtype=float)
+        self._places, self.outputs = np.zeros(len(self.rows) + len(self.contacts)), np.zeros(_size("output", 0))
+        self._cells, self._contact_cells = (np.ascontiguousarray(cells) for cells in (route.cells, table.cells()))
+        self._contact_grid = table.start, table.step
+        common = [self.state, self.torque, self.rows.reshape(-1), self.contacts.reshape(-1), self.parameters]
+        bindings = {
+            "coordinates": ([self.state, self.rows.reshape(-1), self.parameters], [self._places]),
+            "output": (common, [self.outputs]),
+            "step": ([*common, self.period], [self.next_state, np.zeros(_size("step", 1))]),
+        }
+        self._library = library() if compiled else None
+        form = codegen.InterpretedFunction
+        if self._library is not None:
+            form = partial(codegen.CompiledFunction, self._library)
+        self.functions = {name: form(getattr(equations.car(), name), *binding) for name, binding in bindings.items()}
+        self.pointer = None if self._library is None else ctypes.byref(self._structure())
+        for _ in range(2):  # the look-up of contacts uses the irregularities of the rows found before
+            self.look_up()
+
+    def _tables(self) -> Iterator[tuple]:
+        """Place, cells, start and step (m) of their grid, and the buffer of the cell, for each look-up."""
+        own = (self._cells, self._cells[0, INDEX["p"]], CELL), (self._contact_cells, *self._contact_grid)
+        tables = [own[0]] * len(self.rows) + [own[1]] * len(self.contacts)
+        for place, (cells, start, step), row in zip(self._places, tables, [*self.rows, *self.contacts], strict=True):
+            yield place, cells, start, step, row
+
+    def _structure(self) -> _Car:
+        tables = [
+            _Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data)
+            for _, cells, start, step, row in self._tables()
+        ]
+        self._lookups = (_Lookup * len(tables))(*tables)
+        calls = (function.call for function in self.functions.values())
+        places, lookups = self._places.ctypes.data, ctypes.addressof(self._lookups)
+        state, following = self.state.ctypes.data, self.next_state.ctypes.data
+        return _Car(*calls, places, lookups, len(tables), state, following, self.state.size)
+
+    def c_functions(self) -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
+        """Addresses of `car_measure` and `car_advance` for callers written in C."""
+        return tuple(ctypes.cast(f, ctypes.c_void_p) for f in (self._library.car_measure, self._library.car_advance))
+
+    def look_up(self) -> None:
+        """Cells of track and contacts at the present state."""
+        if self.pointer is not None:
+            self._library.car_look_up(self.pointer)
+            return
+        self.functions["coordinates"]()
+        for place, cells, start, step, row in self._tables():
+            cell = (place - start) / step
+            row[:] = cells[int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0]
+
+    def measure(self) -> np.ndarray:
+        """Outputs at the present state, in the order of `equations.car().outputs`."""
+        self.look_up()
+        self.functions["output"]()
+        return self.outputs
+
+    def advance(self) -> None:
+        """One step from where the car was looked up last."""
+        self.functions["step"]()
+        self.state[:] = self.next_state
+
+    def run(self, n: int, largest: float) -> int:
+        """Up to n steps with the torques held, as long as each state stays below `largest`; how many were taken."""
+        if self.pointer is not None:
+            return self._library.car_run(self.pointer, ctypes.c_longlong(n), ctypes.c_double(largest))
+        for k in range(n):
+            self.look_up()
+            self.functions["step"]()
+            if not (np.abs(self.next_state) < largest).all():
+                return k
+            self.state[:] = self.next_state
+        return n
+
+    def inputs(self) -> tuple[np.ndarray, ...]:
+        """Arguments x, u, rows, contacts, par of the functions of `equations.car()` at the present state, copied."""
+        self.look_up()
+        return tuple(a.copy() for a in (self.state, self.torque, self.rows.T, self.contacts.T, self.parameters))
+
+
+def _size(function: str, result: int) -> int:
+    return getattr(equations.car(), function).nnz_out(result)
