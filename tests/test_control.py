@@ -9,7 +9,6 @@ import pytest
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
 from railrepro.control.ltv_mpc import LTVMPC
-from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
@@ -89,23 +88,23 @@ def vehicle():
 
 def recorded_problems(vehicle, name="curve_entry_T3", count=12, u_d=0.0, scale=1.0):
     """Problems at random states along a scenario."""
-    way = scenarios.load_scenario(name).route()
-    controller = NMPC(vehicle, way, 0, MPCSettings())
+    route = scenarios.load_scenario(name).route()
+    controller = NMPC(vehicle, route, 0, MPCSettings())
     generator, speed = np.random.default_rng(7), scenarios.load_scenario(name).speed
     problems = []
     for p in np.linspace(10, 500, count):
-        psi, kappa = way.track_at(p)[:2, 0]
+        psi, kappa = route.track_at(p)[:2, 0]
         psi_r = generator.normal(0, 2e-4) * scale
         y = generator.normal(0, 2e-3) * scale
         problems.append(controller.problem(np.array([p, psi + psi_r, speed, kappa * speed, y, psi_r]), u_d))
-    return way, problems
+    return route, problems
 
 
 @pytest.mark.parametrize(("u_d", "scale"), [(0.0, 1.0), (-3950.0, 4.0), (3990.0, 6.0)])
 def test_fast_path_finds_the_optimum_of_ipopt(vehicle, u_d, scale):
-    way, problems = recorded_problems(vehicle, count=4, u_d=u_d, scale=scale)
+    route, problems = recorded_problems(vehicle, count=4, u_d=u_d, scale=scale)
     for problem in problems:
-        fast, reference = (NMPC(vehicle, way, 0, MPCSettings(), solver=s) for s in ("gauss_newton", "ipopt"))
+        fast, reference = (NMPC(vehicle, route, 0, MPCSettings(), solver=s) for s in ("gauss_newton", "ipopt"))
         start = np.zeros(problem.settings.steps)
         ours, exact = fast.optimise(problem, start)[0], reference.optimise(problem, start)[0]
         assert np.abs(ours - exact).max() < 1e-4 * LIMIT
@@ -117,36 +116,38 @@ def test_fast_path_finds_the_optimum_of_ipopt(vehicle, u_d, scale):
 
 
 def test_bounded_torques_are_used_when_they_must(vehicle):
-    way, problems = recorded_problems(vehicle, count=3, u_d=-3990.0, scale=6.0)
-    active = [np.abs(NMPC(vehicle, way, 0).optimise(p, np.zeros(30))[0]).max() > 0.999 * p.bound for p in problems]
+    route, problems = recorded_problems(vehicle, count=3, u_d=-3990.0, scale=6.0)
+    active = [np.abs(NMPC(vehicle, route, 0).optimise(p, np.zeros(30))[0]).max() > 0.999 * p.bound for p in problems]
     assert any(active)
 
 
 def test_lateral_bound_yields_instead_of_failing(vehicle):
-    way, problems = recorded_problems(vehicle, count=3, scale=8.0)
+    route, problems = recorded_problems(vehicle, count=3, scale=8.0)
     for problem in problems:
         tight = replace(problem, settings=replace(problem.settings, lateral_bound=1e-3))
-        du, _ = NMPC(vehicle, way, 0, tight.settings).optimise(tight, np.zeros(30))
+        du, _ = NMPC(vehicle, route, 0, tight.settings).optimise(tight, np.zeros(30))
         assert np.isfinite(du).all()
 
 
 def test_ltv_equals_nmpc_at_small_angles(vehicle):
-    way, problems = recorded_problems(vehicle)
+    route, problems = recorded_problems(vehicle)
     for problem in problems:
-        linear = LTVMPC(vehicle, way, 0).optimise(problem, np.zeros(30))[0]
-        nonlinear = NMPC(vehicle, way, 0).optimise(problem, np.zeros(30))[0]
+        linear = LTVMPC(vehicle, route, 0).optimise(problem, np.zeros(30))[0]
+        nonlinear = NMPC(vehicle, route, 0).optimise(problem, np.zeros(30))[0]
         assert np.abs(linear - nonlinear).max() < 0.05 * max(np.abs(nonlinear).max(), 50)
 
 
 def test_printed_linearisation_differs_in_a_curve(vehicle):
-    way, problems = recorded_problems(vehicle)
-    ours, printed = (LTVMPC(vehicle, way, 0, printed=p).optimise(problems[-1], np.zeros(30))[0] for p in (False, True))
+    route, problems = recorded_problems(vehicle)
+    ours, printed = (
+        LTVMPC(vehicle, route, 0, printed=p).optimise(problems[-1], np.zeros(30))[0] for p in (False, True)
+    )
     assert np.abs(ours - printed).max() > 10
 
 
 def test_a_failing_solver_falls_back_on_the_shifted_plan(vehicle, monkeypatch):
-    way, problems = recorded_problems(vehicle, count=1)
-    controller = NMPC(vehicle, way, 0)
+    route, problems = recorded_problems(vehicle, count=1)
+    controller = NMPC(vehicle, route, 0)
     controller.plan(problems[0].x_hat, 0.0)
     planned = controller.plan_du.copy()
     monkeypatch.setattr(controller, "solve", lambda du: (du * np.nan, 1))
@@ -155,28 +156,23 @@ def test_a_failing_solver_falls_back_on_the_shifted_plan(vehicle, monkeypatch):
 
 
 def test_forecast_drives_both_wheels_and_stops_at_rest(vehicle):
-    way = scenarios.load_scenario("braking").route()
+    route = scenarios.load_scenario("braking").route()
     x = np.array([100.0, 0, 40.0, 0, 0, 0])
     here = nominal_values(vehicle, 0)
-    rate = np.diff(forecast(way, here, x, -1000.0, 0.02, 20).x_d[:, 2]) / 0.02
+    rate = np.diff(forecast(route, here, x, -1000.0, 0.02, 20).x_d[:, 2]) / 0.02
     assert rate == pytest.approx(-2000 / vehicle.wheel.radius / vehicle.effective_longitudinal_mass)
-    printed = forecast(way, nominal_values(vehicle, 0, printed=True), x, -1000.0, 0.02, 20)
+    printed = forecast(route, nominal_values(vehicle, 0, printed=True), x, -1000.0, 0.02, 20)
     assert printed.x_d[-1, 2] > x[2]
     x[2] = 0.1
-    assert forecast(way, here, x, -4000.0, 0.02, 50).x_d[:, 2].min() == pytest.approx(0.0, abs=1e-12)
+    assert forecast(route, here, x, -4000.0, 0.02, 50).x_d[:, 2].min() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_forecast_at_rest_and_coasting_is_finite(vehicle):
-    way = scenarios.load_scenario("curve_entry_T3").route()
-    ahead = forecast(way, nominal_values(vehicle, 1), np.array([300.0, 0.02, 77.0, 0.01, 0, 0]), 0.0, 0.01, 10)
+    route = scenarios.load_scenario("curve_entry_T3").route()
+    ahead = forecast(route, nominal_values(vehicle, 1), np.array([300.0, 0.02, 77.0, 0.01, 0, 0]), 0.0, 0.01, 10)
     assert np.isfinite(ahead.x_d).all()
-    partner = way.track_at(ahead.x_d[:, 0] + vehicle.body.gear_spacing)[0]
+    partner = route.track_at(ahead.x_d[:, 0] + vehicle.body.gear_spacing)[0]
     assert ahead.theta[:, 6] == pytest.approx((ahead.theta[:, 0] + partner) / 2)
-
-
-def test_gains_of_a_triple_pole():
-    gains = NDI(pole=10, frequency=10, damping=1.0).gains()
-    assert [gains[k] for k in ("k0", "k1", "k2")] == pytest.approx([1000, 300, 30])
 
 
 def test_unknown_solver_is_refused(vehicle):
@@ -185,8 +181,8 @@ def test_unknown_solver_is_refused(vehicle):
 
 
 def test_real_time_iteration_survives_a_broken_measurement(vehicle):
-    way, problems = recorded_problems(vehicle, count=2)
-    controller = NMPC(vehicle, way, 0, solver="rti")
+    route, problems = recorded_problems(vehicle, count=2)
+    controller = NMPC(vehicle, route, 0, solver="rti")
     controller.plan(problems[0].x_hat, 0.0)
     broken = problems[0].x_hat * np.nan
     assert np.isfinite(controller.plan(broken, 0.0))

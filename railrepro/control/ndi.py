@@ -95,7 +95,10 @@ def wanted_jerk(gear: dict, road: dict, integral, gain: dict):
 def inverse(jerk, gear: dict, road: dict, model: dict):
     """Differential torque (N m) under which y has a third derivative (m/s^3); see `wanted_jerk`.
 
-    Source: exact linearisation of the corrected yaw equation (`railrepro.model.derivation.linearised_yaw_equation`).
+    The weight's yaw stiffness, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
+    radii are left out.
+
+    Source: corrected yaw equation to first order (`railrepro.model.derivation.linearised_yaw_equation`).
     """
     v, vdot = gear["xdot"], gear["xddot"]
     ydot, psidot_r = v * gear["psi_TrAx"], gear["psidot_Ax"] - v * road["dpsi_dp"]

@@ -15,6 +15,7 @@ from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
+from railrepro.model.control_model import STATES
 
 MOST_STEPS, LEAST_STEPS = 100, 5
 """Range of the horizon length L in tuning."""
@@ -50,8 +51,8 @@ def mpc_settings(parameters: dict) -> MPCSettings:
     p = dict(parameters)
     period = 1e-3 * p.pop("period_ms")
     steps = min(max(round(p.pop("horizon_s") / period), LEAST_STEPS), MOST_STEPS)
-    weights = (0.0, 0.0, 0.0, p.pop("q_psidot_Ax"), 1.0, p.pop("q_psi_TrAx"))
-    return MPCSettings(q_diag=weights, period=period, steps=steps, **p)
+    weights = {"psidot_Ax": p.pop("q_psidot_Ax"), "y_TrAx": 1.0, "psi_TrAx": p.pop("q_psi_TrAx")}
+    return MPCSettings(tuple(weights.get(name, 0.0) for name in STATES), period=period, steps=steps, **p)
 
 
 @dataclass(frozen=True)

@@ -134,8 +134,9 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     call = codegen.compiled(_exchange().map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, friction, case = call.arguments
     start = np.zeros((len(cases), len(_STATE)))
-    start[:, 1] = speed
-    start[:, 0] = start[:, 1] / vehicle.wheel.radius
+    spin, running = _STATE.index("w"), _STATE.index("v")
+    start[:, running] = speed
+    start[:, spin] = start[:, running] / vehicle.wheel.radius
     state[:], case[:] = start.ravel(), np.array(columns).ravel()
     log = np.empty((len(demand), len(cases), len(_OUTPUT)))
     for k in range(len(demand)):

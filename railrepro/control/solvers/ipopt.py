@@ -19,7 +19,8 @@ from railrepro.model.derivation import PARAMETERS
 
 _N = len(STATES)
 _SCALES = {"x": 1.0, "psi_Ax": 1e-2, "xdot": 1.0, "psidot_Ax": 1e-2, "y_TrAx": 1e-3, "psi_TrAx": 1e-3}
-_SCALE = np.array([_SCALES[name] for name in STATES])
+SCALE = np.array([_SCALES[name] for name in STATES])
+"""Deviations of the states are optimised in these units."""
 SLACK = 1e-3
 """Slacks are optimised in mm (m)."""
 
@@ -34,12 +35,12 @@ def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
     z, du, slack = ca.MX.sym("z", _N, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
     x_d, theta = ca.MX.sym("x_d", _N, steps + 1), ca.MX.sym("theta", len(THETA), steps)
     par, tuning, u_d = ca.MX.sym("par", len(PARAMETERS)), ca.MX.sym("tuning", len(TUNING)), ca.MX.sym("u_d")
-    t, states = Tuning.of(tuning), x_d + ca.repmat(ca.DM(_SCALE), 1, steps + 1) * z
+    t, states = Tuning.of(tuning), x_d + ca.repmat(ca.DM(SCALE), 1, steps + 1) * z
     cost, defects, sides = 0, [], []
     for k in range(steps):
         x, x_plus, torque = states[:, k], states[:, k + 1], UNIT * du[k]
         x_next, *_ = step(x, torque, u_d, theta[:, k], par, t.period, 1)
-        defects.append((x_next - x_plus) / _SCALE)
+        defects.append((x_next - x_plus) / SCALE)
         of_state = problem.terminal_cost if k == steps - 1 else problem.stage_cost
         cost += of_state(x_plus, x_d[:, k + 1], SLACK * slack[k], t) + problem.effort_cost(torque, t)
         sides += [excess / SLACK - slack[k] for excess in problem.lateral_excess(x_plus, t)]
@@ -91,9 +92,9 @@ def solve(
     """
     s, steps = horizon.settings, horizon.settings.steps
     x_d, bound = horizon.x_d, horizon.bound / UNIT
-    deviation = (horizon.x - x_d) / _SCALE
+    deviation = (horizon.x - x_d) / SCALE
     start = np.concatenate([deviation.ravel(), du / UNIT, np.zeros(steps)])
-    initial = (horizon.x_hat - x_d[0]) / _SCALE
+    initial = (horizon.x_hat - x_d[0]) / SCALE
     free = np.full(_N * steps, np.inf)
     low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
     high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
@@ -108,5 +109,5 @@ def solve(
         raise ArithmeticError(f"Ipopt ended with {stats['return_status']}")
     solution = np.array(found["x"]).ravel()
     deviation, torques, _ = np.split(solution, [_N * (steps + 1), _N * (steps + 1) + steps])
-    horizon.x[:] = x_d + deviation.reshape(steps + 1, _N) * _SCALE
+    horizon.x[:] = x_d + deviation.reshape(steps + 1, _N) * SCALE
     return UNIT * torques, stats["iter_count"]

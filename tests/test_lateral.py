@@ -1,0 +1,163 @@
+"""Guidance laws: own ones at 1 kHz and slower ones, refusals, and the inversion against the control model."""
+
+import re
+import subprocess
+import sys
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro import paths
+from railrepro.control import lateral, law, ndi
+from railrepro.control.ndi import NDI
+from railrepro.control.nmpc import NMPC
+from railrepro.errors import InputError
+from railrepro.model.control_model import STATES, THETA, X, Y, control_model
+from railrepro.simulation import scenarios, simulate
+from railrepro.vehicle.parameters import load_vehicle
+
+
+class Own:
+    """A law whose torque is given; for everything else it is well formed."""
+
+    memory = ("past",)
+
+    def __init__(self, torque, gains=None):
+        self._torque, self._gains = torque, gains or {"k": 1.0}
+
+    def gains(self):
+        return self._gains
+
+    def torque(self, gear, road, memory, gain, model):
+        return self._torque(gear, gain), {"past": gear["y_TrAx"]}
+
+
+def blocks(heading):
+    """Fenced Python blocks of a section of the README."""
+    section = (paths.ROOT / "README.md").read_text().split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    return re.findall(r"```python\n(.*?)```", section, flags=re.DOTALL)
+
+
+def test_the_examples_of_the_readme_run_as_they_stand():
+    names = {}
+    for block in blocks("How to add"):
+        exec(compile(block, "README.md", "exec"), names)
+        assert not names["run"].failed
+        assert names["run"].ended.startswith("end of the run")
+    assert {"StateFeedback", "Preview"} <= set(names)
+    fast, slow = (lateral.kind(names["StateFeedback"](pole=pole)) for pole in (20.0, 40.0))
+    assert fast == slow, "one compiled object must serve both tunings"
+
+
+def test_a_constant_of_an_own_law_is_not_taken_from_another_one():
+    torques = []
+    for stiffness in (1e4, 3e4):
+        own = Own(lambda gear, gain, stiffness=stiffness: -stiffness * gear["psi_TrAx"] - 1e2)
+        run = simulate.run(scenarios.load_scenario("curve_entry_T3").but(end_m=10.0), own)
+        torques.append(run.series["front.du"] + 1e2)
+    assert np.allclose(torques[1].iloc[1], 3 * torques[0].iloc[1], rtol=1e-3)
+
+
+def test_a_1_khz_law_may_use_what_a_slower_controller_hands_in():
+    class Both(lateral.Held):
+        def __call__(self, vehicle, route, gear):
+            return NMPC(vehicle, route, gear)
+
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=15.0)
+    assert simulate.run(scenario, Both()).series.equals(simulate.run(scenario, NMPC).series)
+
+
+@pytest.mark.parametrize(
+    ("guidance", "sentence"),
+    [
+        (
+            Own(lambda gear, gain: ca.vertcat(gear["y_TrAx"], 1)),
+            r"law Own: its torque is an expression of shape \(2, 1\)",
+        ),
+        (Own(lambda gear, gain: "left"), "law Own: its torque is 'left', a scalar expression is needed"),
+        (Own(lambda gear, gain: None), "law Own: its torque is None, a scalar expression is needed"),
+        (Own(lambda gear, gain: gain["d"]), r"law Own: there is no gain 'd'; there are \['k'\]"),
+        (Own(lambda gear, gain: gear["yaw"]), "law Own: there is no gear state 'yaw'; there are .*'psi_Ax'"),
+        (Own(lambda gear, gain: ca.SX.sym("z")), r"law Own: the symbols \[.*z.*\] are not given to torque"),
+        (Own(lambda gear, gain: 0, {"k": float("nan")}), "law Own: gain 'k' is nan, a finite number is needed"),
+        (Own(lambda gear, gain: 0, {"k": "much"}), "law Own: gain 'k' is 'much', a finite number is needed"),
+        (Own, "a factory .* is needed"),
+        ("nmpc", "guidance 'nmpc': an object with gains"),
+    ],
+)
+def test_an_own_law_that_is_not_well_formed_is_refused_in_one_sentence(guidance, sentence):
+    with pytest.raises(InputError, match=sentence) as refusal:
+        simulate.run(scenarios.load_scenario("sine_tracking").but(end_m=30.0), guidance)
+    assert "\n" not in str(refusal.value)
+
+
+def test_memory_that_is_not_declared_is_refused():
+    class Forgetful(Own):
+        memory = ()
+
+    with pytest.raises(InputError, match=r"law Forgetful: torque\(\) gave memory \['past'\], declared is \[\]"):
+        lateral.kind(Forgetful(lambda gear, gain: 0.0))
+
+
+def jerk_of_the_model(vehicle, x, theta, ddpsi_dp, u_d, du):
+    """Third time derivative of y along the control model, as the track passes by, with torques held."""
+    state = ca.SX.sym("state", len(STATES))
+    here = {"psi_Tr": theta["psi_Tr"] + theta["dpsi_dp"] * state[X], "dpsi_dp": theta["dpsi_dp"] + ddpsi_dp * state[X]}
+    track = ca.vertcat(*((theta | here)[name] for name in THETA))
+    model = control_model()
+    parameters = dict(zip(model.parameters, model.parameter_vector(vehicle), strict=True)) | {"g": 0.0}
+    rate = model.rhs(state, ca.vertcat(u_d - du, u_d + du), track, np.array(list(parameters.values())))
+    derivative = state[Y]
+    for _ in range(3):
+        derivative = ca.jtimes(derivative, state, rate)
+    return ca.substitute(derivative, state, x)
+
+
+@pytest.mark.parametrize("speed", [40 / 3.6, 400 / 3.6])
+@pytest.mark.parametrize(("base_torque", "tolerance"), [(0.0, 1e-9), (-2500.0, 5e-3)])
+def test_the_inversion_inverts_the_control_model(speed, base_torque, tolerance):
+    """To first order in all lateral quantities, which `scale` multiplies, the wanted third derivative of y comes out.
+
+    The inversion leaves out the yaw stiffness of the weight (one hundredth of the spring's), so the model is taken
+    without gravity, and the moment of a base torque on unequal radii, so it is exact when rolling freely only.
+    """
+    vehicle, generator, scale = load_vehicle(), np.random.default_rng(3), ca.SX.sym("scale")
+
+    def lateral_quantity(size):
+        return scale * generator.normal(0, size)
+
+    x = {"x": 0.0, "xdot": speed, "psi_TrAx": lateral_quantity(1e-3), "y_TrAx": lateral_quantity(3e-3)}
+    x |= {"psidot_Ax": lateral_quantity(0.05)}
+    theta = {"psi_Tr": lateral_quantity(0.1), "dpsi_dp": lateral_quantity(1e-3), "phi_Tr": lateral_quantity(0.1)}
+    theta |= {"dphi_dp": lateral_quantity(1e-3), "eps_Tr": 0.0, "deps_dp": 0.0, "m_CB": vehicle.body.mass}
+    theta |= {"psi_CB": theta["psi_Tr"] + lateral_quantity(2e-3), "dpsi_dp_CB": lateral_quantity(1e-3)}
+    x["psi_Ax"] = theta["psi_Tr"] + x["psi_TrAx"]
+    extra = {name: lateral_quantity(size) for name, size in (("ddpsi_dp", 1e-5), ("y_ref", 3e-3), ("dy_ref", 1e-4))}
+    extra |= {"ddy_ref": lateral_quantity(1e-5), "dddy_ref": lateral_quantity(1e-6)}
+
+    control = law.control_law(vehicle, NDI(derivatives=3, integral=0.2), lateral=1.0, track_end=1.0, stop_speed=0.0)
+    numbers = dict(zip(law.gain_names(control.kind), control.gains.tolist(), strict=True))
+    gain, model = ({name.partition(".")[2]: value for name, value in numbers.items() if name.startswith(f"{group}.")}
+                   for group in ("lateral", "model"))  # fmt: skip
+    gear = x | {"xddot": 2 * base_torque / (model["r_0"] * model["m_x_eff"]), "held": 0.0}
+    integral = lateral_quantity(1e-4)
+    du, _ = NDI().torque(gear, theta | extra, {"integral": integral}, gain, model)
+    wanted = ndi.wanted_jerk(gear, theta | extra, integral, gain)
+    state = ca.vertcat(*(x[name] for name in STATES))
+    found = jerk_of_the_model(vehicle, state, theta, extra["ddpsi_dp"], base_torque, du)
+    slopes = ca.Function("slopes", [scale], [ca.jacobian(wanted, scale), ca.jacobian(found, scale)])
+    first_order = [float(slope) for slope in slopes(0.0)]
+    assert first_order[1] == pytest.approx(first_order[0], rel=tolerance)
+
+
+def test_gains_of_a_triple_pole():
+    gains = NDI(pole=10, frequency=10, damping=1.0).gains()
+    assert [gains[k] for k in ("k0", "k1", "k2")] == pytest.approx([1000, 300, 30])
+
+
+def test_the_car_knows_nothing_of_control():
+    loaded = "import sys, railrepro.car.component, railrepro.car.fmu; print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()
+    assert "railrepro.car.component" in modules
+    assert not [name for name in modules if name.startswith(("railrepro.control", "railrepro.simulation"))]

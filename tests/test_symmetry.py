@@ -1,0 +1,61 @@
+"""Whole runs do not depend on where the track points to, nor on which side is left."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from railrepro.control.registry import CONTROLLERS
+from railrepro.simulation import metrics, scenarios, simulate
+from railrepro.studies.tuning import tuned
+from railrepro.track.route import INDEX
+
+ODD = ("psi", "kappa", "dkappa", "phi", "dphi", "y", "lateral", "dlateral", "crosslevel", "dcrosslevel")
+ODD += ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")
+
+
+def turned(route, angle=0.1):
+    """The route with its whole track turned about its origin."""
+    cells = route.cells.copy()
+    x, y = cells[:, INDEX["x"]].copy(), cells[:, INDEX["y"]].copy()
+    cells[:, INDEX["psi"]] += angle
+    cells[:, INDEX["x"]] = np.cos(angle) * x - np.sin(angle) * y
+    cells[:, INDEX["y"]] = np.sin(angle) * x + np.cos(angle) * y
+    return replace(route, cells=cells)
+
+
+def mirrored(route):
+    """The route with left and right exchanged."""
+    cells = route.cells.copy()
+    cells[:, [INDEX[name] for name in ODD]] *= -1
+    sides = [INDEX["poor_le"], INDEX["poor_ri"]]
+    cells[:, sides] = cells[:, sides[::-1]]
+    return replace(route, cells=cells)
+
+
+def drive(name, change, monkeypatch):
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=150.0)
+    original = type(scenario).route
+    with monkeypatch.context() as patched:
+        patched.setattr(type(scenario), "route", lambda self, rough=None: change(original(self, rough)))
+        return simulate.run(scenario, tuned(name, CONTROLLERS[name].quick)).series
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_heading_of_the_track_does_not_matter_but_to_the_printed_linearisation(name, monkeypatch):
+    """The printed LTV-MPC linearises at psi_Ax = 0 (D6), so it must change."""
+    straight, turn = (metrics.rmse(drive(name, change, monkeypatch)) for change in (lambda route: route, turned))
+    if name == "ltv_mpc_printed":
+        assert abs(turn / straight - 1) > 1e-2
+    else:
+        assert turn == pytest.approx(straight, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["nmpc", "ndi_integral"])
+def test_a_closed_loop_run_on_the_mirrored_track_is_its_mirror_image(name, monkeypatch):
+    right, left = (drive(name, change, monkeypatch) for change in (lambda route: route, mirrored))
+    for column in ("front.y", "front.du", "rear.du", "rear.psi_TrAx"):
+        scale = right[column].abs().max()
+        assert np.abs(right[column] + left[column]).max() < 1e-7 * scale
+    assert np.abs(right["front_le.N"] - left["front_ri.N"]).max() < 1e-2
+    assert right["front.y"].abs().max() > 1e-3
