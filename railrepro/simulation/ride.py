@@ -520,7 +520,8 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
             ratios.append(y_over_q(outward(side) * y, q, p, rate).max())
             unloading.append(wheel_unloading(q, wheel_load, rate).max())
             contacts += flange_contacts(angle, p)
-        sum_y = np.abs(track_shifting_force(*lateral, p, rate)).max()
+        left, right = lateral
+        sum_y = np.abs(track_shifting_force(left, right, p, rate)).max()
         found[f"sum_y_{gear}"] = (float(sum_y) / 1e3, "kN")
     limit = track_shifting_limit(wheel_load) / 1e3
     return found | {
