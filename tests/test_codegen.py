@@ -51,7 +51,7 @@ def test_an_operation_without_translation_is_refused():
 
 
 GENERATED = """
-enum { N = 6, N_THETA = 9, N_A = 12 };
+enum { N = 6, N_THETA = 9, N_CELL = 24, N_A = 12, STATE_y_TrAx = 4, TUNING_period = 8, TUNING_lateral_bound };
 static void prediction_lanes(const lanes_t *x, const lanes_t *du, const double *u_d, const lanes_t *theta,
                              const double *par, const double *period, const double *affine, lanes_t *x_next, lanes_t *a,
                              lanes_t *b) {
@@ -62,7 +62,11 @@ static void prediction_lanes(const lanes_t *x, const lanes_t *du, const double *
 
 
 @pytest.mark.parametrize("command", ["gcc", "clang"])
-@pytest.mark.parametrize("parts", [["simulation/loop.c"], ["compile/lanes.h", GENERATED, "control/solvers/riccati.c"]])
+@pytest.mark.parametrize(
+    "parts",
+    [["car/car.c"], ["simulation/loop.c"], ["compile/lanes.h", GENERATED, "control/solvers/riccati.c"]],
+    ids=lambda parts: parts[-1],
+)
 def test_hand_written_c_compiles_without_warning(tmp_path, command, parts):
     if shutil.which(command) is None:
         pytest.skip(f"there is no {command}")
