@@ -5,18 +5,19 @@ notebooks/chain.toml is its one source.
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
+from typing import Annotated
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.schema import Number, above, between
 
 SUFFIXES = ("pdf", "svg", "png", "csv")
-_FIELDS = {"name", "title", "reads", "writes", "figures", "parameters", "test_parameters", "minutes", "seed"}
+_SHARE = Annotated[Number, between(0.0, 1.0)]
 
 
-@dataclass(frozen=True)
+@schema.table
 class Notebook:
     """One entry of the chain; see the head of notebooks/chain.toml."""
 
@@ -25,10 +26,10 @@ class Notebook:
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
-    parameters: dict = field(default_factory=dict)
-    test_parameters: dict = field(default_factory=dict)
-    minutes: float = 1.0
-    seed: int | None = None
+    parameters: dict[str, schema.Free] = field(default_factory=dict)
+    test_parameters: dict[str, schema.Free] = field(default_factory=dict)
+    minutes: Annotated[Number, above(0.0, 1e4, "min")] = 1.0
+    seed: Annotated[int, between(0, 2**63)] | None = None
 
     @property
     def path(self) -> Path:
@@ -41,27 +42,45 @@ class Notebook:
         return self.writes + tuple(f"figures/{figure}.{suffix}" for figure in self.figures for suffix in SUFFIXES)
 
 
-def chain(path: Path | None = None) -> list[Notebook]:
-    """Notebooks of the chain in order; refuses unknown fields, double products, reads before making."""
+@schema.table
+class Tolerance:
+    """Table [verify] of notebooks/chain.toml, see there."""
+
+    relative: _SHARE
+    image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")]
+    not_compared: tuple[str, ...]
+    columns: dict[str, dict[str, _SHARE]] = field(default_factory=dict)
+
+
+@schema.table
+class Chain:
+    """Content of notebooks/chain.toml."""
+
+    notebook: tuple[Notebook, ...] = ()
+    verify: Annotated[Tolerance, schema.AS_GIVEN] | None = None
+
+    def __post_init__(self):
+        made, position = {}, {}
+        for i, notebook in enumerate(self.notebook):
+            if position.setdefault(notebook.name, i) != i:
+                raise ValueError(f"{notebook.name} is there twice")
+            for product in notebook.products:
+                if made.setdefault(product, notebook.name) != notebook.name:
+                    raise ValueError(f"{product} is written by {made[product]} and by {notebook.name}")
+        for notebook in self.notebook:
+            for read in notebook.reads:
+                if read in made and position[made[read]] >= position[notebook.name]:
+                    raise ValueError(f"{notebook.name} reads {read} before {made[read]} makes it")
+
+
+def _chain(path: Path | None) -> Chain:
     file = path or paths.NOTEBOOKS / "chain.toml"
-    notebooks, made = [], {}
-    for entry in tomllib.loads(file.read_text()).get("notebook", []):
-        unknown = set(entry) - _FIELDS
-        if unknown:
-            raise InputError(f"{file.name}: {entry.get('name')} has the unknown field {min(unknown)!r}")
-        lists = {key: tuple(value) for key, value in entry.items() if isinstance(value, list)}
-        notebook = Notebook(**entry | lists)
-        for product in notebook.products:
-            if product in made:
-                raise InputError(f"{file.name}: {product} is written by {made[product]} and by {notebook.name}")
-            made[product] = notebook.name
-        notebooks.append(notebook)
-    position = {notebook.name: i for i, notebook in enumerate(notebooks)}
-    for notebook in notebooks:
-        for read in notebook.reads:
-            if read in made and position[made[read]] >= position[notebook.name]:
-                raise InputError(f"{file.name}: {notebook.name} reads {read} before {made[read]} makes it")
-    return notebooks
+    return schema.build(Chain, schema.read(file), file.name)
+
+
+def chain(path: Path | None = None) -> list[Notebook]:
+    """Notebooks of the chain in order; refuses wrong entries, double products, reads before making (InputError)."""
+    return list(_chain(path).notebook)
 
 
 def find(name: str) -> Notebook:
@@ -92,6 +111,9 @@ def rules() -> str:
     return "\n".join(lines)
 
 
-def verify_tolerance() -> dict:
+def verify_tolerance(path: Path | None = None) -> dict:
     """Tolerances of a comparison of two runs, the table [verify] of chain.toml."""
-    return tomllib.loads((paths.NOTEBOOKS / "chain.toml").read_text())["verify"]
+    tolerance = _chain(path).verify
+    if tolerance is None:
+        raise InputError("chain.toml: the group [verify] is missing")
+    return tolerance

@@ -7,24 +7,24 @@ data/results/claims.csv and REPLICATION.md. A verdict that differs from the stor
 from __future__ import annotations
 
 import sys
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 import sympy as sp
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.control.allocation import allocate
 from railrepro.control.registry import COMPARED, EMPHASIS, PAPER_TRIO, PREDICTIVE, TRIO, r_times
 from railrepro.errors import InputError
 
 REPRODUCED, PARTLY, NOT, UNTESTABLE = "reproduced", "partly", "not reproduced", "not testable"
 VERDICTS = (REPRODUCED, PARTLY, NOT, UNTESTABLE)
-_KEYS = {"section", "statement", "kind", "unit", "tolerance", "reason", "evidence", "notebook"}
 _FIG08 = r_times(EMPHASIS, "NMPC")
 MEASURES: dict[str, Callable] = {}
 
@@ -433,17 +433,35 @@ def _transfer(r: Results, claim: dict) -> Measured:
     return Measured(float("nan"), UNTESTABLE)
 
 
-def load_claims() -> dict[str, dict]:
-    """Claims of data/claims.toml by id; InputError names what is missing."""
-    claims = tomllib.loads(paths.source("data/claims.toml").read_text())
-    for identity, claim in claims.items():
-        missing = _KEYS - set(claim)
-        if missing:
-            raise InputError(f"claims.toml: [{identity}] lacks {min(missing)!r}")
+@schema.table
+class Claim:
+    """Entry of data/claims.toml, see its head."""
+
+    section: str
+    statement: str
+    kind: Literal["value", "ratio", "ordering", "trend", "behaviour", "assumption"]
+    unit: str
+    tolerance: schema.Plain
+    reason: str
+    evidence: str
+    notebook: str
+    paper: schema.Plain | None = None
+    verdict: Literal[VERDICTS] | None = None
+
+    def __post_init__(self):
+        file = f"figures/{self.evidence}.png" if self.evidence.startswith("fig") else self.evidence
+        if not paths.source(file).exists():
+            raise ValueError(f"has the evidence {self.evidence!r}, which does not exist")
+
+
+def load_claims(path: Path | str | None = None) -> dict[str, dict]:
+    """Claims of a TOML file (default data/claims.toml) by id; InputError with one sentence on wrong entries."""
+    file = Path(path) if path else paths.source("data/claims.toml")
+    claims = schema.read(file)
+    schema.build(dict[str, Claim], claims, file.name)
+    for identity in claims:
         if identity not in MEASURES:
-            raise InputError(f"claims.toml: [{identity}] has no function in railrepro/report/claims.py")
-        if "verdict" in claim and claim["verdict"] not in VERDICTS:
-            raise InputError(f"claims.toml: [{identity}] verdict {claim['verdict']!r} is none of {VERDICTS}")
+            raise InputError(f"{file.name}: [{identity}] has no function in railrepro/report/claims.py")
     return claims
 
 

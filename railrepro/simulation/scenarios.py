@@ -5,41 +5,88 @@ Serves the paper's section Test Tracks and the captions of Figs. 6 to 9.
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.schema import Number, above, between, steps
 from railrepro.track import route
 from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import Vehicle
 
-_SET_POINTS = {
-    "none": (),
-    "sine": ("amplitude_mm", "period_m", "start_m"),
-    "sweep": ("amplitude_mm", "period_start_m", "period_end_m", "start_m", "end_m"),
-}
+_AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm")]
+"""Beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm); a cone has no flange, but derails at 30 mm."""
+_PERIOD = Annotated[Number, between(2 * route.CELL, 1e5, "m")]
+_PLACE, _FADE = Annotated[Number, between(-1e5, 1e5, "m")], Annotated[Number, above(0.0, 1e5, "m")]
+_SHARES = Annotated[tuple, steps("share", 0.0, 1.0)]
 
 
-@dataclass(frozen=True)
+def _check_order(point: Sine | Sweep) -> None:
+    if point.end_m is not None and not point.start_m < point.end_m:
+        raise ValueError(f"ends at {point.end_m} m, an end after its start at {point.start_m} m is needed")
+
+
+@schema.table
+class NoSetPoint:
+    """The gear is to follow the centre line."""
+
+    kind: Literal["none"]
+
+
+@schema.table
+class Sine:
+    """Sinusoidal set point, see `route.sine`."""
+
+    kind: Literal["sine"]
+    amplitude_mm: _AMPLITUDE
+    period_m: _PERIOD
+    start_m: _PLACE
+    end_m: _PLACE | None = None
+    fade_m: _FADE | None = None
+
+    __post_init__ = _check_order
+
+
+@schema.table
+class Sweep:
+    """Sine sweep, see `route.sweep`."""
+
+    kind: Literal["sweep"]
+    amplitude_mm: _AMPLITUDE
+    period_start_m: _PERIOD
+    period_end_m: _PERIOD
+    start_m: _PLACE
+    end_m: _PLACE
+    fade_m: _FADE | None = None
+
+    __post_init__ = _check_order
+
+
+_SET_POINT = Annotated[NoSetPoint | Sine | Sweep, Field(discriminator="kind"), schema.AS_GIVEN]
+
+
+@schema.table
 class Scenario:
     """One experiment; see the head of data/scenarios.toml for the fields and their units."""
 
     name: str
     track: str
-    speed_kmh: float
-    end_m: float
+    speed_kmh: Annotated[Number, between(0.5, 450.0, "km/h")]
+    end_m: Annotated[Number, between(1.0, 1e5, "m")]
     paper: str = ""
     good: str = "dry"
     poor: str = "poor"
-    poor_share: tuple = ()
-    poor_share_left: tuple = ()
-    poor_share_right: tuple = ()
-    force_kN: tuple = ()
-    set_point: dict = field(default_factory=lambda: {"kind": "none"})
-    stop_kmh: float | None = None
+    poor_share: _SHARES = ()
+    poor_share_left: _SHARES = ()
+    poor_share_right: _SHARES = ()
+    force_kN: Annotated[tuple, steps("force", -500.0, 500.0)] = ()
+    set_point: _SET_POINT = field(default_factory=lambda: {"kind": "none"})
+    stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
     @property
     def speed(self) -> float:
@@ -59,9 +106,14 @@ class Scenario:
 
     def but(self, **changes) -> Scenario:
         """A copy with some fields changed, checked like a file."""
-        changed = replace(self, **changes)
-        _check(changed, "scenario")
-        return changed
+        return schema.build(Scenario, vars(self) | changes, "scenario")
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Refuse adhesion sets that the vehicle does not have (InputError)."""
+        for name in (self.good, self.poor):
+            if name not in vehicle.adhesion:
+                known = list(vehicle.adhesion)
+                raise InputError(f"scenario {self.name}: the adhesion set {name!r} is not known; there are {known}")
 
     def route(self, irregularities=None) -> route.Route:
         """Lay set point, adhesion and demand along the track (`railrepro.track.route.Route`)."""
@@ -115,22 +167,11 @@ def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
         One sentence naming file, scenario, key, what was found and what is allowed.
     """
     file = Path(path) if path else paths.source("data/scenarios.toml")
-    try:
-        content = tomllib.loads(file.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{file.name}: cannot be read as TOML ({error})") from error
-    known = {f.name for f in fields(Scenario)} - {"name"}
-    scenarios = {}
+    content = schema.read(file)
     for name, entry in content.items():
-        unknown, missing = set(entry) - known, {"track", "speed_kmh", "end_m"} - set(entry)
-        if unknown:
-            raise InputError(f"{file.name}: [{name}] has the unknown key {min(unknown)!r}; allowed are {sorted(known)}")
-        if missing:
-            raise InputError(f"{file.name}: [{name}] lacks the key {min(missing)!r}")
-        lists = {key: tuple(map(tuple, value)) for key, value in entry.items() if isinstance(value, list)}
-        scenarios[name] = Scenario(name, **entry | lists)
-        _check(scenarios[name], f"{file.name}: [{name}]")
-    return scenarios
+        if isinstance(entry, dict) and entry.setdefault("name", name) != name:
+            raise InputError(f"{file.name}: [{name}] has the name {entry['name']!r}; its own key is its name")
+    return schema.build(dict[str, Scenario], content, file.name)
 
 
 def load_scenario(name: str, path: Path | str | None = None) -> Scenario:
@@ -139,25 +180,3 @@ def load_scenario(name: str, path: Path | str | None = None) -> Scenario:
     if name not in scenarios:
         raise InputError(f"scenario {name!r} is not known; there are {sorted(scenarios)}")
     return scenarios[name]
-
-
-def _check(scenario: Scenario, where: str) -> None:
-    numbers = {"speed_kmh": (0.5, 450.0), "end_m": (1.0, 1e5)}
-    for key, (low, high) in numbers.items():
-        value = getattr(scenario, key)
-        if not isinstance(value, int | float) or not low <= value <= high:
-            raise InputError(f"{where}: {key} = {value!r}, a number from {low} to {high} is needed")
-    for key in ("poor_share", "poor_share_left", "poor_share_right"):
-        points = np.array(getattr(scenario, key) or [[0, 0]], dtype=float)
-        if points.ndim != 2 or points.shape[1] != 2 or (np.diff(points[:, 0]) <= 0).any():
-            raise InputError(f"{where}: {key} needs [p_m, share] pairs with increasing p_m")
-        if not ((points[:, 1] >= 0) & (points[:, 1] <= 1)).all():
-            raise InputError(f"{where}: {key} has a share outside 0 to 1")
-    kind = scenario.set_point.get("kind")
-    if kind not in _SET_POINTS:
-        raise InputError(f"{where}: set_point kind {kind!r} is not known; there are {sorted(_SET_POINTS)}")
-    needed, optional = set(_SET_POINTS[kind]), {"kind", "fade_m", "end_m"}
-    for key in needed - set(scenario.set_point):
-        raise InputError(f"{where}: set_point of kind {kind!r} lacks {key!r}")
-    for key in set(scenario.set_point) - needed - optional:
-        raise InputError(f"{where}: set_point of kind {kind!r} has the unknown key {key!r}")

@@ -93,11 +93,14 @@ def run(
 
     Raises
     ------
+    InputError
+        When the vehicle lacks an adhesion set of the scenario.
     ArithmeticError
         When a lateral controller returns a torque that is not finite.
     """
     vehicle = vehicle or load_vehicle()
     body = plant_vehicle or vehicle
+    scenario.check(body)
     route = scenario.route(irregularities)
     table = contact_table(body.contact.profile, body)
     lateral_law, factory = lateral.split(guidance)

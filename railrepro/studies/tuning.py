@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
+import reprlib
 import sys
 import time
-import tomllib
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import AfterValidator
 from tqdm import tqdm
 
-from railrepro import __version__, paths
+from railrepro import __version__, paths, schema
 from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.errors import InputError
 from railrepro.model.control_model import control_model
+from railrepro.schema import Number, above, between
 from railrepro.simulation import metrics, simulate
-from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.studies import pso
 from railrepro.studies.executor import executor, ordered_map
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -49,24 +52,67 @@ class Task:
     dimensions: dict[str, list[pso.Dimension]]
 
 
+_COUNT = Annotated[int, between(1, 10**6)]
+
+
+@schema.table
+class Budget:
+    """Size of a swarm, see data/tuning.toml."""
+
+    particles: _COUNT
+    iterations: _COUNT
+    patience: _COUNT
+    seed: Annotated[int, between(0, 2**63)]
+
+
+@schema.table
+class Cost:
+    """Scales of the cost, see data/tuning.toml."""
+
+    y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
+    du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
+    weight: Annotated[Number, between(0.0, 1e6)]
+    failure: Annotated[Number, above(0.0, 1e9)]
+
+
+def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
+    """Dimensions of a table of [low, high, scale], or the name of the controller that has the same."""
+    if set(bounds) == {"same_as"}:
+        return str(bounds["same_as"])
+    for name, bound in bounds.items():
+        if not (isinstance(bound, list) and len(bound) in (2, 3) and all(map(schema.is_number, bound[:2]))):
+            raise ValueError(f"has {name} = {reprlib.repr(bound)}, [low, high, scale] is needed")
+    return [pso.Dimension(name, *bound) for name, bound in bounds.items()]
+
+
+@schema.table
+class TaskFile:
+    """Content of data/tuning.toml."""
+
+    budget: Annotated[Budget, schema.AS_GIVEN]
+    cost: Annotated[Cost, schema.AS_GIVEN]
+    scenario: Annotated[tuple[dict[str, Any], ...], schema.NOT_EMPTY]
+    controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], schema.NOT_EMPTY]
+
+
 def load_task(path: Path | str | None = None) -> Task:
-    """The tuning task of a TOML file; default data/tuning.toml."""
+    """The tuning task of a TOML file, default data/tuning.toml; InputError with one sentence on wrong entries."""
     file = Path(path) if path else paths.source("data/tuning.toml")
-    try:
-        content = tomllib.loads(file.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{file.name}: cannot be read as TOML ({error})") from error
-    scenarios = []
-    for entry in content["scenario"]:
-        changes = {k: tuple(map(tuple, v)) if isinstance(v, list) else v for k, v in entry.items()}
-        scenarios.append(load_scenario(changes.pop("scenario")).but(**changes))
+    content = schema.build(TaskFile, schema.read(file), file.name)
+    scenarios, known = [], load_scenarios()
+    for number, changes in enumerate(content.scenario, 1):
+        where, name = f"{file.name}: scenario {number}", changes.pop("scenario", None)
+        if name not in tuple(known):
+            raise InputError(f"{where} has the scenario {reprlib.repr(name)}; there are {sorted(known)}")
+        scenarios.append(schema.build(Scenario, vars(known[name]) | changes, where))
     dimensions = {}
-    for name, entry in content["controller"].items():
+    for name, bounds in content.controller.items():
         if name not in CONTROLLERS:
             raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(CONTROLLERS)}")
-        bounds = content["controller"][entry["same_as"]] if "same_as" in entry else entry
-        dimensions[name] = [pso.Dimension(key, *value) for key, value in bounds.items()]
-    return Task(content["budget"], content["cost"], tuple(scenarios), dimensions)
+        dimensions[name] = content.controller.get(bounds) if isinstance(bounds, str) else bounds
+        if not isinstance(dimensions[name], list) or not dimensions[name]:
+            raise InputError(f"{file.name}: [controller.{name}] has no bounds, nor has a controller that it is same_as")
+    return Task(content.budget, content.cost, tuple(scenarios), dimensions)
 
 
 def scenario_cost(run: simulate.Run, scenario: Scenario, cost: dict) -> tuple[float, dict]:
@@ -119,7 +165,7 @@ def fingerprint(vehicle: Vehicle | None = None) -> str:
     rhs = control_model().rhs
     probe = [np.linspace(0.1, 1.0, rhs.nnz_in(i)).reshape(rhs.size_in(i)) for i in range(rhs.n_in())]
     model = [f"{value:.9e}" for value in np.array(rhs(*probe)).ravel()]
-    tracks = tomllib.loads(paths.source("data/tracks.toml").read_text())
+    tracks = schema.read(paths.source("data/tracks.toml"))
     content = json.dumps([repr(vehicle or load_vehicle()), model, tracks, repr(load_task())], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:16]
 
@@ -127,6 +173,31 @@ def fingerprint(vehicle: Vehicle | None = None) -> str:
 @lru_cache
 def _fingerprint_here() -> str:
     return fingerprint()
+
+
+@lru_cache
+def _task_here() -> Task:
+    return load_task()
+
+
+@schema.table
+class Origin(Budget):
+    """Where a tuned set comes from."""
+
+    fingerprint: str
+    version: str
+    evaluations: _COUNT
+
+
+@schema.table
+class TunedSet:
+    """Content of a file in data/tuned."""
+
+    controller: str
+    parameters: dict[str, schema.Plain]
+    cost: Annotated[Number, between(0.0, 1e9)]
+    scenarios: tuple[dict[str, schema.Free], ...]
+    origin: Origin
 
 
 def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | None = None, quiet: bool = False) -> dict:
@@ -193,17 +264,24 @@ def load(controller: str, folder: Path | None = None) -> dict:
     Raises
     ------
     InputError
-        When there is none, or when it was tuned for other vehicle data, tracks, scenarios or control model.
+        When there is none, when it does not hold a tuned set of this controller, or when it was tuned for other vehicle
+        data, tracks, scenarios or control model.
     """
     file = (folder or paths.source(TUNED)) / f"{controller}.json"
     if not file.exists():
         raise InputError(f"{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
-    content = json.loads(file.read_text())
-    if content["origin"]["fingerprint"] != _fingerprint_here():
+    content = schema.read(file)
+    found = schema.build(TunedSet, content, file.name)
+    if found.controller != controller:
+        raise InputError(f"{file.name}: holds a tuned set of {found.controller!r}, {controller!r} is needed")
+    if found.origin.fingerprint != _fingerprint_here():
         raise InputError(
             f"{file.name}: was tuned for other vehicle data, tracks, scenarios or control model "
-            f"({content['origin']['fingerprint']}, here {_fingerprint_here()}); `make tune` tunes again"
+            f"({found.origin.fingerprint}, here {_fingerprint_here()}); `make tune` tunes again"
         )
+    searched = {dimension.name for dimension in _task_here().dimensions.get(controller, ())}
+    if set(found.parameters) != searched:
+        raise InputError(f"{file.name}: has the parameters {sorted(found.parameters)}, {sorted(searched)} are needed")
     return content
 
 

@@ -9,16 +9,22 @@ Serves the paper's section Test Tracks (Table I).
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.schema import Number, above, between
 
 GRAVITY = 9.81
 CANT_BASE = 1.5
 """Base of the superelevation (m): the only standard value that reproduces Table I, with b sin(phi)."""
+MAX_CANT = 0.3
+"""Largest cant angle of a track (rad), 0.44 m on the standard base: twice what railways build."""
+LONGEST = 1e5
+"""Longest segment (m)."""
+LENGTH, SPEED, RADIUS = above(0.0, LONGEST, "m"), above(0.0, 450.0, "km/h"), above(50.0, math.inf, "m", signed=True)
 
 
 @dataclass(frozen=True)
@@ -71,75 +77,75 @@ def superelevation(angle: float) -> float:
     return CANT_BASE * math.sin(angle)
 
 
+@schema.table
+class CurveEntry:
+    """Curve entry of data/tracks.toml: straight, clothoid, arc; the cant leaves the unbalanced acceleration."""
+
+    design_speed_kmh: Annotated[Number, SPEED]
+    unbalanced_acceleration_mps2: Annotated[Number, between(-3.0, 3.0, "m/s2")]
+    radius_m: Annotated[Number, RADIUS]
+    straight_m: Annotated[Number, between(0.0, LONGEST, "m")]
+    clothoid_m: Annotated[Number, LENGTH]
+    arc_m: Annotated[Number, LENGTH]
+
+    def __post_init__(self):
+        if not abs(self.cant) <= MAX_CANT:
+            raise ValueError(f"needs a cant angle of {self.cant:.3g} rad, up to {MAX_CANT} rad either side is allowed")
+
+    @property
+    def cant(self) -> float:
+        """Cant angle of the arc (rad)."""
+        return superelevation_angle(self.design_speed_kmh / 3.6, self.radius_m, self.unbalanced_acceleration_mps2)
+
+    def alignment(self, name: str) -> Alignment:
+        """The curve entry as a track."""
+        kappa, phi, level = 1 / self.radius_m, self.cant, (0.0, 0.0)
+        segments = (
+            Segment(self.straight_m, level, level, level),
+            Segment(self.clothoid_m, (0.0, kappa), (0.0, phi), level),
+            Segment(self.arc_m, (kappa, kappa), (phi, phi), level),
+        )
+        return Alignment(name, segments, self.design_speed_kmh / 3.6)
+
+
+@schema.table
+class SegmentEntry:
+    """Segment of data/tracks.toml; what is left out stays as at the end of the segment before."""
+
+    length_m: Annotated[Number, LENGTH]
+    radius_m: Annotated[Number, RADIUS] | None = None
+    superelevation_m: Annotated[Number, between(-0.4, 0.4, "m")] | None = None
+    inclination_rad: Annotated[Number, between(-0.2, 0.2, "rad")] | None = None
+
+    def after(self, kappa: float, phi: float, eps: float) -> Segment:
+        """The segment that begins with given curvature (1/m), cant angle and inclination (rad)."""
+        end_kappa = kappa if self.radius_m is None else 1 / self.radius_m
+        end_phi = phi if self.superelevation_m is None else math.asin(self.superelevation_m / CANT_BASE)
+        end_eps = eps if self.inclination_rad is None else self.inclination_rad
+        return Segment(self.length_m, (kappa, end_kappa), (phi, end_phi), (eps, end_eps))
+
+
+@schema.table
+class SegmentsEntry:
+    """Track of data/tracks.toml that lists its segments."""
+
+    segments: Annotated[tuple[SegmentEntry, ...], schema.NOT_EMPTY]
+    design_speed_kmh: Annotated[Number, SPEED] | None = None
+
+    def alignment(self, name: str) -> Alignment:
+        """The segments as a track."""
+        made, end = [], (0.0, 0.0, 0.0)
+        for entry in self.segments:
+            made.append(entry.after(*end))
+            end = made[-1].kappa[1], made[-1].phi[1], made[-1].eps[1]
+        return Alignment(name, tuple(made), None if self.design_speed_kmh is None else self.design_speed_kmh / 3.6)
+
+
 def alignments(path: Path | str | None = None) -> dict[str, Alignment]:
     """Alignments of a TOML file (default data/tracks.toml) by name; InputError with one sentence on wrong entries."""
     file = Path(path) if path else paths.source("data/tracks.toml")
-    try:
-        content = tomllib.loads(file.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{file.name}: cannot be read as TOML ({error})") from error
-    return {name: _alignment(file, name, entry) for name, entry in content.items()}
-
-
-_CURVE = {
-    *("design_speed_kmh", "unbalanced_acceleration_mps2", "radius_m"),
-    *("straight_m", "clothoid_m", "arc_m"),
-}
-_SEGMENT = {"length_m", "radius_m", "superelevation_m", "inclination_rad"}
-
-
-def _alignment(file: Path, name: str, entry: dict) -> Alignment:
-    where = f"{file.name}: [{name}]"
-    if "segments" in entry:
-        _check_keys(where, entry, {"segments"}, {"segments", "design_speed_kmh"})
-        speed = entry.get("design_speed_kmh")
-        return Alignment(name, _segments(where, entry["segments"]), None if speed is None else speed / 3.6)
-    _check_keys(where, entry, _CURVE, _CURVE)
-    for key in _CURVE - {"radius_m", "unbalanced_acceleration_mps2", "straight_m"}:
-        _check_number(where, key, entry[key], 0.0)
-    speed, radius = entry["design_speed_kmh"] / 3.6, entry["radius_m"]
-    _check_number(where, "radius_m", abs(radius), 50.0)
-    phi = superelevation_angle(speed, radius, entry["unbalanced_acceleration_mps2"])
-    kappa, level = 1 / radius, (0.0, 0.0)
-    segments = (
-        Segment(entry["straight_m"], level, level, level),
-        Segment(entry["clothoid_m"], (0.0, kappa), (0.0, phi), level),
-        Segment(entry["arc_m"], (kappa, kappa), (phi, phi), level),
-    )
-    return Alignment(name, segments, speed)
-
-
-def _segments(where: str, entries: list[dict]) -> tuple[Segment, ...]:
-    kappa = phi = eps = 0.0
-    segments = []
-    for i, entry in enumerate(entries):
-        place = f"{where} segment {i + 1}"
-        _check_keys(place, entry, {"length_m"}, _SEGMENT)
-        _check_number(place, "length_m", entry["length_m"], 0.0)
-        end = kappa, phi, eps
-        if "radius_m" in entry:
-            _check_number(place, "radius_m", abs(entry["radius_m"]), 50.0)
-            end = 1 / entry["radius_m"], *end[1:]
-        if "superelevation_m" in entry:
-            _check_number(place, "superelevation_m", abs(entry["superelevation_m"]), -1.0, 0.4)
-            end = end[0], math.asin(entry["superelevation_m"] / CANT_BASE), end[2]
-        if "inclination_rad" in entry:
-            _check_number(place, "inclination_rad", abs(entry["inclination_rad"]), -1.0, 0.2)
-            end = *end[:2], entry["inclination_rad"]
-        segments.append(Segment(entry["length_m"], (kappa, end[0]), (phi, end[1]), (eps, end[2])))
-        kappa, phi, eps = end
-    if not segments:
-        raise InputError(f"{where} has no segments, at least one is needed")
-    return tuple(segments)
-
-
-def _check_keys(where: str, entry: dict, needed: set[str], allowed: set[str]) -> None:
-    for key in sorted(set(entry) - allowed):
-        raise InputError(f"{where} has the unknown key {key!r}; allowed are {sorted(allowed)}")
-    for key in sorted(needed - set(entry)):
-        raise InputError(f"{where} lacks the key {key!r}")
-
-
-def _check_number(where: str, key: str, value, low: float, high: float = math.inf) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low < value <= high:
-        raise InputError(f"{where}: {key} is {value!r}, a number above {low:g} and up to {high:g} is needed")
+    found = {}
+    for name, entry in schema.read(file).items():
+        kind = SegmentsEntry if isinstance(entry, dict) and "segments" in entry else CurveEntry
+        found |= schema.build(dict[str, kind], {name: entry}, file.name)
+    return {name: entry.alignment(name) for name, entry in found.items()}

@@ -5,83 +5,129 @@ Serves the paper's sections Control-Oriented Model and Simulation Environment, w
 
 from __future__ import annotations
 
-import dataclasses
 import math
-import tomllib
+import reprlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import pandas as pd
+from pydantic import AfterValidator
+from pydantic_core import core_schema
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.errors import InputError
 
 
-def _parameter(unit: str, low: float = 0.0, high: float = math.inf):
-    """Field with its unit and the physically possible range (exclusive low, inclusive high)."""
-    return dataclasses.field(metadata={"unit": unit, "low": low, "high": high})
+@schema.table
+class Entry:
+    """How a file states one parameter; `range` is "fixed" or [low, high] around the value."""
 
-
-_MASS, _INERTIA = ("kg", 0.0, 1e6), ("kg m2", 0.0, 1e8)
-_NOT_NEGATIVE = -1e-300
+    symbol: str
+    value: Any
+    unit: str
+    source: str
+    confidence: Literal["VV", "V", "D", "R", "A"]
+    range: Any
 
 
 @dataclass(frozen=True)
+class Parameter(schema.Quantity):
+    """Unit and physically possible range of a field that a file states as an `Entry`."""
+
+    def __get_pydantic_core_schema__(self, source, handler):
+        value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)
+        stated = core_schema.no_info_plain_validator_function(self._stated)
+        return core_schema.chain_schema([handler.generate_schema(Entry), stated, value])
+
+    def _stated(self, entry: Entry):
+        if entry.unit != self.unit:
+            raise ValueError(f"has the unit {entry.unit!r}, {self.unit!r} is needed")
+        numbers = [*entry.range, entry.value] if isinstance(entry.range, list) else []
+        around = len(numbers) == 3 and all(map(schema.is_number, numbers)) and numbers[0] <= numbers[2] <= numbers[1]
+        if entry.range != "fixed" and not around:
+            raise ValueError(
+                f'= {reprlib.repr(entry.value)} with range {reprlib.repr(entry.range)}, "fixed" or numbers [low, high] '
+                "around the value are needed"
+            )
+        return entry.value
+
+    def refusal(self, value) -> str:
+        """See `Quantity.refusal`."""
+        floor = "0 or more" if self.closed else f"more than {self.low:g}"
+        return f"= {reprlib.repr(value)} {self.unit} is impossible, {floor} up to {self.high:g} is allowed"
+
+
+def _above(low: float, high: float, unit: str):
+    return Annotated[float, Parameter(low, high, unit)]
+
+
+def _from_zero(high: float, unit: str):
+    return Annotated[float, Parameter(0.0, high, unit, closed=True)]
+
+
+_PLAIN = Parameter(0.0, 0.0, "-")
+Mass, Inertia = _above(0.0, 1e6, "kg"), _above(0.0, 1e8, "kg m2")
+Stiffness, Damping = _from_zero(1e9, "N/m"), _from_zero(1e8, "N s/m")
+AngularStiffness, AngularDamping = _from_zero(1e9, "N m/rad"), _from_zero(1e8, "N m s/rad")
+
+
+@schema.table
 class CarBody:
     """Car body: mass, inertia about its centre of gravity, height above the rails, distance of the running gears."""
 
-    mass: float = _parameter(*_MASS)
-    inertia_x: float = _parameter(*_INERTIA)
-    inertia_y: float = _parameter(*_INERTIA)
-    inertia_z: float = _parameter(*_INERTIA)
-    cg_height: float = _parameter("m", 0.0, 5.0)
-    gear_spacing: float = _parameter("m", 1.0, 40.0)
-    length: float = _parameter("m", 1.0, 60.0)
+    mass: Mass
+    inertia_x: Inertia
+    inertia_y: Inertia
+    inertia_z: Inertia
+    cg_height: _above(0.0, 5.0, "m")
+    gear_spacing: _above(1.0, 40.0, "m")
+    length: _above(1.0, 60.0, "m")
 
 
-@dataclass(frozen=True)
+@schema.table
 class Gear:
     """Wheel carrier with two wheels; inertia_x and inertia_z contain the wheels, inertia_y not their spin."""
 
-    mass: float = _parameter(*_MASS)
-    inertia_x: float = _parameter(*_INERTIA)
-    inertia_y: float = _parameter(*_INERTIA)
-    inertia_z: float = _parameter(*_INERTIA)
-    contact_base: float = _parameter("m", 0.5, 3.0)
+    mass: Mass
+    inertia_x: Inertia
+    inertia_y: Inertia
+    inertia_z: Inertia
+    contact_base: _above(0.5, 3.0, "m")
 
 
-@dataclass(frozen=True)
+@schema.table
 class Wheel:
     """One independently rotating wheel with its motor."""
 
-    radius: float = _parameter("m", 0.1, 1.0)
-    spin_inertia: float = _parameter(*_INERTIA)
-    diametral_inertia: float = _parameter(*_INERTIA)
-    cone_angle: float = _parameter("rad", _NOT_NEGATIVE, 0.2)
+    radius: _above(0.1, 1.0, "m")
+    spin_inertia: Inertia
+    diametral_inertia: Inertia
+    cone_angle: _from_zero(0.2, "rad")
 
 
-@dataclass(frozen=True)
+@schema.table
 class Suspension:
     """Stage between car body and one carrier; k and c belong to each of the two springs."""
 
-    half_spacing: float = _parameter("m", 0.1, 2.0)
-    height: float = _parameter("m", 0.0, 3.0)
-    k_x: float = _parameter("N/m", _NOT_NEGATIVE, 1e9)
-    c_x: float = _parameter("N s/m", _NOT_NEGATIVE, 1e8)
-    k_y: float = _parameter("N/m", _NOT_NEGATIVE, 1e9)
-    c_y: float = _parameter("N s/m", _NOT_NEGATIVE, 1e8)
-    k_z: float = _parameter("N/m", 0.0, 1e9)
-    c_z: float = _parameter("N s/m", _NOT_NEGATIVE, 1e8)
-    link_stiffness: float = _parameter("N/m", 0.0, 1e10)
-    link_damping: float = _parameter("N s/m", _NOT_NEGATIVE, 1e8)
-    antiroll_stiffness: float = _parameter("N m/rad", _NOT_NEGATIVE, 1e9)
-    antiroll_damping: float = _parameter("N m s/rad", _NOT_NEGATIVE, 1e8)
-    pitch_stiffness: float = _parameter("N m/rad", 0.0, 1e9)
-    pitch_damping: float = _parameter("N m s/rad", _NOT_NEGATIVE, 1e8)
-    yaw_stop_angle: float = _parameter("rad", 0.0, 0.5)
-    yaw_stop_stiffness: float = _parameter("N m/rad", _NOT_NEGATIVE, 1e10)
-    bump_clearance: float = _parameter("m", 0.0, 1.0)
-    bump_stiffness: float = _parameter("N/m", _NOT_NEGATIVE, 1e9)
+    half_spacing: _above(0.1, 2.0, "m")
+    height: _above(0.0, 3.0, "m")
+    k_x: Stiffness
+    c_x: Damping
+    k_y: Stiffness
+    c_y: Damping
+    k_z: _above(0.0, 1e9, "N/m")
+    c_z: Damping
+    link_stiffness: _above(0.0, 1e10, "N/m")
+    link_damping: Damping
+    antiroll_stiffness: AngularStiffness
+    antiroll_damping: AngularDamping
+    pitch_stiffness: _above(0.0, 1e9, "N m/rad")
+    pitch_damping: AngularDamping
+    yaw_stop_angle: _above(0.0, 0.5, "rad")
+    yaw_stop_stiffness: _from_zero(1e10, "N m/rad")
+    bump_clearance: _above(0.0, 1.0, "m")
+    bump_stiffness: Stiffness
 
     @property
     def yaw_stiffness(self) -> float:
@@ -104,49 +150,49 @@ class Suspension:
         return 2 * self.c_z * self.half_spacing**2 + self.antiroll_damping
 
 
-@dataclass(frozen=True)
+@schema.table
 class Drive:
     """Wheel motor."""
 
-    torque_limit: float = _parameter("N m", 0.0, 1e5)
-    power_limit: float = _parameter("W", 0.0, 1e8)
-    power_limited: bool = _parameter("-")
-    lag: float = _parameter("s", 0.0, 1.0)
+    torque_limit: _above(0.0, 1e5, "N m")
+    power_limit: _above(0.0, 1e8, "W")
+    power_limited: Annotated[schema.Flag, _PLAIN]
+    lag: _above(0.0, 1.0, "s")
 
 
-@dataclass(frozen=True)
+@schema.table
 class WheelRail:
     """Material and regularisation of the wheel-rail contact; `profile` is "cone" or "s1002"."""
 
-    young: float = _parameter("Pa", 1e9, 1e12)
-    poisson: float = _parameter("-", _NOT_NEGATIVE, 0.5)
-    shear_modulus: float = _parameter("Pa", 1e9, 1e12)
-    nominal_load: float = _parameter("N", 0.0, 1e6)
-    normal_stiffness: float = _parameter("N/m^1.5", 0.0, 1e13)
-    normal_damping: float = _parameter("s/m", _NOT_NEGATIVE, 1e3)
-    rest_speed: float = _parameter("m/s", 0.0, 1.0)
-    profile: str = _parameter("-")
+    young: _above(1e9, 1e12, "Pa")
+    poisson: _from_zero(0.5, "-")
+    shear_modulus: _above(1e9, 1e12, "Pa")
+    nominal_load: _above(0.0, 1e6, "N")
+    normal_stiffness: _above(0.0, 1e13, "N/m^1.5")
+    normal_damping: _from_zero(1e3, "s/m")
+    rest_speed: _above(0.0, 1.0, "m/s")
+    profile: Annotated[Literal["cone", "s1002"], _PLAIN]
 
 
-@dataclass(frozen=True)
+@schema.table
 class AdhesionSet:
     """Parameters of Polach's creep law: reduction factors, friction at rest, its ratio and decay with slip speed."""
 
-    k_a: float = _parameter("-", 0.0, 1.0)
-    k_s: float = _parameter("-", 0.0, 1.0)
-    mu0: float = _parameter("-", _NOT_NEGATIVE, 1.0)
-    a_ratio: float = _parameter("-", _NOT_NEGATIVE, 1.0)
-    b_decay: float = _parameter("s/m", _NOT_NEGATIVE, 10.0)
+    k_a: _above(0.0, 1.0, "-")
+    k_s: _above(0.0, 1.0, "-")
+    mu0: _from_zero(1.0, "-")
+    a_ratio: _from_zero(1.0, "-")
+    b_decay: _from_zero(10.0, "s/m")
 
 
-@dataclass(frozen=True)
+@schema.table
 class Environment:
     """Surroundings."""
 
-    gravity: float = _parameter("m/s2", 0.0, 20.0)
+    gravity: _above(0.0, 20.0, "m/s2")
 
 
-@dataclass(frozen=True)
+@schema.table
 class Vehicle:
     """All data of the car; see the groups for units."""
 
@@ -156,7 +202,7 @@ class Vehicle:
     suspension: Suspension
     drive: Drive
     contact: WheelRail
-    adhesion: dict[str, AdhesionSet]
+    adhesion: Annotated[dict[str, AdhesionSet], AfterValidator(lambda sets: dict(sorted(sets.items())))]
     environment: Environment
 
     @property
@@ -196,20 +242,6 @@ class Vehicle:
         return self.gear.inertia_z + self.wheel.spin_inertia * self.gear.contact_base**2 / 2 / self.wheel.radius**2
 
 
-_GROUPS = {
-    "body": CarBody,
-    "gear": Gear,
-    "wheel": Wheel,
-    "suspension": Suspension,
-    "drive": Drive,
-    "contact": WheelRail,
-    "environment": Environment,
-}
-_ENTRY = {"symbol", "value", "unit", "source", "confidence", "range"}
-_CONFIDENCE = ("VV", "V", "D", "R", "A")
-PROFILES = ("cone", "s1002")
-
-
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     """Read and check vehicle data.
 
@@ -229,25 +261,18 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     InputError
         One sentence naming file, key, what was found and what is allowed.
     """
-    file, entries = _entries(path)
-    values = {key: entry["value"] for key, entry in entries.items()}
+    vehicle, file, content, entries = _checked(path)
     for key, value in overrides.items():
-        if key not in values:
-            raise InputError(f"override {key!r} is not a key of {file.name}; the group has {_siblings(key, values)}")
-        values[key] = value
-    groups = {name: _group(kind, name, values, file) for name, kind in _GROUPS.items()}
-    names = sorted({key.split(".")[1] for key in values if key.startswith("adhesion.")})
-    adhesion = {name: _group(AdhesionSet, f"adhesion.{name}", values, file) for name in names}
-    if groups["contact"].profile not in PROFILES:
-        raise InputError(f"{file.name}: contact.profile is {groups['contact'].profile!r}, allowed are {PROFILES}")
-    return Vehicle(adhesion=adhesion, **groups)
+        if key not in entries:
+            raise InputError(f"override {key!r} is not a key of {file.name}; the group has {_siblings(key, entries)}")
+        entries[key].update(value=value, range="fixed")
+    return schema.build(Vehicle, content, file.name) if overrides else vehicle
 
 
 def describe(path: Path | str | None = None) -> pd.DataFrame:
     """Table of all parameters: key, symbol, value, unit, source, confidence, low, high (nan where fixed)."""
-    _, entries = _entries(path)
     rows = []
-    for key, entry in entries.items():
+    for key, entry in _checked(path)[-1].items():
         low, high = (math.nan, math.nan) if entry["range"] == "fixed" else entry["range"]
         rows.append({"key": key, **{k: v for k, v in entry.items() if k != "range"}, "low": low, "high": high})
     return pd.DataFrame(rows)
@@ -255,86 +280,22 @@ def describe(path: Path | str | None = None) -> pd.DataFrame:
 
 def sample_ranges(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
     """Ranges that a robustness study samples, by dotted key (SI)."""
-    return {key: tuple(entry["range"]) for key, entry in _entries(path)[1].items() if entry["range"] != "fixed"}
+    return {key: tuple(entry["range"]) for key, entry in _checked(path)[-1].items() if entry["range"] != "fixed"}
 
 
-def _siblings(key: str, values: dict) -> list[str]:
+def _siblings(key: str, entries: dict) -> list[str]:
     group = key.rsplit(".", 1)[0]
-    found = sorted(k for k in values if k.rsplit(".", 1)[0] == group)
-    return found or sorted({k.rsplit(".", 1)[0] for k in values})
+    found = sorted(k for k in entries if k.rsplit(".", 1)[0] == group)
+    return found or sorted({k.rsplit(".", 1)[0] for k in entries})
 
 
-def _entries(path: Path | str | None) -> tuple[Path, dict[str, dict]]:
-    """Checked entries of a file by dotted key."""
+def _checked(path: Path | str | None) -> tuple[Vehicle, Path, dict, dict[str, dict]]:
+    """The vehicle of a file, the file, its content, and in it the entries by dotted key."""
     file = Path(path) if path else paths.source("data/vehicle.toml")
-    try:
-        content = tomllib.loads(file.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{file.name}: cannot be read as TOML ({error})") from error
-    unknown = set(content) - set(_GROUPS) - {"adhesion"}
-    if unknown:
-        raise InputError(f"{file.name}: unknown group [{min(unknown)}]; allowed are {sorted({*_GROUPS, 'adhesion'})}")
+    content = schema.read(file)
+    vehicle = schema.build(Vehicle, content, file.name)
     entries = {}
-    for group, body in content.items():
-        for name, entry in body.items():
-            if group == "adhesion":
-                entries |= {f"adhesion.{name}.{key}": value for key, value in entry.items()}
-            else:
-                entries[f"{group}.{name}"] = entry
-    for key, entry in entries.items():
-        _check_entry(file, key, entry)
-    return file, entries
-
-
-def _check_entry(file: Path, key: str, entry) -> None:
-    kind = AdhesionSet if key.startswith("adhesion.") else _GROUPS[key.split(".")[0]]
-    known = {f.name: f for f in dataclasses.fields(kind)}
-    name = key.rsplit(".", 1)[1]
-    if name not in known:
-        raise InputError(f"{file.name}: unknown key {key}; the group allows {sorted(known)}")
-    if not isinstance(entry, dict) or set(entry) != _ENTRY:
-        found = sorted(entry) if isinstance(entry, dict) else entry
-        raise InputError(f"{file.name}: {key} needs exactly the fields {sorted(_ENTRY)}, found {found}")
-    unit = known[name].metadata["unit"]
-    if entry["unit"] != unit:
-        raise InputError(f"{file.name}: {key} has the unit {entry['unit']!r}, {unit!r} is needed")
-    if entry["confidence"] not in _CONFIDENCE:
-        raise InputError(f"{file.name}: {key} has the confidence {entry['confidence']!r}, allowed are {_CONFIDENCE}")
-    limits = entry["range"]
-    if limits != "fixed" and not (isinstance(limits, list) and len(limits) == 2 and _inside(entry["value"], *limits)):
-        raise InputError(
-            f'{file.name}: {key} = {entry["value"]!r} with range {limits}, "fixed" or numbers [low, high] around the '
-            "value are needed"
-        )
-
-
-def _inside(value, low, high) -> bool:
-    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (value, low, high))
-    return numbers and low <= value <= high
-
-
-def _group(kind: type, name: str, values: dict, file: Path):
-    """One dataclass from dotted values, with every number checked."""
-    chosen = {}
-    for f in dataclasses.fields(kind):
-        key = f"{name}.{f.name}"
-        if key not in values:
-            raise InputError(f"{file.name}: the key {key} is missing")
-        chosen[f.name] = _checked(file, key, values[key], f)
-    return kind(**chosen)
-
-
-def _checked(file: Path, key: str, value, f: dataclasses.Field):
-    if f.type in ("bool", "str"):
-        if type(value).__name__ != f.type:
-            raise InputError(f"{file.name}: {key} is {value!r}, a {f.type} is needed")
-        return value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{file.name}: {key} is {value!r}, a number in {f.metadata['unit']} is needed")
-    low, high = f.metadata["low"], f.metadata["high"]
-    if not low < value <= high:
-        floor = "0 or more" if low == _NOT_NEGATIVE else f"more than {low:g}"
-        raise InputError(
-            f"{file.name}: {key} = {value!r} {f.metadata['unit']} is impossible, {floor} up to {high:g} is allowed"
-        )
-    return float(value)
+    for group, table in content.items():
+        named = table.items() if group == "adhesion" else [("", table)]
+        entries |= {".".join(filter(None, (group, name, key))): e for name, t in named for key, e in t.items()}
+    return vehicle, file, content, entries

@@ -1,0 +1,234 @@
+"""Checked reading of TOML and JSON: from a file to frozen dataclasses, or to one sentence on what is wrong with it.
+
+A class marked with `table` states keys, types and defaults once; `above`, `between` and `steps` add unit and range to a
+number, `__post_init__` what holds between keys. pydantic does the checking, because it converts nothing by itself and
+names the place of every fault; this module words the first of them.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import json
+import math
+import numbers
+import reprlib
+import sys
+import tomllib
+import typing
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import pydantic
+from pydantic_core import core_schema
+
+from railrepro.errors import InputError
+
+Number = int | float
+_SENTENCES = {
+    **dict.fromkeys(("dict_type", "dataclass_type", "model_attributes_type"), "is {found}, a table is needed"),
+    "tuple_type": "is {found}, a list is needed",
+    "too_short": "is empty, at least one entry is needed",
+    "string_type": "is {found}, a text is needed",
+    "bool_type": "is {found}, true or false is needed",
+    "literal_error": "is {found}, allowed are {expected}",
+    "union_tag_not_found": "lacks the key {discriminator}",
+    "union_tag_invalid": "kind {tag!r} is not known; there are {expected_tags}",
+}
+"""What is said about a kind of fault that pydantic finds; other faults bring their own message."""
+
+
+def is_number(value) -> bool:
+    """Whether a value is a finite real number; truth values are none."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Unit and range of a number, as metadata of an annotated `float`, `int` (whole) or `Number` (kept as it is).
+
+    Attributes
+    ----------
+    low, high : float
+        Range; `high` is inclusive, `low` when `closed`.
+    unit : str
+    closed : bool
+    signed : bool
+        The range holds for the magnitude, the number may have either sign.
+    """
+
+    low: float
+    high: float
+    unit: str
+    closed: bool = False
+    signed: bool = False
+
+    def __get_pydantic_core_schema__(self, source, handler):
+        def checked(value):
+            if isinstance(value, bool) or not isinstance(value, numbers.Integral if source is int else numbers.Real):
+                needed = ("a whole number" if source is int else "a number") + (self.unit and f" in {self.unit}")
+                raise ValueError(f"is {reprlib.repr(value)}, {needed} is needed")
+            size = abs(value) if self.signed else value
+            inside = self.low <= size <= self.high and (self.closed or self.low < size)
+            if not inside or (isinstance(value, int) and not is_number(value)):
+                raise ValueError(self.refusal(value))
+            return float(value) if source is float else value
+
+        return core_schema.no_info_plain_validator_function(checked)
+
+    def refusal(self, value) -> str:
+        """What is said about a number beyond the range."""
+        found, unit = reprlib.repr(value), f" {self.unit}".rstrip()
+        if self.closed:
+            return f"= {found}, a number from {self.low:g} to {self.high:g}{unit} is needed"
+        limit = f" and up to {self.high:g}" if math.isfinite(self.high) else ""
+        sign = " of either sign" if self.signed else ""
+        return f"is {found}, a number{sign} above {self.low:g}{limit}{unit} is needed"
+
+
+def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
+    """Numbers above `low` and up to `high`."""
+    return Quantity(low, high, unit, signed=signed)
+
+
+def between(low: float, high: float, unit: str = "") -> Quantity:
+    """Numbers from `low` to `high`."""
+    return Quantity(low, high, unit, closed=True)
+
+
+Plain = Annotated[Number, between(-1e12, 1e12)]
+"""A number without unit."""
+NOT_EMPTY = pydantic.Field(min_length=1)
+"""Lists and tables with at least one entry."""
+Flag = Annotated[bool, pydantic.Strict()]
+"""True or false, nothing that stands for it."""
+
+
+def steps(name: str, low: float, high: float) -> pydantic.BeforeValidator:
+    """Lists of [p_m, value] with increasing p_m (m) and values from `low` to `high`, read as tuples of tuples."""
+
+    def checked(points):
+        pairs = isinstance(points, list | tuple) and all(isinstance(p, list | tuple) and len(p) == 2 for p in points)
+        found = reprlib.repr(points)
+        if not pairs or not all(is_number(value) for point in points for value in point):
+            raise ValueError(f"needs [p_m, {name}] pairs of numbers, found {found}")
+        if not all(before[0] < after[0] for before, after in itertools.pairwise(points)):
+            raise ValueError(f"needs [p_m, {name}] pairs with increasing p_m, found {found}")
+        if not all(low <= value <= high for _, value in points):
+            raise ValueError(f"has a {name} outside {low:g} to {high:g}, found {found}")
+        return tuple(map(tuple, points))
+
+    return pydantic.BeforeValidator(checked)
+
+
+def _finite(value):
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
+        _finite(item)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"has {value}, finite numbers are needed")
+    return value
+
+
+Free = Annotated[Any, pydantic.AfterValidator(_finite)]
+"""Any value without numbers that are not finite."""
+AS_GIVEN = pydantic.WrapValidator(lambda value, handler: (handler(value), value)[1])
+"""Checked against the annotated class, but kept as the table that it is."""
+
+
+class _KeyFault(ValueError):
+    """A key that a table lacks or should not have: what is wrong, its name, allowed keys."""
+
+
+def _known_keys(cls: type, value):
+    if isinstance(value, cls):
+        return value
+    known = {field.name: field.default is field.default_factory for field in fields(cls)}
+    if not isinstance(value, dict):
+        raise ValueError(f"is {reprlib.repr(value)}, a table with the keys {sorted(known)} is needed")
+    for key in sorted(value.keys() - known):
+        raise _KeyFault("has the unknown", key, f"; allowed are {sorted(known)}")
+    for key in (key for key, needed in known.items() if needed and key not in value):
+        raise _KeyFault("lacks the", key, "")
+    return value
+
+
+@typing.dataclass_transform(frozen_default=True)
+def table(cls: type) -> type:
+    """Make a frozen dataclass that a table of a file is read into; unknown and missing keys are refused."""
+    cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))
+    return dataclass(frozen=True)(cls)
+
+
+def read(path: Path) -> Any:
+    """Content of a TOML or (by its suffix) JSON file; InputError when it cannot be read or is empty."""
+    kind = "JSON" if path.suffix == ".json" else "TOML"
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text) if kind == "JSON" else tomllib.loads(text)
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path.name}: cannot be read as {kind} ({error})") from error
+    if not content:
+        raise InputError(f"{path.name}: is empty")
+    return content
+
+
+def build(kind: type, content: Any, where: str) -> Any:
+    """Check content of a file and make it into a class.
+
+    Parameters
+    ----------
+    kind : type
+        Class marked with `table`, or `dict[str, such a class]` for a file of named tables.
+    content : Any
+        What `read` gave, or changes of it.
+    where : str
+        File that the sentence names.
+
+    Raises
+    ------
+    InputError
+        One sentence on the first fault: file, key, what was found, what is allowed.
+    """
+    try:
+        return _adapter(kind).validate_python(content)
+    except pydantic.ValidationError as error:
+        finding = error.errors(include_url=False)[0]
+        raise InputError(f"{where}: {_sentence(kind, content, finding)}") from None
+
+
+@functools.lru_cache
+def _adapter(kind: type) -> pydantic.TypeAdapter:
+    return pydantic.TypeAdapter(kind)
+
+
+def _sentence(kind: type, content: Any, finding: dict) -> str:
+    tables, key = _place(kind, content, finding["loc"])
+    details, found = finding.get("ctx", {}), reprlib.repr(finding["input"])
+    fault = details.get("error")
+    if isinstance(fault, _KeyFault):
+        wrong, name, allowed = fault.args
+        top = not key and not tables and isinstance(content.get(name, {}), dict)
+        path = f"group [{name}]" if top else f"key {name!r}" if tables else f"key {key}.{name}".replace(" .", " ")
+        return " ".join(filter(None, (tables, tables and key, wrong, path))) + allowed
+    message = _SENTENCES.get(finding["type"], "{fault}")
+    message = message.format(fault=fault or finding["msg"], found=found, **details)
+    return f"{tables}: {key} {message}" if tables and key else f"{tables}{key} {message}".lstrip()
+
+
+def _place(kind: type, content: Any, loc: tuple) -> tuple[str, str]:
+    """Named tables on the way to a fault, and the dotted key in the last of them."""
+    tables, key = [], ""
+    for i, step in enumerate(loc, 1):
+        if isinstance(content, dict) and step not in content:  # which of several classes the table was checked against
+            key += f" of kind {step!r}" if i == len(loc) else ""
+            continue
+        content = content[step]
+        if isinstance(step, int):
+            named = isinstance(content, dict) and isinstance(content.get("name"), str)
+            tables, key = [*tables, content["name"] if named else f"{key.removesuffix('s')} {step + 1}"], ""
+        elif not tables and typing.get_origin(kind) is dict:
+            tables = [f"[{step}]"]
+        else:
+            key = f"{key}.{step}".lstrip(".")
+    return " ".join(tables), key
