@@ -27,11 +27,14 @@ COLUMNS = (
     *("x_m", "y_m", "z_m"),
 )
 _PLAUSIBLE = {
+    "p_m": (1e6, "m"),
+    "psi_rad": (1e3, "rad"),
     "dpsi_dp_1pm": (0.05, "1/m"),
     "phi_rad": (0.3, "rad"),
     "eps_rad": (0.2, "rad"),
     "dphi_dp_1pm": (0.1, "rad/m"),
     "deps_dp_1pm": (0.1, "rad/m"),
+    **dict.fromkeys(COLUMNS[-3:], (1e8, "m")),
 }
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
@@ -206,20 +209,23 @@ def read_table(path: Path | str) -> pd.DataFrame:
     Raises
     ------
     InputError
-        Missing column, NaN, p not increasing, implausible magnitude (wrong unit) or angles that do not fit their rates.
+        Missing column, NaN, p not increasing, implausible magnitude (wrong unit), angles that do not fit their rates or
+        positions that do not fit the angles.
     """
     file = Path(path)
     numbers = read_numbers(file, COLUMNS[:7], COLUMNS[7:])
     step = np.diff(numbers["p_m"])
     for column, (limit, unit) in _PLAUSIBLE.items():
-        if (numbers[column].abs() > limit).any():
+        if column in numbers and (numbers[column].abs() > limit).any():
             row = int(np.argmax(numbers[column].abs() > limit))
             found = numbers[column].iloc[row]
             raise InputError(
-                f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit} {unit} is allowed (unit?)"
+                f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit:g} {unit} is allowed (unit?)"
             )
     _check_rates(file, numbers, step)
-    if len(numbers.columns) < len(COLUMNS):
+    if len(numbers.columns) == len(COLUMNS):
+        _check_positions(file, numbers, step)
+    else:
         numbers = numbers.assign(**dict(zip(COLUMNS[-3:], _positions(numbers), strict=True)))
     return numbers[list(COLUMNS)]
 
@@ -246,13 +252,16 @@ def read_numbers(file: Path, needed: Sequence[str], optional: Sequence[str] = ()
     """
     try:
         table = pd.read_csv(file)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file.name}: cannot be read as CSV ({error})") from error
+        table = table.astype(dict.fromkeys(table.select_dtypes(bool).columns, str))  # truth values are no numbers
+        columns = [column for column in (*needed, *optional) if column in table]
+        numbers = table[columns].apply(pd.to_numeric, errors="coerce").astype(float)
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError(f"{file.name}: cannot be read as CSV ({str(error).strip()})") from error
+    if not isinstance(table.index, pd.RangeIndex):
+        raise InputError(f"{file.name}: the rows have more fields than the head, which has {list(table.columns)}")
     for column in needed:
         if column not in table:
             raise InputError(f"{file.name}: column {column} is missing; found {list(table.columns)}")
-    columns = [*needed, *(column for column in optional if column in table)]
-    numbers = table[columns].apply(pd.to_numeric, errors="coerce").astype(float)
     if len(numbers) < 2:
         raise InputError(f"{file.name}: {len(numbers)} rows found, at least 2 are needed")
     wrong = ~np.isfinite(numbers.to_numpy())
@@ -282,3 +291,28 @@ def _check_rates(file: Path, table: pd.DataFrame, step: np.ndarray) -> None:
                 f"{file.name}: row {row + 2}, {rate} = {values[row]:g} does not fit {angle}, which changes by "
                 f"{measured[row]:g} per metre"
             )
+        # A ramp may begin or end beside a row, but a peak that the angle follows on neither side is a spike.
+        rise, missed = np.diff(values) / 2, (values[:-1] + values[1:]) / 2 - measured
+        ignored = np.where(np.abs(missed) > np.abs(rise) / 2 + tolerance, np.sign(missed), 0)
+        spike = (ignored[:-1] * ignored[1:] > 0) & (rise[:-1] * ignored[:-1] > 0) & (rise[1:] * ignored[1:] < 0)
+        if spike.any():
+            row = int(np.argmax(spike)) + 1
+            raise InputError(
+                f"{file.name}: row {row + 2}, {rate} = {values[row]:g} is a spike beside {values[row - 1]:g} and "
+                f"{values[row + 1]:g} that {angle} does not follow"
+            )
+
+
+def _check_positions(file: Path, table: pd.DataFrame, step: np.ndarray) -> None:
+    """Rows must lie apart as their angles say, up to millimetres and what the track turns between them."""
+    given = np.diff(table[list(COLUMNS[-3:])].to_numpy(), axis=0).T
+    expected = Track("", table).travel(table["p_m"].to_numpy()[:-1], step)
+    turned = np.abs(np.diff(table["psi_rad"])) + np.abs(np.diff(table["eps_rad"]))
+    apart = np.linalg.norm(given - expected, axis=0)
+    wrong = apart > 2e-3 + step * (1e-3 + turned)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"{file.name}: row {row + 3}, x_m, y_m, z_m lie {apart[row]:.3g} m from where p_m, psi_rad and eps_rad "
+            "lead from the row before"
+        )
