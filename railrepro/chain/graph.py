@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
@@ -116,4 +116,4 @@ def verify_tolerance(path: Path | None = None) -> dict:
     tolerance = _chain(path).verify
     if tolerance is None:
         raise InputError("chain.toml: the group [verify] is missing")
-    return tolerance
+    return cast(dict, tolerance)
