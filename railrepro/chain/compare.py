@@ -33,7 +33,7 @@ class Comparison:
     where: str = ""
 
     def __add__(self, other: Comparison) -> Comparison:
-        worst = max(self, other, key=lambda c: c.largest)
+        worst = max(self, other, key=lambda c: (c.largest, c.different, bool(c.where)))
         same, near, different = self.same + other.same, self.near + other.near, self.different + other.different
         return Comparison(same, near, different, worst.largest, worst.where)
 

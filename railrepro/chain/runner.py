@@ -162,17 +162,28 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
             options = {"parameters": parameters, "kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": bar}
             options["allow_errors"] = keep_going
             papermill.execute_notebook(str(notebook.path), str(output), **options)
-        except papermill.PapermillExecutionError as error:
+        except papermill.PapermillExecutionError:
             deterministic(output)
             os.replace(output, failed)
-            where = f"cell {error.exec_count}" if error.exec_count else "a cell"
-            message = f"{error.ename}: {error.evalue}".splitlines()[0]
+            where, message = _first_failure(failed)
             raise InputError(f"{notebook.name}: {where} failed with {message} (kept {_short(failed)})") from None
     for i, cell in enumerate(nbformat.read(output, 4).cells):
         if cell.cell_type == "code" and cell.source.strip() and cell.execution_count is None:
             os.replace(output, failed)
             raise InputError(f"{notebook.name}: cell {i + 1} was not executed (kept {_short(failed)})")
     deterministic(output)
+
+
+def _first_failure(executed: Path) -> tuple[str, str]:
+    """Place and first line of the first error in an executed notebook; others may follow from it."""
+    import nbformat
+
+    for cell in nbformat.read(executed, 4).cells:
+        for output in cell.get("outputs", []):
+            if output.output_type == "error":
+                place = f"cell {cell.execution_count}" if cell.execution_count else "a cell"
+                return place, f"{output.ename}: {output.evalue}".splitlines()[0]
+    return "a cell", "an error that it does not show"
 
 
 def _beside_others() -> bool:

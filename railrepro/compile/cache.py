@@ -48,7 +48,8 @@ def _processor() -> str:
 
 def flags() -> tuple[str, ...]:
     """Flags of the compiler: `RAILREPRO_CFLAGS` or the default, and what a shared object needs."""
-    default = PORTABLE_FLAGS + (" -mavx2" if "avx2" in _processor().split() else "")
+    wide = platform.machine() in ("x86_64", "AMD64") and "avx2" in _processor().split()
+    default = PORTABLE_FLAGS + (" -mavx2" if wide else "")
     return (*os.environ.get("RAILREPRO_CFLAGS", default).split(), *_ALWAYS)
 
 

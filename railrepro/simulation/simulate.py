@@ -20,6 +20,7 @@ from railrepro.control.law import GEARS
 from railrepro.errors import InputError
 from railrepro.model.control_model import X
 from railrepro.simulation.exchange import Exchange
+from railrepro.simulation.ride import FLANGE_ANGLE
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -178,7 +179,7 @@ def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
 
     for wheel in equations.WHEELS:
         first(series[f"{wheel}.N"] <= 0, f"{wheel} wheel lifts")
-        first(series[f"{wheel}.angle"].abs() > np.radians(30), f"{wheel} wheel touches with its flange")
+        first(series[f"{wheel}.angle"].abs() > FLANGE_ANGLE, f"{wheel} wheel touches with its flange")
     for gear in GEARS:
         beyond = series[f"{gear}.yaw_to_body"].abs() > vehicle.suspension.yaw_stop_angle
         first(beyond, f"{gear} gear is on its yaw end stop")
