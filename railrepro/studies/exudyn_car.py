@@ -35,7 +35,7 @@ MEASURED = (
     *(f"{wheel}.{name}" for name in ("w", "N") for wheel in WHEELS),
 )
 STEP = 5e-4
-"""Step of Exudyn's Runge-Kutta method (s), a whole share of an exchange."""
+"""Usual step of Exudyn's Runge-Kutta method (s)."""
 WHEEL_MASS = 400.0
 """Share of a wheel in the mass of a gear (kg); of no influence: the inertias of the gear contain the wheels."""
 _GAUSS = np.polynomial.legendre.leggauss(4)
@@ -264,8 +264,10 @@ class ExudynCar:
         loads, self._found, self._measured = self._forces()
         self._loads = loads.reshape(7, 6).tolist()
 
-    def run(self, law: Callable, exchanges: int) -> pd.DataFrame:
+    def run(self, law: Callable, exchanges: int, step: float = STEP) -> pd.DataFrame:
         """Drive under law(number of the exchange, measured) -> torque commands (4), each held for an exchange.
+
+        An exchange has a whole number of steps.
 
         Returns
         -------
@@ -273,11 +275,11 @@ class ExudynCar:
             One row per exchange, columns `MEASURED` (SI).
         """
         self._command, self._before, self._since = np.zeros(4), np.zeros(4), 0.0
-        per_exchange, log, count = round(EXCHANGE_PERIOD / STEP), [], 0
+        per_exchange, log, count = round(EXCHANGE_PERIOD / step), [], 0
 
         def before_step(_mbs, _end):
             nonlocal count
-            time = count * STEP
+            time = count * step
             self._evaluate(time)
             advance, self._s[:] = self._found - self._s, self._found
             if count % per_exchange == 0:

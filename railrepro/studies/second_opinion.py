@@ -22,7 +22,7 @@ from railrepro.control.ndi import NDISettings
 from railrepro.errors import InputError
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies.exudyn_car import MEASURED, ExudynCar
+from railrepro.studies.exudyn_car import MEASURED, STEP, ExudynCar
 from railrepro.track import route
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -49,6 +49,8 @@ class Case:
         Differential torque of open-loop pulses (N m); 0: NDI with integral action, replayed with `_guard`.
     irregular, slopes : bool
         Irregular rails; whether their slopes turn tangent and normal of the contact (our car leaves that out).
+    step : float
+        Step of Exudyn (s); irregular rails have a kink every half metre and need shorter ones.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Case:
     pulses: float = 0.0
     irregular: bool = False
     slopes: bool = True
+    step: float = STEP
 
 
 _STRAIGHT = {"set_point": {"kind": "none"}, "speed_kmh": 200}
@@ -65,8 +68,8 @@ CASES = (
     Case("straight pulses", "sine_tracking", 3.0, _STRAIGHT, pulses=30.0),
     Case("braking on T2", "braking", 22.0),
     *(Case(track, f"curve_entry_{track}", s) for track, s in (("T1", 17.5), ("T2", 13), ("T3", 7.5), ("T4", 6.2))),
-    Case("irregular rails", "sine_tracking", 5.0, _STRAIGHT, irregular=True),
-    Case("irregular rails, no slopes", "sine_tracking", 5.0, _STRAIGHT, irregular=True, slopes=False),
+    Case("irregular rails", "sine_tracking", 5.0, _STRAIGHT, irregular=True, step=1e-4),
+    Case("irregular rails, no slopes", "sine_tracking", 5.0, _STRAIGHT, irregular=True, slopes=False, step=1e-4),
 )
 
 
@@ -130,7 +133,8 @@ def replay(case: Case, vehicle: Vehicle | None = None) -> dict[str, pd.DataFrame
         outputs = car.outputs
         log.append(np.array([outputs[name] for name in MEASURED]))
         car.step(law(k, log[-1]), SHORT_STEPS, EXCHANGE_PERIOD / SHORT_STEPS)
-    theirs = ExudynCar(vehicle, way, speed, case.slopes).run(_guard(case, series, vehicle), len(series))
+    other = ExudynCar(vehicle, way, speed, case.slopes)
+    theirs = other.run(_guard(case, series, vehicle), len(series), case.step)
     return {"exudyn": theirs, "1": series[list(MEASURED)], "0.05": pd.DataFrame(log, columns=MEASURED)}
 
 
