@@ -18,6 +18,7 @@ from railrepro.control import law
 from railrepro.control.ndi import NDI
 from railrepro.simulation import exchange
 from railrepro.track import route
+from railrepro.track.irregularity import irregularities
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -100,6 +101,19 @@ def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
     work = np.trapezoid(motor - damping - creep, dx=EXCHANGE_PERIOD)
     assert energy[-1] - energy[0] == pytest.approx(work, rel=1e-4)
     assert motor.max() > 1e5
+
+
+def test_energy_balance_on_irregular_rails(vehicle):
+    """The normal force of a rail that climbs or bends aside acts along the track, too; without it work appears."""
+    rough = irregularities(np.arange(0.0, 400.0, route.CELL), shortest=10.0)
+    coupled = start(vehicle, "T5", 30.0, irregularities=rough)
+    balance = [energies(coupled)]
+    for _ in range(4000):
+        coupled.run(1)
+        balance.append(energies(coupled))
+    energy, motor, damping, creep = np.array(balance).T
+    lost = np.trapezoid(damping + creep - motor, dx=EXCHANGE_PERIOD)
+    assert energy[0] - energy[-1] == pytest.approx(lost, rel=0.05)
 
 
 def mirror(name):

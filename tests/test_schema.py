@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from railrepro import paths, schema
-from railrepro.chain import pipeline
-from railrepro.control.ndi import NDISettings
+from railrepro.chain import graph
+from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.report import claims
 from railrepro.simulation import simulate
@@ -30,7 +30,7 @@ READERS = {
     "data/scenarios.toml": load_scenarios,
     "data/tuning.toml": tuning.load_task,
     "data/claims.toml": claims.load_claims,
-    "notebooks/chain.toml": lambda file: (pipeline.chain(file), pipeline.verify_tolerance(file)),
+    "notebooks/chain.toml": lambda file: (graph.chain(file), graph.verify_tolerance(file)),
     "data/tuned/ndi.json": lambda file: tuning.load("ndi", file.parent),
     "data/tracks/T3.csv": read_table,
 }
@@ -257,7 +257,7 @@ def test_what_is_wrong_is_named(folder, name, old, new, sentence):
 
 def test_an_adhesion_set_that_the_vehicle_lacks_is_named():
     with pytest.raises(InputError, match="scenario braking: the adhesion set 'ice' is not known; there are .*'dry'"):
-        simulate.run(load_scenario("braking").but(good="ice"), NDISettings())
+        simulate.run(load_scenario("braking").but(good="ice"), NDI())
 
 
 @pytest.mark.parametrize(

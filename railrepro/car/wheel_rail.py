@@ -55,7 +55,9 @@ class Contact:
 
         upright = rotation("z", gear.psi) @ rotation("x", gear.phi)
         turn_rate, base = section.turn_rate, sign * par["gear.contact_base"] / 2
-        tangent = ca.vertcat(1, 0, turn_rate[0] * base / (1 - turn_rate[2] * base))
+        dlateral, dvertical, dcrosslevel = section.irregularity_rates
+        climb = turn_rate[0] * base + dvertical + base * dcrosslevel
+        tangent = ca.vertcat(1, ca.vertcat(dlateral, climb) / (1 - turn_rate[2] * base))
         tangent /= ca.norm_2(tangent)
         normal = upright @ ca.vertcat(0, sign * at["slope"] * cos_angle, cos_angle)
         normal -= tangent * ca.dot(tangent, normal)
