@@ -23,7 +23,7 @@ from railrepro.track.alignment import alignments
 from railrepro.track.table import COLUMNS, load_track, read_table
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
 
-NDI = paths.ROOT / tuning.TUNED / "ndi.json"
+TUNED_NDI = paths.ROOT / tuning.TUNED / "ndi.json"
 READERS = {
     "data/vehicle.toml": lambda file: (load_vehicle(file), describe(file).to_csv(na_rep=""), sample_ranges(file)),
     "data/tracks.toml": alignments,
@@ -111,7 +111,7 @@ def broken_bytes(draw, data: bytes) -> bytes:
 def folder(tmp_path_factory):
     """Where broken files lie; tuned sets are taken for those of this model without deriving it."""
     with pytest.MonkeyPatch.context() as patch:
-        stored = json.loads(NDI.read_text())["origin"]["fingerprint"]
+        stored = json.loads(TUNED_NDI.read_text())["origin"]["fingerprint"]
         patch.setattr(tuning, "_fingerprint_here", lambda: stored)
         yield tmp_path_factory.mktemp("broken")
 
