@@ -5,7 +5,7 @@ import pytest
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.control.ndi import NDISettings
+from railrepro.control.ndi import NDI
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.table import load_track
@@ -137,7 +137,7 @@ def test_sway_of_the_body_in_an_arc(track, bumps):
     """Lateral offset and roll of the body under the unbalanced acceleration, between guided carriers."""
     geometry = load_track(track)
     scenario = load_scenario(f"curve_entry_{track}").but(set_point={"kind": "none"}, end_m=geometry.length)
-    run = simulate.run(scenario, NDISettings(integral=0.2))
+    run = simulate.run(scenario, NDI(integral=0.2))
     assert not run.failed
     log = run.series.tail(1500).mean()
     _, kappa, phi, *_ = geometry.interpolate(np.array([geometry.length]))[:, 0]

@@ -56,7 +56,7 @@ def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(get["x"], get["y"], get["z"]) + d * travelled, ca.horzcat(x, y, ca.cross(x, y))
 
 
-def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel, slopes: bool) -> tuple[ca.SX, ...]:
+def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
     """Force and torque about the wheel's centre (in space), and the normal force (N).
 
     The cone r = r0 - side tan(delta) eta stands on a line-shaped rail where the rail is deepest inside it. There the
@@ -65,16 +65,13 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel, slop
     (centre, velocity, turn), data, angle = wheel, vehicle.contact, vehicle.wheel.cone_angle
     half, variable = side * vehicle.gear.contact_base / 2, ca.SX.sym("s")
 
-    def rail(place, uneven):
-        """Point of the rail at `place`, with the irregularities of the place `uneven`."""
+    def rail(place):
+        """Point of the irregular rail at `place`."""
         position, rotation = _frame(get, place)
         lateral, vertical, cross = (
-            get[name] + get["d" + name] * (uneven - get["p"]) for name in ("lateral", "vertical", "crosslevel")
+            get[name] + get["d" + name] * (place - get["p"]) for name in ("lateral", "vertical", "crosslevel")
         )
         return position + rotation @ ca.vertcat(0, half + lateral, vertical + half * cross)
-
-    def along(function):
-        return ca.substitute(ca.jacobian(function, variable), variable, s)
 
     def depth(point):
         arm = point - centre
@@ -82,21 +79,19 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel, slop
         radius = vehicle.wheel.radius - side * np.tan(angle) * lateral
         return (radius - ca.norm_2(arm - lateral * axle)) * np.cos(angle)
 
-    moving, climbing = variable if slopes else s, 0 if slopes else speed * along(rail(s, variable))
-    slope = ca.gradient(depth(rail(variable, moving)), variable)
+    slope = ca.gradient(depth(rail(variable)), variable)
     deepest, newton = s, variable - slope / ca.gradient(slope, variable)
     for _ in range(2):
         deepest = ca.substitute(newton, variable, deepest)
-    uneven = deepest if slopes else s
-    tangent = ca.substitute(ca.jacobian(rail(variable, moving), variable), variable, deepest)
+    tangent = ca.substitute(ca.jacobian(rail(variable), variable), variable, deepest)
     tangent /= ca.norm_2(tangent)
-    point = rail(deepest, uneven)
+    point = rail(deepest)
     arm = point - centre
     radial = arm - ca.dot(arm, axle) * axle
     normal = np.cos(angle) * radial / ca.norm_2(radial) + side * np.sin(angle) * axle
     lateral, slide = ca.cross(normal, tangent), velocity + ca.cross(turn, arm)
 
-    elastic, rate = data.normal_stiffness * ca.fmax(depth(point), 0) ** 1.5, ca.dot(slide - climbing, normal)
+    elastic, rate = data.normal_stiffness * ca.fmax(depth(point), 0) ** 1.5, ca.dot(slide, normal)
     load = ca.fmax(elastic * (1 + data.normal_damping * rate), 0)
     rolling, slides = ca.sqrt(speed**2 + data.rest_speed**2), (ca.dot(slide, tangent), ca.dot(slide, lateral))
     scale, kalker = ((load + 1) / data.nominal_load) ** (1 / 3), kalker_coefficients(CONE_AXES[0] / CONE_AXES[1])
@@ -149,7 +144,7 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
     return tuple(sum(parts) for parts in zip(*acting, strict=True))
 
 
-def forces(vehicle: Vehicle, slopes: bool = True) -> ca.Function:
+def forces(vehicle: Vehicle) -> ca.Function:
     """Everything that acts on the bodies, from their motion in space.
 
     Returns
@@ -182,7 +177,7 @@ def forces(vehicle: Vehicle, slopes: bool = True) -> ca.Function:
         for i, side in ((2 * g, -1), (2 * g + 1, 1)):
             arm, speed = side * vehicle.gear.contact_base / 2 * axle, ca.dot(rotation[:, 0], gear[1])
             wheel = gear[0] + arm, gear[1] + ca.cross(gear[2], arm), turns[:, i]
-            force, torque, normal = _contact(vehicle, side, get, s, speed, axle, wheel, slopes)
+            force, torque, normal = _contact(vehicle, side, get, s, speed, axle, wheel)
             loads[3 + i] += ca.vertcat(force, torque - tau[i] * axle)
             loads[1 + g] += ca.vertcat(0, 0, 0, tau[i] * axle)
             spins, normals = [*spins, -ca.dot(axle, turns[:, i])], [*normals, normal]
@@ -193,13 +188,13 @@ def forces(vehicle: Vehicle, slopes: bool = True) -> ca.Function:
 class ExudynCar:
     """The car in Exudyn: bodies, joints and loads by user functions; starts rolling with the front gear at s = 0."""
 
-    def __init__(self, vehicle: Vehicle, way: route.Route, speed: float, slopes: bool = True):
+    def __init__(self, vehicle: Vehicle, way: route.Route, speed: float):
         import exudyn
 
         self._exu, self._lag, self._way = exudyn, vehicle.drive.lag, way
         self._container = exudyn.SystemContainer()
         self._mbs = self._container.AddSystem()
-        self._forces = codegen.compiled(forces(vehicle, slopes))
+        self._forces = codegen.compiled(forces(vehicle))
         self._motion, self._turns, self._cells, self._s, self._tau = self._forces.arguments
         rest = rest_state(vehicle, contact_table("cone", vehicle), speed)
         body, gear, wheel = vehicle.body, vehicle.gear, vehicle.wheel

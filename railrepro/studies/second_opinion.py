@@ -18,7 +18,7 @@ from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.car.equations import WHEELS
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.control.ndi import NDISettings
+from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -47,8 +47,8 @@ class Case:
         Fields of the scenario to change.
     pulses : float
         Differential torque of open-loop pulses (N m); 0: NDI with integral action, replayed with `_guard`.
-    irregular, slopes : bool
-        Irregular rails; whether their slopes turn tangent and normal of the contact (our car leaves that out).
+    irregular : bool
+        Irregular rails.
     step : float
         Step of Exudyn (s); irregular rails have a kink every half metre and need shorter ones.
     """
@@ -59,7 +59,6 @@ class Case:
     changes: dict = field(default_factory=dict)
     pulses: float = 0.0
     irregular: bool = False
-    slopes: bool = True
     step: float = STEP
 
 
@@ -69,7 +68,6 @@ CASES = (
     Case("braking on T2", "braking", 22.0),
     *(Case(track, f"curve_entry_{track}", s) for track, s in (("T1", 17.5), ("T2", 13), ("T3", 7.5), ("T4", 6.2))),
     Case("irregular rails", "sine_tracking", 5.0, _STRAIGHT, irregular=True, step=1e-4),
-    Case("irregular rails, no slopes", "sine_tracking", 5.0, _STRAIGHT, irregular=True, slopes=False, step=1e-4),
 )
 
 
@@ -90,7 +88,7 @@ def record(case: Case, vehicle: Vehicle) -> tuple[pd.DataFrame, route.Route]:
     """Our car's run, one row per exchange (see `simulate.run`), and the route it went."""
     scenario = load_scenario(case.scenario).but(**case.changes)
     rough = irregularities(np.arange(0.0, scenario.end_m, route.CELL)) if case.irregular else None
-    guidance = (lambda _v, _w, gear: _Pulses(case.pulses, gear)) if case.pulses else NDISettings(integral=0.1)
+    guidance = (lambda _v, _w, gear: _Pulses(case.pulses, gear)) if case.pulses else NDI(integral=0.1)
     series = simulate.run(scenario, guidance, vehicle=vehicle, irregularities=rough).series
     return series[series["t_s"] < case.seconds], scenario.route(rough)
 
@@ -133,7 +131,7 @@ def replay(case: Case, vehicle: Vehicle | None = None) -> dict[str, pd.DataFrame
         outputs = car.outputs
         log.append(np.array([outputs[name] for name in MEASURED]))
         car.step(law(k, log[-1]), SHORT_STEPS, EXCHANGE_PERIOD / SHORT_STEPS)
-    other = ExudynCar(vehicle, way, speed, case.slopes)
+    other = ExudynCar(vehicle, way, speed)
     theirs = other.run(_guard(case, series, vehicle), len(series), case.step)
     return {"exudyn": theirs, "1": series[list(MEASURED)], "0.05": pd.DataFrame(log, columns=MEASURED)}
 
