@@ -90,6 +90,36 @@ def test_energy_of_the_free_car_is_conserved(vehicle):
     assert energies(coupled)[0] == pytest.approx(before, rel=1e-6)
 
 
+def test_wheels_bounce_on_the_rails_as_hertz_has_it(vehicle):
+    """A carrier on two contacts, each of stiffness 1.5 N/penetration and damping N times its constant, and two dampers."""
+    car = SteppedCar("T5", 50.0)
+    car.step(exchanges=2000)
+    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
+    penetration = (load / vehicle.contact.normal_stiffness) ** (2 / 3)
+    frequency = np.sqrt(2 * 1.5 * load / penetration / vehicle.gear.mass)
+    decay = (load * vehicle.contact.normal_damping + vehicle.suspension.c_z) / vehicle.gear.mass
+    modes = np.linalg.eigvals(car.linearise().a.to_numpy())
+    bounce = modes[np.argsort(np.abs(modes.imag - frequency))[:2]]
+    assert bounce.imag == pytest.approx(frequency, rel=0.02)
+    assert -bounce.real == pytest.approx(decay, rel=0.01)
+
+
+def test_share_of_the_poor_set_blends_from_good_to_poor(vehicle):
+    ends = []
+    for share, sets in ((1.0, ("dry", "poor")), (0.0, ("poor", "dry")), (0.0, ("dry", "poor"))):
+        parameters = equations.parameter_vector(vehicle, *sets)
+        coupled = start(
+            vehicle,
+            parameters=parameters,
+            poor=lambda p, s=share: np.full_like(p, s),
+            force=lambda p: np.full_like(p, 2e4),
+        )
+        coupled.run(1500)
+        ends.append(coupled.state.copy())
+    assert ends[0] == pytest.approx(ends[1], rel=1e-12)
+    assert not np.allclose(ends[0], ends[2], rtol=1e-6)
+
+
 def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
     pull = {"force": lambda p: np.where(p > 5, 10e3, 0.0)}
     coupled = start(vehicle, "T3", 280 * KMH, NDI(), route.sweep(2e-3, 150, 60, 25, 500), **pull)
