@@ -91,7 +91,7 @@ def test_energy_of_the_free_car_is_conserved(vehicle):
 
 
 def test_wheels_bounce_on_the_rails_as_hertz_has_it(vehicle):
-    """A carrier on two contacts, each of stiffness 1.5 N/penetration and damping N times its constant, and on dampers."""
+    """A carrier on two contacts, of stiffness 1.5 N/penetration and damping N times its constant, and on dampers."""
     car = SteppedCar("T5", 50.0)
     car.step(exchanges=2000)
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
