@@ -151,6 +151,34 @@ def test_the_inversion_inverts_the_control_model(speed, base_torque, tolerance):
     assert first_order[1] == pytest.approx(first_order[0], rel=tolerance)
 
 
+def test_the_wanted_jerk_is_that_of_the_error_dynamics():
+    """Time derivatives of y and of the set point along an accelerated run, by differentiation of both over time."""
+    t, v0, acceleration, curvature, integral = ca.SX.sym("t"), 30.0, -1.3, 2e-3, 4e-4
+    p, y = v0 * t + acceleration * t**2 / 2, 2e-3 + 5e-3 * t - 7e-3 * t**2 + 4e-3 * t**3
+    place = ca.SX.sym("p")
+    set_point = [3e-3 - 2e-4 * place + 1e-5 * place**2 + 4e-7 * place**3]
+    for _ in range(3):
+        set_point.append(ca.gradient(set_point[-1], place))
+
+    def over_time(function, order):
+        for _ in range(order):
+            function = ca.gradient(function, t)
+        return function
+
+    v, psi_r = over_time(p, 1), over_time(y, 1) / over_time(p, 1)
+    gear = {"xdot": v, "xddot": acceleration, "psi_TrAx": psi_r, "y_TrAx": y}
+    gear["psidot_Ax"] = (over_time(y, 2) - acceleration * psi_r) / v + v * curvature
+    names = ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")
+    road = {name: ca.substitute(value, place, p) for name, value in zip(names, set_point, strict=True)}
+    road["dpsi_dp"] = curvature
+    gain = NDI(pole=20.0, frequency=30.0, damping=0.7, integral=0.1, derivatives=3).gains()
+    wanted = over_time(road["y_ref"], 3) + gain["ki"] * integral
+    wanted += sum(gain[f"k{i}"] * over_time(road["y_ref"] - y, i) for i in range(3))
+    both = ca.Function("both", [t], [ndi.wanted_jerk(gear, road, integral, gain), wanted])
+    found, expected = map(float, both(0.3))
+    assert found == pytest.approx(expected, rel=1e-10)
+
+
 def test_gains_of_a_triple_pole():
     gains = NDI(pole=10, frequency=10, damping=1.0).gains()
     assert [gains[k] for k in ("k0", "k1", "k2")] == pytest.approx([1000, 300, 30])
