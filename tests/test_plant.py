@@ -90,6 +90,23 @@ def test_energy_of_the_free_car_is_conserved(vehicle):
     assert energies(coupled)[0] == pytest.approx(before, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("spring", "coordinate", "angle"), [("antiroll", "phi", 0.01), ("pitch", "pitch", 0.01), ("yaw_stop", "psi", 0.06)]
+)
+def test_rotational_springs_store_their_energy(vehicle, spring, coordinate, angle):
+    """Both gears' springs of a turned body: k (sin angle - sin clearance)^2 / 2 each."""
+    state = equations.rest_state(vehicle, contact_table("cone", vehicle), 50.0)
+    state[equations.indices(f"body.{coordinate}")] = angle
+    clearance = vehicle.suspension.yaw_stop_angle if spring == "yaw_stop" else 0.0
+    stored = []
+    for stiffness in (getattr(vehicle.suspension, f"{spring}_stiffness"), 0.0):
+        parameters = equations.parameter_vector(vehicle)
+        parameters[equations.PARAMETERS.index(f"suspension.{spring}_stiffness")] = stiffness
+        stored.append((stiffness, energies(start(vehicle, state=state, parameters=parameters))[0]))
+    (stiffness, full), (_, without) = stored
+    assert full - without == pytest.approx(stiffness * (np.sin(angle) - np.sin(clearance)) ** 2, rel=1e-3)
+
+
 def test_wheels_bounce_on_the_rails_as_hertz_has_it(vehicle):
     """A carrier on two contacts, of stiffness 1.5 N/penetration and damping N times its constant, and on dampers."""
     car = SteppedCar("T5", 50.0)
