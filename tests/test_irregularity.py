@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
+from spoiling import set_cell
 
 from railrepro.errors import InputError
 from railrepro.track import defects
@@ -164,26 +165,20 @@ def test_measured_irregularities_are_read_as_written(tmp_path, rough):
     assert read_irregularities(tmp_path / "measured.csv", length=590.0).equals(rough)
 
 
-def cell(row, column, value):
-    def change(frame):
-        frame[column] = frame[column].astype(object)
-        frame.loc[row, column] = value
-        return frame
-
-    return change
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
         (lambda f: f.drop(columns="gauge_m"), "column gauge_m is missing"),
-        (cell(7, "vertical_m", np.nan), "row 9, vertical_m is nan"),
-        (cell(7, "vertical_m", "deep"), "row 9, vertical_m is 'deep'"),
-        (cell(7, "p_m", 0.0), "row 9, p_m does not increase"),
+        (set_cell(7, "vertical_m", np.nan), "row 9, vertical_m is nan"),
+        (set_cell(7, "vertical_m", "deep"), "row 9, vertical_m is 'deep'"),
+        (set_cell(7, "p_m", 0.0), "row 9, p_m does not increase"),
         (lambda f: f.drop(index=[20, 21]), "row 22, p_m has a gap from 9.5 to 11 m"),
         (lambda f: f.assign(vertical_m=1e3 * f["vertical_m"]), r"vertical_m = \S+ -0.1 to 0.1 is allowed \(unit\?\)"),
-        (cell(40, "lateral_m", 0.021), "row 42, lateral_m = 0.021, -0.02 to 0.02 is allowed; more than the flangeway"),
-        (cell(40, "gauge_m", -0.011), "row 42, gauge_m = -0.011, -0.01 to 0.035"),
+        (
+            set_cell(40, "lateral_m", 0.021),
+            "row 42, lateral_m = 0.021, -0.02 to 0.02 is allowed; more than the flangeway",
+        ),
+        (set_cell(40, "gauge_m", -0.011), "row 42, gauge_m = -0.011, -0.01 to 0.035"),
         (lambda f: f.iloc[:100], "goes from 0 to 49.5 m, the run needs 0 to 590 m"),
         (lambda f: f.iloc[10:], "goes from 5 to 599.5 m"),
         (lambda f: f.iloc[::4], "row 3, p_m makes a step of 2 m, up to 1.5 m is allowed for wavelengths of 3 m"),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from spoiling import set_cell
 
 from railrepro.errors import InputError
 from railrepro.track.alignment import alignments, superelevation
@@ -78,15 +79,6 @@ def spoil(tmp_path, change):
     file = tmp_path / "own.csv"
     table.to_csv(file, index=False)
     return file
-
-
-def set_cell(row, column, value):
-    def change(table):
-        table[column] = table[column].astype(object)
-        table.loc[row, column] = value
-        return table
-
-    return change
 
 
 @pytest.mark.parametrize(
