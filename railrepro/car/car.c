@@ -11,6 +11,8 @@ typedef struct {
   double *state;
   const double *next;
   casadi_int n_states;
+  /* steps in an advance, each with its look-up */
+  casadi_int substeps;
 } car_t;
 
 /* Cells of all tables at the present state. */
@@ -20,6 +22,9 @@ int car_look_up(const car_t *car) {
     const lookup_t *t = car->lookups + i;
     const double *row = row_at(t->cells, car->places[i], t->start, t->step, t->n, t->width);
     memcpy(t->row, row, (size_t)t->width * sizeof(double));
+    if (!t->other || *t->share == 0) continue;
+    row = row_at(t->other, car->places[i], t->start, t->step, t->n, t->width);
+    for (casadi_int j = 0; j < t->width; ++j) t->row[j] += *t->share * (row[j] - t->row[j]);
   }
   return 0;
 }
@@ -27,10 +32,13 @@ int car_look_up(const car_t *car) {
 /* Outputs at the present state. */
 int car_measure(const car_t *car) { return car_look_up(car) || evaluate(&car->output); }
 
-/* One step from where the car was looked up last. */
+/* One exchange from where the car was looked up last. */
 int car_advance(const car_t *car) {
-  if (evaluate(&car->step)) return 1;
-  memcpy(car->state, car->next, (size_t)car->n_states * sizeof(double));
+  casadi_int k = 0;
+  do {
+    if ((k && car_look_up(car)) || evaluate(&car->step)) return 1;
+    memcpy(car->state, car->next, (size_t)car->n_states * sizeof(double));
+  } while (++k < car->substeps);
   return 0;
 }
 

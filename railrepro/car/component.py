@@ -32,8 +32,7 @@ class Linearisation:
     Attributes
     ----------
     a, b, c, d : DataFrame
-        States `equations.STATES`, inputs the motor torque commands of `equations.WHEELS`, outputs
-        `equations.car().outputs` (SI).
+        States and outputs as in `SteppedCar.model`, inputs the motor torque commands of `equations.WHEELS` (SI).
     """
 
     a: pd.DataFrame
@@ -47,8 +46,10 @@ class SteppedCar:
 
     Attributes
     ----------
-    state : ndarray, shape (44,)
-        See `equations.STATES`; writable.
+    model : Car
+        The equations, with the names of states and outputs.
+    state : ndarray, shape (len(model.states),)
+        Writable.
     torque : ndarray, shape (4,)
         Motor torque commands in the order of `equations.WHEELS`, traction-positive (N m).
     time : float
@@ -62,6 +63,7 @@ class SteppedCar:
         state = equations.rest_state(vehicle, self.table, speed)
         self._car = CarStepper(equations.parameter_vector(vehicle, good, poor), self.table, self.route, state)
         self.state, self.torque, self.parameters = self._car.state, self._car.torque, self._car.parameters
+        self.model = self._car.model
 
     def step(self, torque=None, exchanges: int = 1, period: float = EXCHANGE_PERIOD) -> None:
         """Advance by some exchanges with the torques held.
@@ -89,32 +91,32 @@ class SteppedCar:
             new = self._car.next_state
             worst = int(np.argmax(~(np.abs(new) < _LARGEST)))
             raise ArithmeticError(
-                f"{equations.STATES[worst]} = {new[worst]:.3g} left all bounds after t = {self.time:.3f} s, "
+                f"{self.model.states[worst]} = {new[worst]:.3g} left all bounds after t = {self.time:.3f} s, "
                 f"p = {self.outputs['front.p']:.1f} m"
             )
 
     @property
     def outputs(self) -> dict[str, float]:
-        """Positions, wheel loads, creepages, contact forces by name (`equations.car().outputs`, SI)."""
-        return dict(zip(equations.car().outputs, self._car.measure().tolist(), strict=True))
+        """Positions, wheel loads, creepages, contact forces by name (`model.outputs`, SI)."""
+        return dict(zip(self.model.outputs, self._car.measure().tolist(), strict=True))
 
     @property
     def energies(self) -> dict[str, float]:
         """Mechanical energy (J), motor power and losses (W), see `ENERGIES`."""
-        return dict(zip(ENERGIES, np.array(equations.car().energy(*self.inputs())).ravel().tolist(), strict=True))
+        return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Arguments x, u, rows, contacts, par of the functions of `equations.car()` at the present state."""
+        """Arguments x, u, rows, contacts, par of the functions of `model` at the present state."""
         return self._car.inputs()
 
     def linearise(self) -> Linearisation:
         """Linear model about the present state and torques, track and contact cells held."""
-        car, inputs = equations.car(), self.inputs()
-        x, u = ca.SX.sym("x", len(equations.STATES)), ca.SX.sym("u", len(equations.WHEELS))
+        car, inputs = self.model, self.inputs()
+        x, u = ca.SX.sym("x", len(car.states)), ca.SX.sym("u", len(equations.WHEELS))
         rate, output = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])
         jacobians = [ca.jacobian(f, v) for f in (rate, output) for v in (x, u)]
         a, b, c, d = (np.array(m) for m in ca.Function("linear", [x, u], jacobians)(*inputs[:2]))
-        states, wheels, outputs = list(equations.STATES), list(equations.WHEELS), list(car.outputs)
+        states, wheels, outputs = list(car.states), list(equations.WHEELS), list(car.outputs)
         return Linearisation(
             pd.DataFrame(a, states, states),
             pd.DataFrame(b, states, wheels),

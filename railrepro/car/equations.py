@@ -1,6 +1,7 @@
 """The multibody car in place of SIMPACK: 22 degrees of freedom on independently rotating wheels.
 
-Bodies are the car body, two wheel carriers (6 degrees of freedom each) and four wheels (spin). Velocities are absolute,
+Bodies are the car body, two wheel carriers (6 degrees of freedom each) and four wheels (spin); with a two-stage
+suspension also two frames between them, 34 degrees of freedom, their states after all others. Velocities are absolute,
 in track-frame components; angular velocities are absolute, in body axes. With these quasi-velocities centrifugal,
 Coriolis, cant, inclination and gyroscopic terms are exact and no second derivative of the track is needed.
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from railrepro.car.integrator import Stages, rodas3
 from railrepro.car.kinematics import COORDINATES, Body, named
-from railrepro.car.suspension import Suspension
+from railrepro.car.suspension import PrimaryStage, Suspension
 from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.track import route
@@ -37,11 +38,16 @@ STATES = (
     *(f"w.{wheel}" for wheel in WHEELS),
     *(f"tau.{wheel}" for wheel in WHEELS),
 )
-INDEX = {name: i for i, name in enumerate(STATES)}
+FRAMES = {gear: f"{gear}_frame" for gear in GEARS}
+TWO_STAGE_STATES = (*STATES, *(f"{frame}.{name}" for frame in FRAMES.values() for name in COORDINATES))
+"""States with frames, those without them first."""
+INDEX = {name: i for i, name in enumerate(TWO_STAGE_STATES)}
 """Place of each state in the state vector."""
+FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
+"""Points of the car body floor and their places along the body over the distance of the gears."""
 CONTACT_COLUMNS = len(CELL_COLUMNS)
 _GROUPS = {
-    "body": ("mass", "inertia_x", "inertia_y", "inertia_z", "cg_height", "gear_spacing"),
+    "body": ("mass", "inertia_x", "inertia_y", "inertia_z", "cg_height", "gear_spacing", "floor_height"),
     "gear": ("mass", "inertia_x", "inertia_y", "inertia_z", "contact_base"),
     "wheel": ("radius", "spin_inertia"),
     "suspension": (
@@ -57,8 +63,12 @@ _GROUPS = {
             "link_stiffness",
             "link_damping",
         ),
-        *("antiroll_stiffness", "antiroll_damping", "pitch_stiffness", "pitch_damping"),
+        *("antiroll_stiffness", "antiroll_damping", "pitch_stiffness", "pitch_damping", "pitch_rods_on_carrier"),
         *("yaw_stop_angle", "yaw_stop_stiffness", "bump_clearance", "bump_stiffness"),
+    ),
+    "primary": (
+        *("frame_mass", "frame_inertia_x", "frame_inertia_y", "frame_inertia_z", "half_spacing"),
+        *("k_x", "c_x", "k_y", "c_y", "k_z", "c_z", "pitch_stiffness", "pitch_damping"),
     ),
     "drive": ("torque_limit", "power_limit", "lag"),
     "contact": ("shear_modulus", "nominal_load", "normal_damping", "rest_speed"),
@@ -100,8 +110,10 @@ class Car:
 
     Attributes
     ----------
+    states : tuple of str
+        `STATES`, or `TWO_STAGE_STATES`.
     rate : Function
-        (x[44], u[4], rows[ncol, 3], contacts[ncell, 4], par) -> dx/dt.
+        (x, u[4], rows[ncol, 3], contacts[ncell, 4], par) -> dx/dt.
     step : Function
         (x, u, rows, contacts, par, h) -> state after h (s) and embedded error estimate, Rodas3.
     coordinates : Function
@@ -117,6 +129,7 @@ class Car:
         Number of operations of the whole rate and of what contact and suspension need by themselves.
     """
 
+    states: tuple[str, ...]
     rate: ca.Function
     step: ca.Function
     coordinates: ca.Function
@@ -126,80 +139,119 @@ class Car:
     operations: dict[str, int]
 
 
-@lru_cache(maxsize=1)
-def car() -> Car:
-    """Derive the equations of motion of the car as CasADi functions (about a second)."""
-    x = ca.SX.sym("x", len(STATES))
+@lru_cache(maxsize=2)
+def car(two_stage: bool = False) -> Car:
+    """Derive the equations of motion of the car as CasADi functions (about a second).
+
+    Parameters
+    ----------
+    two_stage : bool
+        With a frame on a primary suspension between each carrier and the car body.
+
+    Returns
+    -------
+    Car
+    """
+    states = TWO_STAGE_STATES if two_stage else STATES
+    x = ca.SX.sym("x", len(states))
     u = ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
     par_ = ca.SX.sym("par", len(PARAMETERS))
-    state, commands, par, stages = named(STATES, x), named(WHEELS, u), named(PARAMETERS, par_), Stages()
+    state, commands, par, stages = named(states, x), named(WHEELS, u), named(PARAMETERS, par_), Stages()
     row, cell = (dict(zip(names, ca.horzsplit(m), strict=True)) for names, m in ((BODIES, rows), (WHEELS, contacts)))
 
     bodies = {name: Body(name, state, row[name]) for name in BODIES}
     body = bodies["body"]
+    frames = {gear: Body(frame, state, row[gear]) for gear, frame in FRAMES.items()} if two_stage else {}
     suspensions = {
-        gear: Suspension(body, bodies[gear], end, par, stages) for gear, end in zip(GEARS, (1, -1), strict=True)
+        gear: Suspension(body, frames.get(gear, bodies[gear]), end, par, stages)
+        for gear, end in zip(GEARS, (1, -1), strict=True)
     }
+    primaries = {gear: PrimaryStage(frame, bodies[gear], par, stages) for gear, frame in frames.items()}
     speeds, torques = ({wheel: state[f"{name}.{wheel}"] for wheel in WHEELS} for name in ("w", "tau"))
     places = {f"{gear}_{side}": (bodies[gear], side) for gear in GEARS for side in SIDES}
     wheels = {wheel: Contact(*places[wheel], speeds[wheel], cell[wheel], par, stages) for wheel in WHEELS}
 
     gravity = ca.vertcat(0, 0, par["gravity"])
-    force = par["body.mass"] * body.section.rotation.T @ gravity
-    moment = ca.SX.zeros(3)
+    inertias = _inertias(par, two_stage)
+    carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
     for gear, suspension in suspensions.items():
-        force += body.section.rotation.T @ bodies[gear].attitude @ suspension.force_on_body
-        moment += suspension.moment_on_body
-    derivatives = [body.derivatives(force, moment, par["body.mass"], _inertia("body", par))]
-    for name, suspension in suspensions.items():
+        carrying = frames.get(gear, bodies[gear])
+        carried += body.section.rotation.T @ carrying.attitude @ suspension.force_on_upper
+        moment += suspension.moment_on_upper
+    force = carried + par["body.mass"] * body.section.rotation.T @ gravity
+    derivatives = [body.derivatives(force, moment, *inertias["body"])]
+    feels = {"force": body.rotation.T @ carried / par["body.mass"], "turning": derivatives[0][-3:]}
+    for name in GEARS:
         gear, own = bodies[name], [f"{name}_{side}" for side in SIDES]
-        force = par["gear.mass"] * gear.section.rotation.T @ gravity + gear.rotation @ suspension.force_on_gear
-        moment = suspension.moment_on_gear
+        stage = primaries.get(name, suspensions[name])
+        force = inertias[name][0] * gear.section.rotation.T @ gravity + gear.rotation @ stage.force_on_lower
+        moment = stage.moment_on_lower
         for wheel in own:
             force += wheels[wheel].force
             moment += wheels[wheel].moment + ca.vertcat(0, torques[wheel], 0)
         spin = -par["wheel.spin_inertia"] * sum(speeds[wheel] for wheel in own)
-        derivatives.append(gear.derivatives(force, moment, par["gear.mass"], _inertia("gear", par), spin))
+        derivatives.append(gear.derivatives(force, moment, *inertias[name], spin))
     spin_up = [(torques[wheel] - wheels[wheel].axle_moment[1]) / par["wheel.spin_inertia"] for wheel in WHEELS]
     lag = [(_available(commands[wheel], speeds[wheel], par) - torques[wheel]) / par["drive.lag"] for wheel in WHEELS]
-    staged = ca.vertcat(*derivatives, *spin_up, *lag)
+    framed = []
+    for name, frame in frames.items():
+        above, below = suspensions[name], primaries[name]
+        pushed = frame.section.rotation.T @ bodies[name].attitude @ below.force_on_upper
+        force = inertias[FRAMES[name]][0] * frame.section.rotation.T @ gravity + pushed
+        force += frame.rotation @ above.force_on_lower
+        moment = below.moment_on_upper + above.moment_on_lower
+        framed.append(frame.derivatives(force, moment, *inertias[FRAMES[name]]))
+    staged = ca.vertcat(*derivatives, *spin_up, *lag, *framed)
     rate = ca.cse(stages.resolve(staged))
 
     inputs, names = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"]
     h = ca.SX.sym("h")
     x_next, error = rodas3(rate, stages.jacobian(staged, x), x, h)
     shifts = [shift_to_flange(*places[wheel], par) for wheel in WHEELS]
-    outputs = _outputs(bodies, wheels, speeds, torques, suspensions)
-    energies = _energies(bodies, wheels, speeds, torques, suspensions, par)
+    outputs = _outputs(bodies, wheels, speeds, torques, suspensions) | _floor(body, feels, par)
+    moving = bodies | {FRAMES[name]: frame for name, frame in frames.items()}
+    elements = (*suspensions.values(), *primaries.values(), *wheels.values())
+    energies = _energies(moving, inertias, elements, wheels, speeds, torques, par)
     look_up = ca.vertcat(*(bodies[name].s for name in BODIES), *shifts)
     forces = {
         "all": rate,
         "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.axle_moment) for w in wheels.values()))),
-        "suspension": stages.resolve(ca.vertcat(*(s.force_on_gear for s in suspensions.values()))),
+        "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in suspensions.values()))),
     }
     counts = {
         name: ca.Function(name, inputs, [entry], {"cse": True}).n_instructions() for name, entry in forces.items()
     }
+    kind = "two_stage_car" if two_stage else "car"
     return Car(
-        rate=ca.Function("car_rate", inputs, [rate], names, ["dx"]),
-        step=ca.Function("car_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}),
-        coordinates=ca.Function("car_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
+        states=states,
+        rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
+        step=ca.Function(f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}),
+        coordinates=ca.Function(f"{kind}_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
         output=ca.Function(
-            "car_output", inputs, [stages.resolve(ca.vertcat(*outputs.values()))], names, ["y"], {"cse": True}
+            f"{kind}_output", inputs, [stages.resolve(ca.vertcat(*outputs.values()))], names, ["y"], {"cse": True}
         ),
         energy=ca.Function(
-            "car_energy", inputs, [stages.resolve(ca.vertcat(*energies))], names, ["energies"], {"cse": True}
+            f"{kind}_energy", inputs, [stages.resolve(ca.vertcat(*energies))], names, ["energies"], {"cse": True}
         ),
         outputs=tuple(outputs),
         operations=counts,
     )
 
 
-def _inertia(group: str, par: dict[str, ca.SX]) -> ca.SX:
-    """Principal moments of inertia of the body or of a gear (kg m2), shape (3, 1)."""
-    return ca.vertcat(*(par[f"{group}.inertia_{axis}"] for axis in "xyz"))
+def _inertias(par: dict[str, ca.SX], two_stage: bool) -> dict[str, tuple[ca.SX, ca.SX]]:
+    """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) by body; a gear's contain those of its frame."""
+
+    def stated(prefix: str) -> tuple[ca.SX, ca.SX]:
+        return par[f"{prefix}mass"], ca.vertcat(*(par[f"{prefix}inertia_{axis}"] for axis in "xyz"))
+
+    gear, found = stated("gear."), {"body": stated("body.")}
+    if not two_stage:
+        return found | dict.fromkeys(GEARS, gear)
+    frame = stated("primary.frame_")
+    carrier = gear[0] - frame[0], gear[1] - frame[1]
+    return found | dict.fromkeys(GEARS, carrier) | dict.fromkeys(FRAMES.values(), frame)
 
 
 def _available(command: ca.SX, speed: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
@@ -225,6 +277,8 @@ def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
             f"{name}.psidot_Ax": gear.section.kappa * gear.sdot + gear.rates["psi"],
             f"{name}.y": gear.y,
             f"{name}.psi_TrAx": gear.psi,
+            f"{name}.phi": gear.phi,
+            f"{name}.rail_y": gear.section.lateral,
         }
     for wheel, contact in wheels.items():
         along, across = contact.tangential
@@ -243,19 +297,32 @@ def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
         }
     for gear, suspension in suspensions.items():
         out[f"{gear}.yaw_to_body"] = ca.asin(suspension.yaw_sine)
+        out[f"{gear}.sway"] = suspension.sway
     body = bodies["body"]
     out |= {f"body.{name}": getattr(body, name) for name in ("s", "y", "z", "psi", "pitch", "phi", "vx")}
     return out
 
 
-def _energies(bodies, wheels, speeds, torques, suspensions, par) -> list[ca.SX]:
+def _floor(body: Body, feels: dict[str, ca.SX], par: dict[str, ca.SX]) -> dict[str, ca.SX]:
+    """Accelerations of points of the floor in axes of the car body, as an accelerometer reads them (m/s2).
+
+    Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rigid body).
+    """
+    out = {}
+    for point, place in FLOOR.items():
+        lever = ca.vertcat(place * par["body.gear_spacing"], 0, par["body.cg_height"] - par["body.floor_height"])
+        swing = ca.cross(feels["turning"], lever) + ca.cross(body.w, ca.cross(body.w, lever))
+        out |= {f"{point}.a{axis}": value for axis, value in zip("xyz", ca.vertsplit(feels["force"] + swing), strict=True)}
+    return out
+
+
+def _energies(bodies, inertias, elements, wheels, speeds, torques, par) -> list[ca.SX]:
     """Mechanical energy, motor power and losses, for the energy balance."""
-    elements = (*suspensions.values(), *wheels.values())
-    energy = sum(s.energy for s in suspensions.values()) + sum(w.energy for w in wheels.values())
+    energy = sum(element.energy for element in elements)
     for name, body in bodies.items():
-        group = "body" if name == "body" else "gear"
-        energy += par[f"{group}.mass"] * (ca.sumsqr(body.v) / 2 - par["gravity"] * body.position[2])
-        energy += ca.dot(_inertia(group, par), body.w**2) / 2
+        mass, inertia = inertias[name]
+        energy += mass * (ca.sumsqr(body.v) / 2 - par["gravity"] * body.position[2])
+        energy += ca.dot(inertia, body.w**2) / 2
     energy += par["wheel.spin_inertia"] * ca.sumsqr(ca.vertcat(*speeds.values())) / 2
     motor = sum(torques[wheel] * (speeds[wheel] + wheels[wheel].gear.wy) for wheel in WHEELS)
     creep = -sum(w.tangential[0] * w.sliding[0] + w.tangential[1] * w.sliding[1] for w in wheels.values())
@@ -278,7 +345,7 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
 
     Returns
     -------
-    ndarray, shape (len(STATES),)
+    ndarray, shape (len(STATES),) or, with a two-stage suspension, (len(TWO_STAGE_STATES),)
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
@@ -287,10 +354,13 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
     cos_angle = 1 / np.hypot(1, contact["slope"])
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle
     drop = (load / contact["normal_stiffness"]) ** (2 / 3) / cos_angle
-    state = dict.fromkeys(STATES, 0.0)
+    two_stage = vehicle.primary.two_stage
+    state = dict.fromkeys(TWO_STAGE_STATES if two_stage else STATES, 0.0)
     half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
     sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
     places = {"body": (p - half, sink - vehicle.body.cg_height), "front": (p, axle), "rear": (p - 2 * half, axle)}
+    if two_stage:
+        places |= {FRAMES[gear]: places[gear] for gear in GEARS}
     for name, (s, z) in places.items():
         state |= {f"{name}.s": s, f"{name}.z": z, f"{name}.vx": speed}
     state |= {f"w.{wheel}": speed / (contact["rolling_radius"] - drop) for wheel in WHEELS}

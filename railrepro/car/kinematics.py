@@ -10,6 +10,7 @@ from functools import lru_cache
 import casadi as ca
 
 from railrepro.track import route
+from railrepro.track.irregularity import CHANNELS
 
 COORDINATES = ("s", "y", "z", "psi", "pitch", "phi", "vx", "vy", "vz", "wx", "wy", "wz")
 """State of a body: place in its own track section (m); yaw, pitch and roll against the track frame (rad); absolute
@@ -55,7 +56,8 @@ class Section:
         self.lateral = cell["lateral"] + cell["dlateral"] * d
         self.vertical = cell["vertical"] + cell["dvertical"] * d
         self.crosslevel = cell["crosslevel"] + cell["dcrosslevel"] * d
-        self.irregularity_rates = (cell["dlateral"], cell["dvertical"], cell["dcrosslevel"])
+        self.gauge = cell["gauge"] + cell["dgauge"] * d
+        self.irregularity_rates = {name: cell["d" + name] for name in CHANNELS}
         self.poor = {"le": cell["poor_le"], "ri": cell["poor_ri"]}
         sin, cos = ca.sin, ca.cos
         self.turn_rate = ca.vertcat(

@@ -17,7 +17,7 @@ import numpy as np
 from railrepro.car import equations
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.contact.table import ContactTable
+from railrepro.contact.table import on_one_grid
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 
 
@@ -28,7 +28,7 @@ class _Lookup(ctypes.Structure):
         ("step", ctypes.c_double),
         ("n", ctypes.c_longlong),
         ("width", ctypes.c_longlong),
-        ("row", ctypes.c_void_p),
+        *((name, ctypes.c_void_p) for name in ("row", "other", "share")),
     ]
 
 
@@ -40,13 +40,13 @@ class _Car(ctypes.Structure):
         ("n_lookups", ctypes.c_longlong),
         ("state", ctypes.c_void_p),
         ("next", ctypes.c_void_p),
-        ("n_states", ctypes.c_longlong),
+        *((name, ctypes.c_longlong) for name in ("n_states", "substeps")),
     ]
 
 
-def functions() -> tuple[ca.Function, ca.Function, ca.Function]:
+def functions(two_stage: bool = False) -> tuple[ca.Function, ca.Function, ca.Function]:
     """The functions behind a step: coordinates, output, step."""
-    car = equations.car()
+    car = equations.car(two_stage)
     return car.coordinates, car.output, car.step
 
 
@@ -55,10 +55,10 @@ def c_text() -> str:
     return Path(codegen.__file__).with_name("call.h").read_text() + Path(__file__).with_name("car.c").read_text()
 
 
-@lru_cache(maxsize=1)
-def library() -> ctypes.CDLL | None:
+@lru_cache(maxsize=2)
+def library(two_stage: bool = False) -> ctypes.CDLL | None:
     """The car as a shared object; None without a C compiler."""
-    loaded = codegen.library(functions(), c_text())
+    loaded = codegen.library(functions(two_stage), c_text())
     if loaded is not None:
         loaded.car_run.restype = ctypes.c_longlong
     return loaded
@@ -67,67 +67,91 @@ def library() -> ctypes.CDLL | None:
 class CarStepper:
     """Buffers of one car on one route, and what advances them.
 
+    Parameters
+    ----------
+    parameters : array_like
+        See `equations.parameter_vector`.
+    table : ContactTable or pair of them
+        Wheel-rail contact; of a pair the second comes in where the route says so (`second_profile`).
+    route : Route
+    state : array_like
+        Initial state; its length tells whether the car has frames.
+    compiled : bool
+        False evaluates in CasADi's virtual machine.
+    substeps : int
+        Steps in an exchange. One is enough for the motion; wheel loads within milliseconds of a kink of the rails need
+        more.
+
     Attributes
     ----------
-    state, next_state : ndarray, shape (44,)
-        Plant state, see `equations.STATES`; `state` is writable.
+    model : Car
+        The equations behind it.
+    state, next_state : ndarray, shape (len(model.states),)
+        Plant state; `state` is writable.
     torque : ndarray, shape (4,)
         Motor torque commands of `equations.WHEELS`, traction-positive (N m); writable.
     period : ndarray, shape (1,)
-        Step (s); writable.
+        Time of a step (s); writable.
     rows : ndarray, shape (3, len(route.COLUMNS))
         Track cells of `equations.BODIES`.
     contacts : ndarray, shape (4, 21)
         Contact cells of `equations.WHEELS`.
     outputs : ndarray
-        Values of `equations.car().outputs` as last measured.
+        Values of `model.outputs` as last measured.
     functions : dict
         The functions on these buffers by name: coordinates, output, step.
     pointer : ctypes pointer or None
         The car for the functions of `car.c`; None without compiled code.
     """
 
-    def __init__(self, parameters, table: ContactTable, route: Route, state, compiled: bool = True):
+    def __init__(self, parameters, table, route: Route, state, compiled: bool = True, substeps: int = 1):
         self.state, self.torque = np.array(state, dtype=float), np.zeros(len(equations.WHEELS))
-        self.next_state, self.period = np.zeros_like(self.state), np.array([EXCHANGE_PERIOD])
+        two_stage = self.state.size == len(equations.TWO_STAGE_STATES)
+        self.model, self.substeps = equations.car(two_stage), substeps
+        self.next_state, self.period = np.zeros_like(self.state), np.array([EXCHANGE_PERIOD / substeps])
         self.rows = np.zeros((len(equations.BODIES), len(COLUMNS)))
         self.contacts = np.zeros((len(equations.WHEELS), equations.CONTACT_COLUMNS))
         self.parameters = np.array(parameters, dtype=float)
-        self._places, self.outputs = np.zeros(len(self.rows) + len(self.contacts)), np.zeros(_size("output", 0))
-        self._cells, self._contact_cells = (np.ascontiguousarray(cells) for cells in (route.cells, table.cells()))
-        self._contact_grid = table.start, table.step
+        self._places = np.zeros(len(self.rows) + len(self.contacts))
+        self.outputs = np.zeros(len(self.model.outputs))
+        self._cells = np.ascontiguousarray(route.cells)
+        tables = on_one_grid(table if isinstance(table, tuple) else (table,))
+        self._contact_cells, self._contact_grid = [t.cells() for t in tables], (tables[0].start, tables[0].step)
         common = [self.state, self.torque, self.rows.reshape(-1), self.contacts.reshape(-1), self.parameters]
         bindings = {
             "coordinates": ([self.state, self.rows.reshape(-1), self.parameters], [self._places]),
             "output": (common, [self.outputs]),
-            "step": ([*common, self.period], [self.next_state, np.zeros(_size("step", 1))]),
+            "step": ([*common, self.period], [self.next_state, np.zeros_like(self.state)]),
         }
-        self._library = library() if compiled else None
+        self._library = library(two_stage) if compiled else None
         form = codegen.InterpretedFunction
         if self._library is not None:
             form = partial(codegen.CompiledFunction, self._library)
-        self.functions = {name: form(getattr(equations.car(), name), *binding) for name, binding in bindings.items()}
+        self.functions = {name: form(getattr(self.model, name), *binding) for name, binding in bindings.items()}
         self.pointer = None if self._library is None else ctypes.byref(self._structure())
         for _ in range(2):  # the look-up of contacts uses the irregularities of the rows found before
             self.look_up()
 
     def _tables(self) -> Iterator[tuple]:
-        """Place, cells, start and step (m) of their grid, and the buffer of the cell, for each look-up."""
-        own = (self._cells, self._cells[0, INDEX["p"]], CELL), (self._contact_cells, *self._contact_grid)
-        tables = [own[0]] * len(self.rows) + [own[1]] * len(self.contacts)
-        for place, (cells, start, step), row in zip(self._places, tables, [*self.rows, *self.contacts], strict=True):
-            yield place, cells, start, step, row
+        """Cells, start and step (m) of their grid, the buffer of the cell, second cells and their share, by look-up."""
+        for row in self.rows:
+            yield self._cells, self._cells[0, INDEX["p"]], CELL, row, None, None
+        first, *second = self._contact_cells
+        for wheel, row in zip(equations.WHEELS, self.contacts, strict=True):
+            section = self.rows[equations.BODIES.index(wheel.split("_")[0])]
+            share = section[INDEX["second_profile"] :][:1]
+            yield first, *self._contact_grid, row, second[0] if second else None, share
 
     def _structure(self) -> _Car:
-        tables = [
-            _Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data)
-            for _, cells, start, step, row in self._tables()
-        ]
+        tables = []
+        for cells, start, step, row, other, share in self._tables():
+            blend = (None, None) if other is None else (other.ctypes.data, share.ctypes.data)
+            tables.append(_Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data, *blend))
         self._lookups = (_Lookup * len(tables))(*tables)
         calls = (function.call for function in self.functions.values())
         places, lookups = self._places.ctypes.data, ctypes.addressof(self._lookups)
         state, following = self.state.ctypes.data, self.next_state.ctypes.data
-        return _Car(*calls, places, lookups, len(tables), state, following, self.state.size)
+        return _Car(*calls, places, lookups, len(tables), state, following, self.state.size, self.substeps)
 
     def c_functions(self) -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
         """Addresses of `car_measure` and `car_advance` for callers written in C."""
@@ -139,20 +163,26 @@ class CarStepper:
             self._library.car_look_up(self.pointer)
             return
         self.functions["coordinates"]()
-        for place, cells, start, step, row in self._tables():
+        for place, (cells, start, step, row, other, share) in zip(self._places, self._tables(), strict=True):
             cell = (place - start) / step
-            row[:] = cells[int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0]
+            index = int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0
+            row[:] = cells[index]
+            if other is not None:
+                row += share * (other[index] - row)
 
     def measure(self) -> np.ndarray:
-        """Outputs at the present state, in the order of `equations.car().outputs`."""
+        """Outputs at the present state, in the order of `model.outputs`."""
         self.look_up()
         self.functions["output"]()
         return self.outputs
 
     def advance(self) -> None:
-        """One step from where the car was looked up last."""
-        self.functions["step"]()
-        self.state[:] = self.next_state
+        """One exchange from where the car was looked up last."""
+        for k in range(self.substeps):
+            if k:
+                self.look_up()
+            self.functions["step"]()
+            self.state[:] = self.next_state
 
     def run(self, n: int, largest: float) -> int:
         """Up to n steps with the torques held, as long as each state stays below `largest`; how many were taken."""
@@ -167,10 +197,6 @@ class CarStepper:
         return n
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Arguments x, u, rows, contacts, par of the functions of `equations.car()` at the present state, copied."""
+        """Arguments x, u, rows, contacts, par of the functions of the equations at the present state, copied."""
         self.look_up()
         return tuple(a.copy() for a in (self.state, self.torque, self.rows.T, self.contacts.T, self.parameters))
-
-
-def _size(function: str, result: int) -> int:
-    return getattr(equations.car(), function).nnz_out(result)

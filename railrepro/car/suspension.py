@@ -1,4 +1,4 @@
-"""Forces between the car body and a wheel carrier: springs, dampers, traction link, stops.
+"""Forces between car body, frame and wheel carrier: springs, dampers, traction link, stops.
 
 Serves the paper's section Simulation Environment; the control model keeps only k_sz, k_dz, k_sx and k_dx of it.
 """
@@ -10,7 +10,7 @@ import casadi as ca
 from railrepro.car.integrator import Stages
 from railrepro.car.kinematics import Body
 
-_SINE = {"roll": (2, 1), "pitch": (0, 2), "yaw": (1, 0)}
+_SINE = {"roll": (2, 1), "pitch": (0, 2), "yaw": (1, 0), "carrier_pitch": (2, 0)}
 """Row and column of a rotation matrix where the sine of an angle stands, the other angles being small."""
 
 
@@ -19,94 +19,138 @@ def _beyond(value: ca.SX, clearance: ca.SX) -> ca.SX:
     return ca.fmax(value - clearance, 0) + ca.fmin(value + clearance, 0)
 
 
-class Suspension:
-    """Springs, dampers, traction link and stops between the car body and one carrier, in carrier axes.
+class Stage:
+    """What acts between an upper and a lower body, in axes of the lower one.
 
-    Attachment points coincide at rest, and both bodies feel a force at the body-side point, so that no angular momentum
-    leaks. The moment on the car body is collected in carrier axes about its centre of gravity. `end` is +1 for the
-    front carrier, -1 for the rear one.
+    Attachment points coincide at rest, and both bodies feel a force at the point of the upper one, so that no angular
+    momentum leaks. The moment on the upper body is collected in axes of the lower one about its own centre of gravity.
+    """
+
+    _group = ""
+
+    def __init__(self, upper: Body, lower: Body, par: dict[str, ca.SX], stages: Stages):
+        self._par = par
+        relative = lower.attitude.T @ upper.attitude
+        offset = lower.attitude.T @ (upper.position - lower.position)
+        velocity = lower.attitude.T @ (upper.section.rotation @ upper.v - lower.section.rotation @ lower.v)
+        held = stages.hold(relative, offset, velocity, relative @ upper.w)
+        self._relative, self._offset, self._velocity, self._upper_turn = held
+        self._lower_turn = lower.w
+        self.force_on_lower, self.moment_on_lower, self._on_upper = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
+        self.energy, self.dissipation = 0, 0
+
+    @property
+    def force_on_upper(self) -> ca.SX:
+        """In axes of the lower body (N), shape (3, 1)."""
+        return -self.force_on_lower
+
+    @property
+    def moment_on_upper(self) -> ca.SX:
+        """About its centre of gravity, in its own axes (N m), shape (3, 1)."""
+        return -self._relative.T @ self._on_upper
+
+    def _own(self, name: str) -> ca.SX:
+        return self._par[f"{self._group}.{name}"]
+
+    def _deflection(self, on_upper: ca.SX, on_lower: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Arm on the upper body, relative displacement of two points and its rate."""
+        arm = self._relative @ on_upper
+        deflection = self._offset + arm - on_lower
+        rate = self._velocity + ca.cross(self._upper_turn, arm) - ca.cross(self._lower_turn, arm + self._offset)
+        return arm, deflection, rate
+
+    def _act(self, arm: ca.SX, force: ca.SX) -> None:
+        """Force on the lower body (and its reaction on the upper one) at the point of the upper one."""
+        self.force_on_lower += force
+        self._on_upper += ca.cross(arm, force)
+        self.moment_on_lower += ca.cross(arm + self._offset, force)
+
+    def _spring_pair(self, on_upper: ca.SX, on_lower: ca.SX, preload: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Left and right spring and damper: their mean at the centre and their difference; returns arm and mean."""
+        own = self._own
+        stiffness = ca.vertcat(own("k_x"), own("k_y"), own("k_z"))
+        damping = ca.vertcat(own("c_x"), own("c_y"), own("c_z"))
+        weight = ca.vertcat(0, 0, preload)
+        arm, mean, rate = self._deflection(on_upper, on_lower)
+        self._act(arm, weight + 2 * stiffness * mean + 2 * damping * rate)
+        lever = own("half_spacing") * self._relative[:, 1]
+        difference = lever - ca.vertcat(0, own("half_spacing"), 0)
+        difference_rate = ca.cross(self._upper_turn - self._lower_turn, lever)
+        couple = 2 * ca.cross(lever, stiffness * difference + damping * difference_rate)
+        self._on_upper += couple
+        self.moment_on_lower += couple
+        self.energy += ca.dot(stiffness, mean**2 + difference**2) + ca.dot(weight, mean)
+        self.dissipation += 2 * ca.dot(damping, rate**2 + difference_rate**2)
+        return arm, mean
+
+    def _torsion_spring(self, angle: str, stiffness, damping, free=None) -> None:
+        """Torque with the potential k e^2/2 of the sine e of a relative angle, or of its excess over `free` (rad).
+
+        It acts about the cross product of the lower body's axis `row` and the upper one's axis `column`.
+        """
+        row, column = _SINE[angle]
+        sine = self._relative[row, column]
+        gradient = ca.cross(self._relative[:, column], ca.SX.eye(3)[:, row])
+        over = sine if free is None else _beyond(sine, ca.sin(free))
+        rate = ca.dot(gradient, self._upper_turn - self._lower_turn)
+        torque = (stiffness * over + damping * rate) * gradient
+        self.moment_on_lower += torque
+        self._on_upper += torque
+        self.energy += stiffness * over**2 / 2
+        self.dissipation += damping * rate**2
+
+
+class Suspension(Stage):
+    """Secondary stage between the car body and one carrier, or its frame: springs, traction link, torsion bars, stops.
+
+    `end` is +1 for the front carrier, -1 for the rear one. The pitch reaction of a carrier to its motors is carried by
+    rods whose lever stands on the car body (they act about z_body x x_carrier, so that with relative roll they also
+    turn the carrier in yaw) or on the carrier (about x_body x z_carrier, without a part in yaw), or by both:
+    `pitch_rods_on_carrier` is the share of the latter.
 
     Source: eqs. (Lagrangeb) and (Lagrangec) are its yaw and roll terms for small angles.
     """
 
-    def __init__(self, body: Body, gear: Body, end: int, par: dict[str, ca.SX], stages: Stages):
-        self._par = par
-        relative = gear.attitude.T @ body.attitude
-        offset = gear.attitude.T @ (body.position - gear.position)
-        velocity = gear.attitude.T @ (body.section.rotation @ body.v - gear.section.rotation @ gear.v)
-        held = stages.hold(relative, offset, velocity, relative @ body.w)
-        self._relative, self._offset, self._velocity, self._body_turn = held
-        self._gear_turn = gear.w
-        self._force, self._on_gear, self._on_body = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
-        self.energy, self.dissipation = 0, 0
-        half = end * par["body.gear_spacing"] / 2
-        self._spring_pair(half)
-        self._link(half)
-        self._torsion_spring("roll", self._own("antiroll_stiffness"), self._own("antiroll_damping"))
-        self._torsion_spring("pitch", self._own("pitch_stiffness"), self._own("pitch_damping"))
-        self._torsion_spring("yaw", self._own("yaw_stop_stiffness"), 0, self._own("yaw_stop_angle"))
-        self.yaw_sine = -self._relative[_SINE["yaw"]]
-        self.force_on_gear, self.moment_on_gear = self._force, self._on_gear
-        self.force_on_body, self.moment_on_body = -self._force, -self._relative.T @ self._on_body
+    _group = "suspension"
 
-    def _own(self, name: str) -> ca.SX:
-        return self._par[f"suspension.{name}"]
-
-    def _deflection(self, on_body: ca.SX, on_gear: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Arm on the body, relative displacement of two points and its rate, all in carrier axes."""
-        arm = self._relative @ on_body
-        deflection = self._offset + arm - on_gear
-        rate = self._velocity + ca.cross(self._body_turn, arm) - ca.cross(self._gear_turn, arm + self._offset)
-        return arm, deflection, rate
-
-    def _act(self, arm: ca.SX, force: ca.SX) -> None:
-        """Force on the gear (and its reaction on the body) at the body-side point."""
-        self._force += force
-        self._on_body += ca.cross(arm, force)
-        self._on_gear += ca.cross(arm + self._offset, force)
-
-    def _spring_pair(self, half: ca.SX) -> None:
-        """Left and right spring and damper with lateral bump stop: their mean at the centre and their difference."""
-        par, own = self._par, self._own
-        stiffness = ca.vertcat(own("k_x"), own("k_y"), own("k_z"))
-        damping = ca.vertcat(own("c_x"), own("c_y"), own("c_z"))
-        preload = ca.vertcat(0, 0, par["body.mass"] * par["gravity"] / 2)
+    def __init__(self, body: Body, lower: Body, end: int, par: dict[str, ca.SX], stages: Stages):
+        super().__init__(body, lower, par, stages)
+        own, half = self._own, end * par["body.gear_spacing"] / 2
         on_body = ca.vertcat(half, 0, par["body.cg_height"] - own("height"))
-        arm, mean, rate = self._deflection(on_body, ca.vertcat(0, 0, par["wheel.radius"] - own("height")))
+        on_lower = ca.vertcat(0, 0, par["wheel.radius"] - own("height"))
+        arm, mean = self._spring_pair(on_body, on_lower, par["body.mass"] * par["gravity"] / 2)
         over = _beyond(mean[1], own("bump_clearance"))
-        self._act(
-            arm,
-            preload + 2 * stiffness * mean + 2 * damping * rate + ca.vertcat(0, own("bump_stiffness") * over, 0),
-        )
-        lever = own("half_spacing") * self._relative[:, 1]
-        difference = lever - ca.vertcat(0, own("half_spacing"), 0)
-        difference_rate = ca.cross(self._body_turn - self._gear_turn, lever)
-        couple = 2 * ca.cross(lever, stiffness * difference + damping * difference_rate)
-        self._on_body += couple
-        self._on_gear += couple
-        self.energy += ca.dot(stiffness, mean**2 + difference**2) + ca.dot(preload, mean)
+        self._act(arm, ca.vertcat(0, own("bump_stiffness") * over, 0))
         self.energy += own("bump_stiffness") * over**2 / 2
-        self.dissipation += 2 * ca.dot(damping, rate**2 + difference_rate**2)
+        self._link(half)
+        self._torsion_spring("roll", own("antiroll_stiffness"), own("antiroll_damping"))
+        for angle, share in (
+            ("pitch", 1 - own("pitch_rods_on_carrier")),
+            ("carrier_pitch", own("pitch_rods_on_carrier")),
+        ):
+            self._torsion_spring(angle, share * own("pitch_stiffness"), share * own("pitch_damping"))
+        self._torsion_spring("yaw", own("yaw_stop_stiffness"), 0, own("yaw_stop_angle"))
+        self.yaw_sine = -self._relative[_SINE["yaw"]]
+        self.sway = mean[1]
 
     def _link(self, half: ca.SX) -> None:
         """Traction link at axle height; acts along the carrier only."""
         par, own = self._par, self._own
-        on_body = ca.vertcat(half, 0, par["body.cg_height"] - par["wheel.radius"])
-        arm, deflection, rate = self._deflection(on_body, ca.SX.zeros(3))
+        on_upper = ca.vertcat(half, 0, par["body.cg_height"] - par["wheel.radius"])
+        arm, deflection, rate = self._deflection(on_upper, ca.SX.zeros(3))
         force = own("link_stiffness") * deflection[0] + own("link_damping") * rate[0]
         self._act(arm, ca.vertcat(force, 0, 0))
         self.energy += own("link_stiffness") * deflection[0] ** 2 / 2
         self.dissipation += own("link_damping") * rate[0] ** 2
 
-    def _torsion_spring(self, angle: str, stiffness, damping, free=None) -> None:
-        """Torque with the potential k e^2/2 of the sine e of a relative angle, or of its excess over `free` (rad)."""
-        row, column = _SINE[angle]
-        sine = self._relative[row, column]
-        gradient = ca.cross(self._relative[:, column], ca.SX.eye(3)[:, row])
-        over = sine if free is None else _beyond(sine, ca.sin(free))
-        rate = ca.dot(gradient, self._body_turn - self._gear_turn)
-        torque = (stiffness * over + damping * rate) * gradient
-        self._on_gear += torque
-        self._on_body += torque
-        self.energy += stiffness * over**2 / 2
-        self.dissipation += damping * rate**2
+
+class PrimaryStage(Stage):
+    """Stage between the frame, which carries the secondary suspension, and the wheel carrier, both at axle height."""
+
+    _group = "primary"
+
+    def __init__(self, frame: Body, carrier: Body, par: dict[str, ca.SX], stages: Stages):
+        super().__init__(frame, carrier, par, stages)
+        weight = (par["body.mass"] / 2 + self._own("frame_mass")) * par["gravity"]
+        self._spring_pair(ca.SX.zeros(3), ca.SX.zeros(3), weight)
+        self._torsion_spring("carrier_pitch", self._own("pitch_stiffness"), self._own("pitch_damping"))

@@ -29,10 +29,17 @@ def shift_to_flange(gear: Body, side: str, par: dict[str, ca.SX]) -> ca.SX:
 
 def _rail_in_axle(gear: Body, sign: int, par: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     """Lateral and vertical coordinate of the rail point in the (unpitched) axle frame (m)."""
-    y = sign * par["gear.contact_base"] / 2 + gear.section.lateral - gear.y
+    y = sign * (par["gear.contact_base"] + gear.section.gauge) / 2 + gear.section.lateral - gear.y
     z = gear.section.vertical + sign * par["gear.contact_base"] / 2 * gear.section.crosslevel - gear.z
     across = y / ca.cos(gear.psi)
     return ca.cos(gear.phi) * across + ca.sin(gear.phi) * z, -ca.sin(gear.phi) * across + ca.cos(gear.phi) * z
+
+
+def _rail_slopes(gear: Body, sign: int, par: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Slopes of the irregular rail to the right and downwards over the track coordinate (-)."""
+    rates = gear.section.irregularity_rates
+    sinking = rates["vertical"] + sign * par["gear.contact_base"] / 2 * rates["crosslevel"]
+    return rates["lateral"] + sign * rates["gauge"] / 2, sinking
 
 
 class Contact:
@@ -55,9 +62,9 @@ class Contact:
 
         upright = rotation("z", gear.psi) @ rotation("x", gear.phi)
         turn_rate, base = section.turn_rate, sign * par["gear.contact_base"] / 2
-        dlateral, dvertical, dcrosslevel = section.irregularity_rates
-        climb = turn_rate[0] * base + dvertical + base * dcrosslevel
-        tangent = ca.vertcat(1, ca.vertcat(dlateral, climb) / (1 - turn_rate[2] * base))
+        aside, sinking = _rail_slopes(gear, sign, par)
+        climb = turn_rate[0] * base + sinking
+        tangent = ca.vertcat(1, ca.vertcat(aside, climb) / (1 - turn_rate[2] * base))
         tangent /= ca.norm_2(tangent)
         normal = upright @ ca.vertcat(0, sign * at["slope"] * cos_angle, cos_angle)
         normal -= tangent * ca.dot(tangent, normal)
@@ -116,8 +123,6 @@ class Contact:
         moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
         rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
         gradient = ca.jacobian(self.penetration, moving) @ rates
-        dlateral, dvertical, dcrosslevel = gear.section.irregularity_rates
-        y_change = -dlateral
-        z_change = -(dvertical + sign * par["gear.contact_base"] / 2 * dcrosslevel)
-        along = ca.jacobian(self.penetration, ca.vertcat(gear.y, gear.z)) @ ca.vertcat(y_change, z_change)
+        against = -ca.vertcat(*_rail_slopes(gear, sign, par))
+        along = ca.jacobian(self.penetration, ca.vertcat(gear.y, gear.z)) @ against
         return gradient + along * gear.sdot

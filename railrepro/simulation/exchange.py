@@ -16,7 +16,6 @@ from railrepro.car import equations
 from railrepro.car.stepper import CarStepper
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.contact.table import ContactTable
 from railrepro.control import law
 from railrepro.track.route import Route
 
@@ -57,8 +56,8 @@ class Exchange:
     ----------
     car : CarStepper
         The car with its buffers.
-    state : ndarray, shape (44,)
-        Plant state, see `equations.STATES`; writable.
+    state : ndarray
+        Plant state, see `CarStepper`, also for the parameters; writable.
     held : ndarray, shape (2,)
         Differential torques of a slower lateral controller, front and rear (N m); writable.
     memory : ndarray
@@ -70,12 +69,12 @@ class Exchange:
     """
 
     def __init__(
-        self, car_parameters, table: ContactTable, route: Route, control: law.ControlLaw, state, compiled: bool = True
+        self, car_parameters, table, route: Route, control: law.ControlLaw, state, compiled: bool = True, substeps=1
     ):
-        self.car = CarStepper(car_parameters, table, route, state, compiled)
+        self.car = CarStepper(car_parameters, table, route, state, compiled, substeps)
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
         self.exchanges, self.ended = 0, False
-        outputs = equations.car().outputs
+        outputs = self.car.model.outputs
         self.columns = (*outputs, *law.RECORD)
         self._sensed = [outputs.index(name) for name in law.MEASURED]
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
@@ -129,11 +128,11 @@ class Exchange:
         return dict(zip(law.MARGINS, self._margins.tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Arguments x, u, rows, contacts, par of the functions of `equations.car()` at the present state."""
+        """Arguments x, u, rows, contacts, par of the equations at the present state."""
         return self.car.inputs()
 
     def measure(self) -> np.ndarray:
-        """Outputs at the present state, in the order of `equations.car().outputs`."""
+        """Outputs at the present state, in the order of `CarStepper.model.outputs`."""
         return self.car.measure()
 
     def measured_states(self) -> np.ndarray:

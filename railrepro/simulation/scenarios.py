@@ -86,6 +86,8 @@ class Scenario:
     poor_share_right: _SHARES = ()
     force_kN: Annotated[tuple, steps("force", -500.0, 500.0)] = ()
     set_point: _SET_POINT = field(default_factory=lambda: {"kind": "none"})
+    second_profile: Literal["cone", "s1002"] | None = None
+    second_profile_share: _SHARES = ()
     stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
     @property
@@ -108,6 +110,10 @@ class Scenario:
         """A copy with some fields changed, checked like a file."""
         return schema.build(Scenario, vars(self) | changes, "scenario")
 
+    def __post_init__(self) -> None:
+        if (self.second_profile is None) != (not self.second_profile_share):
+            raise ValueError("second_profile and second_profile_share are needed together")
+
     def check(self, vehicle: Vehicle) -> None:
         """Refuse adhesion sets that the vehicle does not have (InputError)."""
         for name in (self.good, self.poor):
@@ -115,8 +121,8 @@ class Scenario:
                 known = list(vehicle.adhesion)
                 raise InputError(f"scenario {self.name}: the adhesion set {name!r} is not known; there are {known}")
 
-    def route(self, irregularities=None) -> route.Route:
-        """Lay set point, adhesion and demand along the track (`railrepro.track.route.Route`)."""
+    def route(self, irregularities=None, line=None) -> route.Route:
+        """Lay set point, adhesion, profiles and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
         way = route.lay(
             load_track(self.track),
@@ -124,6 +130,8 @@ class Scenario:
             poor=(_ramps(left), _ramps(right)),
             force=_steps(self.force_kN),
             irregularities=irregularities,
+            line=line,
+            second_profile=_ramps(self.second_profile_share) if self.second_profile else None,
         )
         if self.end_m > way.length:
             raise InputError(

@@ -45,8 +45,8 @@ class Run:
         Where the run left the validity of the models, one sentence each.
     controllers : tuple
         The slower lateral controllers of front and rear gear, if any, with their solver statistics.
-    state : ndarray, shape (44,)
-        Plant state at the end.
+    state : ndarray
+        Plant state at the end, see `CarStepper`.
     """
 
     series: pd.DataFrame
@@ -67,6 +67,8 @@ def run(
     estimate: law.EstimateSettings | None = None,
     fixed_share: float = 0.0,
     irregularities: pd.DataFrame | None = None,
+    line: tuple[np.ndarray, np.ndarray] | None = None,
+    substeps: int = 1,
     compiled: bool = True,
 ) -> Run:
     """Drive the car through a scenario.
@@ -83,8 +85,10 @@ def run(
         The car itself; default the same.
     adhesion, estimate, fixed_share : optional
         Longitudinal law, estimates and allocation, see `law.control_law`.
-    irregularities : DataFrame, optional
+    irregularities, line : optional
         See `railrepro.track.route.lay`.
+    substeps : int
+        Steps of the car in a millisecond, see `CarStepper`.
     compiled : bool
         False runs without generated C (slower, equal up to rounding).
 
@@ -102,13 +106,15 @@ def run(
     vehicle = vehicle or load_vehicle()
     body = plant_vehicle or vehicle
     scenario.check(body)
-    route = scenario.route(irregularities)
-    table = contact_table(body.contact.profile, body)
+    route = scenario.route(irregularities, line)
+    profiles = filter(None, (body.contact.profile, scenario.second_profile))
+    tables = tuple(contact_table(profile, body) for profile in profiles)
     lateral_law, factory = lateral.split(guidance)
     limits = {"lateral": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, lateral_law, adhesion, estimate, fixed_share, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
-    exchange = Exchange(parameters, table, route, control, equations.rest_state(body, table, scenario.speed), compiled)
+    state = equations.rest_state(body, tables[0], scenario.speed)
+    exchange = Exchange(parameters, tables, route, control, state, compiled, substeps)
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
     log = _drive(exchange, controllers, _longest(route, scenario))
     series = pd.DataFrame(log, columns=exchange.columns)

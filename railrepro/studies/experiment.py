@@ -11,14 +11,19 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from railrepro import paths
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import guidance
+from railrepro.errors import InputError
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.studies import tuning
 from railrepro.studies.executor import executor, ordered_map
-from railrepro.track.irregularity import irregularities
+from railrepro.track import defects as defects_
+from railrepro.track import preview
+from railrepro.track.irregularity import CHANNELS, faded, irregularities
+from railrepro.track.measured import read_irregularities
 from railrepro.track.route import CELL
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -49,7 +54,13 @@ class Experiment:
     adhesion, estimate, fixed_share
         See `simulate.run`.
     irregular : dict
-        Arguments of `irregularity.irregularities` besides the coordinates; empty is an ideal track.
+        Arguments of `rough_track` besides the coordinates; empty is an ideal track.
+    preview : dict
+        What the controller knows of the irregularities, and the line that it plans with it: arguments of
+        `preview.known` and `preview.planned_line` besides the frame (`smoothing_m` is that of the line); empty is
+        nothing.
+    substeps : int
+        See `simulate.run`.
     stride : int
         Every n-th exchange of the front gear is kept as a series; 0 keeps none.
     """
@@ -66,6 +77,8 @@ class Experiment:
     estimate: EstimateSettings | None = None
     fixed_share: float = 0.0
     irregular: dict = field(default_factory=dict)
+    preview: dict = field(default_factory=dict)
+    substeps: int = 1
     stride: int = 0
 
     def car(self) -> Vehicle:
@@ -76,12 +89,13 @@ class Experiment:
         """The simulation itself."""
         parameters = tuning.load(self.controller)["parameters"] if self.parameters is None else self.parameters
         law = guidance(self.controller, parameters, self.options, **self.changes)
-        p = np.arange(0.0, self.scenario.end_m, CELL)
-        rough = irregularities(p, **self.irregular) if self.irregular else None
+        rough = rough_track(np.arange(0.0, self.scenario.end_m, CELL), **self.irregular) if self.irregular else None
         return simulate.run(
             self.scenario,
             law,
             irregularities=rough,
+            line=_line(rough, **self.preview) if self.preview else None,
+            substeps=self.substeps,
             vehicle=load_vehicle(**self.vehicle),
             plant_vehicle=self.car(),
             adhesion=self.adhesion,
@@ -103,6 +117,46 @@ class Experiment:
         row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
         row |= {"fallbacks": sum(solve.fallback for solve in solves)}
         return row, tidy(run.series, self.stride).assign(**self.label) if self.stride else None
+
+
+def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] = (), **random) -> pd.DataFrame:
+    """Irregularities of a run.
+
+    Parameters
+    ----------
+    p : ndarray, shape (n,)
+        Track coordinates (m).
+    file : str, optional
+        Measured irregularities (`measured.read_irregularities`) in place of random ones.
+    defects : sequence of dict
+        Localised defects added to them: `kind` (a function of `railrepro.track.defects`) and its other arguments.
+    random
+        Arguments of `irregularity.irregularities`: spectrum, seed, shortest, longest.
+
+    Returns
+    -------
+    DataFrame
+        p_m and the columns of `irregularity.CHANNELS`.
+    """
+    if file is None:
+        frame = irregularities(p, **random)
+    else:
+        measured = read_irregularities(paths.source(file), length=float(p[-1]))
+        channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
+        frame = faded(pd.DataFrame({"p_m": p} | channels))
+    shapes = {"dip": defects_.dip, "alignment_fault": defects_.alignment_fault, "lateral_offset": defects_.lateral_offset}
+    added = []
+    for defect in defects:
+        if defect.get("kind") not in shapes:
+            raise InputError(f"defect kind {defect.get('kind')!r} is not known; there are {sorted(shapes)}")
+        added.append(shapes[defect["kind"]](p, **{key: value for key, value in defect.items() if key != "kind"}))
+    return defects_.superpose(frame, *added)
+
+
+def _line(rough: pd.DataFrame, share=1.0, smoothing_m=3.0, limit=5e-3, **errors) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and planned line with its derivatives, from what is known of the irregularities."""
+    believed = preview.known(rough, **errors)
+    return believed["p_m"].to_numpy(), preview.planned_line(believed, share, smoothing_m, limit)
 
 
 def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame:

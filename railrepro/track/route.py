@@ -13,8 +13,10 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 
 from railrepro.errors import InputError
+from railrepro.track.irregularity import CHANNELS
 from railrepro.track.table import Track
 
 CELL = 0.5
@@ -22,11 +24,12 @@ CELL = 0.5
 BEFORE, AFTER = 60.0, 400.0
 """Straight on beyond both ends of the track for trailing gears and previews (m)."""
 
+_SET_POINT = ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")
 COLUMNS = (
     *("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z"),
-    *("lateral", "dlateral", "vertical", "dvertical", "crosslevel", "dcrosslevel"),
-    *("y_ref", "dy_ref", "ddy_ref", "dddy_ref"),
-    *("poor_le", "poor_ri", "force"),
+    *("lateral", "dlateral", "vertical", "dvertical", "crosslevel", "dcrosslevel", "gauge", "dgauge"),
+    *_SET_POINT,
+    *("poor_le", "poor_ri", "second_profile", "force"),
 )
 INDEX = {name: i for i, name in enumerate(COLUMNS)}
 Profile = Callable[[np.ndarray], np.ndarray]
@@ -95,7 +98,9 @@ def lay(
     reference: ca.Function | None = None,
     poor: tuple[Profile, Profile] | Profile | None = None,
     force: Profile | None = None,
-    irregularities=None,
+    irregularities: pd.DataFrame | None = None,
+    line: tuple[np.ndarray, np.ndarray] | None = None,
+    second_profile: Profile | None = None,
 ) -> Route:
     """Lay set point, adhesion, force demand and irregularities along a track.
 
@@ -109,7 +114,13 @@ def lay(
     force : callable, optional
         Demanded longitudinal force F_x* per running gear over p (N), traction positive.
     irregularities : DataFrame, optional
-        Columns p_m, lateral_m, vertical_m, crosslevel_rad (`railrepro.track.irregularity.irregularities`).
+        p_m and the channels of `railrepro.track.irregularity.CHANNELS`; zero outside.
+    line : pair of ndarray, shapes (m,) and (4, m), optional
+        Coordinates, and a set point with its first three derivatives there, which hold from one coordinate to the next
+        and are zero outside; added to the reference. See `railrepro.track.preview.planned_line`.
+    second_profile : callable, optional
+        Share of the second pair of profiles in [0, 1] over p (m), see `railrepro.contact.table`; changes within metres
+        at least, because its slope makes no force of its own.
 
     Returns
     -------
@@ -119,20 +130,18 @@ def lay(
     p = columns["p"]
     cells = np.zeros((p.size, len(COLUMNS)))
     if irregularities is not None:
-        for name, column in (
-            ("lateral", "lateral_m"),
-            ("vertical", "vertical_m"),
-            ("crosslevel", "crosslevel_rad"),
-        ):
-            value = np.interp(p, irregularities["p_m"], irregularities[column], left=0.0, right=0.0)
-            columns |= {name: value, "d" + name: np.append(np.diff(value), 0.0) / CELL}
+        columns |= _offsets(irregularities, p)
     if reference is not None:
-        columns |= dict(zip(("y_ref", "dy_ref", "ddy_ref", "dddy_ref"), _derivatives(reference, p), strict=True))
+        columns |= dict(zip(_SET_POINT, _derivatives(reference, p), strict=True))
+    if line is not None:
+        columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(*line, p), strict=True)}
     if poor is not None:
         left, right = poor if isinstance(poor, tuple) else (poor, poor)
         columns |= {"poor_le": left(p), "poor_ri": right(p)}
     if force is not None:
         columns["force"] = force(p)
+    if second_profile is not None:
+        columns["second_profile"] = second_profile(p)
     for name, value in columns.items():
         cells[:, INDEX[name]] = value
     if not np.isfinite(cells).all():
@@ -151,6 +160,26 @@ def _geometry(track: Track) -> dict[str, np.ndarray]:
     columns = {"p": p, "psi": psi, "kappa": kappa, "dkappa": (kappa_end - kappa) / CELL}
     columns |= {"phi": phi, "dphi": dphi, "eps": eps, "deps": deps}
     return columns | dict(zip("xyz", track.position(p), strict=True))
+
+
+def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of the irregularities at p: values at the start of each cell and slopes to the next."""
+    missing = sorted({"p_m", *CHANNELS.values()} - set(irregularities))
+    if missing:
+        raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
+    columns = {}
+    for name, column in CHANNELS.items():
+        value = np.interp(p, irregularities["p_m"], irregularities[column], left=0.0, right=0.0)
+        columns |= {name: value, "d" + name: np.append(np.diff(value), 0.0) / CELL}
+    return columns
+
+
+def _sampled(at: np.ndarray, values: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Set point and its derivatives at p from those at the coordinates `at`, shape (4, n)."""
+    index = np.searchsorted(at, p + 1e-9, side="right") - 1
+    inside, index = (index >= 0) & (p <= at[-1]), np.clip(index, 0, None)
+    d, (y, y1, y2, y3) = p - at[index], values[:, index]
+    return inside * [y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3, y3]
 
 
 def _derivatives(reference: ca.Function, p: np.ndarray) -> np.ndarray:

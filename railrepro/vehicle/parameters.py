@@ -82,6 +82,7 @@ class CarBody:
     inertia_z: Inertia
     cg_height: _above(0.0, 5.0, "m")
     gear_spacing: _above(1.0, 40.0, "m")
+    floor_height: _above(0.0, 5.0, "m")
     length: _above(1.0, 60.0, "m")
 
 
@@ -124,6 +125,7 @@ class Suspension:
     antiroll_damping: AngularDamping
     pitch_stiffness: _above(0.0, 1e9, "N m/rad")
     pitch_damping: AngularDamping
+    pitch_rods_on_carrier: Annotated[float, Parameter(0.0, 1.0, "-", closed=True)]
     yaw_stop_angle: _above(0.0, 0.5, "rad")
     yaw_stop_stiffness: _from_zero(1e10, "N m/rad")
     bump_clearance: _above(0.0, 1.0, "m")
@@ -148,6 +150,29 @@ class Suspension:
     def roll_damping(self) -> float:
         """k_dx of one running gear (N m s/rad)."""
         return 2 * self.c_z * self.half_spacing**2 + self.antiroll_damping
+
+
+@schema.table
+class Primary:
+    """Stage between the wheel carrier and a frame that carries the secondary suspension; used when `two_stage`.
+
+    k and c belong to each side. Mass and inertia of the frame are part of the gear's.
+    """
+
+    two_stage: Annotated[schema.Flag, _PLAIN]
+    frame_mass: Mass
+    frame_inertia_x: Inertia
+    frame_inertia_y: Inertia
+    frame_inertia_z: Inertia
+    half_spacing: _above(0.1, 2.0, "m")
+    k_x: _above(0.0, 1e9, "N/m")
+    c_x: Damping
+    k_y: _above(0.0, 1e9, "N/m")
+    c_y: Damping
+    k_z: _above(0.0, 1e9, "N/m")
+    c_z: Damping
+    pitch_stiffness: _above(0.0, 1e9, "N m/rad")
+    pitch_damping: AngularDamping
 
 
 @schema.table
@@ -200,10 +225,17 @@ class Vehicle:
     gear: Gear
     wheel: Wheel
     suspension: Suspension
+    primary: Primary
     drive: Drive
     contact: WheelRail
     adhesion: Annotated[dict[str, AdhesionSet], AfterValidator(lambda sets: dict(sorted(sets.items())))]
     environment: Environment
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "inertia_x", "inertia_y", "inertia_z"):
+            whole, frame = getattr(self.gear, name), getattr(self.primary, f"frame_{name}")
+            if self.primary.two_stage and frame > 0.9 * whole:
+                raise ValueError(f"primary.frame_{name} = {frame:g} of gear.{name} = {whole:g}, at most 90 % is allowed")
 
     @property
     def gravity(self) -> float:
