@@ -48,7 +48,7 @@ FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
 CONTACT_COLUMNS = len(CELL_COLUMNS)
 _GROUPS = {
     "body": ("mass", "inertia_x", "inertia_y", "inertia_z", "cg_height", "gear_spacing", "floor_height"),
-    "gear": ("mass", "inertia_x", "inertia_y", "inertia_z", "contact_base"),
+    "gear": ("mass", "inertia_x", "inertia_y", "inertia_z", "contact_base", "axle_damping"),
     "wheel": ("radius", "spin_inertia"),
     "suspension": (
         *(
@@ -193,7 +193,11 @@ def car(two_stage: bool = False) -> Car:
             moment += wheels[wheel].moment + ca.vertcat(0, torques[wheel], 0)
         spin = -par["wheel.spin_inertia"] * sum(speeds[wheel] for wheel in own)
         derivatives.append(gear.derivatives(force, moment, *inertias[name], spin))
-    spin_up = [(torques[wheel] - wheels[wheel].axle_moment[1]) / par["wheel.spin_inertia"] for wheel in WHEELS]
+    coupling = {wheel: par["gear.axle_damping"] * (speeds[_opposite(wheel)] - speeds[wheel]) for wheel in WHEELS}
+    spin_up = [
+        (torques[wheel] + coupling[wheel] - wheels[wheel].axle_moment[1]) / par["wheel.spin_inertia"]
+        for wheel in WHEELS
+    ]
     lag = [(_available(commands[wheel], speeds[wheel], par) - torques[wheel]) / par["drive.lag"] for wheel in WHEELS]
     framed = []
     for name, frame in frames.items():
@@ -238,6 +242,12 @@ def car(two_stage: bool = False) -> Car:
         outputs=tuple(outputs),
         operations=counts,
     )
+
+
+def _opposite(wheel: str) -> str:
+    """The other wheel of the same gear."""
+    gear, side = wheel.split("_")
+    return f"{gear}_{SIDES[1 - SIDES.index(side)]}"
 
 
 def _inertias(par: dict[str, ca.SX], two_stage: bool) -> dict[str, tuple[ca.SX, ca.SX]]:
@@ -327,6 +337,7 @@ def _energies(bodies, inertias, elements, wheels, speeds, torques, par) -> list[
     motor = sum(torques[wheel] * (speeds[wheel] + wheels[wheel].gear.wy) for wheel in WHEELS)
     creep = -sum(w.tangential[0] * w.sliding[0] + w.tangential[1] * w.sliding[1] for w in wheels.values())
     damping = sum(element.dissipation for element in elements)
+    damping += par["gear.axle_damping"] * sum((speeds[f"{g}_le"] - speeds[f"{g}_ri"]) ** 2 for g in GEARS)
     return [energy, motor, damping, creep]
 
 

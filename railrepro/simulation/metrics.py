@@ -29,6 +29,11 @@ def rmse(series: pd.DataFrame, gear: str = "front") -> float:
     return float(np.sqrt(np.mean(lateral_error(series, gear) ** 2)))
 
 
+def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
+    """Root mean squared displacement from the middle between the rails where they lie (m)."""
+    return float(np.sqrt(np.mean((series[f"{gear}.y"] - series[f"{gear}.rail_y"]) ** 2)))
+
+
 def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step: float = 0.1) -> float:
     """Distance by which y trails y* (m): the lag of the largest cross-correlation of the detrended signals.
 
@@ -93,6 +98,7 @@ def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float,
     return {
         "rmse_y": (rmse(series), "m"),
         "rmse_y_rear": (rmse(series, "rear"), "m"),
+        "rail_rmse_y": (rail_rmse(series), "m"),
         "mean_error_last_third": (float(np.mean(error[-len(error) // 3 :])), "m"),
         "largest_error": (float(np.abs(error).max()), "m"),
         "delay": (delay(series), "m"),

@@ -16,7 +16,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
-from railrepro.simulation import metrics, simulate
+from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.studies import tuning
 from railrepro.studies.executor import executor, ordered_map
@@ -61,6 +61,8 @@ class Experiment:
         nothing.
     substeps : int
         See `simulate.run`.
+    ride : bool
+        Whether the row also has the figures of `ride.ride_summary`.
     stride : int
         Every n-th exchange of the front gear is kept as a series; 0 keeps none.
     """
@@ -79,6 +81,7 @@ class Experiment:
     irregular: dict = field(default_factory=dict)
     preview: dict = field(default_factory=dict)
     substeps: int = 1
+    ride: bool = False
     stride: int = 0
 
     def car(self) -> Vehicle:
@@ -110,6 +113,8 @@ class Experiment:
         if run.failed:
             values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
         values |= metrics.longitudinal(run.series, self.scenario, vehicle)
+        if self.ride and not run.failed:
+            values |= ride.ride_summary(run.series, vehicle)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label}
         row |= {name: value for name, (value, _) in values.items()}
         row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}

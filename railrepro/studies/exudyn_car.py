@@ -68,10 +68,10 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> t
     def rail(place):
         """Point of the irregular rail at `place`."""
         position, rotation = _frame(get, place)
-        lateral, vertical, cross = (
-            get[name] + get["d" + name] * (place - get["p"]) for name in ("lateral", "vertical", "crosslevel")
+        lateral, vertical, cross, gauge = (
+            get[name] + get["d" + name] * (place - get["p"]) for name in ("lateral", "vertical", "crosslevel", "gauge")
         )
-        return position + rotation @ ca.vertcat(0, half + lateral, vertical + half * cross)
+        return position + rotation @ ca.vertcat(0, half + lateral + side * gauge / 2, vertical + half * cross)
 
     def depth(point):
         arm = point - centre

@@ -95,6 +95,7 @@ class Gear:
     inertia_y: Inertia
     inertia_z: Inertia
     contact_base: _above(0.5, 3.0, "m")
+    axle_damping: _from_zero(1e8, "N m s/rad")
 
 
 @schema.table
