@@ -176,8 +176,21 @@ def dependence(informed, blind):
     return {"braking_dependence": rows("factor amplitude_mm wavelength limit_Nm rmse_y", *entries[::-1])}
 
 
-def irregular(nmpc, ndi):
-    return {"irregular_metrics": rows("controller rmse_y", ("ndi", ndi), ("ltv_mpc", 9.0), ("nmpc", nmpc))}
+def rough(metrics, s1002=(1.0, 1.0)):
+    """Ride figures of NMPC on the cone without and with preview, decoys beside them."""
+    cases = [("cone", name, values) for name, values in metrics.items()] + [("S1002", "rmse_y", s1002)]
+    table = [
+        (controller, track, car, preview, seed, name, value * factor + spread)
+        for car, name, values in cases
+        for preview, value in zip(("none", "exact"), values, strict=True)
+        for controller, track, factor in (("nmpc", "straight", 1.0), ("nmpc", "T3", 7.0), ("ndi", "straight", 0.1))
+        for seed, spread in ((1, -0.25 * value), (2, 0.25 * value))
+    ]
+    return {"ride_metrics": rows("controller track car preview seed metric value", *table)}
+
+
+def cones(*arguments, irregular=1.0):
+    return cause_table(*arguments, "S1002 profiles") | rough({"rmse_y": (5.0, 1.0)}, (9.0, irregular))
 
 
 GROWING, SHRINKING = (1.0, 2.0, 3.0), (3.0, 2.0, 1.0)
@@ -307,9 +320,10 @@ GROWING, SHRINKING = (1.0, 2.0, 3.0), (3.0, 2.0, 1.0)
         ("C34", (None, 0.05), front(nmpc=[(960.0, 1)], fixed=(975.0, 1035.0)), 5 / 69, PARTLY),
         ("C34", (None, 0.05), front(nmpc=[(990.0, 1)], fixed=(900.0, 1100.0)), 0.1, PARTLY),
         ("C34", (None, 0.05), front(nmpc=[(960.0, 1)], fixed=(960.0, 900.0)), 0.0, NOT),
-        ("C35", (0.25,), cause_table("rmse_y", (1, 2), (1.125, 2), "S1002 profiles"), 0.125, REPRODUCED),
-        ("C35", (0.25,), cause_table("rmse_y", (1, 2), (0.875, 3), "S1002 profiles"), 0.5, PARTLY),
-        ("C35", (0.25,), cause_table("rmse_y", (1, 2), (0.75, 2), "S1002 profiles"), 0.25, NOT),
+        ("C35", (0.25,), cones("rmse_y", (1, 2), (1.125, 2)), 0.125, REPRODUCED),
+        ("C35", (0.25,), cones("rmse_y", (1, 2), (0.875, 3)), 0.5, PARTLY),
+        ("C35", (0.25,), cones("rmse_y", (1, 2), (1, 2), irregular=0.5), 0.5, PARTLY),
+        ("C35", (0.25,), cones("rmse_y", (1, 2), (0.75, 2)), 0.25, NOT),
         ("C36", (0.25,), cause_table("rmse_y", (1, 9), (0.875, 1), "no creep"), 0.125, REPRODUCED),
         ("C36", (0.25,), cause_table("rmse_y", (2, 9), (1.5, 1), "no creep"), 0.25, PARTLY),
         ("C36", (0.25,), cause_table("rmse_y", (2, 9), (1, 9), "no creep"), 0.5, NOT),
@@ -317,10 +331,13 @@ GROWING, SHRINKING = (1.0, 2.0, 3.0), (3.0, 2.0, 1.0)
         ("C37", (1.0,), dependence(1.0, 1.01), 1.01, PARTLY),
         ("C37", (1.0,), dependence(2.0, 2.0), 1.0, NOT),
         ("C38", (0.0,), {}, np.nan, NOT),
-        ("C39", (0.5,), irregular(0.4, 1), 0.4, REPRODUCED),
-        ("C39", (0.5,), irregular(1.0, 2), 0.5, PARTLY),
-        ("C39", (0.5,), irregular(2.0, 2), 1.0, NOT),
+        ("C39", (0.5,), rough({"rail_rmse_y": (1.0, 0.4)}), 0.4, REPRODUCED),
+        ("C39", (0.5,), rough({"rail_rmse_y": (2.0, 1.0)}), 0.5, PARTLY),
+        ("C39", (0.5,), rough({"rail_rmse_y": (2.0, 2.0)}), 1.0, NOT),
         ("C40", (0.0,), {}, np.nan, UNTESTABLE),
+        ("C41", (0.75,), rough({"sum_y_over_limit": (1.0, 0.5), "n_mv_floor_front": (1.0, 0.25)}), 0.5, REPRODUCED),
+        ("C41", (0.75,), rough({"sum_y_over_limit": (1.0, 0.5), "n_mv_floor_front": (1.0, 1.5)}), 1.5, PARTLY),
+        ("C41", (0.75,), rough({"sum_y_over_limit": (1.0, 1.0), "n_mv_floor_front": (1.0, 1.0)}), 1.0, NOT),
     ],
 )
 def test_rule(identity, limits, tables, value, verdict):

@@ -394,6 +394,8 @@ def _variable_allocation(r: Results, claim: dict) -> Measured:
 def _cones(r: Results, claim: dict) -> Measured:
     table = r["sine_causes"].pivot(index="case", columns="cause", values="rmse_y")
     changes = (table["S1002 profiles"] / table["as tuned"] - 1).abs()
+    rough = _on_rough_track(r, "rmse_y")
+    changes["irregular track"] = abs(rough["S1002"]["exact"] / rough["cone"]["exact"] - 1)
     in_curve = changes["T3, 280 km/h"] < claim["tolerance"]
     return _yes(changes.max(), changes.max() < claim["tolerance"], in_curve)
 
@@ -421,16 +423,30 @@ def _printed_signs(r: Results, claim: dict) -> Measured:
     return _yes(float("nan"), sp.simplify(second - third) == 0)
 
 
+def _on_rough_track(r: Results, metric: str) -> pd.DataFrame:
+    """A metric of NMPC on the irregular straight, mean over the realisations: preview in rows, cars in columns."""
+    rows = r["ride_metrics"].query("controller == 'nmpc' and track == 'straight' and metric == @metric")
+    return rows.pivot_table(index="preview", columns="car", values="value", aggfunc="mean")
+
+
 @measure("C39")
-def _irregular(r: Results, claim: dict) -> Measured:
-    rmse = r["irregular_metrics"].set_index("controller")["rmse_y"]
-    ratio = rmse["nmpc"] / rmse["ndi"]
+def _known_irregularities(r: Results, claim: dict) -> Measured:
+    error = _on_rough_track(r, "rail_rmse_y")["cone"]
+    ratio = error["exact"] / error["none"]
     return _yes(ratio, ratio < claim["tolerance"], ratio < 1)
 
 
 @measure("C40")
 def _transfer(r: Results, claim: dict) -> Measured:
     return Measured(float("nan"), UNTESTABLE)
+
+
+@measure("C41")
+def _safety_and_comfort(r: Results, claim: dict) -> Measured:
+    figures = [_on_rough_track(r, metric)["cone"] for metric in ("sum_y_over_limit", "n_mv_floor_front")]
+    safety, comfort = (figure["exact"] / figure["none"] for figure in figures)
+    better = [ratio < claim["tolerance"] for ratio in (safety, comfort)]
+    return _yes(max(safety, comfort), all(better), any(better))
 
 
 @schema.table
