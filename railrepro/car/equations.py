@@ -231,7 +231,9 @@ def car(two_stage: bool = False) -> Car:
     return Car(
         states=states,
         rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
-        step=ca.Function(f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}),
+        step=ca.Function(
+            f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}
+        ),
         coordinates=ca.Function(f"{kind}_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
         output=ca.Function(
             f"{kind}_output", inputs, [stages.resolve(ca.vertcat(*outputs.values()))], names, ["y"], {"cse": True}
@@ -322,7 +324,9 @@ def _floor(body: Body, feels: dict[str, ca.SX], par: dict[str, ca.SX]) -> dict[s
     for point, place in FLOOR.items():
         lever = ca.vertcat(place * par["body.gear_spacing"], 0, par["body.cg_height"] - par["body.floor_height"])
         swing = ca.cross(feels["turning"], lever) + ca.cross(body.w, ca.cross(body.w, lever))
-        out |= {f"{point}.a{axis}": value for axis, value in zip("xyz", ca.vertsplit(feels["force"] + swing), strict=True)}
+        out |= {
+            f"{point}.a{axis}": value for axis, value in zip("xyz", ca.vertsplit(feels["force"] + swing), strict=True)
+        }
     return out
 
 

@@ -102,7 +102,8 @@ def on_one_grid(tables: tuple[ContactTable, ...]) -> tuple[ContactTable, ...]:
     step = tables[0].step
     start = max(table.start for table in tables) - step / 2
     end = min(table.frame["shift_m"].iloc[-1] for table in tables) + step / 2
-    cut = [table.frame.query("@start < shift_m < @end").reset_index(drop=True) for table in tables]
+    frames = (table.frame for table in tables)
+    cut = [frame[frame["shift_m"].between(start, end)].reset_index(drop=True) for frame in frames]
     for table, frame in zip(tables, cut, strict=True):
         if len(frame) != len(cut[0]) or np.abs(frame["shift_m"] - cut[0]["shift_m"]).max() > 1e-9:
             raise InputError(f"contact tables {tables[0].name} and {table.name} have different grids, one is needed")

@@ -149,7 +149,11 @@ def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] 
         measured = read_irregularities(paths.source(file), length=float(p[-1]))
         channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
         frame = faded(pd.DataFrame({"p_m": p} | channels))
-    shapes = {"dip": defects_.dip, "alignment_fault": defects_.alignment_fault, "lateral_offset": defects_.lateral_offset}
+    shapes = {
+        "dip": defects_.dip,
+        "alignment_fault": defects_.alignment_fault,
+        "lateral_offset": defects_.lateral_offset,
+    }
     added = []
     for defect in defects:
         if defect.get("kind") not in shapes:

@@ -236,7 +236,9 @@ class Vehicle:
         for name in ("mass", "inertia_x", "inertia_y", "inertia_z"):
             whole, frame = getattr(self.gear, name), getattr(self.primary, f"frame_{name}")
             if self.primary.two_stage and frame > 0.9 * whole:
-                raise ValueError(f"primary.frame_{name} = {frame:g} of gear.{name} = {whole:g}, at most 90 % is allowed")
+                raise ValueError(
+                    f"primary.frame_{name} = {frame:g} of gear.{name} = {whole:g}, at most 90 % is allowed"
+                )
 
     @property
     def gravity(self) -> float:

@@ -1,0 +1,290 @@
+"""What the car has on request: frames, pitch rods, wheelsets, gauge, profiles along the track, substeps, the floor."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from railrepro.car import equations
+from railrepro.car.component import SteppedCar
+from railrepro.car.stepper import CarStepper
+from railrepro.contact.table import CELL_COLUMNS, contact_table, in_cell, on_one_grid
+from railrepro.control.ndi import NDI
+from railrepro.errors import InputError
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies.experiment import Experiment, rough_track
+from railrepro.track import route
+from railrepro.track.irregularity import CHANNELS, irregularities
+from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import load_vehicle
+
+TWO_STAGE = {"primary.two_stage": True}
+STIFF = {f"primary.{name}": 1e9 for name in ("k_x", "k_y", "k_z", "pitch_stiffness")}
+
+
+def lay(**channels):
+    """T5 with channels that rise within 20 m from p = 30 m on and stay."""
+    p = np.arange(0.0, 900.0, route.CELL)
+    rise = np.clip((p - 30) / 20, 0, 1)
+    frame = pd.DataFrame({"p_m": p} | {c: channels.get(name, 0.0) * rise for name, c in CHANNELS.items()})
+    return route.lay(load_track("T5"), irregularities=frame)
+
+
+def balance(car, exchanges):
+    """Change of the mechanical energy and the work of motors and losses, by stepping (J)."""
+    rows = [car.energies]
+    for _ in range(exchanges):
+        car.step()
+        rows.append(car.energies)
+    table = pd.DataFrame(rows)
+    work = np.trapezoid(table["motor_W"] - table["damping_W"] - table["creep_W"], dx=1e-3)
+    return table["mechanical_J"].iloc[-1] - table["mechanical_J"].iloc[0], work
+
+
+def curve(**plant):
+    scenario = load_scenario("curve_entry_T3").but(end_m=300)
+    return simulate.run(scenario, NDI(pole=60.0), vehicle=load_vehicle(), plant_vehicle=load_vehicle(**plant))
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return curve().series
+
+
+def test_a_stiff_primary_stage_gives_the_car_without_frames(usual):
+    found = curve(**TWO_STAGE, **STIFF).series
+    for name in ("front.y", "rear.psi_TrAx", "body.phi"):
+        assert np.abs(found[name] - usual[name]).max() < 2e-3 * np.abs(usual[name]).max(), name
+    assert np.abs(found["front.y"] - usual["front.y"]).max() > 0
+
+
+def test_frames_bounce_and_roll_on_their_springs():
+    """Modes of a frame between held carriers and body: vertical, and roll, from the springs on both of its sides."""
+    vehicle = load_vehicle(**TWO_STAGE)
+    car = SteppedCar("T5", 30.0, vehicle)
+    car.step(exchanges=200)
+    matrix = car.linearise().a
+    first, second = vehicle.primary, vehicle.suspension
+    for rate, mass, stiffness in (
+        ("vz", first.frame_mass, 2 * first.k_z + 2 * second.k_z),
+        ("wx", first.frame_inertia_x, 2 * first.k_z * first.half_spacing**2 + second.roll_stiffness),
+    ):
+        place = {"vz": "z", "wx": "phi"}[rate]
+        found = -matrix.loc[f"front_frame.{rate}", f"front_frame.{place}"]
+        assert found == pytest.approx(stiffness / mass, rel=0.03), rate
+        assert matrix.loc[f"front.{rate}", f"front_frame.{place}"] > 0
+
+
+def test_two_stage_car_starts_in_balance_and_keeps_its_energy_on_irregular_rails():
+    vehicle = load_vehicle(**TWO_STAGE)
+    rough = irregularities(np.arange(0.0, 400.0, route.CELL), shortest=10.0)
+    car = SteppedCar(route.lay(load_track("T5"), irregularities=rough), 30.0, vehicle)
+    assert car.state.size == len(equations.TWO_STAGE_STATES)
+    weight = (vehicle.body.mass + 2 * vehicle.gear.mass) * vehicle.gravity / 4
+    assert car.outputs["rear_ri.N"] * np.cos(car.outputs["rear_ri.angle"]) == pytest.approx(weight, rel=1e-6)
+    change, work = balance(car, 4000)
+    assert change == pytest.approx(work, rel=0.05)
+    assert np.abs(car.state[equations.indices("front_frame.z", "front_frame.phi")]).max() > 0
+
+
+def test_a_frame_takes_load_variation_from_the_wheels():
+    loads = {}
+    for name, change in (("one", {}), ("two", TWO_STAGE)):
+        experiment = Experiment(
+            load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300, end_m=200),
+            "ndi",
+            parameters={"pole": 30.0, "frequency": 30.0, "damping": 1.0},
+            plant=change,
+            irregular={"spectrum": "en_B_300", "seed": 1},
+        )
+        loads[name] = experiment.run().series["front_le.N"].std()
+    assert loads["two"] < 0.8 * loads["one"]
+
+
+def test_a_frame_is_lighter_than_its_gear():
+    with pytest.raises(InputError, match="frame_mass"):
+        load_vehicle(**TWO_STAGE, **{"primary.frame_mass": 2990.0})
+
+
+def test_pitch_rods_on_the_body_turn_a_rolled_carrier_in_yaw():
+    """About z_body x x_carrier the reaction has the part (reaction x relative roll) about the carrier's yaw axis."""
+    pitch, roll, turning = 2e-3, 5e-3, {}
+    for share in (0.0, 1.0):
+        vehicle = load_vehicle(**{"suspension.pitch_rods_on_carrier": share})
+        car = SteppedCar("T5", 20.0, vehicle)
+        car.state[equations.indices("body.phi", "body.pitch")] = roll, pitch
+        turning[share] = np.array(car.model.rate(*car.inputs())).ravel()[equations.INDEX["front.wz"]]
+    part = (turning[0.0] - turning[1.0]) * vehicle.gear.inertia_z
+    assert part == pytest.approx(vehicle.suspension.pitch_stiffness * pitch * roll, rel=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_energy_of_braking_in_a_curve_with_either_pitch_rods(share):
+    car = SteppedCar("T3", 30.0, load_vehicle(**{"suspension.pitch_rods_on_carrier": share}))
+    car.torque[:] = -2000.0
+    change, work = balance(car, 2000)
+    assert change == pytest.approx(work, rel=1e-3)
+
+
+def test_axle_damping_makes_a_wheelset():
+    """On cones it runs in Klingel's wave, 2 pi sqrt(b r / (2 delta)) long; independent wheels stay where they are."""
+    vehicle = load_vehicle(**{"gear.axle_damping": 1e6, "suspension.k_x": 1e3})
+    wave = 2 * np.pi * np.sqrt(vehicle.gear.contact_base * vehicle.wheel.radius / (2 * vehicle.wheel.cone_angle))
+    ways = {}
+    for name, car in (("wheelset", SteppedCar("T5", 5.0, vehicle)), ("free", SteppedCar("T5", 5.0))):
+        car.state[equations.indices("front.y")] = 2e-3
+        while car.outputs["front.y"] > 0 and car.outputs["front.p"] < wave:
+            car.step(exchanges=10)
+        ways[name] = car.outputs["front.p"]
+    assert ways["wheelset"] == pytest.approx(wave / 4, rel=0.1)
+    assert ways["free"] >= wave
+
+
+def test_wider_gauge_sinks_cones_and_slows_them_less():
+    """Rails 4 mm wider apart touch cones 2 mm further out, where these are smaller: radius less by 2 mm tan(delta)."""
+    vehicle = load_vehicle()
+    plain, wide = (SteppedCar(lay(gauge=gauge), 20.0, vehicle) for gauge in (0.0, 4e-3))
+    for car in (plain, wide):
+        car.step(exchanges=8000)
+    less = 2e-3 * np.tan(vehicle.wheel.cone_angle)
+    sunk = {car: car.state[equations.INDEX["front.z"]] for car in (plain, wide)}
+    assert sunk[wide] - sunk[plain] == pytest.approx(less, rel=0.02)
+    ratio = (
+        wide.outputs["front_le.w"] / wide.outputs["front.v"] / plain.outputs["front_le.w"] * plain.outputs["front.v"]
+    )
+    assert ratio - 1 == pytest.approx(less / vehicle.wheel.radius, rel=0.05)
+
+
+@pytest.mark.parametrize(("channel", "size"), [("lateral", 2e-3), ("gauge", 4e-3), ("vertical", 3e-3)])
+def test_rails_that_move_do_no_work_of_their_own(channel, size):
+    car = SteppedCar(lay(**{channel: size}), 30.0, load_vehicle())
+    change, work = balance(car, 2500)
+    assert change == pytest.approx(work, rel=0.03, abs=1.0)
+
+
+def test_profiles_change_along_the_track():
+    vehicle = load_vehicle()
+    cone, s1002 = (contact_table(name, vehicle) for name in ("cone", "s1002"))
+    state = equations.rest_state(vehicle, cone, 20.0)
+    state[equations.indices("front.y")] = 2.03e-3
+    way = {share: route.lay(load_track("T5"), second_profile=lambda p, s=share: 0 * p + s) for share in (0.0, 0.5, 1.0)}
+    parameters = equations.parameter_vector(vehicle)
+
+    def touch(tables, share, compiled=True):
+        """Contact of the four wheels, in the middle of their cells; shape (wheels, quantities)."""
+        rows = CarStepper(parameters, tables, way[share], state, compiled).contacts
+        return np.array([list(in_cell(dict(zip(CELL_COLUMNS, row, strict=True)), 5e-5).values()) for row in rows])
+
+    touches = {share: touch((cone, s1002), share) for share in way}
+    alone = [touch(table, 0.0) for table in (cone, s1002)]
+    assert np.allclose(touches[0.0], alone[0], rtol=1e-9)
+    assert np.allclose(touches[1.0], alone[1], rtol=1e-9)
+    assert np.allclose(touches[0.5], (alone[0] + alone[1]) / 2, rtol=1e-9)
+    assert np.allclose(touches[0.5], touch((cone, s1002), 0.5, compiled=False), rtol=1e-9)
+    assert not np.allclose(alone[0], alone[1], rtol=1e-3)
+
+
+def test_a_scenario_names_the_second_profile():
+    base = load_scenario("curve_entry_T3").but(end_m=60)
+    changed = base.but(second_profile="s1002", second_profile_share=[[20, 0], [30, 1]])
+    angles = [
+        simulate.run(scenario, NDI()).series["front_ri.angle"].iloc[[100, -1]].to_numpy()
+        for scenario in (base, changed)
+    ]
+    assert angles[0][0] == angles[1][0] and abs(angles[0][1] - angles[1][1]) > 1e-3
+    with pytest.raises(InputError, match="second_profile and second_profile_share"):
+        base.but(second_profile="s1002")
+
+
+def test_tables_of_different_grids_are_refused():
+    vehicle = load_vehicle()
+    cone, s1002 = (contact_table(name, vehicle) for name in ("cone", "s1002"))
+    cut = on_one_grid((cone, s1002))
+    assert len(cut[0].frame) == len(cut[1].frame) == len(s1002.frame)
+    other = type(cone)("coarse", cone.frame.iloc[::3].reset_index(drop=True))
+    with pytest.raises(InputError, match="different grids"):
+        on_one_grid((cone, other))
+
+
+def test_substeps_sharpen_the_loads_and_leave_the_exchange_alone():
+    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300, end_m=120)
+    rough = irregularities(np.arange(0.0, 120.0, route.CELL))
+    runs = {n: simulate.run(scenario, NDI(), irregularities=rough, substeps=n).series for n in (1, 2, 4, 16)}
+    assert len({len(series) for series in runs.values()}) == 1
+    error = {n: np.abs(runs[n]["front_le.N"] - runs[16]["front_le.N"]).max() for n in (1, 2, 4)}
+    assert error[4] < error[2] / 1.5 < error[1] / 2
+
+
+def test_floor_accelerations_are_those_of_points_in_space():
+    """Second differences of the floor's place, less gravity, in axes of the body, while the car sways."""
+    vehicle = load_vehicle()
+    car = SteppedCar(lay(lateral=8e-3, crosslevel=4e-3), 30.0, vehicle)
+    car.step(exchanges=1200)
+    lever = np.array([vehicle.body.gear_spacing / 2, 0.0, vehicle.body.cg_height - vehicle.body.floor_height])
+    body, places, h = equations.BODIES.index("body"), [], 1e-3
+    for _ in range(3):
+        state = dict(zip(car.model.states, car.state, strict=True))
+        centre = np.array([state["body.s"], state["body.y"], state["body.z"]])  # a straight level track
+        attitude = _attitude(state["body.psi"], state["body.pitch"], state["body.phi"])
+        places.append(centre + attitude @ lever)
+        if len(places) == 2:
+            felt, turned = car.outputs, attitude
+        car.step(period=h)
+    acceleration = (places[0] - 2 * places[1] + places[2]) / h**2
+    expected = turned.T @ (acceleration - [0, 0, vehicle.gravity])
+    assert [felt[f"floor_front.a{axis}"] for axis in "xyz"] == pytest.approx(expected, abs=2e-3)
+    assert abs(expected[1]) > 0.02 and body == 0
+
+
+def _attitude(yaw, pitch, roll):
+    cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (np.cos, np.sin))
+    z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    return z @ y @ x
+
+
+def test_a_planned_line_is_added_to_the_set_point():
+    at = np.arange(20.0, 60.0, 2.0)
+    cubic = np.array([1e-3 + 0 * at, 2e-5 + 0 * at, -1e-6 + 0 * at, 3e-8 + 0 * at])
+    reference = route.sine(2e-3, 150.0)
+    plain, both = (route.lay(load_track("T5"), reference, line=line) for line in (None, (at, cubic)))
+    inside, outside = np.array([31.25]), np.array([10.0, 70.0])
+    d = 1.0  # cells begin every half metre: the one at 31 m lies 1 m behind the coordinate 30 m
+    start = 1e-3 + 2e-5 * d - 1e-6 * d**2 / 2 + 3e-8 * d**3 / 6
+    slope = 2e-5 - 1e-6 * d + 3e-8 * d**2 / 2
+    expected = start + slope * 0.25 + (-1e-6 + 3e-8 * d) * 0.25**2 / 2 + 3e-8 * 0.25**3 / 6
+    added = both.reference_at(inside)[0] - plain.reference_at(inside)[0]
+    assert added == pytest.approx([expected], rel=1e-9)
+    assert np.array_equal(both.reference_at(outside), plain.reference_at(outside))
+
+
+def test_irregularities_without_a_channel_are_refused():
+    frame = irregularities(np.arange(0.0, 100.0, 0.5)).drop(columns="gauge_m")
+    with pytest.raises(InputError, match="lack the column gauge_m"):
+        route.lay(load_track("T5"), irregularities=frame)
+
+
+def test_rough_track_adds_defects_and_reads_files(tmp_path):
+    p = np.arange(0.0, 200.0, route.CELL)
+    plain = rough_track(p, spectrum="en_B_300", seed=3)
+    fault = {"kind": "alignment_fault", "start": 80.0, "length": 20.0, "amplitude": 4e-3}
+    added = rough_track(p, spectrum="en_B_300", seed=3, defects=[fault])["lateral_m"] - plain["lateral_m"]
+    assert added.max() == pytest.approx(4e-3, rel=1e-6) and added[p < 79].abs().max() == 0
+    plain.to_csv(tmp_path / "measured.csv", index=False)
+    middle = (p > 40) & (p < 150)
+    assert np.allclose(rough_track(p, file=str(tmp_path / "measured.csv"))[middle], plain[middle], atol=1e-12)
+    with pytest.raises(InputError, match="defect kind 'hole' is not known"):
+        rough_track(p, defects=[{"kind": "hole"}])
+
+
+def test_preview_makes_the_set_point_follow_the_rails():
+    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=160, end_m=200)
+    numbers = {"pole": 30.0, "frequency": 30.0, "damping": 1.0}
+    errors = {}
+    for name, known in (("none", {}), ("exact", {"share": 1.0}), ("late", {"localisation_error_m": 10.0})):
+        experiment = Experiment(
+            scenario, "ndi_feedforward", parameters=numbers, irregular={"spectrum": "en_B_300"}, preview=known
+        )
+        errors[name] = experiment()[0]["rail_rmse_y"]
+    assert errors["exact"] < 0.6 * errors["none"] and errors["late"] > 1.5 * errors["exact"]
