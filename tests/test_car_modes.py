@@ -134,7 +134,7 @@ def test_traction_pitches_body_and_carriers():
 
 @pytest.mark.parametrize(("track", "clearance"), [("T2", None), ("T3", None), ("T4", None), ("T4", 0.035)])
 def test_sway_of_the_body_in_an_arc(track, clearance):
-    """Lateral offset and roll of the body under the unbalanced acceleration, off the bump stops unless they are near."""
+    """Lateral offset and roll of the body under the unbalanced acceleration; off the bump stops at their clearance."""
     bumps = clearance is not None
     vehicle = load_vehicle(**{"suspension.bump_clearance": clearance}) if bumps else V
     geometry = load_track(track)

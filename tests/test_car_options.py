@@ -166,7 +166,7 @@ def test_profiles_change_along_the_track():
     vehicle = load_vehicle()
     cone, s1002 = (contact_table(name, vehicle) for name in ("cone", "s1002"))
     state = equations.rest_state(vehicle, cone, 20.0)
-    state[equations.indices("front.y")] = 2.03e-3
+    state[equations.indices("front.y", "rear.y")] = 2.03e-3, -1.04e-3
     way = {share: route.lay(load_track("T5"), second_profile=lambda p, s=share: 0 * p + s) for share in (0.0, 0.5, 1.0)}
     parameters = equations.parameter_vector(vehicle)
 
