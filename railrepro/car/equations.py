@@ -258,7 +258,7 @@ def _energies(bodies, wheels, speeds, torques, suspensions, par) -> list[ca.SX]:
         energy += ca.dot(_inertia(group, par), body.w**2) / 2
     energy += par["wheel.spin_inertia"] * ca.sumsqr(ca.vertcat(*speeds.values())) / 2
     motor = sum(torques[wheel] * (speeds[wheel] + wheels[wheel].gear.wy) for wheel in WHEELS)
-    creep = -sum(w.tangential[0] * w.sliding[0] + w.tangential[1] * w.sliding[1] for w in wheels.values())
+    creep = sum(wheel.friction_loss for wheel in wheels.values())
     damping = sum(element.dissipation for element in elements)
     return [energy, motor, damping, creep]
 

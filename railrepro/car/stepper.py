@@ -77,7 +77,7 @@ class CarStepper:
         Step (s); writable.
     rows : ndarray, shape (3, len(route.COLUMNS))
         Track cells of `equations.BODIES`.
-    contacts : ndarray, shape (4, 21)
+    contacts : ndarray, shape (4, len(CELL_COLUMNS))
         Contact cells of `equations.WHEELS`.
     outputs : ndarray
         Values of `equations.car().outputs` as last measured.
