@@ -46,6 +46,17 @@ def test_cost_is_the_printed_one(case):
     assert problem.cost(states, du) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_beyond_either_side_of_the_bound_the_cost_counts_the_excess(case, side):
+    """0.3 mm beyond in one state: T w Q_y (0.3 mm)^2 more than for the same error within a wide bound."""
+    states, du = case[0].ahead.x_d.copy(), np.zeros(SETTINGS.steps)
+    states[:, STATES.index("y_TrAx")] = 0.0
+    states[3, STATES.index("y_TrAx")] = side * 8e-4
+    within = replace(case[0], settings=replace(SETTINGS, lateral_bound=1.0))
+    more = case[0].cost(states, du) - within.cost(states, du)
+    assert more == pytest.approx(SETTINGS.period * 30.0 * (3e-4) ** 2, rel=1e-9)
+
+
 def test_condensed_form_is_the_stated_cost_of_the_linearised_trajectory(case):
     problem, controller, generator = case
     horizon, qp = controller.horizon, condensed.condense(controller.horizon)
