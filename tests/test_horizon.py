@@ -9,6 +9,7 @@ from railrepro.compile import codegen
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings, dynamics
+from railrepro.control.solvers import condensed
 from railrepro.control.solvers.riccati import Horizon, PlainHorizon
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES, control_model, discretise
@@ -105,6 +106,38 @@ def test_iterations_end_when_torque_and_trajectory_rest(vehicle, way, which):
     horizon.iterate(20, 1e-4)
     horizon.x[3:, AT["x"]] += 1e-3
     assert horizon.iterate(20, 1e9) == 2, "a trajectory that broke the model took no second iteration"
+
+
+@needs_compiler
+@pytest.mark.parametrize("fixed", [0.0, 1.0, -1.0, "alternating"])
+def test_the_recursion_finds_the_active_set_from_any_start_by_itself(vehicle, way, fixed, monkeypatch):
+    compiled, plain = horizons(vehicle, way)
+    for horizon in (compiled, plain):
+        horizon.sample(horizon.x_hat.copy(), BASE, 200.0)
+        horizon.linearise()
+    plain.solve()
+    at_bound = np.isclose(np.abs(plain.u + plain.du), 200.0)
+    assert 0 < at_bound.sum() < at_bound.size
+
+    def refused(horizon):
+        raise AssertionError("the recursion handed its problem over")
+
+    monkeypatch.setattr(condensed, "solve", refused)
+    compiled.fixed[:] = (-1.0) ** np.arange(compiled.fixed.size) if fixed == "alternating" else fixed
+    compiled.solve()
+    assert compiled.du == pytest.approx(plain.du, rel=1e-6, abs=1e-4)
+    assert np.array_equal(compiled.fixed != 0, at_bound)
+
+
+@needs_compiler
+def test_one_iteration_is_one_newton_step(vehicle, way):
+    for stepwise, at_once in zip(horizons(vehicle, way), horizons(vehicle, way), strict=True):
+        stepwise.linearise()
+        stepwise.solve()
+        stepwise.apply()
+        at_once.iterate(1, 1e-4)
+        assert at_once.u == pytest.approx(stepwise.u, rel=1e-12)
+        assert at_once.x == pytest.approx(stepwise.x, rel=1e-12)
 
 
 @needs_compiler
