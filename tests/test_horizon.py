@@ -273,6 +273,15 @@ def test_after_a_failure_a_solve_starts_afresh(vehicle, way):
     assert not guided.stats[-1].fallback
 
 
+@pytest.mark.parametrize("solver", ["gauss_newton", "rti", "ipopt"])
+def test_while_measurements_are_broken_the_old_plan_plays_on(vehicle, way, solver):
+    guided, x = NMPC(vehicle, way, 0, WIDE, solver=solver), measured(way, **STATE)
+    guided.plan(x, 0.0)
+    planned = guided.plan_du.copy()
+    assert [guided.plan(x * np.nan, 0.0) for _ in range(4)] == pytest.approx(planned[1:5])
+    assert [record.fallback for record in guided.stats] == [False, True, True, True, True]
+
+
 @pytest.mark.parametrize(("push", "tolerance"), [(0.0, 1e-6), (2e-4, 1e-2)])
 def test_real_time_iteration_prepared_ahead_is_the_iteration_done_at_once(vehicle, way, push, tolerance):
     """Recording switches the preparation off. Both are one Newton step; only the forecast's place differs by a push."""
