@@ -61,6 +61,13 @@ def test_a_gear_at_rest_or_rolling_back_is_not_braked_forward(vehicle, u_d):
     way = route.lay(load_track("T5"))
     assert ahead(vehicle, way, u_d, xdot=0.0)[0]["x"] == pytest.approx(100.0, abs=1e-12)
     assert ahead(vehicle, way, u_d, xdot=-0.01)[0]["xdot"] == pytest.approx(-0.01)
+    assert ahead(vehicle, way, 0.0, xdot=-0.01)[0]["x"][-1] == pytest.approx(100 - 0.01 * PERIOD * STEPS)
+
+
+def test_traction_starts_a_gear_from_rest(vehicle):
+    x_d, _ = ahead(vehicle, route.lay(load_track("T5")), 1500.0, xdot=0.0)
+    acceleration = 2 * 1500 / 0.46 / HALF_CAR
+    assert x_d["xdot"] == pytest.approx(acceleration * PERIOD * np.arange(STEPS + 1))
 
 
 @pytest.mark.parametrize(("gear", "partner"), [(0, -14.0), (1, 14.0)])
