@@ -146,7 +146,7 @@ def test_a_variant_names_what_it_keeps_as_printed():
 
 
 def test_parameters_of_the_model_by_hand():
-    """Residual inertias are without both wheels, 1500 and 2000 less 2 x 32 kg m2; two springs and a bar against roll."""
+    """Residual inertias are without both wheels, 1500 and 2000 less 2 x 32 kg m2; two springs and a bar in roll."""
     found = dict(zip(control_model().parameters, control_model().parameter_vector(load_vehicle()), strict=True))
     expected = {"m": 3000.0, "m_x": 3000.0, "J_x": 1436.0, "J_z": 1936.0, "J_Wy": 60.0, "J_Wz": 32.0, "r_0": 0.46}
     expected |= {"b": 1.5, "delta_0": 0.025, "k_sz": 60e3, "k_dz": 10e3, "g": 9.81}
