@@ -68,6 +68,14 @@ def test_the_drive_gives_what_torque_power_and_standstill_allow(command, rim_spe
     assert rate[equations.indices("tau.front_le", "tau.front_ri", "tau.rear_ri")] == pytest.approx(0.0)
 
 
+def test_at_the_start_no_body_is_accelerated(vehicle):
+    """Weight rests on springs and rails; the spin creep of the cones leaves ninety newtons per gear."""
+    rate = np.array(equations.car().rate(*case(vehicle))).ravel()
+    turns = ("vx", "vy", "vz", "wx", "wy", "wz")
+    names = [f"{body}.{name}" for body in equations.BODIES for name in turns] + [f"w.{w}" for w in equations.WHEELS]
+    assert rate[equations.indices(*names)] == pytest.approx(0.0, abs=0.05)
+
+
 def test_a_motor_spins_its_wheel_against_the_rail(vehicle):
     """60 kg m2 per wheel: 300 N m more at the motor are 5 rad/s2 more at that wheel alone."""
     car = equations.car()
