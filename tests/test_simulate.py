@@ -187,6 +187,7 @@ def test_a_run_ends_at_its_stop_speed_and_at_its_end():
     assert stopped.series["front.v"].iloc[-1] == pytest.approx(0.5, abs=2e-3)
     passed = braked(set_point={"kind": "none"}, end_m=1.5)
     assert passed.ended.startswith("end of the run at t = ")
+    assert not passed.failed
     assert passed.series["front.p"].iloc[-2] < 1.5 <= passed.series["front.p"].iloc[-1]
 
 
