@@ -119,7 +119,7 @@ class Scenario:
         """Lay set point, adhesion and demand along the track (`railrepro.track.route.Route`)."""
         left, right = self.poor_shares
         way = route.lay(
-            load_track(self.track),
+            load_track(self._track()),
             reference=self._reference(),
             poor=(_ramps(left), _ramps(right)),
             force=_steps(self.force_kN),
@@ -130,6 +130,11 @@ class Scenario:
                 f"scenario {self.name}: end_m = {self.end_m} lies beyond track {self.track} ({way.length} m)"
             )
         return replace(way, length=self.end_m)
+
+    def _track(self) -> str:
+        """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
+        file = paths.source(self.track)
+        return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 
     def _reference(self):
         point = self.set_point

@@ -30,17 +30,21 @@ from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies import tuning
 from railrepro.studies.executor import executor, ordered_map
 from railrepro.studies.experiment import Experiment
+from railrepro.studies.fingerprint import fingerprint
 from railrepro.track.alignment import alignments
 from railrepro.track.table import build_table, write_table
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, SEED = 128, 2026
+SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
+"""What the studies drive, in variations."""
 
 
 def _kept(call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False) -> list[dict]:
     """Evaluate on the executor, one JSON file per finished argument; files of equal arguments are taken as they are."""
     folder.mkdir(parents=True, exist_ok=True)
-    here = tuning.fingerprint()
+    start = [tuning.load(name)["parameters"] for name in PAPER_TRIO]
+    here = fingerprint([load_scenario(name) for name in SCENARIOS], load_vehicle(), start)
     files = [folder / f"{hashlib.sha256((here + repr(a)).encode()).hexdigest()[:20]}.json" for a in arguments]
     missing = [(call, a, file) for a, file in zip(arguments, files, strict=True) if not file.exists()]
     if missing:
