@@ -12,6 +12,7 @@ from pathlib import Path
 
 from railrepro import paths
 from railrepro.chain import compare, graph, runner
+from railrepro.compile import cache
 from railrepro.errors import InputError
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
@@ -136,9 +137,10 @@ def variants(names: Sequence[str]) -> int:
 
 def _hindrance(name: str) -> str:
     """Why a variant cannot run here, or an empty text."""
-    compiler = VARIANTS[name].get("CC", "cc")
-    if name != "no-compiler" and shutil.which(compiler) is None:
-        return f"there is no compiler {compiler!r}"
+    compiler = VARIANTS[name].get("CC")
+    missing = cache.compiler() is None if compiler is None else shutil.which(compiler) is None
+    if name != "no-compiler" and missing:
+        return f"there is no compiler {compiler!r}" if compiler else "there is no C compiler"
     feature = _NEEDS.get(name)
     if feature and (platform.machine() != "x86_64" or feature not in Path("/proc/cpuinfo").read_text().split()):
         return f"this processor has no {feature}"
