@@ -21,13 +21,18 @@ def told(command: Callable[[], int | None]) -> int:
     Returns
     -------
     int
-        Exit code: what the command returned (None is 0), 1 after an `InputError`, 130 after Ctrl-C or the end of make.
+        Exit code: what the command returned (None is 0), 1 after an `InputError` or where the system refuses a file,
+        130 after Ctrl-C or the end of make.
     """
     leash.follow_make()
     try:
         return command() or 0
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        where = error.filename2 or error.filename or "the system"
+        print(f"error: {where}: {error.strerror or error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted; nothing half-written, run again to resume", file=sys.stderr)

@@ -108,6 +108,24 @@ def alone(lock: Path, wait: bool = True) -> Iterator[int | None]:
         os.close(guard)
 
 
+@contextmanager
+def scratch(folder: Path, name: str) -> Iterator[Path]:
+    """A folder for one process at a time, gone afterwards; those that killed processes left in `folder` go first."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for lock in folder.glob("*.lock"):
+        with alone(lock, wait=False) as held:
+            if held is not None:
+                shutil.rmtree(lock.with_suffix(".scratch"), ignore_errors=True)
+    with alone(folder / f"{name}.lock"):
+        place = folder / f"{name}.scratch"
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir(mode=0o700)
+        try:
+            yield place
+        finally:
+            shutil.rmtree(place, ignore_errors=True)
+
+
 def _still(guard: int, lock: Path) -> bool:
     """Whether a lock file is still the one that was opened; it may have become what was to be written."""
     try:

@@ -14,6 +14,7 @@ from railrepro import paths
 from railrepro.chain import compare, graph, runner
 from railrepro.compile import cache
 from railrepro.errors import InputError
+from railrepro.files import written
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
 VARIANTS = {
@@ -125,8 +126,10 @@ def variants(names: Sequence[str]) -> int:
             print(f"{name}: left out, {why_not}", flush=True)
             continue
         log = paths.BUILD / "variants" / f"{name}.log"
-        log.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("w") as stream:
+        with written():
+            log.parent.mkdir(parents=True, exist_ok=True)
+            stream = log.open("w")
+        with stream:
             command = [sys.executable, "-m", "railrepro.chain", "verify", "--quick", "--into", str(log.with_suffix(""))]
             code = subprocess.run(command, env=os.environ | VARIANTS[name], stdout=stream, stderr=subprocess.STDOUT)
         lines = [line for line in log.read_text().splitlines() if line.startswith(("all: ", "not reproduced: "))]

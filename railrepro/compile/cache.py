@@ -163,10 +163,9 @@ def _object(command: str, text: str, seconds: float) -> Path:
     target = folder / f"{key}.so"
     try:
         if not _intact(target):
-            _sweep(folder)
-            with files.alone(folder / f"{key}.lock"):
+            with files.scratch(folder, key) as scratch:
                 if not _intact(target):
-                    _compile(command, text, target, _seconds(seconds))
+                    _compile(command, text, target, scratch, _seconds(seconds))
         if os.environ.get("RAILREPRO_KEEP_SOURCE"):
             files.write(target.with_suffix(".c"), text)
     except OSError as error:
@@ -211,28 +210,14 @@ def _intact(target: Path) -> bool:
     return content is not None and digest is not None and digest.decode(errors="replace") == _digest(target, content)
 
 
-def _sweep(folder: Path) -> None:
-    """Remove what killed compilations left: a lock that nobody holds, and the scratch folder of its object."""
-    for lock in folder.glob("*.lock"):
-        with files.alone(lock, wait=False) as held:
-            if held is not None:
-                shutil.rmtree(lock.with_suffix(".scratch"), ignore_errors=True)
-
-
 _TRIAL = "import ctypes, sys; sys.exit(getattr(ctypes.CDLL(sys.argv[1]), sys.argv[2])() != 42)"
 
 
-def _compile(command: str, text: str, target: Path, seconds: float) -> None:
-    scratch, mark = target.with_suffix(".scratch"), f"railrepro_{target.stem}"
-    shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir(mode=0o700)
+def _compile(command: str, text: str, target: Path, scratch: Path, seconds: float) -> None:
+    source, output, mark = scratch / "source.c", scratch / "object.so", f"railrepro_{target.stem}"
+    source.write_text(f"{text}\nint {mark}(void) {{ return 42; }}\n")
     try:
-        source, output = scratch / "source.c", scratch / "object.so"
-        source.write_text(f"{text}\nint {mark}(void) {{ return 42; }}\n")
-        try:
-            code, told = leash.run([command, *flags(), str(source), "-o", str(output), "-lm"], seconds)
-        except TimeoutError as error:
-            raise CompilerError(f"the C compiler {command} {error}") from error
+        code, told = leash.run([command, *flags(), str(source), "-o", str(output), "-lm"], seconds)
         if code or not output.is_file():
             kept = target.with_suffix(".failed.c")
             files.write(kept, text)
@@ -240,13 +225,11 @@ def _compile(command: str, text: str, target: Path, seconds: float) -> None:
         # in a process of its own: junk can end the one that loads it
         if leash.run([sys.executable, "-I", "-S", "-c", _TRIAL, str(output), mark], seconds)[0]:
             raise CompilerError(f"the C compiler {command} gave an object that cannot be loaded")
-        output.chmod(0o644)
-        if target.is_dir():
-            shutil.rmtree(target)
-        files.write(target.with_suffix(".sha256"), _digest(target, output.read_bytes()))
-        target.with_suffix(".sha256").chmod(0o644)
-        os.replace(output, target)
     except TimeoutError as error:
-        raise CompilerError(f"an object of the C compiler {command} cannot be loaded, the try {error}") from error
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        raise CompilerError(f"the C compiler {command} {error}") from error
+    output.chmod(0o644)
+    if target.is_dir():
+        shutil.rmtree(target)
+    files.write(target.with_suffix(".sha256"), _digest(target, output.read_bytes()))
+    target.with_suffix(".sha256").chmod(0o644)
+    os.replace(output, target)

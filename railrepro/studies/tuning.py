@@ -21,7 +21,8 @@ from tqdm import tqdm
 
 from railrepro import __version__, paths, schema
 from railrepro.control.registry import CONTROLLERS, guidance
-from railrepro.errors import InputError
+from railrepro.errors import InputError, told
+from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenarios
@@ -248,10 +249,9 @@ def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | Non
 
 def save(tuned: dict, folder: Path) -> None:
     """Write a tuned set as JSON and its particles as CSV."""
-    folder.mkdir(parents=True, exist_ok=True)
     content = {key: value for key, value in tuned.items() if key != "history"}
-    (folder / f"{tuned['controller']}.json").write_text(json.dumps(content, indent=2) + "\n")
-    tuned["history"].to_csv(folder / f"{tuned['controller']}_particles.csv", index=False, float_format="%.6g")
+    write(folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g"))
+    write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
 
 
 def load(controller: str, folder: Path | None = None) -> dict:
@@ -305,9 +305,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("interrupted; run again to resume")
+    sys.exit(told(lambda: main(sys.argv[1:])))
