@@ -200,7 +200,7 @@ def test_left_and_right_curves_mirror_in_every_state_and_output(vehicle, profile
 
 @pytest.mark.parametrize(("track", "speed"), [("T1", 40), ("T2", 160), ("T3", 280), ("T4", 400)])
 def test_steady_curving_balances_weight_and_centrifugal_force(vehicle, track, speed):
-    coupled = start(vehicle, track, speed * KMH, NDI(integral=0.2))
+    coupled = start(vehicle, track, speed * KMH, NDI(integral=0.05))
     length = load_track(track).length
     duration = (length - 30) / (speed * KMH)
     log = frame(coupled.run(int(1000 * duration)), coupled).tail(1500).mean()
