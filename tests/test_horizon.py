@@ -237,9 +237,9 @@ def follow(guided, x, samples, push=0.0):
     return x, np.array(torques)
 
 
-@pytest.mark.parametrize("kind", [NMPC, LTVMPC])
-def test_the_expected_state_is_where_the_model_goes(vehicle, way, kind):
-    guided, x = kind(vehicle, way, 0, WIDE), measured(way, **STATE)
+@pytest.mark.parametrize(("kind", "options"), [(NMPC, {}), (NMPC, {"solver": "ipopt"}), (LTVMPC, {})])
+def test_the_expected_state_is_where_the_model_goes(vehicle, way, kind, options):
+    guided, x = kind(vehicle, way, 0, WIDE, **options), measured(way, **STATE)
     following = after(x, guided.plan(x, 0.0), guided)
     lateral = [AT[name] for name in ("psi_Ax", "psidot_Ax", "y_TrAx", "psi_TrAx")]
     moved = (following - x)[lateral]
