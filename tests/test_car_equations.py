@@ -162,8 +162,8 @@ def test_creep_loss_is_force_times_sliding(vehicle):
     rolling = case(vehicle)[0][equations.INDEX["w.front_le"]]
     found = outputs(vehicle, w__front_le=1.01 * rolling)
     loss = energies(vehicle, w__front_le=1.01 * rolling)[3]
-    assert loss == pytest.approx(found["front_le.Fx"] * 0.01 * 20.0, rel=1e-3)
-    assert loss > 0
+    # The spin of the cone against its rail loses a few W more than the sliding along it.
+    assert 0 < loss - found["front_le.Fx"] * 0.01 * 20.0 < 3e-3 * loss
 
 
 def test_parameters_name_good_and_poor_sets_and_lift_the_power_limit():

@@ -140,7 +140,7 @@ def test_sway_of_the_body_in_an_arc(track, clearance):
     vehicle = load_vehicle(**{"suspension.bump_clearance": clearance}) if bumps else V
     geometry = load_track(track)
     scenario = load_scenario(f"curve_entry_{track}").but(set_point={"kind": "none"}, end_m=geometry.length)
-    run = simulate.run(scenario, NDI(integral=0.2), vehicle=vehicle)
+    run = simulate.run(scenario, NDI(integral=0.05), vehicle=vehicle)
     assert not run.failed
     assert (run.series["front.sway"].abs().max() > vehicle.suspension.bump_clearance) == bumps
     log = run.series.tail(1500).mean()
