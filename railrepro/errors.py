@@ -24,8 +24,8 @@ def told(command: Callable[[], int | None]) -> int:
         Exit code: what the command returned (None is 0), 1 after an `InputError` or where the system refuses a file,
         130 after Ctrl-C or the end of make.
     """
-    leash.follow_make()
     try:
+        leash.follow_make()
         return command() or 0
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -131,9 +131,8 @@ def test_committed_files_are_read(name, folder):
     assert read(name, paths.ROOT / name) is not None
 
 
-@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
-@given(data=st.data())
-def test_broken_files_give_a_valid_result_or_one_sentence(data, folder):
+def broken_file_is_answered(data, folder):
+    """Break one of the files in one way, and read it."""
     name = data.draw(st.sampled_from(list(READERS)))
     file = folder / Path(name).name
     original = (paths.ROOT / name).read_bytes()
@@ -149,6 +148,22 @@ def test_broken_files_give_a_valid_result_or_one_sentence(data, folder):
     assert not re.search(r"\bnan\b", repr(found))
     if isinstance(found, pd.DataFrame):
         assert np.isfinite(found).all().all()
+
+
+BROKEN = {"deadline": None, "derandomize": True, "suppress_health_check": list(HealthCheck), "database": None}
+
+
+@settings(max_examples=200, **BROKEN)
+@given(data=st.data())
+def test_broken_files_give_a_valid_result_or_one_sentence(data, folder):
+    broken_file_is_answered(data, folder)
+
+
+@pytest.mark.slow
+@settings(max_examples=2000, **BROKEN)
+@given(data=st.data())
+def test_many_broken_files_give_a_valid_result_or_one_sentence(data, folder):
+    broken_file_is_answered(data, folder)
 
 
 @pytest.mark.parametrize("name", READERS)

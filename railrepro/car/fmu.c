@@ -29,6 +29,7 @@ typedef struct {
   casadi_int integers[INTEGERS];
   double work[WORK];
   car_t car;
+  int told;
   const fmi2CallbackFunctions *callbacks;
 } unit_t;
 
@@ -56,15 +57,18 @@ static void reset(unit_t *u) {
   memcpy(u->x, START, sizeof u->x);
   memset(u->tau, 0, sizeof u->tau);
   memset(u->rows, 0, sizeof u->rows);
-  u->period = PERIOD;
+  u->period = PERIOD, u->told = 0;
   car_look_up(&u->car);  /* the look-up of contacts uses the irregularities of the rows found before */
   car_measure(&u->car);
 }
 
-static fmi2Status complain(unit_t *u, const char *text) {
-  if (u->callbacks && u->callbacks->logger) u->callbacks->logger(u->callbacks->environment, "car", fmi2Error, "error", text);
-  return fmi2Error;
+static fmi2Status report(const fmi2CallbackFunctions *callbacks, fmi2Status status, const char *text) {
+  const char *category = status == fmi2Warning ? "logStatusWarning" : "logStatusError";
+  if (callbacks && callbacks->logger) callbacks->logger(callbacks->environment, "car", status, category, text);
+  return status;
 }
+
+static fmi2Status complain(unit_t *u, const char *text) { return report(u->callbacks, fmi2Error, text); }
 
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 const char *fmi2GetVersion(void) { return "2.0"; }
@@ -72,7 +76,8 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 
 fmi2Component fmi2Instantiate(fmi2String name, int type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
-  if (type != 1 || strcmp(guid, GUID)) return NULL;
+  if (type != 1) return report(callbacks, fmi2Error, "this unit is for co-simulation only"), NULL;
+  if (!guid || strcmp(guid, GUID)) return report(callbacks, fmi2Error, "the GUID is not that of this unit"), NULL;
   unit_t *u = calloc(1, sizeof(unit_t));
   if (u) u->callbacks = callbacks, connect(u), reset(u);
   return u;
@@ -99,6 +104,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
   unit_t *u = c;
   for (size_t i = 0; i < n; ++i) {
     if (r[i] < N_OUTPUT || r[i] >= N_OUTPUT + WHEELS) return complain(u, "only the four torques can be set");
+    if (!(fabs(values[i]) <= LARGEST_TORQUE)) return complain(u, "a torque must be a number of at most " TORQUE_TEXT);
     u->tau[r[i] - N_OUTPUT] = values[i];
   }
   return fmi2OK;
@@ -107,10 +113,13 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean keep) {
   unit_t *u = c;
   const double count = step / PERIOD, steps = floor(count + 0.5);
-  if (steps < 1 || fabs(count - steps) > 1e-6) return complain(u, "the communication step must be a whole number of ms");
-  if (car_run(&u->car, (casadi_int)steps, INFINITY) < steps)
-    return complain(u, "a state of the car is no longer a finite number");
+  if (!(steps >= 1 && steps <= 1e9 && fabs(count - steps) <= 1e-6))
+    return complain(u, "the communication step must be a whole number of ms");
+  if (car_run(&u->car, (casadi_int)steps, LARGEST_STATE) < steps)
+    return complain(u, "a state of the car left all bounds");
   car_measure(&u->car);
+  if (!(fabs(u->y[FRONT_Y]) < DERAILED && fabs(u->y[REAR_Y]) < DERAILED) && !u->told)
+    return u->told = 1, report(u->callbacks, fmi2Warning, "a gear left the rail, what follows means nothing");
   return fmi2OK;
 }
 

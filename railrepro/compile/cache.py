@@ -50,7 +50,7 @@ def compiler() -> str | None:
     command = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc")
     if command is not None:
         try:
-            _object(command, "/* does it work? */\n", _PROBE_SECONDS)
+            _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
         except CompilerError as error:
             do_without(error)
             return None
@@ -72,9 +72,12 @@ def _processor() -> str:
     return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
 
 
-def flags() -> tuple[str, ...]:
-    """Flags of the compiler: `RAILREPRO_CFLAGS` or the default, and what a shared object needs."""
-    wide = platform.machine() in ("x86_64", "AMD64") and "avx2" in _processor().split()
+def flags(portable: bool = False) -> tuple[str, ...]:
+    """Flags of the compiler: `RAILREPRO_CFLAGS` or the default, and what a shared object needs.
+
+    `portable` code runs on any processor of this kind, unless `RAILREPRO_CFLAGS` asks for more.
+    """
+    wide = not portable and platform.machine() in ("x86_64", "AMD64") and "avx2" in _processor().split()
     default = PORTABLE_FLAGS + (" -mavx2" if wide else "")
     return (*os.environ.get("RAILREPRO_CFLAGS", default).split(), *_ALWAYS)
 
@@ -91,10 +94,10 @@ def _version(command: str) -> str:
     return done.stdout.partition("\n")[0]
 
 
-def _machine(command: str) -> str:
+def _machine(command: str, options: tuple[str, ...]) -> str:
     """What an object depends on besides its source: compiler, flags, processor where they are native to it."""
-    cpu = _processor() if any("native" in flag for flag in flags()) else ""
-    return "\n".join((_version(command), " ".join(flags()), platform.machine(), cpu))
+    cpu = _processor() if any("native" in flag for flag in options) else ""
+    return "\n".join((_version(command), " ".join(options), platform.machine(), cpu))
 
 
 def cache_folder() -> Path:
@@ -130,13 +133,15 @@ def cache_folder() -> Path:
     return fallback
 
 
-def build(text: str) -> Path:
+def build(text: str, portable: bool = False) -> Path:
     """Compile C source text to a shared object, or find it in the cache.
 
     Parameters
     ----------
     text : str
         Complete C source.
+    portable : bool
+        See `flags`.
 
     Returns
     -------
@@ -154,18 +159,18 @@ def build(text: str) -> Path:
     command = compiler()
     if command is None:
         raise InputError("a C compiler is needed, and none was found (CC, cc, gcc)")
-    return _object(command, text, _SECONDS)
+    return _object(command, text, _SECONDS, flags(portable))
 
 
-def _object(command: str, text: str, seconds: float) -> Path:
-    key = hashlib.sha256((text + "\0" + _machine(command)).encode()).hexdigest()[:24]
+def _object(command: str, text: str, seconds: float, options: tuple[str, ...]) -> Path:
+    key = hashlib.sha256((text + "\0" + _machine(command, options)).encode()).hexdigest()[:24]
     folder = cache_folder()
     target = folder / f"{key}.so"
     try:
         if not _intact(target):
             with files.scratch(folder, key) as scratch:
                 if not _intact(target):
-                    _compile(command, text, target, scratch, _seconds(seconds))
+                    _compile([command, *options], text, target, scratch, _seconds(seconds))
         if os.environ.get("RAILREPRO_KEEP_SOURCE"):
             files.write(target.with_suffix(".c"), text)
     except OSError as error:
@@ -213,20 +218,22 @@ def _intact(target: Path) -> bool:
 _TRIAL = "import ctypes, sys; sys.exit(getattr(ctypes.CDLL(sys.argv[1]), sys.argv[2])() != 42)"
 
 
-def _compile(command: str, text: str, target: Path, scratch: Path, seconds: float) -> None:
+def _compile(command: list[str], text: str, target: Path, scratch: Path, seconds: float) -> None:
     source, output, mark = scratch / "source.c", scratch / "object.so", f"railrepro_{target.stem}"
     source.write_text(f"{text}\nint {mark}(void) {{ return 42; }}\n")
     try:
-        code, told = leash.run([command, *flags(), str(source), "-o", str(output), "-lm"], seconds)
+        code, told = leash.run([*command, str(source), "-o", str(output), "-lm"], seconds)
         if code or not output.is_file():
             kept = target.with_suffix(".failed.c")
             files.write(kept, text)
-            raise CompilerError(f"{command} refused the generated source {kept}: {told.strip()[:300] or 'no object'}")
+            raise CompilerError(
+                f"{command[0]} refused the generated source {kept}: {told.strip()[:300] or 'no object'}"
+            )
         # in a process of its own: junk can end the one that loads it
         if leash.run([sys.executable, "-I", "-S", "-c", _TRIAL, str(output), mark], seconds)[0]:
-            raise CompilerError(f"the C compiler {command} gave an object that cannot be loaded")
+            raise CompilerError(f"the C compiler {command[0]} gave an object that cannot be loaded")
     except TimeoutError as error:
-        raise CompilerError(f"the C compiler {command} {error}") from error
+        raise CompilerError(f"the C compiler {command[0]} {error}") from error
     output.chmod(0o644)
     if target.is_dir():
         shutil.rmtree(target)

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.errors import InputError
+from railrepro.schema import is_number
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,15 @@ class NDI:
 
     memory = ("integral",)
     """Integral of y* - y (m s)."""
+
+    def __post_init__(self):
+        for name in ("pole", "frequency", "damping", "integral"):
+            value, low = getattr(self, name), 0.0
+            if not (is_number(value) and (value > low or (name == "integral" and value == low)) and value <= 1e4):
+                allowed = "from 0" if name == "integral" else "above 0"
+                raise InputError(f"NDI: {name} = {value!r}, a number {allowed} and up to 10000 is needed")
+        if self.derivatives not in (0, 1, 2, 3) or isinstance(self.derivatives, bool):
+            raise InputError(f"NDI: derivatives = {self.derivatives!r}, one of 0, 1, 2, 3 is needed")
 
     def gains(self) -> dict[str, float]:
         """Coefficients k0, k1, k2 (1/s^3, 1/s^2, 1/s), integral gain (1/s^4) and feed-forward switches."""

@@ -32,6 +32,7 @@ from railrepro.model.control_model import (
 )
 from railrepro.model.derivation import PARAMETERS
 from railrepro.model.forecast import Forecast
+from railrepro.schema import is_number
 
 TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "lateral_bound", "bound_weight")
 """Entries of a tuning vector: what the statement takes from `MPCSettings`, for solvers of any kind."""
@@ -196,6 +197,11 @@ class MPCSettings:
     observer: float = 0.0
 
     def __post_init__(self):
+        numbers = {f"q_diag {i + 1}": value for i, value in enumerate(self.q_diag)}
+        named = ("r", "q_terminal", "period", "steps", "lateral_bound", "bound_weight", "observer")
+        for name, value in (numbers | {name: getattr(self, name) for name in named}).items():
+            if not is_number(value):
+                raise InputError(f"MPC: {name} = {value!r}, a finite number is needed")
         if len(self.q_diag) != len(STATES) or min(self.q_diag) < 0 or self.q_diag[Y] <= 0 or self.r <= 0:
             raise InputError(
                 f"MPC weights: q_diag = {self.q_diag}, r = {self.r}; six weights not below 0, those of y and du above, "

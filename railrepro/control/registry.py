@@ -6,6 +6,7 @@ section Multi-Body Simulation Results (which methods are compared).
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
@@ -16,6 +17,7 @@ from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES
+from railrepro.schema import is_number
 
 MOST_STEPS, LEAST_STEPS = 100, 5
 """Range of the horizon length L in tuning."""
@@ -131,11 +133,29 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     if name not in CONTROLLERS:
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
     controller = CONTROLLERS[name]
-    settings = controller.settings(parameters)
+    if not isinstance(parameters, dict):
+        raise InputError(f"controller {name}: parameters are {reprlib.repr(parameters)}, a table of numbers is needed")
+    wrong = [key for key, value in parameters.items() if not is_number(value)]
+    if wrong:
+        raise InputError(f"controller {name}: {wrong[0]} is {parameters[wrong[0]]!r}, a finite number is needed")
+    try:
+        settings = controller.settings(parameters)
+    except KeyError as error:
+        raise InputError(f"controller {name}: the parameter {error} is missing; found {sorted(parameters)}") from error
+    except (TypeError, ZeroDivisionError, OverflowError) as error:
+        raise InputError(
+            f"controller {name}: parameters {sorted(parameters)} are not those it takes ({error})"
+        ) from error
     unknown = set(changes) - ({field.name for field in fields(settings)} if is_dataclass(settings) else set())
     if unknown:
         raise InputError(f"controller {name}: setting {min(unknown)!r} is not known")
     built = controller.build(settings=replace(settings, **changes) if changes else settings)
+    if options and not isinstance(built, Predictive):
+        raise InputError(f"controller {name}: takes no options, {sorted(options)} are given")
     if options:
+        known = {field.name for field in fields(built.kind) if field.init} - {"vehicle", "route", "gear", "settings"}
+        if set(options) - known:
+            odd = min(set(options) - known)
+            raise InputError(f"controller {name}: option {odd!r} is not known; there are {sorted(known)}")
         built = replace(built, options=(*built.options, *options.items()))
     return built

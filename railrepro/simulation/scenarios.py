@@ -16,11 +16,16 @@ from railrepro import paths, schema
 from railrepro.errors import InputError
 from railrepro.schema import Number, above, between, steps
 from railrepro.track import route
-from railrepro.track.table import load_track
+from railrepro.track.alignment import CANT_BASE
+from railrepro.track.table import Track, load_track
 from railrepro.vehicle.parameters import Vehicle
 
 _AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm")]
 """Beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm); a cone has no flange, but derails at 30 mm."""
+FLANGEWAY = 8.0
+"""Lateral displacement at which S1002 on 60E1 surely touches with its flange (mm)."""
+STEEPEST_RAMP = 10.0
+"""Steepest cant ramp (mm/m), three times what railways allow; wheels lift on steeper ones."""
 _PERIOD = Annotated[Number, between(2 * route.CELL, 1e5, "m")]
 _PLACE, _FADE = Annotated[Number, between(-1e5, 1e5, "m")], Annotated[Number, above(0.0, 1e5, "m")]
 _SHARES = Annotated[tuple, steps("share", 0.0, 1.0)]
@@ -90,6 +95,12 @@ class Scenario:
     second_profile_share: _SHARES = ()
     stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
+    def __post_init__(self):
+        if self.stop_kmh is not None and not self.stop_kmh < self.speed_kmh:
+            raise ValueError(
+                f"stops below {self.stop_kmh} km/h, less than its speed of {self.speed_kmh} km/h is needed"
+            )
+
     @property
     def speed(self) -> float:
         """Initial speed (m/s)."""
@@ -115,17 +126,26 @@ class Scenario:
             raise ValueError("second_profile and second_profile_share are needed together")
 
     def check(self, vehicle: Vehicle) -> None:
-        """Refuse adhesion sets that the vehicle does not have (InputError)."""
+        """Refuse adhesion sets that the vehicle does not have, and set points beyond its flangeway (InputError)."""
         for name in (self.good, self.poor):
             if name not in vehicle.adhesion:
                 known = list(vehicle.adhesion)
                 raise InputError(f"scenario {self.name}: the adhesion set {name!r} is not known; there are {known}")
 
+        amplitude = abs(self.set_point.get("amplitude_mm", 0.0))
+        if vehicle.contact.profile == "s1002" and amplitude > FLANGEWAY:
+            raise InputError(
+                f"scenario {self.name}: set_point.amplitude_mm = {amplitude:g}, up to {FLANGEWAY:g} mm lie inside the "
+                "flangeway of S1002 on 60E1"
+            )
+
     def route(self, irregularities=None, line=None) -> route.Route:
         """Lay set point, adhesion, profiles and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
+        track = load_track(self._track())
+        self._check_ramps(track)
         way = route.lay(
-            load_track(self._track()),
+            track,
             reference=self._reference(),
             poor=(_ramps(left), _ramps(right)),
             force=_steps(self.force_kN),
@@ -138,6 +158,15 @@ class Scenario:
                 f"scenario {self.name}: end_m = {self.end_m} lies beyond track {self.track} ({way.length} m)"
             )
         return replace(way, length=self.end_m)
+
+    def _check_ramps(self, track: Track) -> None:
+        twist = 1e3 * CANT_BASE * np.abs(track.interpolate(track.p)[3])
+        if twist.max() > STEEPEST_RAMP:
+            raise InputError(
+                f"scenario {self.name}: the cant of track {self.track} changes by {twist.max():.3g} mm/m at "
+                f"p = {track.p[np.argmax(twist)]:g} m, up to {STEEPEST_RAMP:g} mm/m is allowed; its clothoid or ramp "
+                "must be longer"
+            )
 
     def _track(self) -> str:
         """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
@@ -190,6 +219,6 @@ def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
 def load_scenario(name: str, path: Path | str | None = None) -> Scenario:
     """One scenario by name; InputError lists the known names otherwise."""
     scenarios = load_scenarios(path)
-    if name not in scenarios:
+    if name not in tuple(scenarios):
         raise InputError(f"scenario {name!r} is not known; there are {sorted(scenarios)}")
     return scenarios[name]

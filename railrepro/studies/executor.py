@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import signal
 import threading
 import time
@@ -64,6 +65,8 @@ def _cluster(address: str) -> Iterator[Executor]:
     # what goes wrong is told by `ordered_map`, in one sentence
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
+    if not re.fullmatch(r"[a-z]+://[^/:\s]+:\d{1,5}/?", address):
+        raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address}, tcp://host:port is needed")
     try:
         client = Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -16,6 +16,7 @@ import pandas as pd
 
 from railrepro.errors import InputError
 from railrepro.files import write
+from railrepro.schema import is_number
 
 CONSTRICTION, ATTRACTION = 0.7298, 2.05
 _ARRAYS = ("position", "velocity", "own_position", "own_cost")
@@ -42,6 +43,9 @@ class Dimension:
     def __post_init__(self):
         if self.scale not in ("linear", "log", "integer"):
             raise InputError(f"dimension {self.name}: scale {self.scale!r}, one of linear, log, integer is needed")
+        for bound in (self.low, self.high):
+            if not is_number(bound):
+                raise InputError(f"dimension {self.name}: bound {bound!r}, a finite number is needed")
         if not self.low < self.high or (self.scale == "log" and self.low <= 0):
             raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
 
@@ -196,6 +200,12 @@ def minimise(
     -------
     Outcome
     """
+    counts = {"particles": (particles, 1), "iterations": (iterations, 1), "patience": (patience, 1), "seed": (seed, 0)}
+    for name, (value, low) in counts.items():
+        if not isinstance(value, int) or isinstance(value, bool) or value < low:
+            raise InputError(f"swarm: {name} = {value!r}, a whole number from {low} is needed")
+    if not dimensions:
+        raise InputError("swarm: there are no dimensions, at least one is needed")
     settings = {"dimensions": [asdict(d) for d in dimensions], "particles": particles, "seed": seed}
     identity = json.dumps([key, settings])
     swarm = Swarm(dimensions, particles, seed)
