@@ -18,6 +18,7 @@ from railrepro.control import lateral, law
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS
 from railrepro.errors import InputError
+from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
 from railrepro.simulation.exchange import Exchange
 from railrepro.simulation.ride import FLANGE_ANGLE
@@ -66,6 +67,7 @@ def run(
     adhesion: AdhesionSettings | None = None,
     estimate: law.EstimateSettings | None = None,
     fixed_share: float = 0.0,
+    sensors: Readings | None = None,
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
     substeps: int = 1,
@@ -85,6 +87,8 @@ def run(
         The car itself; default the same.
     adhesion, estimate, fixed_share : optional
         Longitudinal law, estimates and allocation, see `law.control_law`.
+    sensors : Readings, optional
+        What stands between the car and its controllers; default nothing.
     irregularities, line : optional
         See `railrepro.track.route.lay`.
     substeps : int
@@ -111,7 +115,7 @@ def run(
     tables = tuple(contact_table(profile, body) for profile in profiles)
     lateral_law, factory = lateral.split(guidance)
     limits = {"lateral": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, lateral_law, adhesion, estimate, fixed_share, **limits)
+    control = law.control_law(vehicle, lateral_law, adhesion, estimate, fixed_share, sensors, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
     state = equations.rest_state(body, tables[0], scenario.speed)
     exchange = Exchange(parameters, tables, route, control, state, compiled, substeps)
