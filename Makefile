@@ -24,12 +24,30 @@ export JUPYTER_DATA_DIR := $(CURDIR)/build/jupyter/data
 export JUPYTER_RUNTIME_DIR := $(CURDIR)/build/jupyter/runtime
 unexport JUPYTER_PATH PYTHONPATH
 
-LOCK_HASH := $(shell cat environment.lock pyproject.toml | sha256sum | cut -c1-16)
+# What make starts ends with it, also when only make is killed.
+ifndef RAILREPRO_LEADER
+  export RAILREPRO_LEADER := $(shell echo $$PPID)
+endif
+
+# The folder is part of it: a moved or copied clone installs itself again.
+LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | sha256sum | cut -c1-16)
 VENV := .venv/ready-$(LOCK_HASH)
 NOT_BUILDING := help clean distclean lock
+RULES := build/chain.mk
+# With -n nothing may change on disk, neither the environment nor the rules of the chain.
+ONLY_SHOW := $(if $(findstring n,$(filter-out --%,$(firstword $(MAKEFLAGS)))),yes)
+# The rules end with their own hash; others, broken or cut off, are made again.
+INTACT := $(shell test -f $(RULES) && test "$$(tail -n 1 $(RULES))" = "RULES_HASH := $$(sed '$$d' $(RULES) | sha256sum | cut -c1-64)" && echo yes)
 
 ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
-  include build/chain.mk
+  ifeq ($(INTACT),yes)
+    include $(RULES)
+  else ifdef MAKE_RESTARTS
+    $(error $(RULES) cannot be written)
+  else ifneq ($(ONLY_SHOW),yes)
+    $(shell rm -rf $(RULES))
+    include $(RULES)
+  endif
 endif
 
 .PHONY: help figures chain check test test-all lab tune report verify variants bench study html lock strip clean distclean FORCE
@@ -40,7 +58,8 @@ help:  ## list the targets
 
 # One look at all of them first; then several at a time, unless the caller says how many with -j.
 figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
-	@+$(PY) -m railrepro.chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
+	@+test -z "$(ONLY_SHOW)" || exec echo "$(PY) -m railrepro.chain run NAME, for each notebook that is stale"; \
+	  $(PY) -m railrepro.chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
 	  export RAILREPRO_WORKERS=$${RAILREPRO_WORKERS:-$$(( share > 1 ? share : 1 ))}; \
 	  $(MAKE) --no-print-directory $(if $(filter -j% --jobserver%,$(MAKEFLAGS)),,-j$(AT_ONCE)) chain; }
 
@@ -96,6 +115,10 @@ clean:  ## remove executed notebooks, stamps and reports of runs
 distclean: clean  ## also remove the environment and compiled code
 	rm -rf build .venv
 
+ifeq ($(ONLY_SHOW),yes)
+$(VENV): environment.lock pyproject.toml
+	# .venv would be set up first
+else
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
 	@test -w . || { echo "no write permission in $(CURDIR); clone into a folder of your own"; exit 1; }
@@ -108,6 +131,7 @@ $(VENV): environment.lock pyproject.toml
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
 	@touch $@
 
-build/chain.mk: notebooks/chain.toml railrepro/chain/graph.py | $(VENV)
+$(RULES): notebooks/chain.toml railrepro/chain/graph.py | $(VENV)
 	@mkdir -p build
 	@$(PY) -m railrepro.chain rules > $@.part && mv $@.part $@
+endif

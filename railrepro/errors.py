@@ -1,4 +1,11 @@
-"""The one exception for wrong input: a single plain sentence."""
+"""The one exception for wrong input, and how a command tells it: a single plain sentence."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from railrepro import leash
 
 
 class InputError(ValueError):
@@ -6,3 +13,27 @@ class InputError(ValueError):
 
     def __init__(self, message: str):
         super().__init__(" ".join(message.splitlines()))
+
+
+def told(command: Callable[[], int | None]) -> int:
+    """Run a command; what stops it is told in one sentence.
+
+    Returns
+    -------
+    int
+        Exit code: what the command returned (None is 0), 1 after an `InputError` or where the system refuses a file,
+        130 after Ctrl-C or the end of make.
+    """
+    leash.follow_make()
+    try:
+        return command() or 0
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        where = error.filename2 or error.filename or "the system"
+        print(f"error: {where}: {error.strerror or error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted; nothing half-written, run again to resume", file=sys.stderr)
+        return 130

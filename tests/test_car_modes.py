@@ -71,8 +71,9 @@ def test_sway_and_roll_of_the_body_on_held_carriers(rolling):
     matrices = stiffness_and_damping([1, -BELOW], [0, roll_stiffness], [0, roll_damping])
     expected = hand_modes([BODY.mass, BODY.inertia_x], *matrices)
     assert modes(rolling.loc[names, names].to_numpy()) == pytest.approx(expected, rel=1e-6)
-    # On its rolling carriers the car sways nearly so.
-    assert distance(modes(rolling.to_numpy()), expected[:1]) < 0.04
+    # On its rolling carriers, which the creep forces steer, the car sways nearly as often, with another damping.
+    assert distance(modes(rolling.to_numpy())[:, :1], expected[:1, :1]) < 0.04
+    assert distance(modes(rolling.to_numpy()), expected[:1]) < 0.25
 
 
 def test_yaw_of_the_body_on_held_carriers(rolling):
@@ -82,7 +83,7 @@ def test_yaw_of_the_body_on_held_carriers(rolling):
     frequency = np.sqrt(stiffness / BODY.inertia_z)
     expected = np.array([[frequency / (2 * np.pi), damping / (2 * frequency * BODY.inertia_z)]])
     assert modes(rolling.loc[names, names].to_numpy()) == pytest.approx(expected, rel=1e-6)
-    assert distance(modes(rolling.to_numpy()), expected[:1]) < 0.04
+    assert distance(modes(rolling.to_numpy())[:, :1], expected[:1, :1]) < 0.04
 
 
 def test_body_against_free_carriers_without_friction(sliding):
@@ -139,7 +140,7 @@ def test_sway_of_the_body_in_an_arc(track, clearance):
     vehicle = load_vehicle(**{"suspension.bump_clearance": clearance}) if bumps else V
     geometry = load_track(track)
     scenario = load_scenario(f"curve_entry_{track}").but(set_point={"kind": "none"}, end_m=geometry.length)
-    run = simulate.run(scenario, NDI(integral=0.2), vehicle=vehicle)
+    run = simulate.run(scenario, NDI(integral=0.05), vehicle=vehicle)
     assert not run.failed
     assert (run.series["front.sway"].abs().max() > vehicle.suspension.bump_clearance) == bumps
     log = run.series.tail(1500).mean()

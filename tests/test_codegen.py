@@ -5,12 +5,13 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro import paths
+from railrepro import files, leash, paths
 from railrepro.compile import cache, codegen
 from railrepro.errors import InputError
 
@@ -99,14 +100,127 @@ def test_a_refused_source_is_kept_and_named(tmp_path, monkeypatch):
     assert len(list((tmp_path / "compiled").glob("*.failed.c"))) == 1
 
 
-def test_a_shared_cache_that_others_can_write_is_refused(tmp_path, monkeypatch):
+def test_a_checkout_of_another_user_has_its_objects_in_the_own_cache(tmp_path, monkeypatch):
     monkeypatch.setattr(paths, "BUILD", tmp_path / "nowhere")
     monkeypatch.setattr(cache.os, "access", lambda *_: False)
-    monkeypatch.setattr(cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     folder = cache.cache_folder()
-    folder.chmod(0o777)
-    with pytest.raises(InputError, match="only you can write"):
+    assert folder == tmp_path / "home/railrepro/compiled" and folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o755)
+    with pytest.raises(InputError, match="mode 700 of your own"):
         cache.cache_folder()
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="mode 700 of your own"):
+        cache.cache_folder()
+
+
+def test_a_cache_folder_that_others_could_write_is_closed(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    (tmp_path / "compiled").mkdir()
+    (tmp_path / "compiled").chmod(0o777)
+    assert cache.cache_folder().stat().st_mode & 0o022 == 0
+
+
+def spoil_owner(file):
+    if os.getuid():
+        pytest.skip("only root gives files away")
+    os.chown(file, 65534, 65534)
+
+
+SPOILT = {
+    "truncated": lambda file: file.write_bytes(file.read_bytes()[:4000]),
+    "foreign": lambda file: shutil.copy(file.with_name("other.so"), file),
+    "empty": lambda file: file.write_bytes(b""),
+    "writable by others": lambda file: file.chmod(0o666),
+    "of another user": spoil_owner,
+    "a link": lambda file: (file.rename(file.with_name("other.so")), file.symlink_to("other.so")),
+    "a folder": lambda file: (file.unlink(), file.mkdir()),
+    "without its hash": lambda file: file.with_suffix(".sha256").unlink(),
+    "with another hash": lambda file: file.with_suffix(".sha256").write_bytes(b"\xff"),
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("how", SPOILT)
+def test_what_is_not_the_stored_object_is_made_again(how, tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    target = cache.build("int number(void) { return 3; }")
+    cache.build("int number(void) { return 4; }").rename(target.with_name("other.so"))
+    SPOILT[how](target)
+    assert cache.build("int number(void) { return 3; }") == target
+    assert target.is_file() and not target.is_symlink() and target.stat().st_uid == os.getuid()
+    assert target.stat().st_mode & 0o022 == 0
+    assert ctypes.CDLL(str(target)).number() == 3
+
+
+@needs_compiler
+def test_what_killed_compilations_left_is_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    folder = cache.cache_folder()
+    (folder / "killed.lock").write_text("")
+    (folder / "killed.scratch").mkdir()
+    (folder / "held.scratch").mkdir()
+    with files.alone(folder / "held.lock"):
+        cache.build("int swept(void) { return 5; }")
+        assert sorted(file.stem for file in folder.glob("*.scratch")) == ["held"]
+    assert not list(folder.glob("*.lock"))
+
+
+COMPILERS = {
+    "refuses": "exit 1",
+    "writes nothing": "exit 0",
+    "writes junk": 'echo junk > "$out"',
+    "writes half an object": 'cc "$@" && head -c 9000 "$out" > "$out.half" && mv "$out.half" "$out"',
+    "writes another object": 'echo "int other;" > "$out.c"; cc -shared -fPIC "$out.c" -o "$out"',
+    "hangs": "sleep 60",
+}
+INTERPRETED = """
+import sys
+import casadi as ca
+from railrepro.compile import codegen
+x = ca.SX.sym("x")
+call = codegen.compiled(ca.Function("twice", [x], [2 * x]))
+call.arguments[0][:] = 3.0
+print(type(call).__name__, call()[0][0], codegen.compiler())
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("how", [*COMPILERS, "is not executable by this system", "is silent about its version"])
+def test_a_compiler_that_fails_is_done_without(how, tmp_path):
+    broken = tmp_path / "cc"
+    find = 'for a in "$@"; do test "$before" = -o && out=$a; before=$a; done'
+    body = f"case $* in *--version*) echo broken 1.0; exit;; esac\n{find}\n{COMPILERS.get(how, 'exit 3')}\n"
+    broken.write_text(
+        ("#!/nowhere/sh\n" if "system" in how else "#!/bin/sh\n") + (body if how in COMPILERS else "exit 3\n")
+    )
+    broken.chmod(0o755)
+    own = {"CC": str(broken), "RAILREPRO_ROOT": str(tmp_path), "PYTHONPATH": str(paths.ROOT)}
+    environment = os.environ | own | ({"RAILREPRO_COMPILER_SECONDS": "1"} if how == "hangs" else {})
+    command = [sys.executable, "-c", INTERPRETED]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout) == (0, "InterpretedFunction 6.0 None\n"), done.stderr
+    assert len(done.stderr.splitlines()) == 1 and "everything is interpreted" in done.stderr
+    assert not list((tmp_path / "build/compiled").glob("*.so"))
+
+
+@needs_compiler
+def test_a_compilation_ends_with_the_process_that_asked_for_it(tmp_path):
+    slow, log = tmp_path / "cc", tmp_path / "log"
+    slow.write_text(f"#!/bin/sh\ncase $* in *--version*) exit;; esac\necho $$ > {log}\nsleep 60\n")
+    slow.chmod(0o755)
+    environment = os.environ | {"CC": str(slow), "RAILREPRO_ROOT": str(tmp_path), "PYTHONPATH": str(paths.ROOT)}
+    process = subprocess.Popen([sys.executable, "-c", INTERPRETED], env=environment)
+    while not (log.exists() and log.read_text()):
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    for _ in range(100):
+        if not leash.alive(int(log.read_text())):
+            return
+        time.sleep(0.05)
+    raise AssertionError("the compiler outlives its parent by 5 s")
 
 
 @needs_compiler
@@ -121,5 +235,10 @@ def test_processes_that_need_the_same_object_compile_it_once(tmp_path):
     both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     objects = {process.communicate()[0] for process in both}
     assert len(objects) == 1
-    assert log.read_text() == "compiled\n"
-    assert [file.suffix for file in (tmp_path / "build/compiled").iterdir()] == [".so"]
+    assert log.read_text() == "compiled\n" * 2  # once, after the try whether it works
+    assert [file.suffix for file in sorted((tmp_path / "build/compiled").iterdir())] == [
+        ".sha256",
+        ".so",
+        ".sha256",
+        ".so",
+    ]

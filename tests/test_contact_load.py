@@ -5,8 +5,8 @@ import pytest
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.contact import creep, normal
-from railrepro.contact.table import CONE_AXES
+from railrepro.contact import normal
+from railrepro.contact.table import cone_patch
 from railrepro.vehicle.parameters import load_vehicle
 
 VEHICLE = load_vehicle(**{"wheel.cone_angle": 1e-6})  # no spin, so each creepage makes its own force only
@@ -42,8 +42,7 @@ def probe(sink, creepage_x=0.0, creepage_y=0.0):
 
 @pytest.mark.parametrize("sink", [-40e-6, 0.0, 60e-6])
 def test_creep_slope_of_the_car_follows_the_patch_under_its_load(sink):
-    a, b = CONE_AXES
-    c11, c22, _ = creep.kalker_coefficients(a / b)
+    a, b, (c11, c22, _) = cone_patch(VEHICLE)
     along, across = probe(sink, creepage_x=CREEPAGE), probe(sink, creepage_y=CREEPAGE)
     area = a * b * (along["N"] / VEHICLE.contact.nominal_load) ** (2 / 3)
     linear = VEHICLE.contact.shear_modulus * area * (DRY.k_a + DRY.k_s) / 2

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from railrepro.contact import creep
-from railrepro.contact.table import CELL_COLUMNS, CONE_AXES, contact_table, in_cell
+from railrepro.contact.table import CELL_COLUMNS, contact_table, in_cell
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import load_vehicle
 
-A, B = CONE_AXES
+A, B = 6.28e-3, 7.02e-3  # the ellipse of the published peaks
 LOAD, SHEAR = 78.5e3, 8.2e10
 KALKER = creep.kalker_coefficients(A / B)
 PEAKS = {
@@ -55,6 +55,21 @@ def test_agrees_with_fastsim_at_the_spin_of_the_cone():
     for nu_x, nu_y in ((1e-3, 0.0), (0.0, 1e-3), (2e-3, 1e-3)):
         other = np.array(creep.fastsim(nu_x, nu_y, 0.06, LOAD, A, B, 0.4, KALKER, SHEAR))
         assert np.linalg.norm(force(nu_x, nu_y, 0.06) - other) < 0.08 * 0.4 * LOAD
+
+
+@pytest.mark.parametrize("creepage", [(1e-6, 1e-6, 0), (1e-6, 0, 3e-4), (0, -1e-6, 4e-4), (1e-6, -5e-7, 3e-4)])
+def test_fastsim_of_small_mixed_creepages_follows_kalker(creepage):
+    f11, f22, f23 = SHEAR * A * B * np.array([KALKER[0], KALKER[1], KALKER[2] * np.sqrt(A * B)])
+    nu_x, nu_y, spin = creepage
+    expected = np.array([-f11 * nu_x, -f22 * nu_y - f23 * spin])
+    found = np.array(creep.fastsim(*creepage, LOAD, A, B, 0.4, KALKER, SHEAR, (60, 61)))
+    assert found == pytest.approx(expected, rel=2e-3, abs=1e-3 * np.abs(expected).max())
+
+
+def test_fastsim_slides_against_the_creepage():
+    along, across = creep.fastsim(0.05, 0.02, 0.0, LOAD, 2 * A, B, 0.4, creep.kalker_coefficients(2 * A / B), SHEAR)
+    assert np.hypot(along, across) == pytest.approx(0.4 * LOAD, rel=2e-3)
+    assert across / along == pytest.approx(0.4, rel=5e-3)
 
 
 def test_values_and_derivatives_stay_finite_at_rest_and_without_load():

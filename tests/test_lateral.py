@@ -100,6 +100,42 @@ def test_memory_that_is_not_declared_is_refused():
         lateral.kind(Forgetful(lambda gear, gain: 0.0))
 
 
+@pytest.mark.parametrize(
+    ("torque", "sentence"),
+    [
+        (lambda *groups: 0.0, r"torque\(\) returned 0.0, a pair \(du, memory by name\) is needed"),
+        (lambda *groups: (0.0, {"past": 0.0}, 1), r"returned \(0.0, .*\), a pair"),
+        (lambda *groups: (0.0, 0.0), r"returned \(0.0, 0.0\), a pair"),
+        (lambda *groups: [0.0, {"past": 0.0}], r"returned \[0.0, .*\], a pair"),
+        (lambda *groups: (0.0, {"past": ca.SX.zeros(1, 2)}), r"memory 'past' is an expression of shape \(1, 2\)"),
+    ],
+)
+def test_a_torque_without_its_memory_is_refused(torque, sentence):
+    own = Own(None)
+    own.torque = torque
+    with pytest.raises(InputError, match=f"law Own: .*{sentence}"):
+        lateral.kind(own)
+
+
+def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
+    class Both(lateral.Held):
+        def __call__(self, vehicle, route, gear):
+            return None
+
+    fast, both = NDI(), Both()
+    assert lateral.split(fast) == (fast, None)
+    assert lateral.split(both) == (both, both)
+    assert lateral.split(NMPC) == (lateral.Held(), NMPC)
+    for nothing in (NDI, 3.0, None):
+        with pytest.raises(InputError, match=r"an object with gains\(\), memory and torque\(\), or a factory"):
+            lateral.split(nothing)
+
+
+def test_gains_may_be_whole_numbers():
+    law_of_one = Own(lambda gear, gain: gain["k"] * gear["y_TrAx"], {"k": 2})
+    assert lateral.kind(law_of_one).gains == ("k",)
+
+
 def jerk_of_the_model(vehicle, x, theta, ddpsi_dp, u_d, du):
     """Third time derivative of y along the control model, as the track passes by, with torques held."""
     state = ca.SX.sym("state", len(STATES))

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.contact.creep import adhesion_maximum, kalker_coefficients
-from railrepro.contact.table import CONE_AXES
+from railrepro.contact.creep import adhesion_maximum
+from railrepro.contact.table import cone_patch
 from railrepro.simulation import metrics
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -110,8 +110,10 @@ def test_order_of_magnitude_is_the_next_power_of_ten(value, floor, expected):
 def test_summary_of_a_lateral_run():
     series = waves(2.0).assign(**{"front.tau_long": 0.0, "front.du": 0.0, "rear.y_ref": 0.0, "rear.y": 2e-3})
     series.loc[0, ["front.y", "front.du"]] = series.loc[0, "front.y_ref"] - 7e-2, -4000.0
+    series["front.rail_y"] = series["front.y"] - 4e-3
     found = metrics.summary(series, 4000.0)
     n = len(series)
+    assert found["rail_rmse_y"] == (pytest.approx(4e-3), "m")
     assert found["rmse_y"] == (metrics.rmse(series), "m")
     assert found["rmse_y_rear"] == (pytest.approx(2e-3), "m")
     assert found["largest_error"] == (pytest.approx(7e-2), "m")
@@ -123,7 +125,7 @@ def test_summary_of_a_lateral_run():
 
 def test_mean_error_of_the_last_third():
     columns = {"front.p": np.arange(9.0), "front.y_ref": 0.0, "front.y": [0.0, 9.0, 9.0, 9.0, 9.0, 9.0, 1.0, -2.0, 4.0]}
-    still = dict.fromkeys(("front.du", "front.tau_long", "rear.y", "rear.y_ref"), 0.0)
+    still = dict.fromkeys(("front.du", "front.tau_long", "front.rail_y", "rear.y", "rear.y_ref"), 0.0)
     found = metrics.summary(pd.DataFrame(columns | still), 4000.0)
     assert found["mean_error_last_third"] == (pytest.approx(1.0), "m")
 
@@ -131,8 +133,7 @@ def test_mean_error_of_the_last_third():
 def peak(vehicle, name, speed):
     """Largest adhesion of an adhesion set at nominal load."""
     load = (26000.0 / 2 + 3000.0) * 9.81 / 2
-    coefficients = kalker_coefficients(CONE_AXES[0] / CONE_AXES[1])
-    return adhesion_maximum(vehicle.adhesion[name], speed, load, *CONE_AXES, coefficients, 8.2e10)[0]
+    return adhesion_maximum(vehicle.adhesion[name], speed, load, *cone_patch(vehicle), 8.2e10)[0]
 
 
 def test_adhesion_limit_is_the_peak_of_the_creep_law_between_the_sets():

@@ -5,7 +5,7 @@ import pytest
 
 from railrepro.errors import InputError
 from railrepro.model import derivation, multipliers
-from railrepro.model.control_model import control_model, discretise
+from railrepro.model.control_model import control_model, discretise, kept_as_printed
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -133,6 +133,25 @@ def test_discretisations_converge_with_their_orders(vehicle):
     for method, order in (("euler", 1), ("midpoint", 2), ("rk4", 4)):
         coarse, fine = (abs(after(method, n) - exact) for n in (20, 40))
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.35)
+
+
+def test_a_variant_names_what_it_keeps_as_printed():
+    """D4 belongs to the forecast: a variant may name it, the model does not know it."""
+    assert kept_as_printed("corrected") == control_model().discrepancies == frozenset()
+    assert kept_as_printed("printed") == {"D1", "D2", "D3", "D4", "D7"}
+    assert control_model("printed").discrepancies == {"D1", "D2", "D3", "D7"}
+    assert kept_as_printed("D4, D1") == {"D1", "D4"}
+    assert control_model("D4").discrepancies == frozenset()
+    assert control_model(discrepancies=["D3", "D4"]).discrepancies == {"D3"}
+
+
+def test_parameters_of_the_model_by_hand():
+    """Residual inertias are without both wheels, 1500 and 2000 less 2 x 32 kg m2; two springs and a bar in roll."""
+    found = dict(zip(control_model().parameters, control_model().parameter_vector(load_vehicle()), strict=True))
+    expected = {"m": 3000.0, "m_x": 3000.0, "J_x": 1436.0, "J_z": 1936.0, "J_Wy": 60.0, "J_Wz": 32.0, "r_0": 0.46}
+    expected |= {"b": 1.5, "delta_0": 0.025, "k_sz": 60e3, "k_dz": 10e3, "g": 9.81}
+    expected |= {"k_sx": 2 * 256_500.0 + 1e6, "k_dx": 2 * 16_500.0 + 10e3}
+    assert found == pytest.approx(expected)
 
 
 def test_unknown_names_are_refused():

@@ -96,7 +96,7 @@ def test_a_read_only_checkout_is_told_in_one_sentence(tiny, monkeypatch):
         raise PermissionError(13, "denied", "build/x")
 
     monkeypatch.setattr("pathlib.Path.mkdir", refuse)
-    with pytest.raises(InputError, match="no write permission"):
+    with pytest.raises(InputError, match="build/x: cannot be written"):
         runner.run_notebook(graph.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
 
 

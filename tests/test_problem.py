@@ -8,8 +8,10 @@ import pytest
 
 from railrepro.compile import codegen
 from railrepro.control.nmpc import NMPC
-from railrepro.control.problem import MPCSettings
+from railrepro.control.problem import MPCSettings, dynamics
 from railrepro.control.solvers import condensed, ipopt
+from railrepro.errors import InputError
+from railrepro.model.control_model import STATES
 from railrepro.simulation import scenarios
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -42,6 +44,17 @@ def test_cost_is_the_printed_one(case):
     expected += period * SETTINGS.bound_weight * Q[4] * over @ over
     assert (over > 0).any()
     assert problem.cost(states, du) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_beyond_either_side_of_the_bound_the_cost_counts_the_excess(case, side):
+    """0.3 mm beyond in one state: T w Q_y (0.3 mm)^2 more than for the same error within a wide bound."""
+    states, du = case[0].ahead.x_d.copy(), np.zeros(SETTINGS.steps)
+    states[:, STATES.index("y_TrAx")] = 0.0
+    states[3, STATES.index("y_TrAx")] = side * 8e-4
+    within = replace(case[0], settings=replace(SETTINGS, lateral_bound=1.0))
+    more = case[0].cost(states, du) - within.cost(states, du)
+    assert more == pytest.approx(SETTINGS.period * 30.0 * (3e-4) ** 2, rel=1e-9)
 
 
 def test_condensed_form_is_the_stated_cost_of_the_linearised_trajectory(case):
@@ -103,3 +116,72 @@ def test_each_weight_counts_in_the_cost(case, name):
     )
     costs = [replace(problem, settings=s).cost(controller.horizon.x, controller.horizon.u) for s in (SETTINGS, changed)]
     assert abs(costs[1] / costs[0] - 1) > 1e-6
+
+
+@pytest.mark.parametrize("discretisation", ["euler", "rk4"])
+def test_printed_linear_model_is_the_tangent_without_its_affine_term(case, discretisation):
+    """x+ = A x + B u of the paper: a first-degree form, whose derivatives are those of the step itself (D6)."""
+    problem, _, _ = case
+    step, n = dynamics("corrected", discretisation), len(STATES)
+    at = np.array([*problem.x_hat, 250.0, -800.0])
+    at[STATES.index("y_TrAx")], at[STATES.index("psi_TrAx")] = 4e-3, 2e-3
+
+    def after(point, affine):
+        found = step(point[:n], point[n], point[n + 1], problem.ahead.theta[0], problem.parameters, 0.01, affine)
+        return [np.array(value) for value in found]
+
+    size = np.array([1.0, 1e-3, 0.1, 1e-3, 1e-4, 1e-4, 1.0, 1.0])
+    tangent = np.transpose(
+        [(after(at + d, 1.0)[0] - after(at - d, 1.0)[0]).ravel() / (2 * d.sum()) for d in np.diag(size)]
+    )
+    reported, a, b = after(at, 1.0)
+    scale = 1e-6 * np.abs(tangent * size).max(axis=1)
+    assert (np.abs(np.hstack([a, b]) - tangent[:, : n + 1]) * size[: n + 1] < scale[:, None]).all()
+    printed, *same = after(at, 0.0)
+    assert np.array_equal(same[0], a) and np.array_equal(same[1], b)
+    assert printed.ravel() == pytest.approx(tangent @ at, rel=1e-6, abs=1e-9)
+    assert np.abs(printed - reported).max() > 1e-4
+
+
+def test_a_roll_out_holds_each_torque_for_one_step_of_the_model(case):
+    problem, _, _ = case
+    step = dynamics("corrected", "rk4")
+    du = np.linspace(-300, 500, SETTINGS.steps)
+    states = problem.roll_out(du)
+    assert states[0] == pytest.approx(problem.x_hat)
+    for k in (0, 1, SETTINGS.steps - 1):
+        following, *_ = step(states[k], du[k], 500.0, problem.ahead.theta[k], problem.parameters, SETTINGS.period, 1.0)
+        assert states[k + 1] == pytest.approx(np.array(following).ravel(), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"q_diag": Q[:5]}, "six weights"),
+        ({"q_diag": (0.0, -1e-9, 0.0, 0.0, 1.0, 0.0)}, "six weights not below 0"),
+        ({"q_diag": (1.0, 1.0, 1.0, 1.0, 0.0, 1.0)}, "those of y and du above"),
+        ({"r": 0.0}, "r = 0.0"),
+        ({"r": -1.0}, "r = -1.0"),
+        ({"steps": 1}, "1 steps of 0.01 s; 2 or more"),
+        ({"period": 0.0}, "12 steps of 0.0 s"),
+        ({"period": -0.01}, "2 or more above 0 s are needed"),
+    ],
+)
+def test_settings_without_a_problem_are_refused(changes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        replace(SETTINGS, **changes)
+
+
+def test_the_least_settings_are_taken():
+    least = MPCSettings((0.0, 0.0, 0.0, 0.0, 1e-9, 0.0), r=1e-30, steps=2, period=1e-3)
+    assert least.tuning() == pytest.approx([0, 0, 0, 0, 1e-9, 0, 1e-30, 1.0, 1e-3, 8e-3, 100.0])
+
+
+@pytest.mark.parametrize(
+    ("yielding", "u_d", "bound"),
+    [(True, 3900.0, 4000.0), (False, 0.0, 4000.0), (False, 1500.0, 2500.0), (False, -1500.0, 2500.0),
+     (False, -4000.0, 0.0), (False, 4500.0, 0.0)],
+)  # fmt: skip
+def test_base_torque_leaves_the_printed_bound_what_is_left(case, yielding, u_d, bound):
+    settings = replace(SETTINGS, yielding=yielding)
+    assert replace(case[0], settings=settings, u_d=u_d).bound == settings.torque_bound(u_d, 4000.0) == bound

@@ -1,9 +1,14 @@
 """Names of controllers and set-ups: one home, known to figures, tables and studies."""
 
 import pandas as pd
+import pytest
 
 from railrepro import paths
 from railrepro.control import registry
+from railrepro.control.ltv_mpc import LTVMPC
+from railrepro.control.ndi import NDI
+from railrepro.control.nmpc import NMPC
+from railrepro.errors import InputError
 from railrepro.report import figures
 
 
@@ -28,3 +33,40 @@ def test_emphasis_multiplies_the_weight_of_the_torque_only():
     tuned = {"r": 2.0, "q_terminal": 3.0}
     assert registry.with_r_times(tuned, 10.0) == {"r": 20.0, "q_terminal": 3.0}
     assert registry.r_times(0.01) == "R x 0.01"
+    assert registry.r_times(10.0, "NMPC") == "NMPC, R x 10"
+
+
+TUNED = {"q_psi_TrAx": 3.0, "q_psidot_Ax": 0.2, "r": 1e-11, "q_terminal": 5.0, "period_ms": 8.0, "horizon_s": 0.3}
+
+
+def test_tuning_parameters_become_weights_period_and_horizon():
+    settings = registry.mpc_settings(TUNED)
+    assert settings.q_diag == (0.0, 0.0, 0.0, 0.2, 1.0, 3.0)
+    assert (settings.r, settings.q_terminal, settings.period) == (1e-11, 5.0, pytest.approx(8e-3))
+    assert settings.steps == 38
+    assert TUNED["period_ms"] == 8.0
+
+
+@pytest.mark.parametrize(("horizon", "steps"), [(0.01, 5), (0.039, 5), (0.049, 6), (0.796, 100), (0.81, 100)])
+def test_the_horizon_has_five_to_a_hundred_steps(horizon, steps):
+    assert registry.mpc_settings(TUNED | {"horizon_s": horizon}).steps == steps
+
+
+def test_guidance_of_each_method():
+    nmpc = registry.guidance("nmpc", TUNED, {"solver": "rti"}, steps=7)
+    assert (nmpc.kind, nmpc.options, nmpc.settings.steps, nmpc.settings.period) == (NMPC, (("solver", "rti"),), 7, 8e-3)
+    for name, options in (("ltv_mpc", ()), ("ltv_mpc_printed", (("printed", True),))):
+        linear = registry.guidance(name, TUNED)
+        assert (linear.kind, linear.options) == (LTVMPC, options)
+    poles = {"pole": 20.0, "frequency": 25.0, "damping": 0.8}
+    assert registry.guidance("ndi", poles) == NDI(**poles)
+    assert registry.guidance("ndi_feedforward", poles) == NDI(**poles, derivatives=3)
+    assert registry.guidance("ndi_integral", poles | {"integral": 0.3}) == NDI(**poles, integral=0.3)
+    assert registry.guidance("ndi", poles, pole=9.0).pole == 9.0
+
+
+def test_unknown_controllers_and_settings_are_refused():
+    with pytest.raises(InputError, match=r"controller 'pid' is not known; there are \['ltv_mpc', "):
+        registry.guidance("pid", {})
+    with pytest.raises(InputError, match="controller nmpc: setting 'stepz' is not known"):
+        registry.guidance("nmpc", TUNED, stepz=3, steps=7)

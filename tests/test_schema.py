@@ -112,7 +112,7 @@ def folder(tmp_path_factory):
     """Where broken files lie; tuned sets are taken for those of this model without deriving it."""
     with pytest.MonkeyPatch.context() as patch:
         stored = json.loads(TUNED_NDI.read_text())["origin"]["fingerprint"]
-        patch.setattr(tuning, "_fingerprint_here", lambda: stored)
+        patch.setattr(tuning, "_origin_here", lambda _: stored)
         yield tmp_path_factory.mktemp("broken")
 
 

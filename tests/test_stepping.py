@@ -47,6 +47,48 @@ def test_linearisation_predicts_a_small_step():
     assert model.b.loc["tau.front_le", "front_le"] == pytest.approx(1 / lag)
 
 
+def test_linearisation_is_the_slope_of_rates_and_outputs():
+    car = SteppedCar("T3", 60.0)
+    car.step(TORQUE, 1500)
+    model, (x, u, *rest) = car.linearise(), car.inputs()
+    generator, size = np.random.default_rng(6), 1e-7 * np.maximum(np.abs(x), 1.0)
+    for function, by_x, by_u in ((equations.car().rate, model.a, model.b), (equations.car().output, model.c, model.d)):
+        for _ in range(3):
+            dx, du = size * generator.normal(size=x.size), 1e-3 * generator.normal(size=4)
+            ends = [np.array(function(x + sign * dx, u + sign * du, *rest)).ravel() for sign in (1, -1)]
+            expected = by_x.to_numpy() @ dx + by_u.to_numpy() @ du
+            scale = np.abs(by_x.to_numpy()) @ np.abs(dx) + np.abs(by_u.to_numpy()) @ np.abs(du) + 1e-9
+            assert np.abs((ends[0] - ends[1]) / 2 - expected).max() < 1e-3 * scale.max()
+            assert (np.abs((ends[0] - ends[1]) / 2 - expected) < 1e-2 * scale + 1e-6).all()
+    assert list(model.c.index) == list(model.d.index) == list(equations.car().outputs)
+
+
+def test_time_counts_the_steps_and_torques_are_held():
+    car = SteppedCar("T5", 50.0)
+    car.step(TORQUE, exchanges=3)
+    car.step(period=2e-4, exchanges=5)
+    assert car.time == pytest.approx(3e-3 + 5 * 2e-4)
+    assert car.torque.tolist() == TORQUE.tolist()
+    assert car.outputs["front.p"] == pytest.approx(50.0 * 4e-3, rel=1e-3)
+
+
+def test_the_car_is_that_of_the_vehicle_on_the_route_it_is_given():
+    way = route.lay(load_track("T3"))
+    light, heavy = (SteppedCar(way, 50.0, load_vehicle(**{"body.mass": mass})) for mass in (22_000.0, 28_000.0))
+    assert light.route is way
+    gained = heavy.outputs["rear_le.N"] - light.outputs["rear_le.N"]
+    assert gained == pytest.approx(6000 * 9.81 / 4 / np.cos(0.025), rel=1e-4)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_state_that_leaves_all_bounds_is_named(sign):
+    car = SteppedCar("T5", 50.0)
+    car.state[equations.INDEX["w.rear_ri"]] = sign * 1.2e7
+    named = rf"w\.rear_ri = {'-' if sign < 0 else ''}1\.2e\+07 left all bounds after t = 0\.000 s, p = 0\.0 m"
+    with pytest.raises(ArithmeticError, match=named):
+        car.step(exchanges=3)
+
+
 def test_energies_and_outputs_are_named():
     car = SteppedCar("T5", 50.0)
     car.step(TORQUE, 200)

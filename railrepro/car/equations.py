@@ -339,7 +339,7 @@ def _energies(bodies, inertias, elements, wheels, speeds, torques, par) -> list[
         energy += ca.dot(inertia, body.w**2) / 2
     energy += par["wheel.spin_inertia"] * ca.sumsqr(ca.vertcat(*speeds.values())) / 2
     motor = sum(torques[wheel] * (speeds[wheel] + wheels[wheel].gear.wy) for wheel in WHEELS)
-    creep = -sum(w.tangential[0] * w.sliding[0] + w.tangential[1] * w.sliding[1] for w in wheels.values())
+    creep = sum(wheel.friction_loss for wheel in wheels.values())
     damping = sum(element.dissipation for element in elements)
     damping += par["gear.axle_damping"] * sum((speeds[f"{g}_le"] - speeds[f"{g}_ri"]) ** 2 for g in GEARS)
     return [energy, motor, damping, creep]

@@ -94,7 +94,7 @@ class CarStepper:
         Time of a step (s); writable.
     rows : ndarray, shape (3, len(route.COLUMNS))
         Track cells of `equations.BODIES`.
-    contacts : ndarray, shape (4, 21)
+    contacts : ndarray, shape (4, len(CELL_COLUMNS))
         Contact cells of `equations.WHEELS`.
     outputs : ndarray
         Values of `model.outputs` as last measured.

@@ -11,7 +11,7 @@ import casadi as ca
 
 from railrepro.car.integrator import Stages
 from railrepro.car.kinematics import Body, named, rotation
-from railrepro.contact.creep import polach
+from railrepro.contact.creep import polach, spin_moment
 from railrepro.contact.table import CELL_COLUMNS, in_cell
 from railrepro.vehicle.parameters import AdhesionSet
 
@@ -86,13 +86,17 @@ class Contact:
         motion = (offset, self.penetration, self._penetration_rate(gear, sign, par), ca.dot(slide, tangent))
         motion += (ca.dot(slide, lateral), ca.dot(gear.rotation @ spin, normal), rolling_speed)
         self._forces(stages.hold(*motion), cell, section.poor[side], par)
-        self.normal, *self.tangential = stages.hold(self.normal, *self.tangential)
+        self.normal, self.spin_moment, *self.tangential = stages.hold(self.normal, self.spin_moment, *self.tangential)
 
         creep_force = tangent * self.tangential[0] + lateral * self.tangential[1]
         normal_force = -normal * self.normal
         self.force = creep_force + normal_force
+        self.friction_loss = -ca.dot(
+            ca.vertcat(*self.tangential, self.spin_moment), ca.vertcat(*self.sliding, self.turn)
+        )
         creep_axes, normal_axes = gear.rotation.T @ creep_force, gear.rotation.T @ normal_force
         self.axle_moment = ca.cross(at_contact - centre, creep_axes) + ca.cross(at_normal - centre, normal_axes)
+        self.axle_moment += gear.rotation.T @ normal * self.spin_moment
         bearing = ca.cross(centre, creep_axes + normal_axes)
         self.moment = ca.vertcat(self.axle_moment[0], 0, self.axle_moment[2]) + bearing
 
@@ -101,28 +105,27 @@ class Contact:
 
         Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping).
         """
-        offset, penetration, rate, *self.sliding, turn, rolling_speed = motion
+        offset, penetration, rate, *self.sliding, self.turn, rolling_speed = motion
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)
-        elastic = at["normal_stiffness"] * compression**1.5
+        elastic = at["normal_stiffness"] * compression * ca.sqrt(compression + 1e-20)
         self.normal = ca.fmax(elastic * (1 + par["contact.normal_damping"] * rate), 0)
         self.energy = elastic * compression / 2.5
         self.dissipation = (self.normal - elastic) * rate
         self.creepage = (self.sliding[0] / rolling_speed, self.sliding[1] / rolling_speed)
-        self.spin = turn / rolling_speed
+        self.spin = self.turn / rolling_speed
         scale = ((self.normal + 1) / par["contact.nominal_load"]) ** (1 / 3)
         adhesion = [par[f"adhesion.good.{n}"] * (1 - poor) + par[f"adhesion.poor.{n}"] * poor for n in ADHESION]
         slip_speed = ca.sqrt(self.sliding[0] ** 2 + self.sliding[1] ** 2 + 1e-12)
-        self.tangential = polach(
+        creep = (
             *self.creepage, self.spin, self.normal, at["semi_axis_x"] * scale, at["semi_axis_y"] * scale,
             at["c11"], at["c22"], at["c23"], par["contact.shear_modulus"], *adhesion, slip_speed,
         )  # fmt: skip
+        self.tangential, self.spin_moment = polach(*creep), spin_moment(*creep, at["c33"])
 
     def _penetration_rate(self, gear: Body, sign: int, par: dict[str, ca.SX]) -> ca.SX:
         """Time derivative of the penetration along the motion of the carrier over the rail (m/s)."""
         moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
         rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))
-        gradient = ca.jacobian(self.penetration, moving) @ rates
-        against = -ca.vertcat(*_rail_slopes(gear, sign, par))
-        along = ca.jacobian(self.penetration, ca.vertcat(gear.y, gear.z)) @ against
-        return gradient + along * gear.sdot
+        rates -= ca.vertcat(*_rail_slopes(gear, sign, par), 0, 0) * gear.sdot
+        return ca.jtimes(self.penetration, moving, rates)

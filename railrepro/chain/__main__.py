@@ -1,4 +1,7 @@
-"""Command line of the chain: `python -m railrepro.chain COMMAND`; make calls it."""
+"""Command line of the chain: `python -m railrepro.chain COMMAND`; make calls it.
+
+Modules that take long to import are imported by the command that needs them; an interrupt then finds one to tell it.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from railrepro.chain import graph, manifest
-from railrepro.errors import InputError
+from railrepro.errors import told
 
 
 def parser() -> argparse.ArgumentParser:
@@ -15,7 +17,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="python -m railrepro.chain", description="The notebooks and their products.")
     commands = top.add_subparsers(dest="command", required=True)
     commands.add_parser("rules", help="print the make rules of notebooks/chain.toml")
-    commands.add_parser("fresh", help="succeed if no notebook is stale")
+    commands.add_parser("fresh", help="succeed if no notebook is stale, tell what is")
     commands.add_parser("run", help="run one notebook if it is stale").add_argument("name")
     commands.add_parser("html", help="executed notebooks as a book in build/html")
     commands.add_parser("strip", help="remove outputs from the notebooks")
@@ -27,12 +29,26 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _fresh() -> int:
+    from railrepro.chain import graph, manifest
+
+    notebooks = graph.chain()
+    stale = [notebook for notebook in notebooks if not manifest.is_fresh(notebook)]
+    if stale:
+        minutes = max(1, round(sum(notebook.minutes for notebook in stale)))
+        names = ", ".join(notebook.name for notebook in stale)
+        print(f"{len(stale)} of {len(notebooks)} notebooks are stale and run first, about {minutes} min: {names}",
+              file=sys.stderr)  # fmt: skip
+    return int(bool(stale) or not all(map(manifest.is_entered, notebooks)))
+
+
 def _do(chosen: argparse.Namespace) -> int:
-    """Run a command; modules that take long to import are imported by the command that needs them."""
     if chosen.command == "rules":
+        from railrepro.chain import graph
+
         print(graph.rules())
     elif chosen.command == "fresh":
-        return int(not all(map(manifest.is_fresh, graph.chain())))
+        return _fresh()
     elif chosen.command == "run":
         from railrepro.chain.runner import refresh
 
@@ -54,14 +70,7 @@ def _do(chosen: argparse.Namespace) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns 1 after an error of the user, which is told in one sentence."""
-    try:
-        return _do(parser().parse_args(arguments))
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; nothing half-written, run again to resume", file=sys.stderr)
-        return 130
+    return told(lambda: _do(parser().parse_args(arguments)))
 
 
 if __name__ == "__main__":

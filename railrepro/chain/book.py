@@ -11,20 +11,23 @@ from nbconvert.filters import markdown2html
 
 from railrepro import paths
 from railrepro.chain.graph import chain
-from railrepro.chain.manifest import write
+from railrepro.errors import InputError
+from railrepro.files import write, written
 
 
 def html() -> Path:
-    """Executed notebooks as an HTML book in build/html; returns its index."""
+    """Executed notebooks as an HTML book in build/html; returns its index. InputError when one is missing."""
     folder = paths.BUILD / "html"
-    folder.mkdir(parents=True, exist_ok=True)
     exporter = HTMLExporter()
     items = []
     for notebook in chain():
         source = paths.BUILD / "notebooks" / f"{notebook.name}.ipynb"
-        body, _ = exporter.from_filename(str(source))
+        try:
+            body, _ = exporter.from_filename(str(source))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{source}: there is no executed notebook; `make figures` makes it") from error
         back = '<p style="margin:1em 4em"><a href="index.html">all notebooks</a></p>'
-        (folder / f"{notebook.name}.html").write_text(body.replace("<main>", back + "<main>", 1))
+        write(folder / f"{notebook.name}.html", body.replace("<main>", back + "<main>", 1))
         items.append(f'<li><a href="{notebook.name}.html">{notebook.name[:2]} {notebook.title}</a></li>')
     report = paths.ROOT / "REPLICATION.md"
     link = ""
@@ -54,6 +57,7 @@ def _report_html(text: str, folder: Path) -> str:
         if target.startswith("notebooks/"):
             body = body.replace(f'"{target}{cell}"', f'"{source.stem}.html{cell}"')
         elif source.is_file():
-            (folder / target).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(source, folder / target)
+            with written():
+                (folder / target).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(source, folder / target)
     return body

@@ -5,6 +5,7 @@ notebooks/chain.toml is its one source.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, cast
@@ -94,7 +95,8 @@ def find(name: str) -> Notebook:
 def rules() -> str:
     """Make rules of the chain: one stamp per notebook, after the stamps of what it reads.
 
-    The longest come first, so that none of them is left alone at the end when several run at a time.
+    The longest come first, so that none of them is left alone at the end when several run at a time. The last line is
+    the hash of the others, which the Makefile checks.
     """
     notebooks = chain()
     maker = {product: notebook.name for notebook in notebooks for product in notebook.products}
@@ -108,7 +110,8 @@ def rules() -> str:
         for figure in notebook.figures:
             lines += [f".PHONY: {figure[:5]}", f"{figure[:5]}: {stamp}"]
         lines.append("")
-    return "\n".join(lines)
+    text = "\n".join(lines) + "\n"
+    return f"{text}RULES_HASH := {hashlib.sha256(text.encode()).hexdigest()}"
 
 
 def verify_tolerance(path: Path | None = None) -> dict:

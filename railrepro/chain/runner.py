@@ -6,7 +6,6 @@ papermill is imported only when something runs, so that a run with nothing to do
 from __future__ import annotations
 
 import ast
-import json
 import os
 import shutil
 import sys
@@ -17,14 +16,16 @@ from pathlib import Path
 
 from railrepro import paths
 from railrepro.chain.graph import Notebook, find
-from railrepro.chain.manifest import inputs_hash, is_fresh, record, write
+from railrepro.chain.manifest import cells, enter_again, inputs_hash, is_fresh, record
 from railrepro.errors import InputError
+from railrepro.files import move, scratch, written
 
 
 def refresh(name: str) -> None:
     """Run a notebook of the chain if it is stale, put its products in place and record where they come from."""
     notebook = find(name)
     if is_fresh(notebook):
+        enter_again(notebook)
         return
     print(f"{name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
     inputs = inputs_hash(notebook)
@@ -60,50 +61,47 @@ def run_notebook(notebook: Notebook, parameters: dict, root: Path, executed: Pat
         One line: unknown parameter, failing cell, cell not executed, missing product, no write permission.
     """
     _check_parameters(notebook, parameters)
-    staging = paths.BUILD / "staging" / f"{notebook.name}-{os.getpid()}"
-    try:
+    with written():
         executed.mkdir(parents=True, exist_ok=True)
-        staging.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"{notebook.name}: no write permission for {error.filename}") from error
-    result, scratch = (
-        executed / f"{notebook.name}.ipynb",
-        executed / f"{notebook.name}.{os.getpid()}.part.ipynb",
-    )
+        with scratch(paths.BUILD / "staging", f"{notebook.name}-{os.getpid()}") as staging:
+            return _run_staged(notebook, parameters, root, executed, staging, keep_going)
+
+
+def _run_staged(
+    notebook: Notebook, parameters: dict, root: Path, executed: Path, staging: Path, keep_going: bool
+) -> Path:
+    if root != paths.ROOT:
+        for read in notebook.reads:
+            if (root / read).exists():
+                (staging / read).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(root / read, staging / read)
+    result, failed = executed / f"{notebook.name}.ipynb", executed / f"{notebook.name}.failed.ipynb"
+    output, failure = staging / "executed.ipynb", None
     try:
-        if root != paths.ROOT:
-            for read in notebook.reads:
-                if (root / read).exists():
-                    (staging / read).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(root / read, staging / read)
-        failure = None
-        try:
-            _execute(notebook, parameters, staging, scratch, executed / f"{notebook.name}.failed.ipynb", keep_going)
-        except InputError as error:
-            if not keep_going:
-                raise
-            failure = error
-        missing = [product for product in notebook.products if not (staging / product).exists()]
-        if missing and not failure:
-            raise InputError(f"{notebook.name}: did not write {missing[0]}, which chain.toml declares")
-        for product in notebook.products:
-            if product not in missing:
-                (root / product).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(staging / product, root / product)
-        if failure:
-            raise failure
-        os.replace(scratch, result)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-        scratch.unlink(missing_ok=True)
-    (executed / f"{notebook.name}.failed.ipynb").unlink(missing_ok=True)
+        _execute(notebook, parameters, staging, output, failed, keep_going)
+    except InputError as error:
+        if not keep_going:
+            raise
+        failure = error
+    missing = [product for product in notebook.products if not (staging / product).exists()]
+    if missing and not failure:
+        raise InputError(f"{notebook.name}: did not write {missing[0]}, which chain.toml declares")
+    for product in notebook.products:
+        if product not in missing:
+            move(staging / product, root / product)
+    if failure:
+        raise failure
+    move(output, result)
+    failed.unlink(missing_ok=True)
     return result
 
 
 def _check_parameters(notebook: Notebook, parameters: dict) -> None:
-    cells = json.loads(notebook.path.read_text())["cells"]
-    tagged = [c for c in cells if "parameters" in c.get("metadata", {}).get("tags", [])]
-    tree = ast.parse("".join(tagged[0]["source"])) if tagged else ast.parse("")
+    tagged = [c for c in cells(notebook) if "parameters" in c.get("metadata", {}).get("tags", [])]
+    try:
+        tree = ast.parse(tagged[0]["source"] if tagged else "")
+    except SyntaxError as error:
+        raise InputError(f"{notebook.name}: the parameters cell is no Python ({error})") from error
     known = {
         target.id
         for node in tree.body
@@ -141,6 +139,7 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
     import papermill
 
     from railrepro.chain.cleaning import deterministic
+    from railrepro.chain.kernel import PARENT, Kernel
 
     jupyter = {f"JUPYTER_{k}_DIR": str(paths.BUILD / "jupyter" / k.lower()) for k in ("CONFIG", "DATA", "RUNTIME")}
     settings = jupyter | {
@@ -152,24 +151,30 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONHASHSEED": "0",
         "PYDEVD_DISABLE_FILE_VALIDATION": "1",
+        PARENT: str(os.getpid()),
         "RAILREPRO_OUTPUT": str(staging),
         "RAILREPRO_ROOT": str(paths.ROOT),
     }
-    _quiet_kernel(paths.BUILD / "ipython")
+    Kernel.prepare(paths.BUILD / "ipython")
     with _environment(settings):
         try:
             bar = {"desc": notebook.name, "leave": False} if sys.stderr.isatty() and not _beside_others() else False
             options = {"parameters": parameters, "kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": bar}
-            options["allow_errors"] = keep_going
-            papermill.execute_notebook(str(notebook.path), str(output), **options)
+            own = {"allow_errors": keep_going, "kernel_manager_class": Kernel}
+            papermill.execute_notebook(str(notebook.path), str(output), **options, **own)
         except papermill.PapermillExecutionError:
             deterministic(output)
-            os.replace(output, failed)
+            move(output, failed)
             where, message = _first_failure(failed)
             raise InputError(f"{notebook.name}: {where} failed with {message} (kept {_short(failed)})") from None
+        except RuntimeError as error:
+            reason = str(error).partition("\n")[0]
+            raise InputError(f"{notebook.name}: the kernel did not start or ended before its time ({reason})") from None
+        finally:
+            Kernel.end_all()
     for i, cell in enumerate(nbformat.read(output, 4).cells):
         if cell.cell_type == "code" and cell.source.strip() and cell.execution_count is None:
-            os.replace(output, failed)
+            move(output, failed)
             raise InputError(f"{notebook.name}: cell {i + 1} was not executed (kept {_short(failed)})")
     deterministic(output)
 
@@ -189,13 +194,6 @@ def _first_failure(executed: Path) -> tuple[str, str]:
 def _beside_others() -> bool:
     """Whether make runs several notebooks at a time, whose progress bars would overwrite each other."""
     return "--jobserver" in os.environ.get("MAKEFLAGS", "")
-
-
-def _quiet_kernel(folder: Path) -> None:
-    """Kernel settings: neither notices about the transport on stderr nor the interrupt that ends an idle kernel."""
-    profile = folder / "profile_default"
-    profile.mkdir(parents=True, exist_ok=True)
-    write(profile / "ipython_kernel_config.py", "c = get_config()\nc.IPKernelApp.log_level = 50\n")
 
 
 def _short(path: Path) -> str:

@@ -12,7 +12,9 @@ from pathlib import Path
 
 from railrepro import paths
 from railrepro.chain import compare, graph, runner
+from railrepro.compile import cache
 from railrepro.errors import InputError
+from railrepro.files import written
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
 VARIANTS = {
@@ -124,8 +126,10 @@ def variants(names: Sequence[str]) -> int:
             print(f"{name}: left out, {why_not}", flush=True)
             continue
         log = paths.BUILD / "variants" / f"{name}.log"
-        log.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("w") as stream:
+        with written():
+            log.parent.mkdir(parents=True, exist_ok=True)
+            stream = log.open("w")
+        with stream:
             command = [sys.executable, "-m", "railrepro.chain", "verify", "--quick", "--into", str(log.with_suffix(""))]
             code = subprocess.run(command, env=os.environ | VARIANTS[name], stdout=stream, stderr=subprocess.STDOUT)
         lines = [line for line in log.read_text().splitlines() if line.startswith(("all: ", "not reproduced: "))]
@@ -136,9 +140,10 @@ def variants(names: Sequence[str]) -> int:
 
 def _hindrance(name: str) -> str:
     """Why a variant cannot run here, or an empty text."""
-    compiler = VARIANTS[name].get("CC", "cc")
-    if name != "no-compiler" and shutil.which(compiler) is None:
-        return f"there is no compiler {compiler!r}"
+    compiler = VARIANTS[name].get("CC")
+    missing = cache.compiler() is None if compiler is None else shutil.which(compiler) is None
+    if name != "no-compiler" and missing:
+        return f"there is no compiler {compiler!r}" if compiler else "there is no C compiler"
     feature = _NEEDS.get(name)
     if feature and (platform.machine() != "x86_64" or feature not in Path("/proc/cpuinfo").read_text().split()):
         return f"this processor has no {feature}"

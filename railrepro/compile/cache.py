@@ -2,40 +2,66 @@
 
 The key of the cache is the full source text, the compiler with its version and flags, and the CPU where the flags ask
 for this very one, so that neither a changed model nor a moved build folder can meet a stale object. Processes that need
-the same object at the same time wait for the one that compiles it.
+the same object at the same time wait for the one that compiles it. An object is loaded as code only when it belongs to
+the user, nobody else can write it, and its content is what was stored; else it is made again.
 
 By default nothing but 256-bit registers is asked of the processor, where it has them, and products and sums are not
 fused, so that compilers and processors round alike. `RAILREPRO_CFLAGS` replaces these flags, for example by
-"-O2 -march=native". With `RAILREPRO_KEEP_SOURCE=1` the source stays beside its object, to be read.
+"-O2 -march=native", `RAILREPRO_COMPILER_SECONDS` the time limits. With `RAILREPRO_KEEP_SOURCE=1` the source stays
+beside its object, to be read.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
+import math
 import os
 import platform
 import shutil
+import stat
 import subprocess
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import sys
 from functools import lru_cache
 from pathlib import Path
 
-from railrepro import paths
+from railrepro import files, leash, paths
 from railrepro.errors import InputError
 
 PORTABLE_FLAGS = "-O2 -ffp-contract=off"
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
+_SECONDS, _PROBE_SECONDS = 600.0, 30.0
+"""Time limits of a compilation and of the try whether a compiler works (s)."""
+_OTHERS = 0o022
+"""Write permission of group and others."""
+
+
+class CompilerError(InputError):
+    """A compiler that does not do its work."""
 
 
 @lru_cache(maxsize=1)
 def compiler() -> str | None:
-    """Path of the C compiler, or None (also when `RAILREPRO_NO_COMPILER` is set)."""
+    """Path of a C compiler that works; None when there is none, or when `RAILREPRO_NO_COMPILER` is set.
+
+    One that is there and does not work is told on stderr, once.
+    """
     if os.environ.get("RAILREPRO_NO_COMPILER"):
         return None
-    return shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc")
+    command = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc")
+    if command is not None:
+        try:
+            _object(command, "/* does it work? */\n", _PROBE_SECONDS)
+        except CompilerError as error:
+            do_without(error)
+            return None
+    return command
+
+
+def do_without(error: CompilerError) -> None:
+    """Tell why there is no compiler, and have this process and those that it starts do without."""
+    print(f"{error}; everything is interpreted, some twenty times slower", file=sys.stderr, flush=True)
+    os.environ["RAILREPRO_NO_COMPILER"] = "1"
+    compiler.cache_clear()
 
 
 @lru_cache(maxsize=1)
@@ -57,9 +83,11 @@ def flags() -> tuple[str, ...]:
 def _version(command: str) -> str:
     """First line of what a compiler tells of itself."""
     try:
-        done = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        raise InputError(f"the C compiler {command} does not answer to --version ({error})") from error
+        done = subprocess.run(
+            [command, "--version"], capture_output=True, text=True, check=True, timeout=_seconds(_PROBE_SECONDS)
+        )
+    except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
+        raise CompilerError(f"the C compiler {command} does not answer to --version ({error})") from error
     return done.stdout.partition("\n")[0]
 
 
@@ -70,25 +98,35 @@ def _machine(command: str) -> str:
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled objects: `build/compiled`, or one below the temporary folder if that is read-only.
+    """Folder of the compiled objects: `build/compiled`, or where that is not the user's own, one in the user's cache.
 
     Raises
     ------
     InputError
-        When others can write the folder below the temporary one: what lies in it is run.
+        When the folder in the user's cache is open to others: what lies in it is run.
+    CompilerError
+        When neither folder can be written.
     """
     folder = paths.BUILD / "compiled"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
+        if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
+            if folder.stat().st_mode & _OTHERS:
+                folder.chmod(0o755)
             return folder
     except OSError:
-        pass
-    fallback = Path(tempfile.gettempdir()) / f"railrepro-compiled-{os.getuid()}"
-    fallback.mkdir(mode=0o700, exist_ok=True)
-    status = fallback.lstat()
-    if fallback.is_symlink() or status.st_uid != os.getuid() or status.st_mode & 0o022:
-        raise InputError(f"{fallback}: the cache of compiled code must be a folder that only you can write; remove it")
+        pass  # a checkout that cannot be written is nothing wrong
+    home = os.environ.get("XDG_CACHE_HOME", "")
+    home = home if os.path.isabs(home) else os.path.expanduser("~/.cache")
+    fallback = Path(home, "railrepro", "compiled")
+    try:
+        fallback.parent.mkdir(parents=True, exist_ok=True)
+        fallback.mkdir(mode=0o700, exist_ok=True)
+        status = fallback.lstat()
+    except OSError as error:
+        raise CompilerError(f"{fallback}: cannot be written ({error.strerror})") from error
+    if stat.S_ISLNK(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
+        raise InputError(f"{fallback}: the cache of compiled code must be a folder of mode 700 of your own; remove it")
     return fallback
 
 
@@ -103,45 +141,95 @@ def build(text: str) -> Path:
     Returns
     -------
     Path
-        The shared object.
+        The shared object; it was loaded once for a try, and has the content that was stored then.
 
     Raises
     ------
     InputError
-        When there is no compiler, or it refuses the source; the sentence names the kept source file.
+        When there is no compiler.
+    CompilerError
+        When the compiler refuses the source, takes too long or gives nothing that can be loaded, or when the object
+        cannot be stored; the sentence names the kept source file.
     """
     command = compiler()
     if command is None:
         raise InputError("a C compiler is needed, and none was found (CC, cc, gcc)")
+    return _object(command, text, _SECONDS)
+
+
+def _object(command: str, text: str, seconds: float) -> Path:
     key = hashlib.sha256((text + "\0" + _machine(command)).encode()).hexdigest()[:24]
     folder = cache_folder()
     target = folder / f"{key}.so"
-    if not target.exists():
-        with _alone(folder / f"{key}.lock"):
-            if not target.exists():
-                _compile(command, text, target)
-    if os.environ.get("RAILREPRO_KEEP_SOURCE"):
-        target.with_suffix(".c").write_text(text)
+    try:
+        if not _intact(target):
+            with files.scratch(folder, key) as scratch:
+                if not _intact(target):
+                    _compile(command, text, target, scratch, _seconds(seconds))
+        if os.environ.get("RAILREPRO_KEEP_SOURCE"):
+            files.write(target.with_suffix(".c"), text)
+    except OSError as error:
+        raise CompilerError(f"{target}: cannot be written ({error.strerror or error})") from error
+    except InputError as error:
+        raise CompilerError(str(error)) from error
     return target
 
 
-@contextmanager
-def _alone(lock: Path) -> Iterator[None]:
-    """Hold a lock file against other processes; a process that dies lets it go."""
-    with lock.open("w") as guard:
-        fcntl.flock(guard, fcntl.LOCK_EX)
-        yield
-    lock.unlink(missing_ok=True)
+def _seconds(usual: float) -> float:
+    """Time limit (s): `RAILREPRO_COMPILER_SECONDS` or the usual one."""
+    given = os.environ.get("RAILREPRO_COMPILER_SECONDS", "")
+    if not given:
+        return usual
+    try:
+        seconds = float(given)
+    except ValueError:
+        seconds = math.nan
+    if not 0 < seconds < math.inf:
+        raise InputError(f"RAILREPRO_COMPILER_SECONDS={given!r}, a number of seconds above 0 is needed")
+    return seconds
 
 
-def _compile(command: str, text: str, target: Path) -> None:
-    with tempfile.TemporaryDirectory(dir=target.parent) as scratch:
-        source, output = Path(scratch, "source.c"), Path(scratch, "object.so")
-        source.write_text(text)
-        done = subprocess.run([command, *flags(), source, "-o", output, "-lm"], capture_output=True, text=True)
-        if done.returncode or not output.exists():
+def _digest(target: Path, content: bytes) -> str:
+    return hashlib.sha256(target.name.encode() + b"\0" + content).hexdigest() + "\n"
+
+
+def _own(file: Path) -> bytes | None:
+    """Content of a regular file that belongs to this user and that nobody else can write; None for anything else."""
+    try:
+        with open(os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as stream:
+            status = os.fstat(stream.fileno())
+            own = stat.S_ISREG(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & _OTHERS
+            return stream.read() if own else None
+    except OSError:
+        return None
+
+
+def _intact(target: Path) -> bool:
+    """Whether an object is there, the user's own, and what was stored."""
+    content, digest = _own(target), _own(target.with_suffix(".sha256"))
+    return content is not None and digest is not None and digest.decode(errors="replace") == _digest(target, content)
+
+
+_TRIAL = "import ctypes, sys; sys.exit(getattr(ctypes.CDLL(sys.argv[1]), sys.argv[2])() != 42)"
+
+
+def _compile(command: str, text: str, target: Path, scratch: Path, seconds: float) -> None:
+    source, output, mark = scratch / "source.c", scratch / "object.so", f"railrepro_{target.stem}"
+    source.write_text(f"{text}\nint {mark}(void) {{ return 42; }}\n")
+    try:
+        code, told = leash.run([command, *flags(), str(source), "-o", str(output), "-lm"], seconds)
+        if code or not output.is_file():
             kept = target.with_suffix(".failed.c")
-            shutil.copy(source, kept)
-            told = done.stderr.strip()[:300] or "it wrote no object"
-            raise InputError(f"{command} refused the generated source {kept}: {told}")
-        os.replace(output, target)
+            files.write(kept, text)
+            raise CompilerError(f"{command} refused the generated source {kept}: {told.strip()[:300] or 'no object'}")
+        # in a process of its own: junk can end the one that loads it
+        if leash.run([sys.executable, "-I", "-S", "-c", _TRIAL, str(output), mark], seconds)[0]:
+            raise CompilerError(f"the C compiler {command} gave an object that cannot be loaded")
+    except TimeoutError as error:
+        raise CompilerError(f"the C compiler {command} {error}") from error
+    output.chmod(0o644)
+    if target.is_dir():
+        shutil.rmtree(target)
+    files.write(target.with_suffix(".sha256"), _digest(target, output.read_bytes()))
+    target.with_suffix(".sha256").chmod(0o644)
+    os.replace(output, target)

@@ -12,12 +12,13 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from railrepro.compile.cache import build, compiler, flags
+from railrepro.compile.cache import CompilerError, build, compiler, do_without, flags
 from railrepro.compile.functions import Call, CompiledFunction, InterpretedFunction
 
 __all__ = [
     "Call",
     "CompiledFunction",
+    "CompilerError",
     "InterpretedFunction",
     "build",
     "compiled",
@@ -95,11 +96,32 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {body}\n}}\n"
 
 
+_loaded: list[ctypes.CDLL] = []
+
+
 def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL | None:
-    """Load CasADi functions (and extra C source) as one shared object; None when there is no C compiler."""
+    """Load CasADi functions (and extra C source) as one shared object.
+
+    Returns
+    -------
+    ctypes.CDLL or None
+        None when there is no C compiler, or one that fails at the first source of this process.
+
+    Raises
+    ------
+    CompilerError
+        When it fails later: compiled and interpreted parts do not mix.
+    """
     if compiler() is None:
         return None
-    return ctypes.CDLL(str(build(source_text(functions) + extra)))
+    try:
+        _loaded.append(ctypes.CDLL(str(build(source_text(functions) + extra))))
+    except CompilerError as error:
+        if _loaded:
+            raise
+        do_without(error)
+        return None
+    return _loaded[-1]
 
 
 def compiled(function: ca.Function) -> CompiledFunction | InterpretedFunction:

@@ -37,6 +37,15 @@ _TABLE = np.array(
         (10.0, 10.7, 11.7, 12.9, 10.7, 12.8, 16.0, 12.2, 14.6, 18.0),
     ]
 )
+_SPIN_TABLE = np.array(
+    [
+        *((6.42, 8.28, 11.7), (3.46, 4.27, 5.66), (2.49, 2.96, 3.72), (2.02, 2.32, 2.77), (1.74, 1.93, 2.22)),
+        *((1.56, 1.68, 1.86), (1.43, 1.50, 1.60), (1.34, 1.37, 1.42), (1.27, 1.27, 1.27), (1.21, 1.19, 1.16)),
+        *((1.16, 1.11, 1.06), (1.10, 1.04, 0.954), (1.05, 0.965, 0.852), (1.01, 0.892, 0.751), (0.958, 0.819, 0.650)),
+        *((0.912, 0.747, 0.549), (0.868, 0.674, 0.446), (0.828, 0.601, 0.341), (0.795, 0.526, 0.228)),
+    ]
+)
+"""C33 for the semi-axis ratios and Poisson's ratios of the table."""
 STEEL = 0.28
 """Poisson's ratio of steel (-)."""
 
@@ -57,10 +66,21 @@ def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.n
 
     Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
     """
+    return tuple(_at_ratio(_TABLE[:, 1 + 3 * i : 4 + 3 * i], ratio, poisson) for i in range(3))
+
+
+def spin_coefficient(ratio, poisson: float = STEEL) -> np.ndarray:
+    """Kalker's coefficient c33 of the moment that spin makes about the contact normal (-); as `kalker_coefficients`.
+
+    Source: Kalker 1990, Table E3.
+    """
+    return _at_ratio(_SPIN_TABLE, ratio, poisson)
+
+
+def _at_ratio(table: np.ndarray, ratio, poisson: float) -> np.ndarray:
     weights = [np.prod([(poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
-    log_ratio = np.log(np.clip(ratio, 0.1, 10.0))
-    values = [_TABLE[:, 1 + 3 * i : 4 + 3 * i] @ weights for i in range(3)]
-    return tuple(np.exp(CubicSpline(np.log(_TABLE[:, 0]), np.log(v))(log_ratio)) for v in values)
+    spline = CubicSpline(np.log(_TABLE[:, 0]), np.log(table @ weights))
+    return np.exp(spline(np.log(np.clip(ratio, 0.1, 10.0))))
 
 
 def polach(
@@ -88,28 +108,57 @@ def polach(
 
     Source: Polach 2005, eqs. (2) and (3) (resultant), Polach 1999 (spin).
     """
-    m = _functions(nu_x, nu_y, spin, load)
-    friction = mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio)
-    carried = load + 1.0
-    nu_yc = _with_spin(m, nu_y, spin * a)
-    square = nu_x**2 + nu_yc**2 + 1e-14
-    nu = m.sqrt(square)
-    stiffness = m.sqrt(((c11 * nu_x) ** 2 + (c22 * nu_yc) ** 2 + 1e-14 * c22**2) / square)
-    gradient = shear_modulus * np.pi * a * b * stiffness * nu / (4 * carried * (friction + 1e-9))
-    share = 2 / np.pi * (k_a * gradient / (1 + (k_a * gradient) ** 2) + m.arctan(k_s * gradient))
-    force = load * friction * share
+    m = elementary(nu_x, nu_y, spin, load)
+    friction = _friction(m, mu0, a_ratio, b_decay, slip_speed)
+    carried, nu_yc = load + 1.0, _with_spin(m, nu_y, spin * a)
+    nu = m.sqrt(nu_x**2 + nu_yc**2 + 1e-14)
+    resultant, _ = _resultant(m, nu_x, nu_yc, load, a, b, c11, c22, shear_modulus, k_a, k_s, friction)
+    force = resultant / nu
     # The reduction of the area of adhesion weakens the spin force as it weakens the others.
     steepness = 8 * b * m.sqrt(a * b) * shear_modulus * c23 / (3 * carried * (friction + 1e-9))
     spin_force = load * friction * k_a * _spin_share(m, nu_yc, nu, spin, a, b, steepness)
-    f_x, f_y = -force * nu_x / nu, -force * nu_y / nu - spin_force
+    f_x, f_y = -force * nu_x, -force * nu_y - spin_force
     # The spin term is an addition of its own; together they must not exceed friction.
-    excess = m.sqrt(f_x**2 + f_y**2 + 1e-6) / (load * friction + 1e-9)
-    over = excess**2 - 1
+    over = (f_x**2 + f_y**2 + 1e-6) / (load * friction + 1e-9) ** 2 - 1
     limit = 1 / m.sqrt(1 + (over + m.fabs(over)) / 2)
     return f_x * limit, f_y * limit
 
 
-def _functions(*values):
+def spin_moment(
+    nu_x, nu_y, spin, load, a, b, c11, c22, c23, shear_modulus, k_a, k_s, mu0, a_ratio, b_decay, slip_speed, c33
+):  # fmt: skip
+    """Moment of the creep forces on a wheel about the contact normal (N m), normal pointing into the rail.
+
+    Kalker's linear moment f23 nu_y - f33 spin, reduced as much as `polach` reduces the linear resultant; Polach's law
+    has no moment of its own. Parameters as in `polach`, and Kalker's coefficient c33 (-).
+
+    Source: Kalker 1990 (linear moment), Polach 2005, eqs. (2) and (3) (reduction).
+    """
+    m = elementary(nu_x, nu_y, spin, load)
+    friction = _friction(m, mu0, a_ratio, b_decay, slip_speed)
+    nu_yc = _with_spin(m, nu_y, spin * a)
+    resultant, linear = _resultant(m, nu_x, nu_yc, load, a, b, c11, c22, shear_modulus, k_a, k_s, friction)
+    root = m.sqrt(a * b)
+    return resultant / linear * root * (c23 * nu_y - root * c33 * spin)
+
+
+def _friction(m, mu0, a_ratio, b_decay, slip_speed):
+    """Coefficient of friction that falls with the slip speed (-)."""
+    return mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio)
+
+
+def _resultant(m, nu_x, nu_yc, load, a, b, c11, c22, shear_modulus, k_a, k_s, friction):
+    """Resultant creep force (N) and, over G a b, that of Kalker's linear theory (-).
+
+    Source: Polach 2005, eqs. (2) and (3).
+    """
+    linear = m.sqrt((c11 * nu_x) ** 2 + (c22 * nu_yc) ** 2 + 1e-14 * c22**2)
+    gradient = shear_modulus * np.pi * a * b * linear / (4 * (load + 1.0) * (friction + 1e-9))
+    share = k_a * gradient / (1 + (k_a * gradient) ** 2) + m.arctan(k_s * gradient)
+    return load * friction * 2 / np.pi * share, linear
+
+
+def elementary(*values):
     """Elementary functions for the kind of the values: CasADi's for symbols, NumPy's for numbers."""
     return ca if any(isinstance(value, ca.SX | ca.MX) for value in values) else np
 
@@ -128,13 +177,13 @@ def _with_spin(m, nu_y, shift):
 def _spin_share(m, nu_yc, nu, spin, a, b, steepness):
     """Lateral force from spin relative to the friction force (-).
 
+    Polach's polynomial in delta = (g^2 - 1)/(g^2 + 1) is 2 g/(3 (1 + g^2)^2).
+
     Source: Polach 1999.
     """
     factor = 1 + 6.3 * (1 - m.exp(-a / b))
     gradient = steepness / factor * m.sqrt(nu_yc**2 + 1e-14)
-    delta = (gradient**2 - 1) / (gradient**2 + 1)
-    bracket = gradient * (-(delta**3) / 3 + delta**2 / 2 - 1 / 6) + (1 - delta**2 + 1e-14) ** 1.5 / 3
-    return 9 / 16 * a * factor * bracket * spin / nu
+    return 3 / 8 * a * factor * gradient / (1 + gradient**2) ** 2 * spin / nu
 
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
@@ -167,8 +216,9 @@ def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, co
 def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus, cells=(40, 21)):
     """Creep forces by Kalker's simplified theory, constant friction, many cases at once.
 
-    The three flexibilities are blended by the direction of the creepage, so that each pure creepage reproduces linear
-    theory. Strips run from the leading edge backwards; where the traction would exceed its parabolic bound it slides.
+    Each creepage has the flexibility of its own direction, so that small creepages of any mixture reproduce linear
+    theory. Strips run from the leading edge backwards; where the traction would exceed its parabolic bound it slides,
+    and slides against its own direction.
 
     Parameters
     ----------
@@ -191,11 +241,8 @@ def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus,
     inputs = np.broadcast_arrays(nu_x, nu_y, spin, load, a, b, friction, *coefficients)
     shape = inputs[0].shape
     nu_x, nu_y, spin, load, a, b, friction, c11, c22, c23 = (np.reshape(v, (-1, 1)).astype(float) for v in inputs)
-    root = np.sqrt(a * b)
-    along, across, turning = np.abs(nu_x), np.abs(nu_y), np.abs(spin) * root
-    parts = (along * 8 / (3 * c11)) ** 2 + (across * 8 / (3 * c22)) ** 2 + (turning * np.pi * a / (4 * c23 * root)) ** 2
-    flexibility = a / shear_modulus * np.sqrt(parts / np.maximum(along**2 + across**2 + turning**2, 1e-60))
-    flexibility = np.maximum(flexibility, 1e-3 * a / shear_modulus)
+    flexible_x, flexible_y = (8 * a / (3 * shear_modulus * c) for c in (c11, c22))
+    turning = spin * 4 * shear_modulus * c23 * np.sqrt(a * b) / (np.pi * a**2)
     n_along, n_across = cells
     eta = (np.arange(n_across) - (n_across - 1) / 2) / (n_across / 2)
     half = a * np.sqrt(1 - eta**2)
@@ -204,12 +251,28 @@ def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus,
     f_x, f_y = np.zeros(len(a)), np.zeros(len(a))
     for k in range(n_along):
         x = half - (k + 0.5) * step
-        advance = (step if k else step / 2) / flexibility
-        p_x = p_x - advance * (nu_x - spin * eta * b)
-        p_y = p_y - advance * (nu_y + spin * (x + step / 2 if k else x + step / 4))
+        advance = step if k else step / 2
+        p_x = p_x - advance * (nu_x / flexible_x - turning * eta * b)
+        p_y = p_y - advance * (nu_y / flexible_y + turning * (x + step / 2 if k else x + step / 4))
         bound = 2 * friction * load / (np.pi * a * b) * np.maximum(1 - (x / a) ** 2 - eta**2, 0)
-        scale = np.minimum(1.0, bound / np.maximum(np.hypot(p_x, p_y), 1e-30))
-        p_x, p_y = p_x * scale, p_y * scale
+        p_x, p_y = _slide(p_x, p_y, bound, flexible_x, flexible_y)
         f_x += np.sum(p_x * step * width, axis=1)
         f_y += np.sum(p_y * step * width, axis=1)
     return f_x.reshape(shape), f_y.reshape(shape)
+
+
+def _slide(p_x, p_y, bound, flexible_x, flexible_y):
+    """Traction within its bound: what a sliding element gives up, times its flexibility, is along its traction.
+
+    So p_i = q_i / (1 + w/L_i) of the traction q before, with w from Newton's rule for 1/|p| = 1/bound, which is exact
+    for equal flexibilities.
+    """
+    size, bound = np.hypot(p_x, p_y), np.maximum(bound, 1e-9)
+    over = size > bound
+    weight = np.where(over, np.sqrt(flexible_x * flexible_y) * (size / bound - 1), 0.0)
+    for _ in range(3):
+        along, across = p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)
+        square = np.maximum(along**2 + across**2, 1e-300)
+        fall = np.maximum(along**2 / (flexible_x + weight) + across**2 / (flexible_y + weight), 1e-300)
+        weight = weight + np.where(over, (np.sqrt(square) - bound) * square / (bound * fall), 0.0)
+    return p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)

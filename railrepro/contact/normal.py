@@ -1,7 +1,6 @@
-"""Normal contact of wheel and rail: Hertz's ellipse, the strip method for real profiles, and the elastic half space.
+"""Normal contact of wheel and rail: Hertz's ellipse, and the elastic half space for real profiles.
 
-The car's contact table comes from the strip method, which takes milliseconds; the half space is its judge. Serves the
-paper's section Simulation Environment.
+Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -10,12 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
-from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 _FLAT = np.geomspace(0.1, 1.0, 400)
-_INTERPENETRATION = 0.55
-"""Virtual interpenetration over elastic approach. Source: Piotrowski and Kik 2008."""
+_CELLS = 20, 56
+"""Cells along and across the rail of the grid of an elastic contact."""
+_REACH = 1.3e-4
+"""Distance of the undeformed profiles up to which they may touch; more than the approach of any wheel here (m)."""
+_TOLERANCE = 1e-4
+_TURNS, _TURNED = 4, 0.05
+"""Solutions in turned planes, and the turn that ends them (rad)."""
 
 
 def contact_modulus(young: float, poisson: float) -> float:
@@ -63,14 +66,15 @@ def hertz(curvature_x, curvature_y, load, modulus) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True)
 class Patch:
-    """Patch of the strip method: weighted means over the patch, weights proportional to the pressure of a strip.
+    """Patch of a wheel on a rail: means over the pressure, and the ellipse that stands for it.
 
     Attributes
     ----------
     position, height, slope : float
         Lateral position (m), height of the wheel profile (m), slope of the wheel profile (-).
-    curvature : float
-        Lateral curvature of the parabola with the same spread of penetration (1/m).
+    semi_axis_x, semi_axis_y : float
+        Along and across the rail (m). The ellipse has the extent of the pressure along the rail and the area that
+        Hertz's pressure would need for the same mean pressure.
     approach : float
         Elastic approach along the contact normal (m).
     """
@@ -78,16 +82,16 @@ class Patch:
     position: float
     height: float
     slope: float
-    curvature: float
+    semi_axis_x: float
+    semi_axis_y: float
     approach: float
 
 
-def strip_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
-    """Elastic contact of a wheel profile on a rail profile by virtual interpenetration.
+def elastic_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
+    """Elastic contact of a wheel profile on a rail profile: half spaces in the plane of the mean contact angle.
 
-    The profiles are pushed into each other by 0.55 of the elastic approach; where they overlap is the patch; a strip
-    along the rail carries a semi-elliptic pressure whose sum is proportional to its overlap. The deflection of the half
-    space under this pressure, taken at the centroid, gives the approach that carries the load.
+    The grid has the same number of cells whatever the size of the patch, which lies where the undeformed profiles are
+    closer than their approach.
 
     Parameters
     ----------
@@ -104,46 +108,42 @@ def strip_contact(position, height, slope, rail_depth, radius: float, load: floa
     -------
     Patch
 
-    Source: Piotrowski and Kik 2008; weights as in Kik and Piotrowski 1996, centroid in place of the first point of
-    contact because the latter jumps.
+    Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4 (contact of half spaces).
     """
     overlap = height - rail_depth
-    gap = overlap.max() - overlap
-    near = gap < 1e-3
-    position, height, slope, gap = position[near], height[near], slope[near], gap[near]
-    step = position[1] - position[0]
-
-    def press(depth: float):
-        penetration = np.maximum(depth - gap, 0.0)
-        weight = penetration / penetration.sum()
-        mean = weight @ position
-        cos = 1 / np.hypot(1.0, weight @ slope)
-        half_squared = 2 * (radius + height) * penetration
-        away = ((position - mean) / cos) ** 2 + (step / 4) ** 2
-        m = half_squared / (half_squared + away)
-        deflection = 2 * np.sqrt(half_squared + away) * (ellipk(m) - ellipe(m))
-        approach = depth / _INTERPENETRATION * cos
-        carried = np.pi * modulus * approach * np.sum(np.pi / 2 * half_squared) / np.sum(deflection)
-        return carried, weight, mean, cos, approach
-
-    depth = brentq(lambda d: press(d)[0] - load, 1e-7, 9e-4, xtol=1e-12, rtol=1e-10)
-    _, weight, mean, cos, approach = press(depth)
-    spread = weight @ (position - mean) ** 2 / cos**2
-    curvature = 2 * depth * cos / (5 * spread)
-    return Patch(mean, weight @ height, weight @ slope, curvature, approach)
+    gap, first = overlap.max() - overlap, int(np.argmax(overlap))
+    rolling, angle = radius + height[first], np.arctan(slope[first])
+    for _ in range(_TURNS):
+        cos = np.cos(angle)
+        near = position[gap * cos < _REACH]
+        x = np.linspace(-1, 1, _CELLS[0]) * np.sqrt(2 * rolling * _REACH / cos)
+        y = np.linspace(near[0], near[-1], _CELLS[1])
+        cell = x[1] - x[0], (y[1] - y[0]) / cos
+        distance = cos * (x[:, None] ** 2 / (2 * rolling) + np.interp(y, position, gap))
+        pressure, approach = half_space_pressure(distance, load, cell, modulus, _TOLERANCE)
+        along, across = (pressure.sum(axis=axis) / pressure.sum() for axis in (1, 0))
+        mean = across @ np.interp(y, position, slope)
+        if abs(np.arctan(mean) - angle) < _TURNED:
+            break
+        angle = np.arctan(mean)
+    # Hertz's pressure has the variance a^2/5 along the rail, and (8/9) pi a b for the square of its sum over the sum
+    # of its squares.
+    a = np.sqrt(5 * along @ x**2)
+    b = 9 / (8 * np.pi * a) * pressure.sum() ** 2 / np.sum(pressure**2) * cell[0] * cell[1]
+    return Patch(across @ y, across @ np.interp(y, position, height), mean, a, b, approach)
 
 
-def half_space_pressure(gap: np.ndarray, load: float, cell: float, modulus: float, tolerance: float = 1e-6):
+def half_space_pressure(gap: np.ndarray, load: float, cell, modulus: float, tolerance: float = 1e-6):
     """Pressure between elastic half spaces that are pressed together, by conjugate gradients.
 
     Parameters
     ----------
     gap : ndarray, shape (nx, ny)
-        Distance of the undeformed surfaces on a square grid (m).
+        Distance of the undeformed surfaces on a uniform grid (m).
     load : float
         Normal force (N).
-    cell : float
-        Grid step (m).
+    cell : float or tuple of float
+        Grid step, or steps along both axes (m).
     modulus : float
         Contact modulus E* (Pa).
     tolerance : float
@@ -163,13 +163,13 @@ def half_space_pressure(gap: np.ndarray, load: float, cell: float, modulus: floa
 
     Source: Polonsky and Keer 1999; deflection under a square cell: Love 1929.
     """
-    shape = [2 * n for n in gap.shape]
-    transform = fft.rfft2(_influence(gap.shape, cell, modulus))
+    shape, sides = [2 * n for n in gap.shape], np.broadcast_to(cell, 2)
+    transform = fft.rfft2(_influence(gap.shape, sides, modulus))
 
     def deflection(pressure):
         return fft.irfft2(fft.rfft2(pressure, shape) * transform, shape)[: gap.shape[0], : gap.shape[1]]
 
-    area = cell**2
+    area = np.prod(sides)
     pressure = np.where(gap < gap.min() + 5e-5, 1.0, 0.0)
     pressure *= load / (pressure.sum() * area)
     direction, previous, keep = np.zeros_like(pressure), 1.0, 0.0
@@ -195,15 +195,15 @@ def half_space_pressure(gap: np.ndarray, load: float, cell: float, modulus: floa
     raise ArithmeticError("the contact pressure has not settled after 500 iterations")
 
 
-def _influence(shape: tuple[int, int], cell: float, modulus: float) -> np.ndarray:
+def _influence(shape: tuple[int, int], sides: np.ndarray, modulus: float) -> np.ndarray:
     """Deflection of the half spaces at grid distances under unit pressure on one cell (m/Pa), wrapped for the FFT.
 
     Source: Love 1929.
     """
-    x, y = np.meshgrid(*(fft.fftfreq(2 * n, 1 / (2 * n)) * cell for n in shape), indexing="ij")
-    half, total = cell / 2, 0.0
+    x, y = np.meshgrid(*(fft.fftfreq(2 * n, 1 / (2 * n)) * d for n, d in zip(shape, sides, strict=True)), indexing="ij")
+    total = 0.0
     for sign_x in (1, -1):
         for sign_y in (1, -1):
-            u, v = x + sign_x * half, y + sign_y * half
+            u, v = x + sign_x * sides[0] / 2, y + sign_y * sides[1] / 2
             total = total + sign_x * sign_y * (u * np.arcsinh(v / np.abs(u)) + v * np.arcsinh(u / np.abs(v)))
     return total / (np.pi * modulus)

@@ -80,8 +80,10 @@ def s1002(lateral) -> tuple[np.ndarray, np.ndarray]:
     return height * MM, np.select(zones, [df(s) for _, _, df in _S1002], np.nan)
 
 
+CROWN_RADIUS = 0.3
+"""Radius of the crown of the 60E1 head (m)."""
 # Radius and outer end of the arcs of the 60E1 head (mm); each arc continues its neighbour with the same tangent.
-_HEAD = ((300.0, 10.5), (80.0, 26.0), (13.0, None))
+_HEAD = ((CROWN_RADIUS / MM, 10.5), (80.0, 26.0), (13.0, None))
 _SIDE_SLOPE = 20.0
 
 

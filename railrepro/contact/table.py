@@ -5,14 +5,15 @@ The plant needs, at each shift u (positive towards the flange): the radius of th
 contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
 
 A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
-the patch spans the jump. So geometry is averaged over the elastic patch at nominal load, which makes it continuous.
+the patch spans the jump. So geometry is averaged over the pressure of elastic half spaces at nominal load, which makes
+it continuous. The mean of the wheel's heights is the radius at which the patch rolls without longitudinal force.
 
 Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
@@ -20,22 +21,20 @@ import pandas as pd
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from railrepro.contact import normal, profiles
-from railrepro.contact.creep import kalker_coefficients
+from railrepro.contact.creep import elementary, kalker_coefficients, spin_coefficient
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import Vehicle
 
 _LINEAR = (
     *("rolling_radius", "rail_contact", "semi_axis_x", "semi_axis_y"),
-    *("c11", "c22", "c23", "normal_stiffness"),
+    *("c11", "c22", "c23", "c33", "normal_stiffness"),
 )
 CELL_COLUMNS = (
-    *("shift", "effective_radius", "radius_slope", "radius_square", "radius_cube"),
+    *("shift", "width", "effective_radius", "radius_slope", "radius_square", "radius_cube"),
     *(column for name in _LINEAR for column in (name, f"d{name}")),
 )
-"""A cell of the table: shift at its start, coefficients of the effective radius as a cubic in the offset from there,
-value and slope of the other quantities (SI)."""
-CONE_AXES = (6.28e-3, 7.02e-3)
-"""Semi-axes of the contact ellipse of the cone at nominal load, along and across the rail (m)."""
+"""A cell of the table: shift at its start, its width, coefficients of the effective radius as a cubic in the offset
+from the start, value and slope of the other quantities (SI)."""
 SHIFTS = np.arange(-150, 121) * 1e-4
 """Shifts of the table of S1002 on 60E1 (m)."""
 _LATERAL_STEP = 2e-5
@@ -52,7 +51,7 @@ class ContactTable:
     frame : DataFrame
         Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, rail_contact_m (lateral position
         on the rail, from half the contact base, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal
-        load), c11, c22, c23, normal_stiffness (N/m^1.5).
+        load), c11, c22, c23, c33, normal_stiffness (N/m^1.5).
     """
 
     name: str
@@ -79,6 +78,7 @@ class ContactTable:
         secant = np.diff(radius) / h
         columns = {
             "shift": shift[:-1],
+            "width": h,
             "effective_radius": radius[:-1],
             "radius_slope": slope[:-1],
             "radius_square": (3 * secant - 2 * slope[:-1] - slope[1:]) / h,
@@ -113,6 +113,11 @@ def on_one_grid(tables: tuple[ContactTable, ...]) -> tuple[ContactTable, ...]:
 def in_cell(cell: dict, offset) -> dict:
     """Contact at an offset from the start of a cell given by its columns (numbers, arrays or symbols).
 
+    A wheel that hits its flange leaves its cell by several widths within a stage of the integrator. Beyond the cell the
+    effective radius goes on along its tangent, so that it stays the integral of its slope and the contact makes no
+    energy, the rolling radius goes with it, as on a cone, and all else keeps its value, so that no ellipse grows a
+    negative axis.
+
     Parameters
     ----------
     cell : dict
@@ -124,13 +129,16 @@ def in_cell(cell: dict, offset) -> dict:
     -------
     dict
         effective_radius (m) and its slope (-), which is the tangent of the contact angle, rolling_radius, rail_contact,
-        semi_axis_x, semi_axis_y (m), c11, c22, c23 (-), normal_stiffness (N/m^1.5).
+        semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
     """
-    slope, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
-    return {
-        "effective_radius": cell["effective_radius"] + offset * (slope + offset * (square + offset * cube)),
-        "slope": slope + offset * (2 * square + offset * 3 * cube),
-    } | {name: cell[name] + cell[f"d{name}"] * offset for name in _LINEAR}
+    first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
+    m = elementary(offset)
+    held = m.fmin(m.fmax(offset, 0.0), cell["width"])
+    slope = first + held * (2 * square + held * 3 * cube)
+    beyond = slope * (offset - held)
+    at = {name: cell[name] + cell[f"d{name}"] * held for name in _LINEAR}
+    at["effective_radius"] = cell["effective_radius"] + held * (first + held * (square + held * cube)) + beyond
+    return at | {"slope": slope, "rolling_radius": at["rolling_radius"] + beyond}
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
@@ -144,21 +152,46 @@ def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
     raise InputError(f"contact profile {profile!r} is not known; there are 'cone' and 's1002'")
 
 
+def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
+    """Contact ellipse of the cone at nominal load and its Kalker coefficients.
+
+    A cone of 1:40 stands upright on a rail that is inclined 1:40 and touches its crown; its generating line is
+    straight, so the crown alone curves the contact across the rail.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Returns
+    -------
+    a, b : float
+        Semi-axes along and across the rail (m).
+    coefficients : tuple of float
+        c11, c22, c23 (-).
+
+    Source: Johnson 1985, Contact Mechanics, section 4.2.
+    """
+    material, along = vehicle.contact, np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
+    modulus = normal.contact_modulus(material.young, material.poisson)
+    a, b, _ = normal.hertz(along, 1 / profiles.CROWN_RADIUS, material.nominal_load, modulus)
+    return float(a), float(b), tuple(float(c) for c in kalker_coefficients(a / b))
+
+
 def _cone(vehicle: Vehicle) -> ContactTable:
     """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse. Source: paper, eq. (z_and_phi)."""
     shift = np.arange(-400, 401) * 1e-4
     slope = np.tan(vehicle.wheel.cone_angle)
-    a, b = CONE_AXES
-    c11, c22, c23 = kalker_coefficients(a / b)
+    a, b, (c11, c22, c23) = cone_patch(vehicle)
     radius = vehicle.wheel.radius + slope * shift
     constant = {
         "angle_rad": vehicle.wheel.cone_angle,
         "rail_contact_m": 0.0,
         "semi_axis_x_m": a,
         "semi_axis_y_m": b,
-        "c11": float(c11),
-        "c22": float(c22),
-        "c23": float(c23),
+        "c11": c11,
+        "c22": c22,
+        "c23": c23,
+        "c33": float(spin_coefficient(a / b)),
         "normal_stiffness": vehicle.contact.normal_stiffness,
     }
     frame = {"shift_m": shift, "effective_radius_m": radius, "rolling_radius_m": radius}
@@ -248,22 +281,22 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
     ContactTable
         With the elastic approach at nominal load (`approach_m`) as a further column.
 
-    Source: Piotrowski and Kik 2008 (patch), Johnson 1985 (ellipse), Kalker 1990 (coefficients).
+    Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (half spaces, coefficients).
     """
     patches = []
     for shift in SHIFTS:
         cut = section(shift)
-        patches.append(normal.strip_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus))
-    position, height, slope, curvature, approach = (
-        np.array([getattr(patch, name) for patch in patches])
-        for name in ("position", "height", "slope", "curvature", "approach")
+        patches.append(
+            normal.elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
+        )
+    position, height, slope, a, b, approach = (
+        np.array([getattr(patch, field.name) for patch in patches]) for field in fields(normal.Patch)
     )
     centre = int(np.argmin(np.abs(SHIFTS)))
     cut = section(0.0)
     depth_at_contact = np.interp(position[centre], cut.position, cut.rail_depth)
     climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
     rolling = radius + height
-    a, b, _ = normal.hertz(1 / np.hypot(1, slope) / rolling, curvature, load, modulus)
     c11, c22, c23 = kalker_coefficients(a / b)
     columns = {
         "shift_m": SHIFTS,
@@ -276,21 +309,27 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
         "c11": c11,
         "c22": c22,
         "c23": c23,
+        "c33": spin_coefficient(a / b),
         "normal_stiffness": stiffness,
         "approach_m": approach,
     }
     return ContactTable("s1002", pd.DataFrame(columns))
 
 
-def equivalent_conicity(shift, rolling_radius, amplitude: float) -> float:
+def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> float:
     """Conicity of the cone whose wheelset would run with the same wavelength.
+
+    The wheelset rolls as it moves to the side, because one wheel climbs and the other sinks. Its wheels, a radius below
+    the axle, then shift further than the axle does.
 
     Parameters
     ----------
-    shift, rolling_radius : array_like, shape (n,)
-        Shift towards the flange, ascending, covering both signs of the amplitude, and rolling radius (m).
+    frame : DataFrame
+        Of a `ContactTable`, covering both signs of the amplitude.
     amplitude : float
-        Amplitude of the lateral motion (m).
+        Amplitude of the lateral motion of the axle (m).
+    base : float
+        Lateral distance of the contacts (m).
 
     Returns
     -------
@@ -298,8 +337,18 @@ def equivalent_conicity(shift, rolling_radius, amplitude: float) -> float:
 
     Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
     """
+    shift = np.linspace(0.0, 1.5 * amplitude, 6001)
+    right, left = (
+        {
+            name: np.interp(side * shift, frame["shift_m"], frame[f"{name}_m"])
+            for name in ("effective_radius", "rolling_radius")
+        }
+        for side in (1, -1)
+    )
+    roll = (left["effective_radius"] - right["effective_radius"]) / base
+    lateral = shift + roll * left["effective_radius"][0]
     y = np.linspace(0.0, amplitude, 4001)
-    difference = np.interp(y, shift, rolling_radius) - np.interp(-y, shift, rolling_radius)
+    difference = np.interp(y, lateral, right["rolling_radius"] - left["rolling_radius"])
     potential = CubicSpline(y, difference).antiderivative()
     phase = (np.arange(4000) + 0.5) * np.pi / 8000
     speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(phase))))

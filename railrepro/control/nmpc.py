@@ -62,13 +62,15 @@ class NMPC(PredictiveController):
             self._started = True
         except (ArithmeticError, np.linalg.LinAlgError):
             # The plan, already one sample later, serves; the next one starts afresh.
-            horizon.u[:], horizon.x[1] = horizon.u.clip(-bound, bound), x_hat
+            horizon.u[:] = horizon.u.clip(-bound, bound)
             self._started = False
         self.plan_du = horizon.u.copy()
         ready = time.perf_counter()
-        expected = self.expected_state().copy()
-        self._expected_y = float(expected[Y]) if self._started else None
-        self._prepare(expected, u_d)
+        self._expected_y = None
+        if self._started:
+            expected = self.expected_state().copy()
+            self._expected_y = float(expected[Y])
+            self._prepare(expected, u_d)
         self.stats.append(Solve(ready - begin, 1, not self._started, time.perf_counter() - ready))
         return float(self.plan_du[0])
 

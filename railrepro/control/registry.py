@@ -7,7 +7,7 @@ section Multi-Body Simulation Results (which methods are compared).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 
 from railrepro.control.ltv_mpc import LTVMPC
@@ -132,10 +132,10 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
     controller = CONTROLLERS[name]
     settings = controller.settings(parameters)
-    unknown = set(changes) - {field.name for field in fields(settings)}
+    unknown = set(changes) - ({field.name for field in fields(settings)} if is_dataclass(settings) else set())
     if unknown:
         raise InputError(f"controller {name}: setting {min(unknown)!r} is not known")
-    built = controller.build(settings=replace(settings, **changes))
+    built = controller.build(settings=replace(settings, **changes) if changes else settings)
     if options:
         built = replace(built, options=(*built.options, *options.items()))
     return built

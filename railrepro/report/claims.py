@@ -21,7 +21,8 @@ import sympy as sp
 from railrepro import paths, schema
 from railrepro.control.allocation import allocate
 from railrepro.control.registry import COMPARED, EMPHASIS, PAPER_TRIO, PREDICTIVE, TRIO, r_times
-from railrepro.errors import InputError
+from railrepro.errors import InputError, told
+from railrepro.files import write
 
 REPRODUCED, PARTLY, NOT, UNTESTABLE = "reproduced", "partly", "not reproduced", "not testable"
 VERDICTS = (REPRODUCED, PARTLY, NOT, UNTESTABLE)
@@ -514,19 +515,21 @@ def changed(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def main(arguments: list[str]) -> None:
+def main(arguments: list[str]) -> int:
     """Evaluate the claims and write claims.csv and REPLICATION.md; `--accept` stores the new verdicts."""
     from railrepro.report.text import render
 
     table = evaluate()
     if "--accept" in arguments:
         _store(table)
-    table.to_csv(paths.product("data/results/claims.csv"), index=False, float_format="%.4g")
-    paths.product("REPLICATION.md").write_text(render(table, load_claims()))
+    write(paths.product("data/results/claims.csv"), table.to_csv(index=False, float_format="%.4g"))
+    write(paths.product("REPLICATION.md"), render(table, load_claims()))
     print(table["verdict"].value_counts().to_string())
     differences = changed(table)
     if differences:
-        sys.exit("verdicts changed:\n  " + "\n  ".join(differences) + "\nstore them with --accept if that is right")
+        advice = "store them with --accept if that is right"
+        print("\n  ".join(["verdicts changed:", *differences]), advice, sep="\n", file=sys.stderr)
+    return int(bool(differences))
 
 
 def _store(table: pd.DataFrame) -> None:
@@ -541,11 +544,8 @@ def _store(table: pd.DataFrame) -> None:
         lines.append(line)
         if line.startswith("section ="):
             lines.append(f'verdict = "{verdicts[identity]}"')
-    file.write_text("\n".join(lines) + "\n")
+    write(file, "\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as error:
-        sys.exit(f"error: {error}")
+    sys.exit(told(lambda: main(sys.argv[1:])))

@@ -16,19 +16,21 @@ import numpy as np
 from railrepro.car.equations import SLIP_FLOOR
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.contact.creep import kalker_coefficients, polach
-from railrepro.contact.table import CONE_AXES
+from railrepro.contact.creep import polach
+from railrepro.contact.table import cone_patch
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.law import EstimateSettings, white_noise
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
 
 _SUBSTEPS = 20
 _STATE = ("w", "v", "u", "f_0", "f_1", "s_0", "s_1", "f_hat", "s_hat", "tick")
+_PATCH = ("a", "b", "c11", "c22", "c23", "shear_modulus")
 _CASE = (
     *AdhesionSettings().gains(),
     *EstimateSettings().gains(),
     *(f.name for f in fields(AdhesionSet)),
-    *("radius", "inertia", "load", "gravity", "shear_modulus", "tau_max"),
+    *("radius", "inertia", "load", "gravity", "tau_max"),
+    *_PATCH,
 )
 _OUTPUT = ("adhesion", "slip", "torque", "speed", "segment")
 
@@ -68,10 +70,9 @@ class Traces:
 def _grip(w, v, case: dict, factor) -> tuple[ca.SX, ca.SX]:
     """Adhesion and slip of a wheel that turns with w (rad/s) at speed v (m/s)."""
     slip = (v - w * case["radius"]) / ca.fmax(v, SLIP_FLOOR)
-    kalker = (float(c) for c in kalker_coefficients(CONE_AXES[0] / CONE_AXES[1]))
     creep = case["k_a"], case["k_s"], case["mu0"] * factor, case["a_ratio"], case["b_decay"]
     sliding = ca.fabs(v - w * case["radius"])
-    force, _ = polach(slip, 0.0, 0.0, case["load"], *CONE_AXES, *kalker, case["shear_modulus"], *creep, sliding)
+    force, _ = polach(slip, 0.0, 0.0, case["load"], *(case[name] for name in _PATCH), *creep, sliding)
     return force / case["load"], slip
 
 
@@ -129,7 +130,9 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     factor = np.asarray(factor, dtype=float)
     factor = np.ascontiguousarray(np.broadcast_to(factor.reshape(-1, 1) if factor.ndim == 1 else factor, demand.shape))
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    body = (vehicle.wheel.radius, vehicle.wheel.spin_inertia, load, vehicle.gravity, vehicle.contact.shear_modulus, 1e5)
+    a, b, kalker = cone_patch(vehicle)
+    body = (vehicle.wheel.radius, vehicle.wheel.spin_inertia, load, vehicle.gravity, 1e5)
+    body += (a, b, *kalker, vehicle.contact.shear_modulus)
     columns = [[*c.law.gains().values(), *c.estimate.gains().values(), *astuple(c.adhesion), *body] for c in cases]
     call = codegen.compiled(_exchange().map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, friction, case = call.arguments

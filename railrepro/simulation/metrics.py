@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from railrepro.contact.creep import adhesion_maximum, kalker_coefficients
-from railrepro.contact.table import CONE_AXES
+from railrepro.contact.creep import adhesion_maximum
+from railrepro.contact.table import cone_patch
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
 
@@ -114,7 +114,7 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
     Knowledge of the analyst, never of a controller. Between the sets it is interpolated.
     """
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    patch = (load, *CONE_AXES, kalker_coefficients(CONE_AXES[0] / CONE_AXES[1]), vehicle.contact.shear_modulus)
+    patch = (load, *cone_patch(vehicle), vehicle.contact.shear_modulus)
     grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
     good, poor = (
         np.interp(speed, grid, [adhesion_maximum(vehicle.adhesion[name], v, *patch)[0] for v in grid])

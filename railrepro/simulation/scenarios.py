@@ -125,7 +125,7 @@ class Scenario:
         """Lay set point, adhesion, profiles and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
         way = route.lay(
-            load_track(self.track),
+            load_track(self._track()),
             reference=self._reference(),
             poor=(_ramps(left), _ramps(right)),
             force=_steps(self.force_kN),
@@ -138,6 +138,11 @@ class Scenario:
                 f"scenario {self.name}: end_m = {self.end_m} lies beyond track {self.track} ({way.length} m)"
             )
         return replace(way, length=self.end_m)
+
+    def _track(self) -> str:
+        """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
+        file = paths.source(self.track)
+        return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 
     def _reference(self):
         point = self.set_point

@@ -34,6 +34,8 @@ from railrepro.control.problem import MPCSettings, Problem, Tuning
 from railrepro.control.registry import mpc_settings
 from railrepro.control.solvers import condensed
 from railrepro.control.solvers.riccati import PlainHorizon
+from railrepro.errors import InputError, told
+from railrepro.files import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.exchange import Exchange
@@ -349,7 +351,7 @@ def machine() -> str:
 def main(names: list[str]) -> None:
     """Measure the named tables, or all, and write them."""
     if codegen.compiler() is None:
-        sys.exit("error: the bench compares compiled code and needs a C compiler")
+        raise InputError("the bench compares compiled code and needs a C compiler")
     vehicle = load_vehicle()
     settings = mpc_settings(tuning.load("nmpc")["parameters"])
     measures = {
@@ -362,11 +364,11 @@ def main(names: list[str]) -> None:
         measures["peer"] = lambda: peer(vehicle, settings)
     unknown = set(names) - set(measures)
     if unknown:
-        sys.exit(f"error: table {min(unknown)!r} is not known; there are {sorted(measures)}")
+        raise InputError(f"table {min(unknown)!r} is not known; there are {sorted(measures)}")
     for name in names or measures:
         table = measures[name]()
         table["machine"] = machine()
-        table.to_csv(paths.product(f"data/results/{name}.csv"), index=False, float_format="%.4g")
+        write(paths.product(f"data/results/{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
         print(f"\n{name}\n{table.drop(columns='machine').to_string(index=False)}")
         if name == "solve_times":
             plain = table[~table["scenario"].str.contains("bounds")]
@@ -375,4 +377,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    sys.exit(told(lambda: main(sys.argv[1:])))

@@ -10,43 +10,78 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 
 from tqdm import tqdm
 
 from railrepro.errors import InputError
 
+PATIENCE = 15.0
+"""Time without scheduler or worker after which a cluster is lost (s)."""
+_LOOK = 1.0
+"""Time between two looks at the cluster (s)."""
+
 
 @contextmanager
 def executor() -> Iterator[Executor]:
     """The configured executor. Local processes stay for the next block, as starting them takes seconds; a block that
     ends with an exception (also Ctrl-C) ends them.
+
+    Raises
+    ------
+    InputError
+        When the settings are wrong, no Dask scheduler answers, or it is lost with all its workers.
     """
     address = os.environ.get("RAILREPRO_DASK")
     if address:
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise InputError("RAILREPRO_DASK is set, but the package distributed is not installed") from error
-        try:
-            client = Client(address, timeout=10)
-        except (OSError, ValueError) as error:
-            raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address} ({error})") from error
-        with client:
-            yield client.get_executor(pure=False)
+        with _cluster(address) as pool:
+            yield pool
         return
     workers = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
-    if not workers.isdigit() or int(workers) < 1:
-        raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 is needed")
+    if not (workers.isascii() and workers.isdigit() and 1 <= int(workers) <= 4096):
+        raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 to 4096 is needed")
+    pool = _processes(int(workers))
     try:
-        yield _processes(int(workers))
+        yield pool
     except BaseException:
-        _processes(int(workers)).shutdown(wait=False, cancel_futures=True)
         _processes.cache_clear()
+        _end(pool)
         raise
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    import logging
+
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError("RAILREPRO_DASK is set, but the package distributed is not installed") from error
+    # what goes wrong is told by `ordered_map`, in one sentence
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    logging.getLogger("tornado").setLevel(logging.CRITICAL)
+    try:
+        client = Client(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address} ({error})") from error
+    pool = client.get_executor(pure=False, retries=0)
+    try:
+        yield pool
+    finally:
+        with suppress(Exception):  # a lost scheduler cannot be told good-bye
+            client.close(timeout=2)
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End a pool at once; what its processes were at is lost."""
+    processes = list((getattr(pool, "_processes", None) or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.kill()
 
 
 @lru_cache
@@ -86,9 +121,44 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
     -------
     list
         Results in the order of the arguments.
+
+    Raises
+    ------
+    InputError
+        When a local process was killed, or the Dask scheduler or all its workers are lost for `PATIENCE`.
     """
-    futures = {pool.submit(task, argument): i for i, argument in enumerate(arguments)}
-    results = [None] * len(futures)
-    for future in tqdm(as_completed(futures), total=len(futures), desc=title, disable=quiet, leave=False):
-        results[futures[future]] = future.result()
-    return results
+    try:
+        futures: list[Future] = [pool.submit(task, argument) for argument in arguments]
+        waiting, seen = set(futures), time.monotonic()
+        with tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
+            while waiting:
+                done, waiting = wait(waiting, _LOOK)
+                bar.update(len(done))
+                for future in done:
+                    future.result()
+                if done or _there(pool):
+                    seen = time.monotonic()
+                elif time.monotonic() - seen > PATIENCE:
+                    raise InputError(_LOST)
+        return [future.result() for future in futures]
+    except (BrokenExecutor, CancelledError) as error:
+        raise InputError(_KILLED if isinstance(pool, ProcessPoolExecutor) else _LOST) from error
+    except Exception as error:
+        if type(error).__module__.partition(".")[0] == "distributed":
+            raise InputError(f"{_LOST} ({type(error).__name__})") from error
+        raise
+
+
+_KILLED = "a process of the study was killed, by the system when memory ran out or by somebody; run again to resume"
+_LOST = "the Dask scheduler, or all its workers, are lost; start them and run again to resume"
+
+
+def _there(pool: Executor) -> bool:
+    """Whether somebody works: local processes tell by themselves, of a cluster the scheduler knows its workers."""
+    client = getattr(pool, "_client", None)
+    if client is None:
+        return True
+    try:
+        return bool(client.sync(client.scheduler.identity, callback_timeout=5)["workers"])
+    except Exception:  # whatever it is, nobody answers; time decides
+        return False

@@ -24,8 +24,8 @@ import pandas as pd
 from railrepro.car.equations import WHEELS, rest_state
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.contact.creep import kalker_coefficients, polach
-from railrepro.contact.table import CONE_AXES, contact_table
+from railrepro.contact.creep import polach, spin_coefficient, spin_moment
+from railrepro.contact.table import cone_patch, contact_table
 from railrepro.track import route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -94,14 +94,15 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> t
     elastic, rate = data.normal_stiffness * ca.fmax(depth(point), 0) ** 1.5, ca.dot(slide, normal)
     load = ca.fmax(elastic * (1 + data.normal_damping * rate), 0)
     rolling, slides = ca.sqrt(speed**2 + data.rest_speed**2), (ca.dot(slide, tangent), ca.dot(slide, lateral))
-    scale, kalker = ((load + 1) / data.nominal_load) ** (1 / 3), kalker_coefficients(CONE_AXES[0] / CONE_AXES[1])
-    f_x, f_y = polach(
-        *(v / rolling for v in slides), ca.dot(turn, normal) / rolling, load, *(scale * a for a in CONE_AXES),
-        *map(float, kalker), data.shear_modulus, *vars(vehicle.adhesion["dry"]).values(),
+    scale, (a, b, kalker) = ((load + 1) / data.nominal_load) ** (1 / 3), cone_patch(vehicle)
+    creep = (
+        *(v / rolling for v in slides), ca.dot(turn, normal) / rolling, load, scale * a, scale * b, *kalker,
+        data.shear_modulus, *vars(vehicle.adhesion["dry"]).values(),
         ca.sqrt(slides[0] ** 2 + slides[1] ** 2 + 1e-12),
     )  # fmt: skip
+    f_x, f_y = polach(*creep)
     force = f_x * tangent + f_y * lateral - load * normal
-    return force, ca.cross(arm, force), load
+    return force, ca.cross(arm, force) + spin_moment(*creep, float(spin_coefficient(a / b))) * normal, load
 
 
 def _beyond(value, clearance):

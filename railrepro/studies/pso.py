@@ -5,8 +5,8 @@ Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,8 +15,10 @@ import numpy as np
 import pandas as pd
 
 from railrepro.errors import InputError
+from railrepro.files import write
 
 CONSTRICTION, ATTRACTION = 0.7298, 2.05
+_ARRAYS = ("position", "velocity", "own_position", "own_cost")
 
 
 @dataclass(frozen=True)
@@ -137,26 +139,28 @@ class Swarm:
         return costs[-1] > (1 - tolerance) * costs[-1 - patience]
 
     def save(self, path: Path, key: str) -> None:
-        """Write a checkpoint atomically."""
-        arrays = ("position", "velocity", "own_position", "own_cost")
-        state = {name: getattr(self, name).tolist() for name in arrays}
+        """Write a checkpoint whole or not at all."""
+        state = {name: getattr(self, name).tolist() for name in _ARRAYS}
         state |= {"key": key, "iteration": self.iteration, "rows": self.rows}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch = path.with_suffix(".part")
-        scratch.write_text(json.dumps(state))
-        os.replace(scratch, path)
+        write(path, json.dumps(state | {"sha256": _digest(state)}))
 
     def restore(self, path: Path, key: str) -> bool:
-        """Continue from a checkpoint of the same search; False when there is none."""
-        if not path.exists():
+        """Continue from a checkpoint of the same search; False when there is none that is whole."""
+        try:
+            state = json.loads(path.read_text(encoding="utf-8"))
+            whole = state.pop("sha256") == _digest(state) and state["key"] == key
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return False
-        state = json.loads(path.read_text())
-        if state["key"] != key:
+        if not whole:
             return False
-        for name in ("position", "velocity", "own_position", "own_cost"):
+        for name in _ARRAYS:
             setattr(self, name, np.array(state[name], dtype=float))
         self.iteration, self.rows = state["iteration"], state["rows"]
         return True
+
+
+def _digest(state: dict) -> str:
+    return hashlib.sha256(json.dumps(state).encode()).hexdigest()
 
 
 def minimise(

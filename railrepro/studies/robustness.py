@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
 import tempfile
 import tomllib
@@ -24,36 +23,56 @@ from scipy import stats
 
 from railrepro import paths
 from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, guidance, with_r_times
-from railrepro.errors import InputError
+from railrepro.errors import InputError, told
+from railrepro.files import write
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies import tuning
 from railrepro.studies.executor import executor, ordered_map
 from railrepro.studies.experiment import Experiment
+from railrepro.studies.fingerprint import fingerprint
 from railrepro.track.alignment import alignments
 from railrepro.track.table import build_table, write_table
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, SEED = 128, 2026
+SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
+"""What the studies drive, in variations."""
 
 
 def _kept(call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False) -> list[dict]:
     """Evaluate on the executor, one JSON file per finished argument; files of equal arguments are taken as they are."""
-    folder.mkdir(parents=True, exist_ok=True)
-    here = tuning.fingerprint()
+    start = [tuning.load(name)["parameters"] for name in PAPER_TRIO]
+    here = fingerprint([load_scenario(name) for name in SCENARIOS], load_vehicle(), start)
     files = [folder / f"{hashlib.sha256((here + repr(a)).encode()).hexdigest()[:20]}.json" for a in arguments]
-    missing = [(call, a, file) for a, file in zip(arguments, files, strict=True) if not file.exists()]
+    rows = [_stored(file) for file in files]
+    missing = [i for i, row in enumerate(rows) if row is None]
     if missing:
         with executor() as pool:
-            ordered_map(pool, _keep, missing, title, quiet)
-    return [json.loads(file.read_text()) for file in files]
+            tasks = [(call, arguments[i], files[i]) for i in missing]
+            for i, row in zip(missing, ordered_map(pool, _keep, tasks, title, quiet), strict=True):
+                rows[i] = row
+    return rows
 
 
-def _keep(task: tuple[Callable, object, Path]) -> None:
+def _stored(file: Path) -> dict | None:
+    """A finished row; None when there is none, or a broken one."""
+    try:
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        return kept["row"] if kept["sha256"] == _digest(kept["row"]) else None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _digest(row: dict) -> str:
+    return hashlib.sha256(json.dumps(row).encode()).hexdigest()
+
+
+def _keep(task: tuple[Callable, object, Path]) -> dict:
     call, argument, file = task
-    part = file.with_suffix(f".{os.getpid()}.part")
-    part.write_text(json.dumps(call(argument)))
-    part.replace(file)
+    row = json.loads(json.dumps(call(argument)))
+    write(file, json.dumps({"row": row, "sha256": _digest(row)}))
+    return row
 
 
 def _row(experiment: Experiment) -> dict:
@@ -274,18 +293,13 @@ def main(names: list[str]) -> None:
     if unknown:
         raise InputError(f"study {min(unknown)!r} is not known; there are stability and robustness")
     if "stability" in names or not names:
-        stability().to_csv(paths.product("data/results/stability_map.csv"), index=False, float_format="%.6g")
+        write(paths.product("data/results/stability_map.csv"), stability().to_csv(index=False, float_format="%.6g"))
     if "robustness" in names or not names:
         table, found = robustness(*counts)
-        table.to_csv(paths.product("data/results/robustness_samples.csv"), index=False, float_format="%.6g")
-        found.to_csv(paths.product("data/results/robustness_claims.csv"), index=False, float_format="%.4g")
+        write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
+        write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
         print(found.to_string(index=False))
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("interrupted; run again to resume")
+    sys.exit(told(lambda: main(sys.argv[1:])))

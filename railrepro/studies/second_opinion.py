@@ -19,7 +19,8 @@ from railrepro.car.component import SteppedCar
 from railrepro.car.equations import WHEELS
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError
+from railrepro.errors import InputError, told
+from railrepro.files import write
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies.exudyn_car import MEASURED, STEP, ExudynCar
@@ -172,12 +173,9 @@ def main(names: list[str]) -> None:
     chosen = [case for case in CASES if case.name in names or not names]
     table = pd.concat([compare(case.name, replay(case)) for case in tqdm(chosen)], ignore_index=True)
     if not names:
-        table.to_csv(paths.product("data/results/second_opinion.csv"), index=False, float_format="%.4g")
+        write(paths.product("data/results/second_opinion.csv"), table.to_csv(index=False, float_format="%.4g"))
     print(table.to_string(index=False, float_format="{:.3g}".format))
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as error:
-        sys.exit(f"error: {error}")
+    sys.exit(told(lambda: main(sys.argv[1:])))

@@ -6,7 +6,6 @@ was. Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q,
 
 from __future__ import annotations
 
-import hashlib
 import json
 import reprlib
 import sys
@@ -22,13 +21,14 @@ from tqdm import tqdm
 
 from railrepro import __version__, paths, schema
 from railrepro.control.registry import CONTROLLERS, guidance
-from railrepro.errors import InputError
-from railrepro.model.control_model import control_model
+from railrepro.errors import InputError, told
+from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.studies import pso
 from railrepro.studies.executor import executor, ordered_map
+from railrepro.studies.fingerprint import fingerprint
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TUNED = "data/tuned"
@@ -160,19 +160,16 @@ def _cost(evaluation: Evaluation, particle: tuple[dict, float]) -> float:
     return evaluation(*particle)[0]
 
 
-def fingerprint(vehicle: Vehicle | None = None) -> str:
-    """Hash of what tuned parameters belong to: vehicle data, control model, tracks, tuning task."""
-    rhs = control_model().rhs
-    probe = [np.linspace(0.1, 1.0, rhs.nnz_in(i)).reshape(rhs.size_in(i)) for i in range(rhs.n_in())]
-    model = [f"{value:.9e}" for value in np.array(rhs(*probe)).ravel()]
-    tracks = schema.read(paths.source("data/tracks.toml"))
-    content = json.dumps([repr(vehicle or load_vehicle()), model, tracks, repr(load_task())], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()[:16]
+def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
+    """Fingerprint of what the cost of a controller's parameters reads: scenarios, vehicle, cost, own bounds, budget."""
+    numbers = [sorted((key, float(value)) for key, value in table.items()) for table in (task.budget, task.cost)]
+    bounds = [(d.name, float(d.low), float(d.high), d.scale) for d in task.dimensions[controller]]
+    return fingerprint(task.scenarios, vehicle, *numbers, bounds, CONTROLLERS[controller].quick)
 
 
 @lru_cache
-def _fingerprint_here() -> str:
-    return fingerprint()
+def _origin_here(controller: str) -> str:
+    return origin(controller, _task_here(), load_vehicle())
 
 
 @lru_cache
@@ -222,7 +219,7 @@ def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | Non
         particles under `history`.
     """
     vehicle, budget = vehicle or load_vehicle(), task.budget
-    evaluation, origin = Evaluation(controller, task, vehicle), fingerprint(vehicle)
+    evaluation, own = Evaluation(controller, task, vehicle), origin(controller, task, vehicle)
     bar = tqdm(total=budget["iterations"], desc=controller, unit="iteration", disable=quiet)
 
     def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
@@ -235,11 +232,11 @@ def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | Non
 
     outcome = pso.minimise(
         evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], budget["seed"],
-        folder / f"{controller}.checkpoint.json", origin + controller, budget["patience"], report,
+        folder / f"{controller}.checkpoint.json", own + controller, budget["patience"], report,
     )  # fmt: skip
     bar.close()
     cost, parts = ordered_map(pool, evaluation, [outcome.best], controller, quiet=True)[0]
-    provenance = {"fingerprint": origin, "version": __version__, "evaluations": len(outcome.history)}
+    provenance = {"fingerprint": own, "version": __version__, "evaluations": len(outcome.history)}
     return {
         "controller": controller,
         "parameters": outcome.best,
@@ -252,10 +249,9 @@ def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | Non
 
 def save(tuned: dict, folder: Path) -> None:
     """Write a tuned set as JSON and its particles as CSV."""
-    folder.mkdir(parents=True, exist_ok=True)
     content = {key: value for key, value in tuned.items() if key != "history"}
-    (folder / f"{tuned['controller']}.json").write_text(json.dumps(content, indent=2) + "\n")
-    tuned["history"].to_csv(folder / f"{tuned['controller']}_particles.csv", index=False, float_format="%.6g")
+    write(folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g"))
+    write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
 
 
 def load(controller: str, folder: Path | None = None) -> dict:
@@ -264,8 +260,8 @@ def load(controller: str, folder: Path | None = None) -> dict:
     Raises
     ------
     InputError
-        When there is none, when it does not hold a tuned set of this controller, or when it was tuned for other vehicle
-        data, tracks, scenarios or control model.
+        When there is none, when it does not hold a tuned set of this controller, or when it was tuned for another
+        `origin`.
     """
     file = (folder or paths.source(TUNED)) / f"{controller}.json"
     if not file.exists():
@@ -274,12 +270,14 @@ def load(controller: str, folder: Path | None = None) -> dict:
     found = schema.build(TunedSet, content, file.name)
     if found.controller != controller:
         raise InputError(f"{file.name}: holds a tuned set of {found.controller!r}, {controller!r} is needed")
-    if found.origin.fingerprint != _fingerprint_here():
+    if controller not in _task_here().dimensions:
+        raise InputError(f"{file.name}: tuning.toml has no bounds for {controller!r}")
+    if found.origin.fingerprint != _origin_here(controller):
         raise InputError(
-            f"{file.name}: was tuned for other vehicle data, tracks, scenarios or control model "
-            f"({found.origin.fingerprint}, here {_fingerprint_here()}); `make tune` tunes again"
+            f"{file.name}: was tuned for another vehicle, control model, cost or budget, other scenarios or bounds "
+            f"({found.origin.fingerprint}, here {_origin_here(controller)}); `make tune` tunes again"
         )
-    searched = {dimension.name for dimension in _task_here().dimensions.get(controller, ())}
+    searched = {dimension.name for dimension in _task_here().dimensions[controller]}
     if set(found.parameters) != searched:
         raise InputError(f"{file.name}: has the parameters {sorted(found.parameters)}, {sorted(searched)} are needed")
     return content
@@ -307,9 +305,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except InputError as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("interrupted; run again to resume")
+    sys.exit(told(lambda: main(sys.argv[1:])))

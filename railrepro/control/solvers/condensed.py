@@ -15,6 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from railrepro.control.problem import curvature
 from railrepro.model.control_model import STATES, Y
+from railrepro.threads import one_thread
 
 UNIT = 1e3
 """Differential torques are optimised in kN m, or solvers stop too early."""
@@ -66,6 +67,7 @@ def condense(horizon) -> CondensedQP:
     return CondensedQP(hessian, gradient, low, high, sensitivity, drift, y_free, s.lateral_bound, soft)
 
 
+@one_thread()
 def solve(horizon) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the states (L + 1, 6) and torques (L,) that minimise the quadratic problem of a linearised horizon.
 

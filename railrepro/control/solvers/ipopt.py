@@ -88,13 +88,15 @@ def solve(
     Raises
     ------
     ArithmeticError
-        When Ipopt does not succeed.
+        When Ipopt does not succeed or the measured state is not finite.
     """
     s, steps = horizon.settings, horizon.settings.steps
     x_d, bound = horizon.x_d, horizon.bound / UNIT
     deviation = (horizon.x - x_d) / SCALE
     start = np.concatenate([deviation.ravel(), du / UNIT, np.zeros(steps)])
     initial = (horizon.x_hat - x_d[0]) / SCALE
+    if not np.isfinite(initial).all():
+        raise ArithmeticError("the measured state is not finite")
     free = np.full(_N * steps, np.inf)
     low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
     high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])

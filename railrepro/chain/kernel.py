@@ -1,0 +1,58 @@
+"""The kernel that executes a notebook: silent on stderr, interrupted like any program, ended with who started it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+from typing import ClassVar
+
+from jupyter_client.manager import AsyncKernelManager
+
+from railrepro import leash
+from railrepro.files import write
+
+PARENT = "RAILREPRO_KERNEL_PARENT"
+"""Environment variable with the number of the process that a kernel ends with."""
+_SETTINGS = f"""import os, runpy
+runpy.run_path({leash.__file__!r})["follow"](int(os.environ["{PARENT}"]))
+c = get_config()
+c.IPKernelApp.log_level = 50
+"""
+
+
+class Kernel(AsyncKernelManager):
+    """Kernel manager that remembers the processes it started."""
+
+    started: ClassVar[list[subprocess.Popen]] = []
+
+    @staticmethod
+    def prepare(folder: Path) -> None:
+        """Write the settings that a kernel reads when it starts: no notices, and a leash."""
+        write(folder / "profile_default" / "ipython_kernel_config.py", _SETTINGS)
+
+    async def _async_start_kernel(self, **options) -> None:
+        # nbclient takes interrupts for itself and ends in an error of its own; Python's way ends everything
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            with suppress(RuntimeError, ValueError):
+                loop.remove_signal_handler(number)
+        await super()._async_start_kernel(**options, stderr=subprocess.DEVNULL)
+        process = getattr(self.provisioner, "process", None)
+        if process is not None:
+            self.started.append(process)
+
+    start_kernel = _async_start_kernel  # type: ignore[assignment]
+
+    @classmethod
+    def end_all(cls) -> None:
+        """End kernels that are still there, after an interrupt for instance; each is the head of its own group."""
+        while cls.started:
+            process = cls.started.pop()
+            if process.poll() is None:
+                with suppress(ProcessLookupError, PermissionError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()

@@ -1,0 +1,181 @@
+"""README's "How to add", done to the letter in a copy of the checkout: everything works and stays tuned."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from railrepro import paths
+from railrepro.studies import tuning
+from railrepro.vehicle.parameters import load_vehicle
+
+TRACK = """
+[own]  # a remark
+design_speed_kmh = 100
+unbalanced_acceleration_mps2 = 0.2
+radius_m = -600
+straight_m = 20
+clothoid_m = 100
+arc_m = 80
+"""
+SCENARIO = """
+[own]
+track = "own"
+speed_kmh = 100
+end_m = 60
+
+[own_csv]
+track = "data/own.csv"
+speed_kmh = 100
+end_m = 60
+"""
+QUALITY = '\nown = { level_mm = 1.1, alignment_mm = 0.8, confidence = "A" }\n'
+CLAIM = """
+[C99]
+section = "own"
+statement = "Four tracks are in Table I"
+kind = "value"
+unit = "-"
+tolerance = 0
+reason = "a count"
+evidence = "data/results/table1.csv"
+notebook = "01_tracks"
+"""
+MEASURE = """@measure("C99")
+def _four_tracks(r, claim):
+    return Measured(float(len(r["table1"])), REPRODUCED)
+
+
+"""
+CONTROLLER = (
+    'CONTROLLERS["own"] = Controller(lambda settings: settings, lambda p: StateFeedback(**p), False, "own gear")\n'
+)
+DRIVE = """
+import numpy as np
+from railrepro.control.registry import CONTROLLERS
+from railrepro.errors import InputError
+from railrepro.report import claims
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies import tuning
+from railrepro.studies.executor import executor
+from railrepro.track.irregularity import irregularities
+from railrepro.vehicle.parameters import load_vehicle
+from dataclasses import replace
+from pathlib import Path
+
+if __name__ == "__main__":
+    for name in ("own", "own_csv"):
+        scenario, rough = load_scenario(name), irregularities(np.arange(60.0), "own")
+        assert not simulate.run(scenario, tuning.tuned("ndi"), irregularities=rough).failed
+    assert "C99" in claims.load_claims() and claims.evaluate().set_index("id").verdict["C99"] == "reproduced"
+    for name in set(CONTROLLERS) - {"own"}:
+        tuning.load(name)
+    try:
+        tuning.load("own")
+    except InputError as error:
+        assert "make tune" in str(error)
+    task = tuning.load_task()
+    small = replace(task, scenarios=(scenario,), budget=task.budget | {"particles": 1, "iterations": 1})
+    with executor() as pool:
+        tuning.save(tuning.tune("own", small, pool, Path("build/tuning"), quiet=True), Path("build/tuned"))
+    vehicle = Path("data/vehicle.toml").read_text().replace("value = 0.46", "value = 0.45")
+    Path("build/own.toml").write_text(vehicle)
+    assert load_vehicle("build/own.toml") != load_vehicle()
+"""
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """What a clone holds, without the figures."""
+    for name in ("railrepro", "data", "notebooks"):
+        shutil.copytree(paths.ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(paths.ROOT / "figures", tmp_path / "figures", ignore=shutil.ignore_patterns("*.csv", "*.pdf"))
+    (tmp_path / "build").mkdir()
+    return tmp_path
+
+
+def add(file, text):
+    file.write_text(file.read_text() + text)
+
+
+def insert(file, before, text):
+    assert file.read_text().count(before) == 1
+    file.write_text(file.read_text().replace(before, text + before))
+
+
+def python(folder, *arguments):
+    environment = os.environ | {"PYTHONPATH": str(folder), "RAILREPRO_CFLAGS": "-O0", "RAILREPRO_WORKERS": "1"}
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+def test_what_is_added_works_and_leaves_the_tuned_sets_valid(copy):
+    example, slower = re.findall(r"```python\n(.*?)```", (paths.ROOT / "README.md").read_text(), re.DOTALL)[-2:]
+    (copy / "railrepro/control/own.py").write_text(example[example.index("class") : example.index("scenario =")])
+    registry = copy / "railrepro/control/registry.py"
+    insert(registry, "from railrepro.control.problem", "from railrepro.control.own import StateFeedback\n")
+    insert(registry, "PREDICTIVE = ", CONTROLLER)
+    add(copy / "data/tuning.toml", '\n[controller.own]\npole = [10, 40, "log"]\n')
+    add(copy / "data/tracks.toml", TRACK)
+    shutil.copy(copy / "data/tracks/T1.csv", copy / "data/own.csv")
+    add(copy / "data/scenarios.toml", SCENARIO)
+    add(copy / "data/irregularities.toml", QUALITY)
+    add(copy / "data/claims.toml", CLAIM)
+    insert(copy / "railrepro/report/claims.py", "@schema.table\nclass Claim:", MEASURE)
+    (copy / "drive.py").write_text(DRIVE)
+    python(copy, "drive.py")
+    (copy / "example.py").write_text(example + "assert not run.failed\n" + slower + "assert not run.failed\n")
+    python(copy, "example.py")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("data/tuning.toml", "r = [1e-14, 1e-9,", "r = [1e-13, 1e-9,"),
+        ("data/tuning.toml", "end_m = 400", "end_m = 400.0  # a remark"),
+        ("data/scenarios.toml", 'paper = "Fig. 6"', 'paper = "elsewhere"'),
+        ("data/scenarios.toml", "end_m = 1400", "end_m = 1300"),
+        ("data/tracks.toml", "arc_m = 332", "arc_m = 332.0"),
+        ("data/vehicle.toml", "[adhesion.wet]", "[adhesion.damp]"),
+    ],
+)
+def test_what_its_cost_does_not_read_leaves_a_tuned_set_valid(file, old, new, origin):
+    assert origin(file, old, new) == origin(file, "", "")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("data/tracks.toml", "radius_m = 4250", "radius_m = 4251"),
+        ("data/tracks.toml", "radius_m = 4250", "radius_m = -4250"),
+        ("data/scenarios.toml", "period_start_m = 60", "period_start_m = 61"),
+        ("data/scenarios.toml", "[130, 23.5]", "[131, 23.5]"),
+        ("data/tuning.toml", "end_m = 400", "end_m = 401"),
+        ("data/tuning.toml", "pole = [5, 120,", "pole = [5, 121,"),
+        ("data/tuning.toml", "particles = 24", "particles = 25"),
+        ("data/tuning.toml", "weight = 0.25", "weight = 0.26"),
+        ("data/vehicle.toml", 'symbol = "r_0", value = 0.46', 'symbol = "r_0", value = 0.461'),
+    ],
+)
+def test_what_its_cost_reads_makes_a_tuned_set_invalid(file, old, new, origin):
+    assert origin(file, old, new) != origin(file, "", "")
+
+
+@pytest.fixture
+def origin(tmp_path, monkeypatch):
+    """Origin of NDI's tuned set when one file reads differently."""
+    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+
+    def changed(file, old, new):
+        text = (paths.ROOT / file).read_text()
+        assert old in text
+        (tmp_path / "data").mkdir(exist_ok=True)
+        (tmp_path / file).write_text(text.replace(old, new, 1))
+        return tuning.origin("ndi", tuning.load_task(), load_vehicle())
+
+    return changed

@@ -1,0 +1,237 @@
+"""The 1 kHz law by itself: what it estimates, what a lateral law gets to see, demand, fading, margins, record."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro.control import lateral, law
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.law import GEARS, EstimateSettings
+from railrepro.errors import InputError
+from railrepro.track.route import CELL, COLUMNS, INDEX
+from railrepro.vehicle.parameters import load_vehicle
+
+LIMITS = {"lateral": 0.03, "track_end": 900.0, "stop_speed": 0.1}
+SEEN = (*lateral.GEAR, *lateral.ROAD, *lateral.MODEL)
+SPEED, PLACES = 40.0, {"front": 30.2, "rear": 16.3}
+WHEELS = tuple(f"{gear}_{side}" for gear in GEARS for side in law.SIDES)
+
+
+class Probe:
+    """A lateral law whose torque is one of the quantities it is given, in units of 1/`scale`; its memory counts."""
+
+    memory = ("calls",)
+
+    def __init__(self, **scales):
+        self._scales = dict.fromkeys(SEEN, 0.0) | scales
+
+    def gains(self):
+        return self._scales
+
+    def torque(self, gear, road, memory, gain, model):
+        groups = ((gear, lateral.GEAR), (road, lateral.ROAD), (model, lateral.MODEL))
+        seen = sum(gain[name] * group[name] for group, names in groups for name in names)
+        return seen, {"calls": memory["calls"] + 1}
+
+
+FUNCTION = law.function(lateral.kind(Probe()))
+
+
+def cells():
+    """One cell per gear with random columns that starts a little before the gear."""
+    rows = np.random.default_rng(8).normal(0, 1e-3, (len(COLUMNS), len(GEARS)))
+    rows[INDEX["p"]] = [PLACES[gear] - 0.3 * CELL for gear in GEARS]
+    rows[INDEX["force"]] = 0.0
+    return rows
+
+
+def measured(**values):
+    """Outputs of a car that rolls without adhesion in use at `SPEED`."""
+    states = {f"{gear}.{name}": 0.0 for gear in GEARS for name in ("psi_Ax", "psidot_Ax", "y", "psi_TrAx")}
+    states |= {f"{gear}.p": PLACES[gear] for gear in GEARS} | {f"{gear}.v": SPEED for gear in GEARS}
+    states |= {name: 0.0 for name in law.MEASURED if name not in states}
+    return states | values
+
+
+def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, estimate=None, guidance=None, **options):
+    """Command by wheel, memory, record and margins by name."""
+    control = law.control_law(load_vehicle(), guidance or Probe(), adhesion, estimate, **LIMITS, **options)
+    before = dict.fromkeys(control.memory, 0.0) | (memory or {})
+    inputs = [y[name] for name in law.MEASURED], cells() if rows is None else rows, held, control.gains
+    found = FUNCTION(*inputs, [before[name] for name in control.memory])
+    names = (WHEELS, control.memory, law.RECORD, law.MARGINS)
+    return tuple(dict(zip(group, np.array(v).ravel(), strict=True)) for group, v in zip(names, found, strict=True))
+
+
+def seen_by(gear, name, scale, **inputs):
+    """The quantity of that name which the lateral law of a gear sees."""
+    _, _, record, _ = call(measured(**inputs.pop("y", {})), guidance=Probe(**{name: scale}), **inputs)
+    return record[f"{gear}.du"] / scale
+
+
+@pytest.mark.parametrize("gear", GEARS)
+def test_a_lateral_law_sees_the_road_at_its_gear_and_the_heading_of_the_body_between_both(gear):
+    rows = cells()
+    column = {name: rows[i] for name, i in INDEX.items()}
+    d, own = 0.3 * CELL, GEARS.index(gear)
+    psi = column["psi"] + column["kappa"] * d + column["dkappa"] * d**2 / 2
+    kappa = column["kappa"] + column["dkappa"] * d
+    expected = {"psi_Tr": psi[own], "dpsi_dp": kappa[own], "ddpsi_dp": column["dkappa"][own]}
+    expected |= {"phi_Tr": (column["phi"] + d * column["dphi"])[own], "dphi_dp": column["dphi"][own]}
+    expected |= {"eps_Tr": (column["eps"] + d * column["deps"])[own], "deps_dp": column["deps"][own]}
+    expected |= {"psi_CB": psi.mean(), "dpsi_dp_CB": kappa.mean()}
+    shape = np.polynomial.Polynomial([column[name][own] / n for name, n in
+                                      (("y_ref", 1), ("dy_ref", 1), ("ddy_ref", 2), ("dddy_ref", 6))])  # fmt: skip
+    expected |= {"d" * k + "y_ref": shape.deriv(k)(d) for k in range(4)}
+    assert set(expected) == set(lateral.ROAD)
+    for name, value in expected.items():
+        assert seen_by(gear, name, 1e4) == pytest.approx(value, rel=1e-9), name
+
+
+@pytest.mark.parametrize("gear", GEARS)
+def test_a_lateral_law_sees_the_measured_states_of_its_own_gear(gear):
+    outputs = {"x": "p", "psi_Ax": "psi_Ax", "xdot": "v", "psidot_Ax": "psidot_Ax"}
+    outputs |= {"y_TrAx": "y", "psi_TrAx": "psi_TrAx"}
+    values = {f"{g}.{name}": 20.0 + 7 * i + k for i, g in enumerate(GEARS) for k, name in enumerate(outputs.values())}
+    for name, output in outputs.items():
+        assert seen_by(gear, name, 1.0, y=values) == pytest.approx(values[f"{gear}.{output}"])
+    assert seen_by(gear, "held", 1.0, held=(11.0, 12.0)) == pytest.approx({"front": 11.0, "rear": 12.0}[gear])
+
+
+def test_the_acceleration_of_a_gear_is_the_pull_of_two_wheels_on_half_a_car():
+    """Half a car of 32 t and two wheels of 60 kg m2 on 0.46 m weigh 16567 kg; 1 kN m each pulls with 4348 N."""
+    idle = AdhesionSettings(active=False, raise_step=1.0)
+    rows = cells()
+    rows[INDEX["force"]] = 2 * 1000.0 / 0.46
+    found = seen_by("rear", "xddot", 1e3, rows=rows, memory={"rear.u": 1000.0}, adhesion=idle)
+    assert found == pytest.approx(2 * 1000.0 / 0.46 / (16_000 + 2 * 60 / 0.46**2), rel=1e-9)
+
+
+def test_the_nominal_vehicle_of_the_lateral_laws():
+    tan = np.tan(0.025)
+    inertia = 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
+    expected = {"J_eff": inertia, "k_sz": 60e3, "k_dz": 10e3, "J_Wy": 60.0, "r_0": 0.46, "b": 1.5, "tan_delta": tan}
+    expected |= {"gamma": tan / (0.75 - 0.46 * tan), "m_x_eff": 16_000 + 2 * 60 / 0.46**2, "tau_max": 4000.0}
+    assert set(expected) == set(lateral.MODEL)
+    for name, value in expected.items():
+        assert seen_by("front", name, 1e3 / value) == pytest.approx(value, rel=1e-12), name
+
+
+@pytest.mark.parametrize("force", [5e3, -5e3])
+def test_the_demand_is_shared_by_two_wheels_of_eight_tonnes(force):
+    """5 kN are 0.0319 of the axle load of 156.96 kN, and 1150 N m at each wheel of 0.46 m."""
+    rows = cells()
+    rows[INDEX["force"]] = [force, 2 * force]
+    idle = AdhesionSettings(active=False, raise_step=1e6)
+    command, memory, record, _ = call(measured(), rows, adhesion=idle)
+    for gear, share in (("front", 1), ("rear", 2)):
+        assert record[f"{gear}.f_star"] == pytest.approx(share * force / 156_960)
+        torque = share * force / 2 * 0.46
+        assert [memory[f"{gear}.u"], record[f"{gear}.u_d"], record[f"{gear}.tau_long"]] == pytest.approx([torque] * 3)
+        assert [command[f"{gear}_{side}"] for side in law.SIDES] == pytest.approx([torque] * 2)
+
+
+def test_each_wheel_is_commanded_and_recorded_what_its_gear_decides():
+    y = {"rear.y": 2e-3} | {f"front_{side}.fx": 0.2 for side in law.SIDES}
+    command, memory, record, _ = call(measured(**y), held=(300.0, -500.0), guidance=Probe(held=1.0))
+    assert [command[wheel] for wheel in WHEELS] == pytest.approx([300 - 5, -300 - 5, -500, 500])
+    assert [record["front.du"], record["rear.du"]] == [300.0, -500.0]
+    assert [record["front.segment"], record["rear.segment"]] == [3, 2]
+    assert [memory["front.lateral.calls"], memory["rear.lateral.calls"], memory["ticks"]] == [1, 1, 1]
+    assert call(measured(), memory={"ticks": 41.0})[1]["ticks"] == 42
+
+
+@pytest.mark.parametrize(("speed", "share"), [(40.0, 1.0), (1.0, 1.0), (0.6, 0.6), (0.0, 0.0), (-0.5, 0.0)])
+def test_a_wheel_that_stands_does_not_steer(speed, share):
+    _, _, record, _ = call(measured(**{"front.v": speed}), held=(300.0, 300.0), guidance=Probe(held=1.0))
+    assert record["front.du"] == pytest.approx(300 * share)
+    assert record["rear.du"] == 300.0
+
+
+def test_margins_are_distances_to_the_limits():
+    y = measured(**{"front.y": -0.01, "rear.y": 0.025, "front.p": 870.0, "rear.p": 856.0, "front.v": 0.3})
+    margins = call(y)[3]
+    expected = {"front.lateral": 0.02, "rear.lateral": 0.005, "track_end": 30.0, "stop_speed": 0.2}
+    assert margins == pytest.approx(expected)
+
+
+def estimates(settings, ticks=0, before=0.0, exact=None):
+    """Estimates after one call, adhesion and slip of all wheels, shape (2, 4)."""
+    exact = exact or {f"{wheel}.{name}": value for wheel in WHEELS for name, value in (("fx", 0.1), ("sx", -0.01))}
+    names = [[f"{gear}.{short}_hat_{i}" for gear in GEARS for i in (0, 1)] for short in "fs"]
+    memory = dict.fromkeys(sum(names, []), before) | {"ticks": ticks}
+    found = call(measured(**exact), memory=memory, estimate=settings)[1]
+    return np.array([[found[name] for name in kind] for kind in names])
+
+
+def test_estimates_are_those_of_their_own_wheel():
+    exact = {
+        f"{wheel}.{name}": 1.0 + 2 * i + k for i, wheel in enumerate(WHEELS) for k, name in enumerate(("fx", "sx"))
+    }
+    assert estimates(EstimateSettings(), exact=exact) == pytest.approx(np.array([[1, 3, 5, 7], [2, 4, 6, 8]]))
+
+
+def test_the_adhesion_law_works_on_the_estimates():
+    over = {f"{gear}_{side}.fx": 0.002 for gear in GEARS for side in law.SIDES}
+    for bias, segment in ((0.0, 2), (1.0, 3)):
+        record = call(measured(**over), estimate=EstimateSettings(bias_f=bias))[2]
+        assert [record[f"{gear}.segment"] for gear in GEARS] == [segment] * 2
+
+
+def test_scale_errors_of_the_estimates():
+    found = estimates(EstimateSettings(bias_f=0.2, bias_s=-0.5))
+    assert found[0] == pytest.approx(0.12)
+    assert found[1] == pytest.approx(-0.005)
+
+
+def test_lag_of_the_estimates_is_a_first_order_lag():
+    """A lag of 9 ms takes a tenth of the way per exchange, which keeps the time constant to half an exchange."""
+    found = estimates(EstimateSettings(lag=9e-3), before=0.05)
+    assert found[0] == pytest.approx(0.05 + 0.1 * (0.1 - 0.05))
+    assert found[1] == pytest.approx(0.05 + 0.1 * (-0.01 - 0.05))
+
+
+def test_noise_is_white_of_unit_variance_and_bounded():
+    """Channels 1 to 8 serve four wheels. Two are correlated by 0.06 after two exchanges, none with its own past."""
+    tick, count = ca.SX.sym("tick"), 20_000
+    noise = ca.Function("noise", [tick], [ca.vertcat(*(law.white_noise(tick, channel) for channel in range(1, 9)))])
+    series = np.array(noise(np.arange(count)[None, :]))
+    assert series.mean(axis=1) == pytest.approx(0.0, abs=0.03)
+    assert np.abs(series @ series.T / count - np.eye(8)).max() < 0.03
+    assert 2.7 < np.abs(series).max() < 3.0
+    for delay in (1, 2, 3, 10):
+        correlation = series[:, delay:] @ series[:, :-delay].T / count
+        assert np.abs(np.diag(correlation)).max() < 0.03
+        assert np.abs(correlation).max() < 0.08
+
+
+def test_noise_of_each_wheel_and_quantity_is_its_own_and_the_same_in_every_run():
+    settings = EstimateSettings(noise_f=0.02, noise_s=0.003)
+    plain = estimates(EstimateSettings())
+    noise = np.array([estimates(settings, tick) - plain for tick in range(60)]) / [[[0.02], [0.003]]]
+    assert np.array_equal(noise[7], (estimates(settings, 7) - plain) / [[0.02], [0.003]])
+    assert noise.std(axis=0) == pytest.approx(1.0, rel=0.3)
+    correlation = np.corrcoef(noise.reshape(60, 8).T)
+    assert np.abs(correlation - np.eye(8)).max() < 0.6
+
+
+def test_noise_is_added_before_the_lag():
+    plain, noisy, slow = (
+        estimates(settings, ticks=5)
+        for settings in (EstimateSettings(), EstimateSettings(noise_f=0.1), EstimateSettings(noise_f=0.1, lag=3e-3))
+    )
+    assert np.abs(noisy - plain)[0].min() > 1e-4
+    assert slow[0] == pytest.approx(noisy[0] / 4)
+
+
+def test_limits_must_all_be_given():
+    with pytest.raises(InputError, match=r"the limits \['lateral'\] are given, \[.*\] are needed"):
+        law.control_law(load_vehicle(), lateral=0.03)
+
+
+def test_guidance_and_estimates_default_to_a_held_torque_and_the_exact_values():
+    control = law.control_law(load_vehicle(), **LIMITS)
+    assert control.kind == lateral.kind(lateral.Held())
+    gains = dict(zip(law.gain_names(control.kind), control.gains, strict=True))
+    assert not any(value for name, value in gains.items() if name.startswith("estimate."))
+    assert gains["nominal_load"] == pytest.approx(78_480.0)

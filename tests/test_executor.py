@@ -1,0 +1,134 @@
+"""Workers that are lost, schedulers that are killed, and threads that must not matter."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from threading import Timer
+
+import pytest
+
+from railrepro import paths, threads
+from railrepro.errors import InputError
+from railrepro.studies import executor as executors
+from railrepro.studies.executor import executor, ordered_map
+from railrepro.threads import one_thread
+
+
+def sleeper(seconds):
+    """A number after some time."""
+    time.sleep(seconds)
+    return seconds
+
+
+def end_itself(_):
+    """A worker that is killed."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def digest_of_a_product(threads):
+    """Last digits of a large product in a process with so many threads."""
+    script = (
+        "import numpy as np; from railrepro.threads import one_thread\n"
+        "a = np.random.default_rng(0).random((300, 100))\n"
+        "with one_thread(): print(float((a.T @ (a * np.linspace(1, 2, 300)[:, None])).sum()).hex())"
+    )
+    environment = os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
+    environment |= {"PYTHONPATH": str(paths.ROOT)}
+    return subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def test_linear_algebra_does_not_depend_on_the_number_of_threads():
+    assert digest_of_a_product("1") == digest_of_a_product("2")
+
+
+def test_the_number_of_threads_is_given_back():
+    before = [get() for get, _ in threads._switches()]
+    with one_thread(), one_thread():
+        assert all(get() == 1 for get, _ in threads._switches())
+    assert [get() for get, _ in threads._switches()] == before
+
+
+def test_a_killed_worker_is_told_in_one_sentence(monkeypatch):
+    monkeypatch.setenv("RAILREPRO_WORKERS", "2")
+    with pytest.raises(InputError, match="was killed"), executor() as pool:
+        ordered_map(pool, end_itself, [1, 2], "killed", quiet=True)
+    with executor() as pool:
+        assert ordered_map(pool, sleeper, [0.0, 0.1], "again", quiet=True) == [0.0, 0.1]
+
+
+@pytest.mark.parametrize("workers", ["0", "-1", "two", "²", "1e3", "100000"])
+def test_a_number_of_workers_that_is_none_is_refused(workers, monkeypatch):
+    monkeypatch.setenv("RAILREPRO_WORKERS", workers)
+    with pytest.raises(InputError, match="RAILREPRO_WORKERS"), executor():
+        pass
+
+
+class Cluster:
+    """A scheduler and two workers as processes."""
+
+    def __init__(self, folder):
+        environment = os.environ | {"PYTHONPATH": f"{paths.ROOT}:{paths.ROOT / 'tests'}"}
+        start = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+        ]
+        start += ["--scheduler-file", str(folder / "scheduler.json")]
+        quiet = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
+        self.processes = [subprocess.Popen(start, **quiet, start_new_session=True)]
+        start = [sys.executable, "-m", "distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1", "--no-nanny"]
+        start += ["--scheduler-file", str(folder / "scheduler.json")]
+        self.processes += [subprocess.Popen(start, **quiet, start_new_session=True) for _ in range(2)]
+        while not (folder / "scheduler.json").exists() or not (folder / "scheduler.json").read_text():
+            time.sleep(0.1)
+        self.address = json.loads((folder / "scheduler.json").read_text())["address"]
+
+    def kill(self, *which):
+        for i in which:
+            os.killpg(self.processes[i].pid, signal.SIGKILL)
+            self.processes[i].wait()
+
+
+@pytest.fixture
+def cluster(tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    made = Cluster(tmp_path)
+    monkeypatch.setenv("RAILREPRO_DASK", made.address)
+    monkeypatch.setattr(executors, "PATIENCE", 5.0)
+    yield made
+    for process in made.processes:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.parametrize("lost", [(0,), (1, 2)], ids=["the scheduler", "all workers"])
+def test_a_lost_cluster_is_told_in_one_sentence_within_30_seconds(lost, cluster, capfd):
+    begin = time.monotonic()
+    timer = Timer(4.0, cluster.kill, lost)
+    timer.start()
+    with pytest.raises(InputError, match="are lost; start them and run again"), executor() as pool:
+        assert ordered_map(pool, sleeper, [0.01, 0.02], "first", quiet=True) == [0.01, 0.02]
+        ordered_map(pool, sleeper, [1.0] * 60, "lost", quiet=True)
+    timer.join()
+    assert time.monotonic() - begin < 34
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def test_a_lost_worker_changes_nothing(cluster):
+    timer = Timer(3.0, cluster.kill, (1,))
+    timer.start()
+    with executor() as pool:
+        found = ordered_map(pool, sleeper, [0.2 + 0.001 * i for i in range(30)], "one lost", quiet=True)
+    timer.join()
+    assert found == [0.2 + 0.001 * i for i in range(30)]

@@ -1,0 +1,115 @@
+"""Rodas3 by itself: linear algebra, order, damping of stiff parts, error estimate, chain rule over held stages."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro.car.integrator import Stages, factorise, rodas3
+
+
+def solver(matrix):
+    """The unrolled factorisation of a matrix with its zeros left out, as a function of its entries and a vector."""
+    sparsity = ca.DM(matrix).sparsity() if (matrix != 0).all() else ca.sparsify(ca.DM(matrix)).sparsity()
+    entries, b = ca.SX.sym("m", sparsity), ca.SX.sym("b", len(matrix))
+    return ca.Function("solve", [entries, b], [factorise(entries)(b)])
+
+
+@pytest.mark.parametrize("density", [0.15, 0.4, 1.0])
+def test_factorisation_solves_sparse_systems(density):
+    generator = np.random.default_rng(2)
+    n = 12
+    matrix = generator.normal(0, 1, (n, n)) * (generator.uniform(size=(n, n)) < density) + 5 * n * np.eye(n) / 4
+    b = generator.normal(0, 1, n)
+    found = np.array(solver(matrix)(ca.sparsify(ca.DM(matrix)), b)).ravel()
+    assert found == pytest.approx(np.linalg.solve(matrix, b), rel=1e-12, abs=1e-14)
+
+
+@pytest.mark.parametrize("hub", [0, 3])
+def test_pivots_are_taken_in_an_order_that_fills_nothing_in(hub):
+    """A hub coupled to all others goes last and costs 7 operations for each spoke; first, it would cost n^3."""
+    n = 30
+    matrix = 10 * np.eye(n)
+    matrix[hub], matrix[:, hub] = 1.0, 1.0
+    matrix[hub, hub] = 40.0
+    function = solver(matrix)
+    operations = function.n_instructions() - function.nnz_in() - function.nnz_out()
+    assert operations <= 9 * n
+
+
+def test_a_pivot_that_many_rows_need_waits_for_them():
+    """Rows 2 to 21 need pivot 0, nothing needs them: taking 0 first would fill column 1 into each of them."""
+    n = 22
+    matrix = 5 * np.eye(n)
+    matrix[0, 1], matrix[1, 0], matrix[2:, 0] = 1.0, 1.0, 1.0
+    function = solver(matrix)
+    operations = function.n_instructions() - function.nnz_in() - function.nnz_out()
+    assert operations <= 4 * n
+
+
+def stepped(rate, x, parameters=()):
+    """One step of a rate given as an expression of the symbol x, as a numeric function of state, parameters and h."""
+    h = ca.SX.sym("h")
+    x_next, error = rodas3(rate, ca.jacobian(rate, x), x, h)
+    return ca.Function("step", [x, ca.vertcat(*parameters), h], [x_next, error])
+
+
+def pendulum():
+    x, gain = ca.SX.sym("x", 2), ca.SX.sym("gain")
+    rate = ca.vertcat(x[1], -gain * ca.sin(x[0]) - 0.3 * x[1] ** 2 + x[0] * x[1])
+    return stepped(rate, x, (gain,))
+
+
+def ends(step, n, start=(1.2, 0.5), span=1.0):
+    x = np.array(start)
+    for _ in range(n):
+        x = np.array(step(x, 3.0, span / n)[0]).ravel()
+    return x
+
+
+def test_order_three_and_error_estimate_of_order_two():
+    step = pendulum()
+    exact = ends(step, 4000)
+    errors = [np.abs(ends(step, n) - exact).max() for n in (20, 40, 80)]
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([3, 3], abs=0.25)
+    estimates = [np.abs(np.array(step([1.2, 0.5], 3.0, h)[1])).max() for h in (0.02, 0.01, 0.005)]
+    assert np.log2(np.array(estimates[:-1]) / estimates[1:]) == pytest.approx([3, 3], abs=0.25)
+    local = np.abs(np.array(step([1.2, 0.5], 3.0, 0.01)[0]).ravel() - ends(step, 100, span=0.01)).max()
+    assert 0 < local < estimates[1]
+
+
+@pytest.mark.parametrize("z", [-0.3, -2.0, -20.0, 1.0])
+def test_stability_function_is_that_of_rodas3(z):
+    """R(z) = P(z) / (1 - z/2)^4 with a P of degree three, since R(infinity) = 0, that makes R - exp of order z^4."""
+    x = ca.SX.sym("x")
+    step = stepped(z * x, x)
+    g = 0.5
+    numerator = np.zeros(4)
+    denominator = np.array([1.0, -4 * g, 6 * g**2, -4 * g**3, g**4])
+    exponential = 1 / np.array([1.0, 1, 2, 6])
+    for k in range(4):
+        numerator[k] = sum(denominator[j] * exponential[k - j] for j in range(k + 1))
+    expected = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
+    assert float(step(1.0, [], 1.0)[0]) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_stiff_part_is_gone_after_one_step():
+    x = ca.SX.sym("x", 2)
+    step = stepped(ca.vertcat(-1e9 * (x[0] - x[1]), -x[1]), x)
+    after = np.array(step([5.0, 1.0], [], 0.01)[0]).ravel()
+    assert after[1] == pytest.approx(np.exp(-0.01), rel=1e-8)
+    assert after[0] == pytest.approx(after[1], rel=1e-4)
+
+
+def test_jacobian_over_held_stages_is_that_of_the_whole():
+    x, stages = ca.SX.sym("x", 3), Stages()
+    one, two = stages.hold(ca.sin(x[:2]) * x[2], ca.horzcat(x[0] ** 2, x[1] * x[2]))
+    (three,) = stages.hold(ca.vertcat(one[0] * two[1] + x[2], ca.exp(one[1]) * two[0]))
+    rate = ca.vertcat(three[0] * x[1], three[1] + one[0], two[1] * three[0] - x[0])
+    a, b = ca.sin(x[:2]) * x[2], ca.horzcat(x[0] ** 2, x[1] * x[2])
+    c = ca.vertcat(a[0] * b[1] + x[2], ca.exp(a[1]) * b[0])
+    plain = ca.vertcat(c[0] * x[1], c[1] + a[0], b[1] * c[0] - x[0])
+    assert (one.shape, two.shape) == ((2, 1), (1, 2))
+    whole = ca.Function("f", [x], [stages.resolve(rate), stages.jacobian(rate, x), plain, ca.jacobian(plain, x)])
+    found, slopes, expected, expected_slopes = (np.array(value) for value in whole([0.4, -0.7, 1.3]))
+    assert found == pytest.approx(expected, rel=1e-14)
+    assert slopes == pytest.approx(expected_slopes, rel=1e-13, abs=1e-15)
