@@ -48,6 +48,8 @@ class Run:
         The slower lateral controllers of front and rear gear, if any, with their solver statistics.
     state : ndarray
         Plant state at the end, see `CarStepper`.
+    memory : dict
+        States of the law at the end by name, see `law.memory_names`.
     """
 
     series: pd.DataFrame
@@ -56,6 +58,7 @@ class Run:
     warnings: tuple[str, ...]
     controllers: tuple = ()
     state: np.ndarray = field(default=None, repr=False)
+    memory: dict[str, float] = field(default_factory=dict, repr=False)
 
 
 def run(
@@ -125,7 +128,8 @@ def run(
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
     series = series[np.isfinite(series).all(axis=1)]  # the row that is not finite is named in `ended`
-    return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy())
+    memory = dict(zip(control.memory, exchange.memory.tolist(), strict=True))
+    return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy(), memory)
 
 
 def _longest(route: Route, scenario: Scenario) -> int:

@@ -48,7 +48,10 @@ def fingerprint(scenarios: Sequence[Scenario], vehicle: Vehicle, *more) -> str:
         scenario.check(vehicle)
     sets = {name: vehicle.adhesion[name] for s in scenarios for name in (s.good, s.poor)}
     car = replace(vehicle, adhesion=dict(sorted(sets.items())))
-    driven = [[s.speed, s.stop_speed, s.good, s.poor, s.second_profile, float(s.end_m), _moments(s.route())] for s in scenarios]
+    driven = [
+        [s.speed, s.stop_speed, s.good, s.poor, s.second_profile, float(s.end_m), _moments(s.route())]
+        for s in scenarios
+    ]
     content = json.dumps([repr(car), _model(), driven, repr(more)])
     return hashlib.sha256(content.encode()).hexdigest()[:16]
 
