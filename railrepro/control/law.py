@@ -1,4 +1,6 @@
-"""The control law of the 1 kHz exchange as one function: estimates, adhesion law, lateral law, integration rule.
+"""The control law of the 1 kHz exchange as one function: what is seen, adhesion law, lateral law, integration rule.
+
+Without sensors the controllers see the car's own states; with them, what `railrepro.estimation` makes of readings.
 
 The lateral law is a `railrepro.control.lateral.LateralLaw`. All gains are run-time inputs, so one compiled object
 serves every scenario and tuning particle of one kind of law.
@@ -21,6 +23,8 @@ from railrepro.control import lateral
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
 from railrepro.errors import InputError
+from railrepro.estimation import observers
+from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, late, sense, sent
 from railrepro.model.control_model import STATES
 from railrepro.track.route import COLUMNS, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
@@ -32,9 +36,11 @@ MEASURED_STATES = {gear: tuple(f"{gear}.{_OUTPUT.get(name, name)}" for name in S
 """Outputs of the car that are the states of each gear, in the order of the control model."""
 MEASURED = (
     *(name for gear in GEARS for name in MEASURED_STATES[gear]),
-    *(f"{gear}_{side}.{name}" for gear in GEARS for side in SIDES for name in ("fx", "sx")),
+    *(f"{gear}_{side}.{name}" for gear in GEARS for side in SIDES for name in ("fx", "sx", "w")),
 )
 """Outputs of the car that the law measures."""
+SEEN = tuple(f"seen.{name}" for name in STATES)
+"""States of a gear as its controllers saw them last, in the memory of a law with sensors."""
 LIMITS = ("lateral", "track_end", "stop_speed")
 MARGINS = (*(f"{gear}.lateral" for gear in GEARS), "track_end", "stop_speed")
 """Distances to the limits of a run."""
@@ -81,24 +87,27 @@ class ControlLaw:
         Lateral law without its numbers.
     gains : ndarray
         Run-time gains in the order of `gain_names`.
+    sensed : bool
+        Whether sensors and filter stand between the car and the controllers.
     """
 
     kind: lateral.Kind
     gains: np.ndarray
+    sensed: bool = False
 
     @property
     def memory(self) -> tuple[str, ...]:
         """Names of the states of the law."""
-        return memory_names(self.kind)
+        return memory_names(self.kind, self.sensed)
 
     @property
     def function(self) -> ca.Function:
         """See `function`."""
-        return function(self.kind)
+        return function(self.kind, self.sensed)
 
     def library(self) -> ctypes.CDLL | None:
         """The law as a shared object; None without a C compiler."""
-        return _library(self.kind)
+        return _library(self.kind, self.sensed)
 
 
 def control_law(
@@ -107,6 +116,7 @@ def control_law(
     adhesion: AdhesionSettings | None = None,
     estimate: EstimateSettings | None = None,
     fixed_share: float = 0.0,
+    sensors: Readings | None = None,
     **limits: float,
 ) -> ControlLaw:
     """The 1 kHz law for a vehicle.
@@ -121,6 +131,8 @@ def control_law(
         Settings of the adhesion law and of its estimates.
     fixed_share : float
         See `allocate`.
+    sensors : Readings, optional
+        Default: the controllers see the car's own states, and its adhesion as `estimate` says.
     limits : float
         lateral (m), track_end (m), stop_speed (m/s): where a run ends.
 
@@ -150,12 +162,17 @@ def control_law(
         "model.tau_max": vehicle.drive.torque_limit,
     }
     gains |= {f"limit.{name}": value for name, value in limits.items()}
-    kind = lateral.kind(guidance)
-    return ControlLaw(kind, np.array([gains[name] for name in gain_names(kind)], dtype=float))
+    kind, sensed = lateral.kind(guidance), sensors is not None
+    if sensed:
+        for g, gear in enumerate(GEARS):
+            gains |= {f"{gear}.sensor.{name}": value for name, value in sensors.gains(g).items()}
+        gains |= {f"filter.{name}": value for name, value in observers.stationary_gains(vehicle, sensors.loop).items()}
+    return ControlLaw(kind, np.array([gains[name] for name in gain_names(kind, sensed)], dtype=float), sensed)
 
 
-def gain_names(kind: lateral.Kind) -> tuple[str, ...]:
+def gain_names(kind: lateral.Kind, sensed: bool = False) -> tuple[str, ...]:
     """Names of the run-time gains."""
+    seeing = (*(f"{gear}.sensor.{n}" for gear in GEARS for n in GAINS), *(f"filter.{n}" for n in observers.GAINS))
     return (
         *(f"lateral.{name}" for name in kind.gains),
         *AdhesionSettings().gains(),
@@ -164,22 +181,28 @@ def gain_names(kind: lateral.Kind) -> tuple[str, ...]:
         *("fixed_share", "nominal_load"),
         *(f"model.{name}" for name in lateral.MODEL),
         *(f"limit.{name}" for name in LIMITS),
+        *(seeing if sensed else ()),
     )
 
 
-def memory_names(kind: lateral.Kind) -> tuple[str, ...]:
-    """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m)."""
+def memory_names(kind: lateral.Kind, sensed: bool = False) -> tuple[str, ...]:
+    """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m).
+
+    With sensors `front.seen.y_TrAx` and so on are the states that the controllers saw last.
+    """
     own = (*_ADHESION_MEMORY, *_ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
+    if sensed:
+        own += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN)
     return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in own))
 
 
 @lru_cache
-def _library(kind: lateral.Kind) -> ctypes.CDLL | None:
-    return codegen.library((function(kind),))
+def _library(kind: lateral.Kind, sensed: bool) -> ctypes.CDLL | None:
+    return codegen.library((function(kind, sensed),))
 
 
 @lru_cache
-def function(kind: lateral.Kind) -> ca.Function:
+def function(kind: lateral.Kind, sensed: bool = False) -> ca.Function:
     """The 1 kHz law as a function.
 
     Returns
@@ -188,29 +211,41 @@ def function(kind: lateral.Kind) -> ca.Function:
         (measured, cells of both gears, held[2], gains, memory) -> command[4] (N m), memory, record, margins; a run goes
         on while all margins are positive.
     """
-    names = {"y": MEASURED, "gains": gain_names(kind), "memory": memory_names(kind)}
+    names = {"y": MEASURED, "gains": gain_names(kind, sensed), "memory": memory_names(kind, sensed)}
     symbols = {name: ca.SX.sym(name, len(entries)) for name, entries in names.items()}
     y, gain, old = (_named(names[name], symbols[name]) for name in names)
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
     model = {name: gain[f"model.{name}"] for name in lateral.MODEL}
     states = {gear: dict(zip(STATES, (y[name] for name in MEASURED_STATES[gear]), strict=True)) for gear in GEARS}
     cells = {gear: _named(COLUMNS, rows[:, g]) for g, gear in enumerate(GEARS)}
-    roads = {gear: _road(cells[gear], states[gear]["x"]) for gear in GEARS}
+    owns = {gear: _part(old, gear) for gear in GEARS}
+    sights = {
+        gear: _Sight(g, gear, states[gear], y, cells[gear], old["ticks"], owns[gear], gain) if sensed else None
+        for g, gear in enumerate(GEARS)
+    }
+    places = {gear: sights[gear].place if sensed else states[gear]["x"] for gear in GEARS}
+    roads = {gear: _road(cells[gear], places[gear]) for gear in GEARS}
     body = {name: (roads["front"][name] + roads["rear"][name]) / 2 for name in ("psi_Tr", "dpsi_dp")}
 
     new, record, command = {"ticks": old["ticks"] + 1}, {}, []
     for g, gear in enumerate(GEARS):
-        own = {name.removeprefix(f"{gear}."): value for name, value in old.items() if name.startswith(f"{gear}.")}
-        estimates = _estimates(gear, g, y, old["ticks"], own, gain)
+        own, sight = owns[gear], sights[gear]
+        road = roads[gear] | {"psi_CB": body["psi_Tr"], "dpsi_dp_CB": body["dpsi_dp"]}
+        if sensed:
+            state, estimates = sight.look(road)
+        else:
+            state, estimates = states[gear], _estimates(gear, g, y, old["ticks"], own, gain)
         f_star = cells[gear]["force"] / (2 * gain["nominal_load"])
         f, s = ([estimates[f"{kind_}_hat_{i}"] for i in range(2)] for kind_ in ("f", "s"))
         u_d, kept, segment = base_torque(f, s, f_star, own, gain, model["tau_max"])
 
-        state = states[gear] | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
-        road = roads[gear] | {"psi_CB": body["psi_Tr"], "dpsi_dp_CB": body["dpsi_dp"]}
+        state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
         wanted, following = _lateral(kind, state, road, own, gain, model)
         wanted *= _fade(state["xdot"], GUIDANCE_FADE)
         tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, model["tau_max"], gain["fixed_share"])
+        if sensed:
+            tau_le, tau_ri = sight.send(tau_le, tau_ri, road)
+            kept |= sight.kept
         command += [tau_le, tau_ri]
         new |= {f"{gear}.{name}": value for name, value in (estimates | kept | following).items()}
         values = (u_d, du, tau_long, f_star, segment, road["y_ref"])
@@ -228,6 +263,49 @@ def function(kind: lateral.Kind) -> ca.Function:
         list(results),
         {"cse": True},
     )
+
+
+class _Sight:
+    """What a gear's controllers see through sensors and filter in one exchange, and how their torques get away."""
+
+    def __init__(self, g: int, gear: str, truth: dict, y: dict, cell: dict, ticks: ca.SX, own: dict, gain: dict):
+        self._gain = _part(gain, f"{gear}.sensor") | _part(gain, "filter") | {"nominal_load": gain["nominal_load"]}
+        self._own, self._ticks = own, ticks
+        aside = truth["y_TrAx"] - cell["lateral"] - cell["dlateral"] * (truth["x"] - cell["p"])
+        lever = self._gain["base"] / 2 * (truth["psi_TrAx"] - cell["dlateral"])
+        exact = {"y_ahead": aside + lever, "y_behind": aside - lever, "psidot_Ax": truth["psidot_Ax"]}
+        exact |= {f"w_{side}": y[f"{gear}_{side}.w"] for side in SIDES} | {"v": truth["xdot"], "p": truth["x"]}
+        self._readings, lines = sense(exact, ticks, g, self._gain, _part(own, "sensor"))
+        self._lines = {f"sensor.{name}": value for name, value in lines.items()}
+        until = EXCHANGE_PERIOD * self._gain["command"]
+        self.place = self._readings["p"] + until * self._readings["v"]
+
+    def look(self, road: dict) -> tuple[dict, dict]:
+        """States by name, and estimates of adhesion and slip."""
+        line, names = _part(self._own, "sensor"), range(LONGEST)
+        sent_before = {side: [line[f"tau_{side}.{k}"] for k in names] for side in SIDES}
+        seen, self._filter = observers.observe(
+            self._readings, sent_before, road, self._ticks, self._gain, _part(self._own, "filter")
+        )
+        state = {name: seen[name] for name in ("xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")}
+        state |= {"x": self.place, "psi_Ax": road["psi_Tr"] + seen["psi_TrAx"]}
+        self.kept = {f"seen.{name}": state[name] for name in STATES}
+        sides = tuple(enumerate(SIDES))
+        return state, {f"{what}_hat_{i}": seen[f"{what}_{side}"] for what in ("f", "s") for i, side in sides}
+
+    def send(self, tau_le, tau_ri, road: dict) -> tuple:
+        """Torques that arrive in this exchange (N m); what is kept for the next one is then in `kept`."""
+        line = _part(self._own, "sensor")
+        lines = {side: sent(tau, f"tau_{side}", line) for side, tau in (("le", tau_le), ("ri", tau_ri))}
+        following = observers.advance(self._filter, lines, road, self._gain)
+        self.kept |= self._lines | {f"filter.{name}": value for name, value in following.items()}
+        self.kept |= {f"sensor.tau_{side}.{k}": tau for side, taus in lines.items() for k, tau in enumerate(taus)}
+        return tuple(late(lines[side], self._gain["command"]) for side in SIDES)
+
+
+def _part(values: dict, prefix: str) -> dict:
+    """Entries below a dotted prefix, without it."""
+    return {name.removeprefix(f"{prefix}."): v for name, v in values.items() if name.startswith(f"{prefix}.")}
 
 
 def _named(names: tuple[str, ...], vector: ca.SX) -> dict[str, ca.SX]:

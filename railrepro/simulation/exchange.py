@@ -78,6 +78,9 @@ class Exchange:
         self.columns = (*outputs, *law.RECORD)
         self._sensed = [outputs.index(name) for name in law.MEASURED]
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
+        self._seen = None
+        if control.sensed:
+            self._seen = np.array([[control.memory.index(f"{gear}.{name}") for name in law.SEEN] for gear in law.GEARS])
         self._base = [control.memory.index(f"{gear}.u") for gear in law.GEARS]
         self.memory, self._gains = np.zeros(len(control.memory)), np.array(control.gains)
         self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(law.RECORD))
@@ -136,8 +139,13 @@ class Exchange:
         return self.car.measure()
 
     def measured_states(self) -> np.ndarray:
-        """States of front and rear gear as last measured, shape (2, 6), in the order of the control model."""
-        return self.car.outputs[self._states]
+        """States of front and rear gear as last measured, shape (2, 6), in the order of the control model.
+
+        With sensors, as the law saw them in the exchange before.
+        """
+        if self._seen is None or not self.exchanges:
+            return self.car.outputs[self._states]
+        return self.memory[self._seen]
 
     def base_torques(self) -> np.ndarray:
         """Base torque per wheel of front and rear gear (N m), shape (2,)."""

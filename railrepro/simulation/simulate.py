@@ -18,6 +18,7 @@ from railrepro.control import lateral, law
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS
 from railrepro.errors import InputError
+from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
 from railrepro.simulation.exchange import Exchange
 from railrepro.simulation.ride import FLANGE_ANGLE
@@ -47,6 +48,8 @@ class Run:
         The slower lateral controllers of front and rear gear, if any, with their solver statistics.
     state : ndarray
         Plant state at the end, see `CarStepper`.
+    memory : dict
+        States of the law at the end by name, see `law.memory_names`.
     """
 
     series: pd.DataFrame
@@ -55,6 +58,7 @@ class Run:
     warnings: tuple[str, ...]
     controllers: tuple = ()
     state: np.ndarray = field(default=None, repr=False)
+    memory: dict[str, float] = field(default_factory=dict, repr=False)
 
 
 def run(
@@ -66,6 +70,7 @@ def run(
     adhesion: AdhesionSettings | None = None,
     estimate: law.EstimateSettings | None = None,
     fixed_share: float = 0.0,
+    sensors: Readings | None = None,
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
     substeps: int = 1,
@@ -85,6 +90,8 @@ def run(
         The car itself; default the same.
     adhesion, estimate, fixed_share : optional
         Longitudinal law, estimates and allocation, see `law.control_law`.
+    sensors : Readings, optional
+        What stands between the car and its controllers; default nothing.
     irregularities, line : optional
         See `railrepro.track.route.lay`.
     substeps : int
@@ -111,7 +118,7 @@ def run(
     tables = tuple(contact_table(profile, body) for profile in profiles)
     lateral_law, factory = lateral.split(guidance)
     limits = {"lateral": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, lateral_law, adhesion, estimate, fixed_share, **limits)
+    control = law.control_law(vehicle, lateral_law, adhesion, estimate, fixed_share, sensors, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
     state = equations.rest_state(body, tables[0], scenario.speed)
     exchange = Exchange(parameters, tables, route, control, state, compiled, substeps)
@@ -121,7 +128,8 @@ def run(
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
     series = series[np.isfinite(series).all(axis=1)]  # the row that is not finite is named in `ended`
-    return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy())
+    memory = dict(zip(control.memory, exchange.memory.tolist(), strict=True))
+    return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy(), memory)
 
 
 def _longest(route: Route, scenario: Scenario) -> int:

@@ -1,0 +1,260 @@
+"""Sensors of a running gear: readings with noise, bias, resolution, period and age, and commands that arrive late.
+
+Noise is counter-based: a function of run, signal and millisecond, so it is the same on every executor and processor.
+The paper names lateral position and yaw difficult or costly to measure; its own loop measures them exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import casadi as ca
+import numpy as np
+
+from railrepro import paths, schema
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.errors import InputError
+from railrepro.vehicle.parameters import Parameter
+
+LONGEST = 10
+"""Longest latency that the delay lines hold (exchanges)."""
+SIGNALS = ("y_ahead", "y_behind", "psidot_Ax", "w_le", "w_ri", "v", "p")
+"""Readings of a gear (SI): displacement against the rails in two planes, absolute yaw rate, wheel speeds, speed and
+position along the track."""
+_GROUP = dict(
+    zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
+)
+_READ = ("noise", "bias", "resolution", "period")
+_MODULUS = 67108859.0
+"""Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
+
+
+def _upto(high: float, unit: str):
+    return Annotated[float, Parameter(0.0, high, unit, closed=True)]
+
+
+_PERIOD = _upto(0.1, "s")
+
+
+@schema.table
+class Lateral:
+    """Displacement of the axle against the rails in planes `base` apart."""
+
+    base: Annotated[float, Parameter(0.1, 5.0, "m")]
+    noise: _upto(0.01, "m")
+    bias: _upto(0.01, "m")
+    resolution: _upto(0.001, "m")
+    period: _PERIOD
+
+
+@schema.table
+class Rate:
+    """Angular velocity: the gyroscope of the carrier, or the speed of a wheel."""
+
+    noise: _upto(1.0, "rad/s")
+    bias: _upto(1.0, "rad/s")
+    resolution: _upto(0.1, "rad/s")
+    period: _PERIOD
+
+
+@schema.table
+class Speed:
+    """Speed along the track."""
+
+    noise: _upto(1.0, "m/s")
+    bias: _upto(1.0, "m/s")
+    resolution: _upto(0.1, "m/s")
+    period: _PERIOD
+
+
+@schema.table
+class Position:
+    """Position along the track, told for the present moment."""
+
+    noise: _upto(1.0, "m")
+    bias: _upto(20.0, "m")
+    resolution: _upto(1.0, "m")
+    period: _PERIOD
+
+
+@schema.table
+class Latency:
+    """Age of the readings and time from a command to the inverter."""
+
+    measurement: _upto(LONGEST * EXCHANGE_PERIOD, "s")
+    command: _upto(LONGEST * EXCHANGE_PERIOD, "s")
+
+
+@schema.table
+class Filter:
+    """Process noise of the filter as spectral densities, and lags of what it hands on, see `observers`."""
+
+    force_rate: _upto(1e7, "N/s^0.5")
+    creep_rate: _upto(1.0, "rad/s^0.5")
+    yaw_acceleration: _upto(100.0, "rad/s^1.5")
+    gyro_drift: _upto(1.0, "rad/s^1.5")
+    creep_lag: _upto(10.0, "s")
+    speed_lag: _upto(1.0, "s")
+
+
+@schema.table
+class Loop:
+    """All that stands between the car and its controllers; the numbers live in data/sensors.toml."""
+
+    lateral: Lateral
+    gyro: Rate
+    wheel_speed: Rate
+    speed: Speed
+    position: Position
+    latency: Latency
+    filter: Filter
+
+    def __post_init__(self) -> None:
+        for group in dict.fromkeys(_GROUP.values()):
+            ratio = getattr(self, group).period / EXCHANGE_PERIOD
+            if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
+                raise ValueError(
+                    f"{group}.period is {1e3 * EXCHANGE_PERIOD * ratio:g} ms, a whole number of ms is needed"
+                )
+
+        total = self.latency.measurement + self.latency.command
+        if total > LONGEST * EXCHANGE_PERIOD + 1e-9:
+            raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
+
+    def perfect(self) -> Loop:
+        """The same loop without noise, bias, rounding and latency."""
+        quiet = {
+            group: replace(getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=EXCHANGE_PERIOD)
+            for group in dict.fromkeys(_GROUP.values())
+        }
+        return replace(self, **quiet, latency=Latency(0.0, 0.0))
+
+
+def load_loop(path: Path | str | None = None, **overrides) -> Loop:
+    """Read and check the sensors.
+
+    Parameters
+    ----------
+    path : path, optional
+        A TOML file like data/sensors.toml, the default.
+    overrides
+        Values by dotted key, `load_loop(**{"gyro.noise": 0.002})` (SI units).
+
+    Raises
+    ------
+    InputError
+        One sentence naming file, key, what was found and what is allowed.
+    """
+    file = Path(path) if path else paths.source("data/sensors.toml")
+    content = schema.read(file)
+    loop = schema.build(Loop, content, file.name)
+    for key, value in overrides.items():
+        group, _, name = key.partition(".")
+        if name not in content.get(group, {}):
+            known = [f"{g}.{n}" for g, table in content.items() for n in table]
+            raise InputError(f"override {key!r} is not a key of {file.name}; there are {known}")
+        content[group][name] |= {"value": value, "range": "fixed"}
+    return schema.build(Loop, content, file.name) if overrides else loop
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Numbers of the sensors in a run: what is constant in it is drawn from its seed.
+
+    Attributes
+    ----------
+    loop : Loop
+    seed : int
+        Of the run; noise and biases of another seed are independent.
+    """
+
+    loop: Loop
+    seed: int = 0
+
+    def gains(self, gear: int) -> dict[str, float]:
+        """Run-time numbers of a gear (0 front, 1 rear) by name."""
+        draw = np.random.default_rng((self.seed, gear))
+        gains = {}
+        for signal, group in _GROUP.items():
+            settings = asdict(getattr(self.loop, group))
+            settings["bias"] *= draw.uniform(-1.0, 1.0)
+            gains |= {f"{signal}.{name}": settings[name] for name in _READ}
+        exchanges = {name: value / EXCHANGE_PERIOD for name, value in asdict(self.loop.latency).items()}
+        return gains | exchanges | {"seed": float(self.seed % 1_000_003), "base": self.loop.lateral.base}
+
+
+GAINS = tuple(f"{signal}.{name}" for signal in SIGNALS for name in _READ) + ("measurement", "command", "seed", "base")
+"""Names of the run-time numbers of a gear."""
+MEMORY = ("p.0", *(f"{s}.{k}" for s in (*SIGNALS, "tau_le", "tau_ri") if s != "p" for k in range(LONGEST + 1)))
+"""Names of the delay lines of a gear, newest entry first; of the position only the last reading is needed."""
+
+
+def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict, dict]:
+    """Readings of a gear as they reach the controller.
+
+    Parameters
+    ----------
+    truth : dict of SX
+        Values of `SIGNALS` (SI).
+    ticks : SX
+        Exchanges since the start; on the first one the delay lines are filled with its readings.
+    gear : int
+    gain, memory : dict of SX
+        By the names of `GAINS` and `MEMORY`.
+
+    Returns
+    -------
+    readings : dict of SX
+        By `SIGNALS`.
+    kept : dict of SX
+        Next memory.
+    """
+    readings, kept = {}, {}
+    for i, signal in enumerate(SIGNALS):
+        noisy = truth[signal] + gain[f"{signal}.bias"]
+        noisy += gain[f"{signal}.noise"] * gaussian(gain["seed"], len(SIGNALS) * gear + i, ticks)
+        step = gain[f"{signal}.resolution"]
+        coarse = ca.if_else(step > 0, step * ca.floor(noisy / ca.fmax(step, 1e-12) + 0.5), noisy)
+        due = ca.floor(ticks * EXCHANGE_PERIOD / gain[f"{signal}.period"] + 1e-6)
+        before = ca.floor((ticks - 1) * EXCHANGE_PERIOD / gain[f"{signal}.period"] + 1e-6)
+        fresh = ca.logic_or(ticks < 0.5, due > before)
+        newest = ca.if_else(fresh, coarse, memory[f"{signal}.0"])
+        if signal == "p":
+            readings[signal], kept[f"{signal}.0"] = newest, newest
+            continue
+        line = [newest, *(ca.if_else(ticks < 0.5, newest, memory[f"{signal}.{k}"]) for k in range(LONGEST))]
+        readings[signal] = late(line, gain["measurement"])
+        kept |= {f"{signal}.{k}": value for k, value in enumerate(line)}
+    return readings, kept
+
+
+def sent(torque, signal: str, memory: dict) -> list:
+    """Line of a wheel's commands (N m) with that of this exchange as its newest."""
+    return [torque, *(memory[f"{signal}.{k}"] for k in range(LONGEST))]
+
+
+def late(line: list, exchanges):
+    """Entry of a delay line (newest first) that is some exchanges old, linear in between."""
+    return sum(ca.fmax(0, 1 - ca.fabs(exchanges - k)) * value for k, value in enumerate(line))
+
+
+def gaussian(seed, channel: int, ticks):
+    """Noise of zero mean and unit variance: the sum of four uniform numbers from hashed counters.
+
+    Whole numbers below 2^52 and exact operations, hence the same bits on every processor.
+    """
+    total = 0.0
+    for k in range(2):
+        x = _modulo(15485863.0 * ticks + 104729.0 * seed + 32452843.0 * (2 * channel + k) + 49979687.0)
+        for constant in (7919.0, 611953.0, 1299709.0):
+            x = _modulo(x * x + constant)
+        high = ca.floor(x / 8192.0)
+        total += (x - 8192.0 * high) / 8192.0 + high / 8192.0 - 1.0
+    return np.sqrt(3.0) * total
+
+
+def _modulo(x):
+    """Remainder of whole numbers; a quotient that is one off gives another whole number, the same everywhere."""
+    return x - _MODULUS * ca.floor(x * (1 / _MODULUS))

@@ -1,0 +1,105 @@
+"""The filter of a running gear: its model against the car, what it finds of creep and force, and in closed loop."""
+
+import numpy as np
+import pytest
+
+from railrepro.control.ndi import NDI
+from railrepro.estimation import observers
+from railrepro.estimation.observers import LATERAL, lateral_matrices, stationary_gains
+from railrepro.estimation.sensors import Readings, load_loop
+from railrepro.model.control_model import STATES
+from railrepro.simulation import metrics, simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
+
+QUIET = load_loop().perfect()
+MODERATE = NDI(pole=50.0, frequency=24.0, damping=0.7, derivatives=3)
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return load_vehicle()
+
+
+def drive(loop, name="curve_entry_T3", seed=1, law=MODERATE, **changes):
+    sensors = None if loop is None else Readings(loop, seed)
+    return simulate.run(load_scenario(name).but(**changes), law, sensors=sensors)
+
+
+def test_gains_are_those_that_are_named(vehicle):
+    found = stationary_gains(vehicle, load_loop())
+    assert set(found) == set(observers.GAINS)
+    assert found["wheel.w"] > 0 > found["wheel.force"]
+
+
+@pytest.mark.parametrize("speed", observers.SPEEDS)
+def test_the_filter_is_stable_and_sees_every_state(vehicle, speed):
+    a, c = lateral_matrices(vehicle, speed)
+    seen = np.vstack([c @ np.linalg.matrix_power(a / np.abs(a).max(), k) for k in range(5)])
+    assert np.linalg.matrix_rank(seen * 1e3) == len(LATERAL)
+    gains = stationary_gains(vehicle, load_loop())
+    k = observers.SPEEDS.index(speed)
+    gain = np.array([[gains[f"lateral.{state}.{read}.{k}"] for read in ("y", "psi", "r")] for state in LATERAL])
+    step = np.eye(5) + 1e-3 * a
+    assert np.abs(np.linalg.eigvals(step - step @ gain @ c)).max() < 1
+
+
+def test_creep_angle_and_gyro_bias_are_told_apart_in_a_curve():
+    """On T3 the car needs 0.4 mrad of yaw against the track to carry the unbalanced acceleration: creep, not course."""
+    run = drive(QUIET, set_point={"kind": "none"})
+    tail = run.series.tail(1000)
+    assert abs(tail["front.psi_TrAx"].mean()) > 2e-4
+    seen = {name: run.memory[f"front.seen.{name}"] for name in STATES}
+    assert seen["psi_TrAx"] == pytest.approx(0.0, abs=5e-5)
+    assert run.memory["front.filter.beta"] == pytest.approx(-tail["front.psi_TrAx"].iloc[-1], rel=0.1)
+
+
+def test_force_of_a_wheel_is_found_from_torque_and_speed():
+    run = drive(QUIET, "sine_tracking", set_point={"kind": "none"}, force_kN=[[0, 10]], end_m=500)
+    true = run.series["front_le.Fx"].iloc[-1]
+    assert run.memory["front.filter.force_le"] == pytest.approx(true, rel=0.01) and true > 3e3
+
+
+def test_the_loop_with_perfect_sensors_only_adds_what_the_filter_knows():
+    """On the straight there is no creep to tell: with and without filter the car follows alike."""
+    errors = [metrics.rmse(drive(loop, "sine_tracking", speed_kmh=160, end_m=400).series) for loop in (None, QUIET)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.3)
+
+
+def test_noise_and_latency_leave_a_moderate_law_on_the_rail():
+    run = drive(load_loop())
+    assert not run.failed
+    assert metrics.rmse(run.series) < 0.6e-3
+    assert metrics.effort(run.series) > 2 * metrics.effort(drive(QUIET).series)
+
+
+def test_prediction_pays():
+    """Without prediction over the latency a fast law oscillates."""
+    late = load_loop(**{"latency.measurement": 5e-3, "latency.command": 4e-3})
+    fast = NDI(pole=70.0, frequency=60.0, damping=0.6, derivatives=3)
+    with_it = drive(late, "sine_tracking", law=fast, end_m=400)
+    observers_gains = observers.stationary_gains
+    try:
+        observers.stationary_gains = lambda v, loop: observers_gains(v, loop) | {"prediction": 0.0}
+        without = drive(late, "sine_tracking", law=fast, end_m=400)
+    finally:
+        observers.stationary_gains = observers_gains
+    effort = [metrics.effort(run.series) for run in (with_it, without)]
+    assert without.failed or effort[1] > 1.5 * effort[0]
+
+
+def test_runs_belong_to_their_seed():
+    runs = [drive(load_loop(), seed=seed, end_m=120).series["front.y"].to_numpy() for seed in (1, 1, 2)]
+    assert np.array_equal(runs[0], runs[1])
+    n = min(len(runs[0]), len(runs[2]))
+    assert not np.allclose(runs[0][:n], runs[2][:n], atol=1e-6)
+
+
+def test_compiled_and_interpreted_loops_agree():
+    ends = [
+        simulate.run(
+            load_scenario("curve_entry_T3").but(end_m=25), MODERATE, sensors=Readings(load_loop(), 3), compiled=compiled
+        ).series["front.y"]
+        for compiled in (True, False)
+    ]
+    assert np.allclose(*ends, rtol=1e-6, atol=1e-9)

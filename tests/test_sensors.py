@@ -1,0 +1,142 @@
+"""Sensors and delay lines by themselves: noise, bias, resolution, period, age, and files that are refused."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro import paths
+from railrepro.errors import InputError
+from railrepro.estimation import sensors
+from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, SIGNALS, Readings, load_loop
+
+TRUTH = {"y_ahead": 2e-3, "y_behind": 1e-3, "psidot_Ax": 0.02, "w_le": 100.0, "w_ri": 99.0, "v": 45.0, "p": 300.0}
+
+
+def readings(exchanges, loop, seed=0, gear=0, move=None):
+    """Readings of a gear over some exchanges, shape (exchanges, signals); `move` maps tick and signal to its value."""
+    ticks, truth = ca.SX.sym("ticks"), ca.SX.sym("truth", len(SIGNALS))
+    memory = ca.SX.sym("memory", len(MEMORY))
+    gain = Readings(loop, seed).gains(gear)
+    found, kept = sensors.sense(
+        dict(zip(SIGNALS, ca.vertsplit(truth), strict=True)),
+        ticks,
+        gear,
+        gain,
+        dict(zip(MEMORY, ca.vertsplit(memory), strict=True)),
+    )
+    following = [kept.get(name, 0.0) for name in MEMORY]
+    step = ca.Function("step", [truth, ticks, memory], [ca.vertcat(*found.values()), ca.vertcat(*following)])
+    rows, state = [], np.zeros(len(MEMORY))
+    for k in range(exchanges):
+        values = [move(k, name) if move else TRUTH[name] for name in SIGNALS]
+        seen, state = step(values, k, state)
+        rows.append(np.array(seen).ravel())
+    return np.array(rows)
+
+
+def test_gains_are_those_that_are_named():
+    assert set(Readings(load_loop()).gains(0)) == set(GAINS)
+
+
+def test_perfect_sensors_tell_the_truth():
+    assert readings(5, load_loop().perfect()) == pytest.approx(np.tile(list(TRUTH.values()), (5, 1)), rel=1e-15)
+
+
+def test_noise_has_the_stated_size_and_a_bias_stays():
+    loop = load_loop(**{"lateral.resolution": 0.0, "gyro.resolution": 0.0})
+    rows = readings(6000, loop, seed=4)
+    spread = dict(zip(SIGNALS, rows.std(axis=0), strict=True))
+    stated = {"y_ahead": 2e-4, "y_behind": 2e-4, "psidot_Ax": 4e-3, "w_le": 0.05, "w_ri": 0.05, "v": 0.02, "p": 0.0}
+    assert spread == pytest.approx(stated, rel=0.04, abs=1e-9)
+    gains = Readings(loop, 4).gains(0)
+    for i, (name, value) in enumerate(TRUTH.items()):
+        assert abs(gains[f"{name}.bias"]) <= {"y_ahead": 2e-4, "y_behind": 2e-4, "psidot_Ax": 1e-3, "p": 1.0}.get(
+            name, 0
+        )
+        assert rows[:, i].mean() - value == pytest.approx(
+            gains[f"{name}.bias"], abs=4 * stated[name] / np.sqrt(6000) + 1e-9
+        )
+    assert gains["y_ahead.bias"] != 0 and gains["p.bias"] != 0
+
+
+def test_runs_and_gears_draw_their_own_noise():
+    loop = load_loop()
+    one, again, other, rear = (readings(50, loop, seed, gear) for seed, gear in ((1, 0), (1, 0), (2, 0), (1, 1)))
+    assert np.array_equal(one, again)
+    for different in (other, rear):
+        assert np.abs(np.corrcoef(one[:, 3], different[:, 3])[0, 1]) < 0.4
+        assert not np.allclose(one, different, rtol=1e-6)
+
+
+def test_noise_is_white_and_signals_are_independent():
+    ticks, seed = ca.SX.sym("ticks"), ca.SX.sym("seed")
+    noise = ca.Function("noise", [seed, ticks], [ca.vertcat(*(sensors.gaussian(seed, c, ticks) for c in range(14)))])
+    values = np.array(noise.map(8000)(ca.DM.ones(1, 8000), np.arange(8000)[None, :])).T
+    assert values.mean(axis=0) == pytest.approx(0.0, abs=0.04)
+    assert values.std(axis=0) == pytest.approx(1.0, abs=0.03)
+    assert np.abs(np.corrcoef(values.T) - np.eye(14)).max() < 0.05
+    for lag in (1, 2, 3, 7, 100):
+        assert np.abs(np.mean(values[lag:] * values[:-lag], axis=0)).max() < 0.05
+
+
+def test_noise_has_the_same_bits_everywhere():
+    """Sums of whole numbers over 8192 and a square root: exact but for the last factor."""
+    value = float(ca.Function("n", [], [sensors.gaussian(3.0, 5, ca.SX(123456.0))])()["o0"])
+    whole = value / np.sqrt(3.0) * 8192
+    assert whole == pytest.approx(round(whole), abs=1e-9)
+    assert round(whole) == HASHED
+
+
+HASHED = -51
+
+
+def test_readings_are_rounded_to_their_resolution():
+    loop = load_loop(**{"lateral.resolution": 1e-3})
+    found = readings(200, loop, move=lambda k, name: k * 1.3e-5)[:, :2]
+    assert found / 1e-3 == pytest.approx(np.round(found / 1e-3), abs=1e-9) and np.unique(found).size > 2
+
+
+def test_a_slow_sensor_keeps_its_reading():
+    loop = load_loop().perfect()
+    loop = sensors.replace(loop, speed=sensors.replace(loop.speed, period=5e-3))
+    found = readings(20, loop, move=lambda k, name: float(k))
+    assert found[:, SIGNALS.index("v")].tolist() == [5.0 * (k // 5) for k in range(20)]
+    assert found[:, SIGNALS.index("w_le")].tolist() == list(range(20))
+
+
+@pytest.mark.parametrize(("age", "expected"), [(3e-3, 7.0), (2.5e-3, 7.5), (0.0, 10.0), (10e-3, 0.0)])
+def test_readings_are_late_but_for_the_position(age, expected):
+    quiet = load_loop().perfect()
+    loop = sensors.replace(quiet, latency=sensors.Latency(age, 0.0))
+    found = readings(11, loop, move=lambda k, name: float(k))[-1]
+    assert found[SIGNALS.index("psidot_Ax")] == pytest.approx(expected)
+    assert found[SIGNALS.index("p")] == 10.0
+
+
+def test_a_line_of_commands_begins_with_the_newest():
+    memory = {f"tau_le.{k}": float(k) for k in range(LONGEST + 1)}
+    line = sensors.sent(-1.0, "tau_le", memory)
+    assert line == [-1.0, *map(float, range(LONGEST))]
+    assert float(sensors.late(line, ca.SX(2.0))) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("lateral.noise", -2e-4, "lateral.noise = -0.0002 m is impossible, 0 or more up to 0.01 is allowed"),
+        ("lateral.period", 1.5e-3, "lateral.period is 1.5 ms, a whole number of ms is needed"),
+        ("latency.measurement", 9e-3, "latency of 11 ms in all, at most 10 ms are held"),
+        ("latency.measurement", 0.03, "latency.measurement = 0.03 s is impossible, 0 or more up to 0.01 is allowed"),
+        ("gyro.drift", 1.0, "override 'gyro.drift' is not a key of sensors.toml"),
+    ],
+)
+def test_impossible_numbers_are_named(key, value, sentence):
+    with pytest.raises(InputError, match=sentence):
+        load_loop(**{key: value})
+
+
+def test_unknown_groups_are_named(tmp_path):
+    file = tmp_path / "sensors.toml"
+    file.write_text((paths.ROOT / "data/sensors.toml").read_text().replace("[gyro]", "[radar]"))
+    with pytest.raises(InputError, match=r"sensors.toml: has the unknown group \[radar\]"):
+        load_loop(file)
