@@ -95,7 +95,9 @@ class Scenario:
     second_profile_share: _SHARES = ()
     stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        if (self.second_profile is None) != (not self.second_profile_share):
+            raise ValueError("second_profile and second_profile_share are needed together")
         if self.stop_kmh is not None and not self.stop_kmh < self.speed_kmh:
             raise ValueError(
                 f"stops below {self.stop_kmh} km/h, less than its speed of {self.speed_kmh} km/h is needed"
@@ -120,10 +122,6 @@ class Scenario:
     def but(self, **changes) -> Scenario:
         """A copy with some fields changed, checked like a file."""
         return schema.build(Scenario, vars(self) | changes, "scenario")
-
-    def __post_init__(self) -> None:
-        if (self.second_profile is None) != (not self.second_profile_share):
-            raise ValueError("second_profile and second_profile_share are needed together")
 
     def check(self, vehicle: Vehicle) -> None:
         """Refuse adhesion sets that the vehicle does not have, and set points beyond its flangeway (InputError)."""
