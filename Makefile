@@ -91,8 +91,10 @@ verify: $(VENV)  ## rerun everything and compare with the committed numbers
 variants: $(VENV)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
 	$(PY) -m railrepro.chain variants $(VARIANTS)
 
-bench: $(VENV)  ## measure speed, as ratios in one run
+bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` also a second opinion on the car
 	$(PY) -m railrepro.studies.bench
+	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.studies.second_opinion; \
+	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
 
 study: $(VENV)  ## robustness study over the unpublished parameters (long, resumes)
 	$(PY) -m railrepro.studies.robustness

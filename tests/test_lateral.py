@@ -39,6 +39,17 @@ def blocks(heading):
     return re.findall(r"```python\n(.*?)```", section, flags=re.DOTALL)
 
 
+def test_the_examples_of_the_library_run_as_they_stand(tmp_path, monkeypatch):
+    """A run, the car alone and as a unit, the car on a real track, a controller behind sensors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
+    names = {}
+    for block in blocks("The library"):
+        exec(compile(block, "README.md", "exec"), names)
+    assert not names["run"].failed and (tmp_path / "car.fmu").exists()
+    assert 0 < names["row"]["rail_rmse_y"] < 2e-3 and names["row"]["n_mv_floor_front"] > 0
+
+
 def test_the_examples_of_the_readme_run_as_they_stand():
     names = {}
     for block in blocks("How to add"):
