@@ -224,6 +224,8 @@ print(count)
 def kill_at_a_rename(folder: Path, whole: dict[str, str], number: int, when: str) -> bool:
     """Kill a run at its n-th rename; False when it has fewer."""
     shutil.rmtree(folder / "build/stamps", ignore_errors=True)
+    for top in ("data", "figures"):  # so that they are written again
+        (folder / top / "MANIFEST.csv").unlink(missing_ok=True)
     done = subprocess.run(
         [sys.executable, "-c", RENAMES, str(number), when], cwd=folder, env=clean({}), capture_output=True, text=True
     )
