@@ -50,7 +50,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-all lab tune report verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-all faults lab tune report verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -75,6 +75,9 @@ test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 
 test-all: $(VENV)  ## run the tests that take minutes, too
 	$(PY) -m pytest $(PYTEST_JOBS)
+
+faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived
+	$(PY) tests/faults.py
 
 lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks

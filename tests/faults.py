@@ -1,0 +1,471 @@
+"""Faults on purpose, in a small chain of notebooks: `make faults` prints what was tried and what survived it.
+
+Kills at random seconds and at every rename, a full disk, a planted cache, broken stamps and checkpoints, broken Dask.
+Survived means: one sentence where a person is told, products whole, nothing left behind, and the next run ends as if
+nothing had been.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+MAKE = ["make", "--no-print-directory", "-j2", f"PY={sys.executable}", "VENV=build/ready"]
+CHAIN = """
+[[notebook]]
+name = "01_first"
+title = "writes a table and, slowly, a second one"
+writes = ["data/results/one.csv", "data/results/two.csv"]
+minutes = 0.1
+[[notebook]]
+name = "02_second"
+title = "reads the first table, draws a figure"
+reads = ["data/results/one.csv"]
+writes = ["data/results/three.csv"]
+figures = ["fig01_three"]
+minutes = 0.1
+"""
+FIRST = """import casadi as ca
+import time
+from railrepro import paths
+from railrepro.compile import codegen
+x = ca.SX.sym("x")
+twice = codegen.compiled(ca.Function("twice", [x], [2 * x]))
+twice.arguments[0][:] = 21.0
+paths.product("data/results/one.csv").write_text(f"a\\n{twice()[0][0]}\\n")
+time.sleep(1.0)
+paths.product("data/results/two.csv").write_text("b\\n" + "1\\n" * 20000)
+"""
+SECOND = """from railrepro import paths
+text = paths.source("data/results/one.csv").read_text()
+paths.product("data/results/three.csv").write_text(text)
+for suffix in ("pdf", "svg", "png", "csv"):
+    paths.product(f"figures/fig01_three.{suffix}").write_text(text)
+"""
+
+
+def toy(folder: Path) -> Path:
+    """A checkout with two small notebooks and the library of this one."""
+    for name in ("notebooks", "data", "figures", "build"):
+        (folder / name).mkdir(parents=True)
+    shutil.copytree(ROOT / "railrepro", folder / "railrepro", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("Makefile", "environment.lock", "pyproject.toml"):
+        (folder / name).symlink_to(ROOT / name)
+    (folder / "build/ready").touch()
+    (folder / "notebooks/chain.toml").write_text(CHAIN)
+    for name, text in (("01_first", FIRST), ("02_second", SECOND)):
+        cell = {"cell_type": "code", "id": "c01", "metadata": {}, "source": text}
+        cell |= {"outputs": [], "execution_count": None}
+        kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+        content = {"cells": [cell], "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
+        (folder / f"notebooks/{name}.ipynb").write_text(json.dumps(content))
+    return folder
+
+
+class Lost(AssertionError):
+    """What did not survive."""
+
+
+def run(folder: Path, *goals: str, code: int | None = 0, seconds: float = 120, **environment: str) -> str:
+    """Output of make in the toy checkout; it must end in time and with this code, and without a traceback."""
+    done = subprocess.run(
+        [*MAKE, *goals], cwd=folder, env=clean(environment), capture_output=True, text=True, timeout=seconds
+    )
+    told = done.stdout + done.stderr
+    if "Traceback" in told or (code is not None and done.returncode != code):
+        raise Lost(f"make {' '.join(goals)} ended with {done.returncode}: {told[-1500:]}")
+    return told
+
+
+def clean(changes: dict) -> dict:
+    """Environment without what this project sets, one thread, no optimisation."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(("RAILREPRO", "MAKE", "MFLAGS"))}
+    return kept | {"RAILREPRO_CFLAGS": "-O0", "PYTHONDONTWRITEBYTECODE": "1"} | changes
+
+
+def products(folder: Path) -> dict[str, str]:
+    """Hashes of all that lies in data and figures."""
+    files = [file for top in ("data", "figures") for file in sorted((folder / top).rglob("*")) if file.is_file()]
+    return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+def leftovers(folder: Path) -> list[str]:
+    """What killed processes left: scratch files, folders and locks."""
+    patterns = ("*.part", "*.scratch", "*.lock", ".*.part")
+    found = {str(path.relative_to(folder)) for pattern in patterns for path in folder.rglob(pattern)}
+    return sorted(found - {"environment.lock"})
+
+
+def processes(folder: Path) -> list[int]:
+    """Processes that work in the toy checkout."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if Path(os.readlink(process / "cwd")).is_relative_to(folder):
+                found.append(int(process.name))
+        except OSError:
+            continue
+    return found
+
+
+def check_whole(folder: Path, whole: dict[str, str]) -> None:
+    """Each product is the old one or the new one, which are the same, or not there yet."""
+    for name, digest in products(folder).items():
+        if not name.endswith(("MANIFEST.csv", ".part")) and whole.get(name) != digest:
+            raise Lost(f"{name} is half-written")
+
+
+def check_next_run(folder: Path, whole: dict[str, str]) -> None:
+    """The next run makes everything whole and leaves nothing behind."""
+    run(folder, "figures")
+    if products(folder) != whole:
+        raise Lost("the next run gives other products")
+    if leftovers(folder):
+        raise Lost(f"left behind: {leftovers(folder)}")
+    told = run(folder, "figures")
+    if "running" in told:
+        raise Lost("what was whole ran again")
+
+
+def make_stale(folder: Path) -> None:
+    """Forget runs and products, keep the compiled code now and then."""
+    shutil.rmtree(folder / "build/stamps", ignore_errors=True)
+    for name in ("data/results", "figures"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    if random.random() < 0.3:
+        shutil.rmtree(folder / "build/compiled", ignore_errors=True)
+
+
+def wait_for_orphans(folder: Path) -> None:
+    """Nothing lives on for more than 5 s."""
+    end = time.monotonic() + 5.0
+    while processes(folder) and time.monotonic() < end:
+        time.sleep(0.1)
+    if left := processes(folder):
+        told = [Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()[:80] for process in left]
+        for process in left:
+            os.kill(process, signal.SIGKILL)
+        raise Lost(f"orphans after 5 s: {told}")
+
+
+def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int) -> str:
+    """Kill make, the process of a notebook or its kernel after some time."""
+    random.seed(number)
+    make_stale(folder)
+    started = subprocess.Popen(
+        [*MAKE, "figures"], cwd=folder, env=clean({}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        start_new_session=True, text=True,
+    )  # fmt: skip
+    moment = random.uniform(0.3, 9.0)
+    try:
+        started.wait(moment)
+    except subprocess.TimeoutExpired:
+        if victim == "make":
+            started.kill()
+        elif victim == "everything at once":
+            os.killpg(started.pid, signal.SIGKILL)
+        else:
+            pattern = {"the notebook's process": b"railrepro.chain\0run", "the kernel": b"ipykernel_launcher"}[victim]
+            for process in processes(folder):
+                try:
+                    if pattern in Path(f"/proc/{process}/cmdline").read_bytes():
+                        os.kill(process, signal.SIGKILL)
+                except OSError:
+                    continue
+    if victim in ("make", "everything at once"):
+        started.wait()
+        wait_for_orphans(folder)
+    told = started.communicate(timeout=60)[1]
+    wait_for_orphans(folder)
+    if "Traceback" in told:
+        raise Lost(told[-1500:])
+    check_whole(folder, whole)
+    check_next_run(folder, whole)
+    return f"after {moment:.1f} s"
+
+
+RENAMES = """
+import os, signal, sys
+from pathlib import Path
+from railrepro.chain import runner
+from railrepro.chain.graph import find
+count, limit, after = 0, int(sys.argv[1]), sys.argv[2] == "after"
+replace = os.replace
+def counted(source, target):
+    global count
+    count += 1
+    if count == limit and not after:
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(source, target)
+    if count == limit and after:
+        os.kill(os.getpid(), signal.SIGKILL)
+os.replace = counted
+def execute(notebook, parameters, staging, output, failed, keep_going):
+    os.environ["RAILREPRO_OUTPUT"] = str(staging)
+    exec("".join("".join(cell["source"]) for cell in runner.cells(notebook)).replace("time.sleep(1.0)", ""), {})
+    output.write_text("{}")
+runner._execute = execute
+runner.refresh("01_first")
+runner.refresh("02_second")
+print(count)
+"""
+
+
+def kill_at_a_rename(folder: Path, whole: dict[str, str], number: int, when: str) -> bool:
+    """Kill a run at its n-th rename; False when it has fewer."""
+    shutil.rmtree(folder / "build/stamps", ignore_errors=True)
+    for top in ("data", "figures"):  # so that they are written again
+        (folder / top / "MANIFEST.csv").unlink(missing_ok=True)
+    done = subprocess.run(
+        [sys.executable, "-c", RENAMES, str(number), when], cwd=folder, env=clean({}), capture_output=True, text=True
+    )
+    if done.returncode == 0:
+        return False
+    if done.returncode != -signal.SIGKILL:
+        raise Lost(done.stderr[-1500:])
+    check_whole(folder, whole)
+    again = subprocess.run(
+        [sys.executable, "-c", RENAMES, "0", when], cwd=folder, env=clean({}), capture_output=True, text=True
+    )
+    if again.returncode or products(folder) != whole or leftovers(folder):
+        raise Lost(f"after the next run: {again.stderr[-800:]} {leftovers(folder)}")
+    return True
+
+
+def interrupt(folder: Path, whole: dict[str, str], number: int) -> str:
+    """Ctrl-C: the whole group gets SIGINT; one sentence per process, no traceback, nothing left behind."""
+    random.seed(100 + number)
+    make_stale(folder)
+    started = subprocess.Popen(
+        [*MAKE, "figures"], cwd=folder, env=clean({}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        start_new_session=True, text=True,
+    )  # fmt: skip
+    moment = random.uniform(1.5, 7.0)
+    try:
+        started.wait(moment)
+    except subprocess.TimeoutExpired:
+        os.killpg(started.pid, signal.SIGINT)
+    told = started.communicate(timeout=30)[1]
+    wait_for_orphans(folder)
+    strange = [
+        line for line in told.splitlines()
+        if not line.startswith(("make", "interrupted", "01_", "02_")) and "notebooks are stale" not in line
+    ]  # fmt: skip
+    if strange:
+        raise Lost("said " + " | ".join(strange)[:1500])
+    check_whole(folder, whole)
+    check_next_run(folder, whole)
+    return f"after {moment:.1f} s"
+
+
+def spoil(folder: Path, name: str, content: bytes | None) -> None:
+    """Replace a file by other content, or by a folder."""
+    file = folder / name
+    if content is None:
+        file.unlink()
+        file.mkdir()
+        return
+    file.write_bytes(content if content else file.read_bytes()[: file.stat().st_size // 2])
+
+
+SPOILT = {
+    "stamp cut off": ("build/stamps/01_first.json", b""),
+    "stamp of foreign bytes": ("build/stamps/02_second.json", b"\xff\xfe[1, 2"),
+    "stamp of another shape": ("build/stamps/01_first.json", b"[1, 2]"),
+    "manifest cut off": ("data/MANIFEST.csv", b""),
+    "manifest of foreign bytes": ("data/MANIFEST.csv", b"\xff\x00,\n\x00"),
+    "manifest without its columns": ("figures/MANIFEST.csv", b"path,sha256\na,b\n"),
+    "make rules cut off": ("build/chain.mk", b""),
+    "make rules of foreign bytes": ("build/chain.mk", b"if (x) {\n"),
+    "product cut off": ("data/results/two.csv", b""),
+    "settings of the kernel cut off": ("build/ipython/profile_default/ipython_kernel_config.py", b"import ("),
+}
+
+
+def broken_file(folder: Path, whole: dict[str, str], name: str) -> None:
+    """A file of the project's own is broken: it is stale, and made again."""
+    spoil(folder, *SPOILT[name])
+    if "kernel" in name:
+        shutil.rmtree(folder / "build/stamps")
+    run(folder, "figures")
+    check_next_run(folder, whole)
+
+
+def planted(folder: Path, whole: dict[str, str], how: str) -> None:
+    """The cache holds what this user did not compile."""
+    cache = folder / "build/compiled"
+    for target in cache.glob("*.so"):
+        if how == "cut off":
+            target.write_bytes(target.read_bytes()[:5000])
+        elif how == "another object with its own hash":
+            subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", target], input=b"int x;", check=True)
+        elif how == "of another user":
+            os.chown(target, 65534, 65534)
+        else:
+            target.chmod(0o666)
+            cache.chmod(0o777)
+    shutil.rmtree(folder / "build/stamps")
+    run(folder, "figures")
+    if any(target.stat().st_uid != os.getuid() or target.stat().st_mode & 0o022 for target in cache.glob("*.so")):
+        raise Lost("the planted object is still there")
+    check_next_run(folder, whole)
+
+
+COMPILERS = {"fails": "exit 1", "writes nothing": "exit 0", "writes junk": 'echo junk > "$out"', "hangs": "sleep 600"}
+
+
+def broken_compiler(folder: Path, whole: dict[str, str], how: str) -> None:
+    """A compiler does not do its work: everything is interpreted, with the same products."""
+    broken = folder / "build/broken-cc"
+    find = 'for a in "$@"; do test "$before" = -o && out=$a; before=$a; done'
+    broken.write_text(f"#!/bin/sh\ncase $* in *--version*) echo broken; exit;; esac\n{find}\n{COMPILERS[how]}\n")
+    broken.chmod(0o755)
+    shutil.rmtree(folder / "build/stamps")
+    run(folder, "figures", CC=str(broken), RAILREPRO_COMPILER_SECONDS="3")
+    if products(folder) != whole:
+        raise Lost("interpreted, it gives other products")
+    check_next_run(folder, whole)
+
+
+def full_disk(folder: Path, whole: dict[str, str], room: int) -> str:
+    """A file system with so many bytes left: one sentence, products whole; with room again it goes on."""
+    ballast = folder / "ballast"
+    make_stale(folder)
+    free = os.statvfs(folder)
+    try:
+        with ballast.open("wb") as stream:
+            stream.write(b"\0" * max(0, free.f_bavail * free.f_frsize - room))
+    except OSError:
+        pass
+    told = run(folder, "figures", code=None)
+    check_whole(folder, whole)
+    ballast.unlink()
+    check_next_run(folder, whole)
+    sentences = [line for line in told.splitlines() if line.startswith("error: ") or "rror" in line]
+    return sentences[0][:90] if sentences else "enough"
+
+
+def only_shown(folder: Path, whole: dict[str, str]) -> None:
+    """make -n changes nothing on disk, without rules and environment, too."""
+    for forgotten in ("build/chain.mk", "build/stamps"):
+        shutil.rmtree(folder / forgotten, ignore_errors=True)
+        (folder / forgotten).unlink(missing_ok=True)
+        before = {str(file): file.lstat().st_mtime_ns for file in folder.rglob("*")}
+        for goal in ("figures", "report", "html", "test"):
+            run(folder, "-n", goal)
+        if {str(file): file.lstat().st_mtime_ns for file in folder.rglob("*")} != before:
+            raise Lost("make -n changed something")
+    check_next_run(folder, whole)
+
+
+def book_without_notebooks(folder: Path, whole: dict[str, str]) -> None:
+    """The book without executed notebooks: one sentence."""
+    shutil.rmtree(folder / "build/notebooks")
+    command = [sys.executable, "-m", "railrepro.chain", "html"]
+    done = subprocess.run(command, cwd=folder, env=clean({}), capture_output=True, text=True)
+    if done.returncode != 1 or len(done.stderr.splitlines()) != 1:
+        raise Lost(done.stderr[-800:])
+
+
+def moved(folder: Path, whole: dict[str, str]) -> None:
+    """A clone that was moved works: its products are fresh where it is now."""
+    elsewhere = folder.with_name("moved")
+    folder.rename(elsewhere)
+    try:
+        check_next_run(elsewhere, whole)
+    finally:
+        elsewhere.rename(folder)
+
+
+def all_faults(folder: Path, small: Path | None):
+    """Kind, name and call of every fault, in the order in which they are tried."""
+    whole: dict[str, str] = {}
+    run(folder, "figures")
+    whole |= products(folder)
+    for number in range(8):
+        victim = ("make", "everything at once", "the notebook's process", "the kernel")[number % 4]
+        yield "kill", victim, lambda v=victim, n=number: kill_at_random(folder, whole, v, n)
+    for number in range(1, 20):
+        for when in ("before", "after"):
+            yield "kill", f"{when} rename {number}", lambda n=number, w=when: kill_at_a_rename(folder, whole, n, w)
+    for number in range(3):
+        yield "Ctrl-C", f"number {number + 1}", lambda n=number: interrupt(folder, whole, n)
+    for name in SPOILT:
+        yield "broken", name, lambda n=name: broken_file(folder, whole, n)
+    for how in ("cut off", "another object with its own hash", "open to others", "of another user"):
+        if how != "of another user" or os.getuid() == 0:
+            yield "cache", how, lambda h=how: planted(folder, whole, h)
+    for how in COMPILERS:
+        yield "compiler", how, lambda h=how: broken_compiler(folder, whole, h)
+    yield "make", "-n", lambda: only_shown(folder, whole)
+    yield "make", "moved clone", lambda: moved(folder, whole)
+    yield "make", "book without notebooks", lambda: book_without_notebooks(folder, whole)
+    if small is not None:
+        for room in (0, 3000, 30_000, 120_000):
+            yield "full disk", f"{room} bytes left", lambda r=room: full_disk(small, whole, r)
+    for name in ("the scheduler", "all workers"):
+        case = f"tests/test_executor.py::test_a_lost_cluster_is_told_in_one_sentence_within_30_seconds[{name}]"
+        yield "Dask", f"{name} lost", lambda c=case: tested(c)
+    yield "Dask", "one worker lost", lambda: tested("tests/test_executor.py::test_a_lost_worker_changes_nothing")
+    tuning = "tests/test_tuning.py::test_killed_and_restarted_it_ends_like_the_unbroken_run"
+    yield "kill", "a swarm", lambda: tested(tuning)
+    yield "broken", "checkpoints of a swarm", lambda: tested("tests/test_pso.py")
+
+
+def tested(case: str) -> None:
+    """One test by its name, which may hold spaces."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", case]
+    done = subprocess.run(command, cwd=ROOT, env=clean({"PYTHONPATH": str(ROOT)}), capture_output=True, text=True)
+    if done.returncode:
+        raise Lost(done.stdout[-800:])
+
+
+def main() -> int:
+    """Try all faults; 1 when one of them does not survive."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    parent = Path(tempfile.mkdtemp(prefix="railrepro-faults-"))
+    mounted = parent / "small"
+    mounted.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=12m", "railrepro-faults", str(mounted)]
+    small = subprocess.run(mount, capture_output=True).returncode == 0 if os.getuid() == 0 else False
+    tried: dict[str, list[int]] = {}
+    begin = time.monotonic()
+    try:
+        for kind, name, call in all_faults(toy(parent / "toy"), toy(mounted / "toy") if small else None):
+            count = tried.setdefault(kind, [0, 0])
+            try:
+                told = call()
+            except (Lost, subprocess.TimeoutExpired) as error:
+                count[0] += 1
+                print(f"LOST      {kind:9s} {name}: {error}", flush=True)
+                continue
+            if told is not False:
+                count[0] += 1
+                count[1] += 1
+                print(f"survived  {kind:9s} {name} {told if isinstance(told, str) else ''}".rstrip(), flush=True)
+    finally:
+        if small:
+            subprocess.run(["umount", "-l", str(mounted)])
+        shutil.rmtree(parent, ignore_errors=True)
+    print(f"\n{'fault':10s} tried survived")
+    for kind, (number, survived) in tried.items():
+        print(f"{kind:10s} {number:5d} {survived:8d}")
+    number, survived = (sum(column) for column in zip(*tried.values(), strict=True))
+    print(f"{'all':10s} {number:5d} {survived:8d}   {(time.monotonic() - begin) / 60:.1f} min")
+    if not small:
+        print("no full disk was tried: a small file system can be mounted by root only")
+    return int(survived < number)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
