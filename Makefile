@@ -50,7 +50,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-all faults lab tune report verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all faults lab tune report verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -73,8 +73,12 @@ check: $(VENV)  ## lint, format and types
 test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS)
 
+test-slow: $(VENV)
+	$(PY) -m pytest -m slow $(PYTEST_JOBS)
+
 test-all: $(VENV)  ## run the tests that take minutes, too
-	$(PY) -m pytest $(PYTEST_JOBS)
+	@$(MAKE) --no-print-directory test
+	@$(MAKE) --no-print-directory test-slow
 
 faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived
 	$(PY) tests/faults.py
