@@ -9,9 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from railrepro.report import figures
-
-LIMIT = 0.01
-"""Largest difference, relative to the largest value of a signal, that counts as agreement (-)."""
+from railrepro.studies.second_opinion import AGREEMENT
 
 
 def draw(table: pd.DataFrame) -> Figure:
@@ -33,7 +31,7 @@ def draw(table: pd.DataFrame) -> Figure:
         for chosen, face, label in ((usual, "none", None), (~usual, color, quantity)):
             look = {"markersize": 4, "markeredgewidth": 0.7, "color": color, "markerfacecolor": face}
             axes.plot(rows["relative"][chosen], place[chosen], marker, **look, label=label)
-    axes.axvline(LIMIT, color=figures.BLACK, linestyle=":", linewidth=0.8)
+    axes.axvline(AGREEMENT, color=figures.BLACK, linestyle=":", linewidth=0.8)
     axes.set(xscale="log", xlabel="largest difference / largest value (-)", yticks=range(len(cases)), yticklabels=cases)
     axes.invert_yaxis()
     figure.legend(loc="outside lower center", ncols=2)

@@ -72,6 +72,10 @@ CASES = (
 )
 
 
+AGREEMENT = 0.01
+"""Difference relative to the largest value of a signal that counts as agreement (-)."""
+
+
 class _Pulses:
     """Differential torque +, -, -, + of 0.1 s each, opposite on the rear gear: yaw goes and comes back."""
 
@@ -144,7 +148,8 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
     -------
     DataFrame
         case, car_step_ms, quantity, largest (value of our signal), difference (largest), relative (their ratio; of all
-        gears or wheels the worst), rms (of that difference), unit.
+        gears or wheels the worst), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the worst
+        one's difference), unit.
     """
     rows = []
     for step in ("1", "0.05"):
@@ -153,8 +158,9 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
             size, error = np.abs(signals).max(axis=0), theirs[quantity, unit] - signals
             worst = int(np.argmax(np.abs(error).max(axis=0) / size))
             largest, rms = np.abs(error[:, worst]).max(), np.sqrt(np.mean(error[:, worst] ** 2))
-            rows.append((name, step, quantity, size[worst], largest, largest / size[worst], rms, unit))
-    columns = ("case", "car_step_ms", "quantity", "largest", "difference", "relative", "rms", "unit")
+            beyond = np.mean(np.abs(error) > AGREEMENT * size)
+            rows.append((name, step, quantity, size[worst], largest, largest / size[worst], beyond, rms, unit))
+    columns = ("case", "car_step_ms", "quantity", "largest", "difference", "relative", "beyond", "rms", "unit")
     return pd.DataFrame(rows, columns=columns)
 
 
