@@ -103,3 +103,21 @@ def test_compiled_and_interpreted_loops_agree():
         for compiled in (True, False)
     ]
     assert np.allclose(*ends, rtol=1e-6, atol=1e-9)
+
+
+def test_errors_are_of_the_size_that_the_filter_says():
+    """Standard deviations of displacement, yaw rate and adhesion against the car, when the torque arrives."""
+    loop, vehicle = load_loop(), load_vehicle()
+    series = drive(loop, "sine_tracking", end_m=600).series
+    _, covariance = observers.lateral_filter(vehicle, loop, 400 / 3.6)
+    said = dict(zip(LATERAL, np.sqrt(np.diag(covariance)), strict=True))
+    delay = round(1e3 * loop.latency.command)
+
+    def error(seen, true):
+        return series[f"front.seen.{seen}"].to_numpy()[1000:-delay] - series[f"front.{true}"].to_numpy()[1000 + delay :]
+
+    assert 0.7 * said["y"] < error("y_TrAx", "y").std() < 1.6 * said["y"]
+    assert 0.7 * said["r"] < error("psidot_Ax", "psidot_Ax").std() < 1.6 * said["r"]
+    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
+    adhesion = series["front.seen.f_le"] - series["front_le.Fx"] / load
+    assert 1e-4 < adhesion.iloc[1000:].std() < 0.01

@@ -105,6 +105,11 @@ class ControlLaw:
         """See `function`."""
         return function(self.kind, self.sensed)
 
+    @property
+    def record(self) -> tuple[str, ...]:
+        """Names of what is recorded in each exchange, see `record_names`."""
+        return record_names(self.sensed)
+
     def library(self) -> ctypes.CDLL | None:
         """The law as a shared object; None without a C compiler."""
         return _library(self.kind, self.sensed)
@@ -196,6 +201,12 @@ def memory_names(kind: lateral.Kind, sensed: bool = False) -> tuple[str, ...]:
     return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in own))
 
 
+def record_names(sensed: bool = False) -> tuple[str, ...]:
+    """`RECORD`; with sensors also the states, adhesions and slips that the controllers see, as `front.seen.y_TrAx`."""
+    seen = (*SEEN, *(f"seen.{what}_{side}" for what in ("f", "s") for side in SIDES))
+    return (*RECORD, *(f"{gear}.{name}" for gear in GEARS for name in seen)) if sensed else RECORD
+
+
 @lru_cache
 def _library(kind: lateral.Kind, sensed: bool) -> ctypes.CDLL | None:
     return codegen.library((function(kind, sensed),))
@@ -246,6 +257,9 @@ def function(kind: lateral.Kind, sensed: bool = False) -> ca.Function:
         if sensed:
             tau_le, tau_ri = sight.send(tau_le, tau_ri, road)
             kept |= sight.kept
+            record |= {f"{gear}.{name}": state[name.removeprefix("seen.")] for name in SEEN}
+            for what, values in (("f", f), ("s", s)):
+                record |= {f"{gear}.seen.{what}_{side}": value for side, value in zip(SIDES, values, strict=True)}
         command += [tau_le, tau_ri]
         new |= {f"{gear}.{name}": value for name, value in (estimates | kept | following).items()}
         values = (u_d, du, tau_long, f_star, segment, road["y_ref"])
@@ -254,7 +268,10 @@ def function(kind: lateral.Kind, sensed: bool = False) -> ca.Function:
     margins["track_end"] = gain["limit.track_end"] - states["front"]["x"]
     margins["stop_speed"] = states["front"]["xdot"] - gain["limit.stop_speed"]
     results = {"command": command, "memory_next": [new[name] for name in names["memory"]]}
-    results |= {"record": [record[name] for name in RECORD], "margins": [margins[name] for name in MARGINS]}
+    results |= {
+        "record": [record[name] for name in record_names(sensed)],
+        "margins": [margins[name] for name in MARGINS],
+    }
     return ca.Function(
         "control_law",
         [symbols["y"], rows, held, symbols["gains"], symbols["memory"]],

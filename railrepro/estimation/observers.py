@@ -28,6 +28,8 @@ from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
 """Speeds at which the gains of the lateral filter are computed (m/s); in between they are interpolated."""
+_LEAST = 1e-9
+"""Noise of perfect sensors, for gains that stay finite (SI)."""
 LATERAL = ("y", "psi", "r", "bias", "beta")
 """States of the lateral filter: displacement (m), yaw against the track (rad), absolute yaw rate and gyro bias (rad/s),
 creep angle (rad)."""
@@ -72,8 +74,9 @@ def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.nda
     return a, c
 
 
-def _gain(a, c, q, r) -> np.ndarray:
-    """Stationary Kalman gain for x' = a x + noise of spectral density q, read every exchange with covariance r.
+def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
+    """Stationary Kalman gain for x' = a x + noise of spectral density q, read every exchange with covariance r, and the
+    covariance of the states after a reading.
 
     Source: Van Loan 1978 (discretisation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
     """
@@ -81,7 +84,17 @@ def _gain(a, c, q, r) -> np.ndarray:
     both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * h)
     step = both[n:, n:].T
     p = solve_discrete_are(step.T, c.T, step @ both[:n, n:], r)
-    return p @ c.T @ np.linalg.inv(c @ p @ c.T + r)
+    gain = p @ c.T @ np.linalg.inv(c @ p @ c.T + r)
+    return gain, p - gain @ c @ p
+
+
+def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Stationary gain (5, 3) of the lateral filter at a speed (m/s), and covariance (5, 5) of its states (SI)."""
+    rates = loop.filter
+    y = max(loop.lateral.noise / np.sqrt(2), _LEAST)
+    readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST) ** 2])
+    wander = np.diag([1e-12, 1e-12, rates.yaw_acceleration**2, rates.gyro_drift**2, rates.creep_rate**2])
+    return _stationary(*lateral_matrices(vehicle, speed), wander, readings)
 
 
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
@@ -97,22 +110,19 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
     -------
     dict
     """
-    rates, floor = loop.filter, 1e-9
-    y = max(loop.lateral.noise / np.sqrt(2), floor)
-    readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, floor) ** 2])
+    rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
-    wander = np.diag([1e-12, 1e-12, rates.yaw_acceleration**2, rates.gyro_drift**2, rates.creep_rate**2])
     gains = {}
     for k, speed in enumerate(SPEEDS):
-        found = _gain(*lateral_matrices(vehicle, speed), wander, readings)
+        found, _ = lateral_filter(vehicle, loop, speed)
         gains |= {
             f"lateral.{state}.{read}.{k}": float(found[i, j])
             for i, state in enumerate(LATERAL)
             for j, read in enumerate(_READ)
         }
     spin = np.array([[0.0, -radius / inertia], [0.0, 0.0]])
-    noise = max(loop.wheel_speed.noise, floor) ** 2
-    found = _gain(spin, np.array([[1.0, 0.0]]), np.diag([1e-8, rates.force_rate**2]), np.array([[noise]]))
+    noise = max(loop.wheel_speed.noise, _LEAST) ** 2
+    found, _ = _stationary(spin, np.array([[1.0, 0.0]]), np.diag([1e-8, rates.force_rate**2]), np.array([[noise]]))
     gains |= {"wheel.w": float(found[0, 0]), "wheel.force": float(found[1, 0])}
     gains |= {"prediction": loop.latency.measurement + loop.latency.command}
     gains |= {

@@ -75,7 +75,7 @@ class Exchange:
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
         self.exchanges, self.ended = 0, False
         outputs = self.car.model.outputs
-        self.columns = (*outputs, *law.RECORD)
+        self.columns = (*outputs, *control.record)
         self._sensed = [outputs.index(name) for name in law.MEASURED]
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
         self._seen = None
@@ -83,7 +83,7 @@ class Exchange:
             self._seen = np.array([[control.memory.index(f"{gear}.{name}") for name in law.SEEN] for gear in law.GEARS])
         self._base = [control.memory.index(f"{gear}.u") for gear in law.GEARS]
         self.memory, self._gains = np.zeros(len(control.memory)), np.array(control.gains)
-        self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(law.RECORD))
+        self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.record))
         self._measured, self._margins = np.zeros(len(law.MEASURED)), np.zeros(len(law.MARGINS))
         first = equations.BODIES.index(law.GEARS[0])
         cells = self.car.rows[first : first + len(law.GEARS)].reshape(-1)
