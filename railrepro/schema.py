@@ -66,22 +66,27 @@ class Quantity:
 
     def __get_pydantic_core_schema__(self, source, handler):
         def checked(value):
-            if isinstance(value, bool) or not isinstance(value, numbers.Integral if source is int else numbers.Real):
-                needed = ("a whole number" if source is int else "a number") + (self.unit and f" in {self.unit}")
-                raise ValueError(f"is {reprlib.repr(value)}, {needed} is needed")
-            size = abs(value) if self.signed else value
-            inside = self.low <= size <= self.high and (self.closed or self.low < size)
-            if not inside or (isinstance(value, int) and not is_number(value)):
-                raise ValueError(self.refusal(value))
+            self.check(value, whole=source is int)
             return float(value) if source is float else value
 
         return core_schema.no_info_plain_validator_function(checked)
+
+    def check(self, value, whole: bool = False) -> None:
+        """Refuse what is no (whole) number in the range with a ValueError."""
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral if whole else numbers.Real):
+            needed = ("a whole number" if whole else "a number") + (self.unit and f" in {self.unit}")
+            raise ValueError(f"is {reprlib.repr(value)}, {needed} is needed")
+        size = abs(value) if self.signed else value
+        inside = self.low <= size <= self.high and (self.closed or self.low < size)
+        if not inside or (isinstance(value, int) and not is_number(value)):
+            raise ValueError(self.refusal(value))
 
     def refusal(self, value) -> str:
         """What is said about a number beyond the range."""
         found, unit = reprlib.repr(value), f" {self.unit}".rstrip()
         if self.closed:
-            return f"= {found}, a number from {self.low:g} to {self.high:g}{unit} is needed"
+            upto = f"to {self.high:g}" if math.isfinite(self.high) else "on"
+            return f"= {found}, a number from {self.low:g} {upto}{unit} is needed"
         limit = f" and up to {self.high:g}" if math.isfinite(self.high) else ""
         sign = " of either sign" if self.signed else ""
         return f"is {found}, a number{sign} above {self.low:g}{limit}{unit} is needed"
@@ -95,6 +100,17 @@ def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quan
 def between(low: float, high: float, unit: str = "") -> Quantity:
     """Numbers from `low` to `high`."""
     return Quantity(low, high, unit, closed=True)
+
+
+def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> None:
+    """Refuse an argument (`what`) that is no (whole) number in a range, or no object of a class, with an InputError."""
+    if isinstance(allowed, Quantity):
+        try:
+            allowed.check(value, whole)
+        except ValueError as fault:
+            raise InputError(f"{what} {fault}") from None
+    elif not isinstance(value, allowed):
+        raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {allowed.__name__} is needed")
 
 
 Plain = Annotated[Number, between(-1e12, 1e12)]

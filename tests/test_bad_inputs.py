@@ -1,21 +1,28 @@
 """Bad inputs of the library and of the command line: one sentence each, no traceback, no silence."""
 
+import inspect
 import math
 import os
 import subprocess
 import sys
+import warnings
 
+import numpy as np
 import pytest
 
 from railrepro import paths
+from railrepro.car.component import SteppedCar
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
+from railrepro.estimation.sensors import Readings, load_loop
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies import experiment, pso, tuning
+from railrepro.studies.experiment import rough_track
 from railrepro.track import table as tables
 from railrepro.track.alignment import Alignment, Segment
+from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import load_vehicle
 
 NMPC = {"q_psi_TrAx": 1.0, "q_psidot_Ax": 1.0, "r": 1e-11, "q_terminal": 1.0, "period_ms": 10, "horizon_s": 0.3}
@@ -26,8 +33,22 @@ def scenario(**changes):
     return load_scenario("curve_entry_T3").but(**{"end_m": 5.0} | changes)
 
 
-def drive(law=None, vehicle=None, **changes):
-    return simulate.run(scenario(**changes), NDI() if law is None else law, vehicle=vehicle)
+OPTIONS = set(inspect.signature(simulate.run).parameters)
+
+
+def drive(law=None, **changes):
+    options = {name: changes.pop(name) for name in OPTIONS & set(changes)}
+    return simulate.run(scenario(**changes), NDI() if law is None else law, **options)
+
+
+def rough(**channels):
+    return irregularities(WAY).assign(**channels)
+
+
+def experience(irregular=None, preview=None):
+    irregular = {"seed": 1} if irregular is None else irregular
+    known = {} if preview is None else preview
+    return experiment.Experiment(scenario(), "ndi", parameters=THREE, irregular=irregular, preview=known)()
 
 
 def swarm(dimensions=None, particles=3, iterations=3, seed=1):
@@ -35,6 +56,8 @@ def swarm(dimensions=None, particles=3, iterations=3, seed=1):
     return pso.minimise(lambda sets, limits: [1.0] * len(sets), dimensions, particles, iterations, seed)
 
 
+WAY = np.arange(0.0, 100.0, 0.5)
+FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
 SINE = {"kind": "sine", "amplitude_mm": 3, "period_m": 50, "start_m": 0}
 LIBRARY = {
     "a scenario that is a number": (lambda: load_scenario(3), "scenario 3 is not known"),
@@ -97,9 +120,91 @@ LIBRARY = {
     "bounds the wrong way round": (lambda: pso.Dimension("x", 2, 1), "do not span"),
     "an experiment without controller": (lambda: experiment.Experiment(scenario(), "pid")(), "pid"),
     "an experiment with another parameter": (
-        lambda: experiment.Experiment(scenario(), "ndi", vehicle={"x": 3})(),
+        lambda: experiment.Experiment(scenario(), "ndi", parameters=THREE, vehicle={"x": 3})(),
         "override 'x'",
     ),
+    "a scenario by its name": (lambda: simulate.run("curve_entry_T3", NDI()), "scenario is 'curve_entry_T3'"),
+    "no scenario": (lambda: simulate.run(None, NDI()), "scenario is None"),
+    "a vehicle by its path": (
+        lambda: drive(vehicle="data/vehicle.toml"),
+        "vehicle is 'data/vehicle.toml'.*class Vehicle",
+    ),
+    "a plant that is a table": (lambda: drive(plant_vehicle={"body.mass": 3}), "plant_vehicle is {"),
+    "no controller": (lambda: simulate.run(scenario(), None), "guidance None"),
+    "a class as controller": (lambda: drive(NDI), "guidance <class"),
+    "a negative share": (lambda: drive(fixed_share=-0.1), "fixed_share = -0.1, a number from 0 to 1"),
+    "a share beyond all": (lambda: drive(fixed_share=1.5), "fixed_share = 1.5"),
+    "a share that is no number": (lambda: drive(fixed_share=math.nan), "fixed_share = nan"),
+    "a share that is a text": (lambda: drive(fixed_share="half"), "fixed_share is 'half'"),
+    "no substeps": (lambda: drive(substeps=0), "substeps = 0, a number from 1"),
+    "half a substep": (lambda: drive(substeps=1.5), "substeps is 1.5, a whole number"),
+    "substeps that are a truth value": (lambda: drive(substeps=True), "substeps is True"),
+    "a loop in place of readings": (lambda: drive(sensors=load_loop()), "sensors is Loop.*class Readings"),
+    "a law of adhesion that is a text": (lambda: drive(adhesion="slip"), "adhesion is 'slip'"),
+    "estimates that are a table": (lambda: drive(estimate={"lag": 1}), "estimate is {'lag': 1}"),
+    "irregularities that are a list": (lambda: drive(irregularities=[1, 2]), r"irregularities is \[1, 2\]"),
+    "irregularities beyond the flangeway": (
+        lambda: drive(irregularities=rough(lateral_m=0.025)),
+        "lateral_m = 0.025 at p = 0 m, -0.02 to 0.02 is allowed",
+    ),
+    "irregularities in millimetres": (lambda: drive(irregularities=rough(vertical_m=3.0)), "vertical_m = 3 at p = 0 m"),
+    "irregularities that are no numbers": (lambda: drive(irregularities=rough(gauge_m=math.nan)), "gauge_m = nan"),
+    "irregularities out of order": (lambda: drive(irregularities=rough()[::-1]), "finite and increasing"),
+    "coordinates that are no numbers": (lambda: irregularities([0.0, math.nan, 2.0]), r"p\[1\] is nan"),
+    "infinite coordinates": (lambda: irregularities([0.0, 1.0, math.inf]), r"p\[2\] is inf"),
+    "coordinates out of order": (lambda: irregularities([0.0, 2.0, 1.0]), r"p\[2\] is 1.0, finite and increasing"),
+    "no coordinates": (lambda: irregularities([]), r"p is \[\], a list of track coordinates"),
+    "coordinates that are a text": (lambda: irregularities("0 to 100"), "p is '0 to 100'"),
+    "coordinates that are a number": (lambda: irregularities(100.0), "p is 100.0"),
+    "a seed of rails that is a text": (lambda: irregularities(WAY, seed="x"), "seed is 'x', a whole number"),
+    "a negative seed of rails": (lambda: irregularities(WAY, seed=-1), "seed = -1, a number from 0 on"),
+    "half a seed of rails": (lambda: irregularities(WAY, seed=1.5), "seed is 1.5"),
+    "a spectrum that there is not": (lambda: irregularities(WAY, "smooth"), "spectrum 'smooth' is not known"),
+    "a spectrum that is a list": (lambda: irregularities(WAY, ["erri_low"]), "is not known"),
+    "a wavelength that is no number": (lambda: irregularities(WAY, shortest=math.nan), "shortest is nan"),
+    "a wavelength that is a text": (lambda: irregularities(WAY, longest="far"), "longest is 'far'"),
+    "an infinite wavelength": (lambda: irregularities(WAY, longest=math.inf), "longest is inf"),
+    "wavelengths below twice the sampling": (
+        lambda: irregularities(WAY, shortest=0.8),
+        "step of 0.5 m, up to 0.4 m is allowed for wavelengths of 0.8 m",
+    ),
+    "an argument of rails that there is not": (lambda: rough_track(WAY, colour=1), "irregular: 'colour' is not known"),
+    "a seed beside a file": (lambda: rough_track(WAY, file="a.csv", seed=1), "irregular: 'seed' is not known"),
+    "a file that is a number": (lambda: rough_track(WAY, file=3), "file is 3"),
+    "a file that there is not": (lambda: rough_track(WAY, file="nowhere.csv"), "nowhere.csv"),
+    "rails at coordinates that are a text": (lambda: rough_track("here", file="a.csv"), "p is 'here'"),
+    "defects that are a text": (lambda: rough_track(WAY, defects="dip"), "defects are 'dip'"),
+    "a defect that is a text": (lambda: rough_track(WAY, defects=["dip"]), "defect kind 'dip'"),
+    "a defect without height": (
+        lambda: rough_track(WAY, defects=[{"kind": "dip", "start": 9, "length": 9}]),
+        "'depth' is",
+    ),
+    "a defect with another key": (lambda: rough_track(WAY, defects=[FAULT | {"x": 1}]), "alignment_fault: 'x' is not"),
+    "a fault beyond the flangeway": (
+        lambda: rough_track(WAY, defects=[FAULT | {"amplitude": 0.04}]),
+        "lateral_m = 0.0",
+    ),
+    "a fault that is a text": (lambda: rough_track(WAY, defects=[FAULT | {"amplitude": "4"}]), "height is '4'"),
+    "a fault that is no number": (lambda: rough_track(WAY, defects=[FAULT | {"amplitude": math.nan}]), "height = nan"),
+    "a place that is a text": (lambda: rough_track(WAY, defects=[FAULT | {"start": "9"}]), "place is '9'"),
+    "rails that are a text": (lambda: experience(irregular="erri_low"), "irregular: is 'erri_low', a table"),
+    "rails with another key": (lambda: experience(irregular={"colour": 1}), "irregular: 'colour' is not known"),
+    "a preview with another key": (lambda: experience(preview={"colour": 1}), "preview: 'colour' is not known"),
+    "a preview that is a number": (lambda: experience(preview=1.0), "preview: is 1.0, a table"),
+    "a preview of an ideal track": (
+        lambda: experience(irregular={}, preview={"share": 1.0}),
+        "preview: the track is ideal",
+    ),
+    "a preview share that is a text": (lambda: experience(preview={"share": "all"}), "share is 'all'"),
+    "a preview blurred by no number": (lambda: experience(preview={"smoothing_m": math.nan}), "smoothing_m = nan"),
+    "a preview without play": (lambda: experience(preview={"limit": -1.0}), "limit is -1.0"),
+    "a preview error that is a text": (lambda: experience(preview={"amplitude_error": "x"}), "amplitude_error is 'x'"),
+    "readings with a negative seed": (lambda: Readings(load_loop(), -1), "Readings: seed = -1"),
+    "readings with half a seed": (lambda: Readings(load_loop(), 0.5), "Readings: seed is 0.5"),
+    "readings with a seed that is a text": (lambda: Readings(load_loop(), "1"), "Readings: seed is '1'"),
+    "readings with a seed that is a truth value": (lambda: Readings(load_loop(), True), "Readings: seed is True"),
+    "readings of a path": (lambda: Readings("sensors.toml"), "Readings: loop is 'sensors.toml'"),
+    "readings of nothing": (lambda: Readings(None), "Readings: loop is None"),
 }
 
 
@@ -127,6 +232,57 @@ def test_a_cant_ramp_that_is_too_short_is_refused(monkeypatch):
 def test_a_car_that_leaves_the_rail_says_so():
     run = drive(NDI(pole=2000.0, frequency=2000.0, damping=0.1), end_m=200.0)
     assert run.failed and "left the rail" in run.ended
+
+
+CARS = {
+    "a negative speed": ({"speed": -3.0}, {}, "speed is -3.0"),
+    "no speed": ({"speed": 0.0}, {}, "speed is 0.0"),
+    "a speed that is no number": ({"speed": math.nan}, {}, "speed is nan"),
+    "an absurd speed": ({"speed": 5e3}, {}, "speed is 5000.0, a number above 0 and up to 125 m/s"),
+    "a speed that is a text": ({"speed": "50"}, {}, "speed is '50', a number in m/s"),
+    "a speed that is a truth value": ({"speed": True}, {}, "speed is True"),
+    "a good set that there is not": ({"good": "ice"}, {}, "adhesion set 'ice' is not known; there are .*'dry'"),
+    "a poor set that is a list": ({"poor": ["dry"]}, {}, "adhesion set .*'dry'.* is not known"),
+    "a track that there is not": ({"route": "T99"}, {}, "'T99' is not in tracks.toml"),
+    "a track that is a number": ({"route": 3}, {}, "route is 3, an object of the class Route"),
+    "a vehicle that is a path": ({"vehicle": "vehicle.toml"}, {}, "vehicle is 'vehicle.toml'"),
+    "three torques": ({}, {"torque": [1, 2, 3]}, "torque is .*, 4 numbers of at most 100000 N m"),
+    "one torque": ({}, {"torque": 300.0}, "torque is 300.0, 4 numbers"),
+    "torques as a table": ({}, {"torque": [[1, 2], [3, 4]]}, "4 numbers"),
+    "torques of different length": ({}, {"torque": [[1, 2], [3]]}, "4 numbers"),
+    "a torque that is a text": ({}, {"torque": "much"}, "torque is 'much'"),
+    "torques that are texts": ({}, {"torque": ["1", "2", "3", "4"]}, "4 numbers"),
+    "a torque that is no number": ({}, {"torque": [math.nan, 0, 0, 0]}, "torque is .*nan"),
+    "an infinite torque": ({}, {"torque": [math.inf, 0, 0, 0]}, "torque is .*inf"),
+    "an absurd torque": ({}, {"torque": [1e9, 0, 0, 0]}, "torque is .*1000000000.0, .* at most 100000 N m"),
+    "fewer than no exchanges": ({}, {"exchanges": -3}, "exchanges = -3, a number from 0 on"),
+    "half an exchange": ({}, {"exchanges": 0.5}, "exchanges is 0.5, a whole number"),
+    "exchanges that are a text": ({}, {"exchanges": "ten"}, "exchanges is 'ten'"),
+    "a negative step": ({}, {"period": -1e-3}, "period is -0.001"),
+    "no step": ({}, {"period": 0.0}, "period is 0.0"),
+    "a step that is no number": ({}, {"period": math.nan}, "period is nan"),
+    "an absurd step": ({}, {"period": 5.0}, "period is 5.0, a number above 0 and up to 0.01 s"),
+}
+
+
+@pytest.mark.parametrize("what", CARS)
+def test_the_car_answers_in_one_sentence_and_stays_where_it_is(what):
+    build, step, sentence = CARS[what]
+    with pytest.raises(InputError, match=sentence) as refused:
+        SteppedCar(**{"route": "T5", "speed": 50.0} | build).step(**step)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_a_stepped_car_that_leaves_the_rail_says_so_once():
+    car = SteppedCar("T3", 77.8)
+    car.step([300, -300, 300, -300], exchanges=100)
+    assert car.left_rail == ""
+    with pytest.warns(UserWarning, match=r"gear left the rail, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as told:
+        car.step(exchanges=400)
+    assert [str(warning.message) for warning in told] == [car.left_rail] and told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        car.step(exchanges=10)
 
 
 CHAIN, TUNING = "railrepro.chain", "railrepro.studies.tuning"

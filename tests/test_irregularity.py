@@ -277,7 +277,7 @@ def test_known_irregularities_are_smoothed_by_the_stated_window():
     believed = known(sine(p), smoothing_m=4.0)["lateral_m"]
     gain = np.exp(-2 * (np.pi * 4.0 / 25) ** 2)
     assert np.allclose(believed[inside], gain * wave[inside], rtol=0, atol=1e-3 * 3e-3)
-    with pytest.raises(InputError, match="smoothing_m is -1"):
+    with pytest.raises(InputError, match="smoothing_m = -1"):
         known(sine(p), smoothing_m=-1.0)
 
 
@@ -332,8 +332,8 @@ def test_planned_line_bends_before_a_fault_that_it_foresees():
 @pytest.mark.parametrize(
     ("change", "arguments", "sentence"),
     [
-        ({}, (1.5, 5.0, 5e-3), "share 1.5"),
-        ({}, (0.5, -5.0, 5e-3), "smoothing_m -5"),
+        ({}, (1.5, 5.0, 5e-3), "share = 1.5"),
+        ({}, (0.5, -5.0, 5e-3), "smoothing_m = -5"),
         ({"gauge_m": -9e-3}, (0.5, 5.0, 4e-3), "leaves -0.0005 m of play at p = 0 m"),
         ({"lateral_m": 8e-3}, (0.5, 5.0, 5e-3), "begin and end within the limit, fade them first"),
     ],

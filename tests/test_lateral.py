@@ -47,6 +47,7 @@ def test_the_examples_of_the_library_run_as_they_stand(tmp_path, monkeypatch):
     for block in blocks("The library"):
         exec(compile(block, "README.md", "exec"), names)
     assert not names["run"].failed and (tmp_path / "car.fmu").exists()
+    assert names["car"].left_rail == "" and 1e-3 < names["car"].outputs["front.y"] < 5e-3
     assert 0 < names["row"]["rail_rmse_y"] < 2e-3 and names["row"]["n_mv_floor_front"] > 0
 
 

@@ -6,6 +6,9 @@ For users with controllers and loops of their own; the project's experiments use
 
 from __future__ import annotations
 
+import math
+import reprlib
+import warnings
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,12 +19,21 @@ from railrepro.car import equations
 from railrepro.car.stepper import CarStepper
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.table import contact_table
+from railrepro.errors import InputError
+from railrepro.schema import above, between, require
 from railrepro.track.route import Route, lay
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
+LARGEST_TORQUE = 1e5
+"""Largest torque command that a car takes (N m), the largest limit that a vehicle file may state."""
+LARGEST_SPEED = 125.0
+"""Largest initial speed (m/s)."""
+DERAILED = 0.030
+"""Lateral displacement at which a gear has left the rail (m)."""
 _LARGEST = 1e7
 """No state of a car that moves grows beyond this (SI)."""
+_LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 
 
@@ -54,46 +66,74 @@ class SteppedCar:
         Motor torque commands in the order of `equations.WHEELS`, traction-positive (N m).
     time : float
         Simulated time (s).
+    left_rail : str
+        Which gear left the rail first, when and where, one sentence; empty as long as all are on it.
+
+    Raises
+    ------
+    InputError
+        Unknown track or adhesion set, impossible speed, or anything but a route and a vehicle.
     """
 
     def __init__(self, route: Route | str, speed: float, vehicle: Vehicle | None = None, good="dry", poor="poor"):
-        vehicle = vehicle or load_vehicle()
+        vehicle = load_vehicle() if vehicle is None else vehicle
         self.route = lay(load_track(route)) if isinstance(route, str) else route
+        require("route", self.route, Route)
+        require("vehicle", vehicle, Vehicle)
+        require("speed", speed, above(0.0, LARGEST_SPEED, "m/s"))
         self.table, self.time = contact_table(vehicle.contact.profile, vehicle), 0.0
         state = equations.rest_state(vehicle, self.table, speed)
         self._car = CarStepper(equations.parameter_vector(vehicle, good, poor), self.table, self.route, state)
         self.state, self.torque, self.parameters = self._car.state, self._car.torque, self._car.parameters
-        self.model = self._car.model
+        self.model, self.left_rail = self._car.model, ""
 
     def step(self, torque=None, exchanges: int = 1, period: float = EXCHANGE_PERIOD) -> None:
-        """Advance by some exchanges with the torques held.
+        """Advance by some exchanges with the torques held; a warning tells once when a gear leaves the rail.
 
         Parameters
         ----------
         torque : array_like, shape (4,), optional
-            Motor torque commands (N m); default the last ones.
+            Motor torque commands (N m), at most `LARGEST_TORQUE`; default the last ones.
         exchanges : int
         period : float
-            Step (s).
+            Step, up to 10 exchange periods (s).
 
         Raises
         ------
+        InputError
+            An argument that is not of this kind or beyond its range.
         ArithmeticError
             One sentence with time, state and track coordinate when a state is no longer finite or absurdly large;
             `state` is that of the last good exchange.
         """
+        require("exchanges", exchanges, between(0, math.inf), whole=True)
+        require("period", period, above(0.0, 10 * EXCHANGE_PERIOD, "s"))
         if torque is not None:
-            self.torque[:] = torque
+            self.torque[:] = _torques(torque)
         self._car.period[:] = period
-        done = self._car.run(exchanges, _LARGEST)
-        self.time += done * period
-        if done < exchanges:
+        start = self.time
+        for done in range(exchanges):
+            if self._car.run(1, _LARGEST):
+                self.time = start + (done + 1) * period
+                if not self.left_rail:
+                    self._tell_derailment()
+                continue
             new = self._car.next_state
             worst = int(np.argmax(~(np.abs(new) < _LARGEST)))
             raise ArithmeticError(
                 f"{self.model.states[worst]} = {new[worst]:.3g} left all bounds after t = {self.time:.3f} s, "
                 f"p = {self.outputs['front.p']:.1f} m"
             )
+
+    def _tell_derailment(self) -> None:
+        for gear, y in zip(equations.GEARS, self.state[_LATERAL], strict=True):
+            if abs(y) >= DERAILED:
+                self.left_rail = (
+                    f"{gear} gear left the rail, |y| = {1e3 * abs(y):.1f} mm at t = {self.time:.3f} s, "
+                    f"p = {self.outputs[f'{gear}.p']:.1f} m"
+                )
+                warnings.warn(self.left_rail, stacklevel=3)
+                return
 
     @property
     def outputs(self) -> dict[str, float]:
@@ -123,3 +163,18 @@ class SteppedCar:
             pd.DataFrame(c, outputs, states),
             pd.DataFrame(d, outputs, wheels),
         )
+
+
+def _torques(torque) -> np.ndarray:
+    """Torque commands as an array; InputError when they are not four numbers within `LARGEST_TORQUE`."""
+    try:
+        found = np.array(torque)
+    except ValueError:  # lists of different length
+        found = np.array(None)
+    numbers = found.dtype.kind in "iuf" and found.shape == (len(equations.WHEELS),)
+    if not numbers or not (np.abs(found) <= LARGEST_TORQUE).all():
+        raise InputError(
+            f"torque is {reprlib.repr(torque)}, {len(equations.WHEELS)} numbers of at most {LARGEST_TORQUE:g} N m are "
+            "needed"
+        )
+    return found

@@ -26,6 +26,7 @@ from railrepro.car.kinematics import COORDINATES, Body, named
 from railrepro.car.suspension import PrimaryStage, Suspension
 from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
+from railrepro.errors import InputError
 from railrepro.track import route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -90,7 +91,16 @@ def indices(*names: str) -> list[int]:
 
 
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
-    """Run-time parameters of the plant in the order of `PARAMETERS` (SI), shape (len(PARAMETERS),)."""
+    """Run-time parameters of the plant in the order of `PARAMETERS` (SI), shape (len(PARAMETERS),).
+
+    Raises
+    ------
+    InputError
+        When the vehicle lacks an adhesion set.
+    """
+    for name in (good, poor):
+        if name not in tuple(vehicle.adhesion):
+            raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
 
     def value(key: str) -> float:
         head, *rest = key.split(".")

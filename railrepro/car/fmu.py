@@ -13,21 +13,16 @@ from xml.etree import ElementTree
 import numpy as np
 
 from railrepro.car import equations, stepper
-from railrepro.car.component import SteppedCar
+from railrepro.car.component import DERAILED, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
 from railrepro.errors import InputError
 from railrepro.files import write
-from railrepro.schema import is_number
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
-LARGEST_TORQUE = 1e5
-"""Largest torque command that a unit takes (N m), ten times what a motor of the car gives."""
-LARGEST_SPEED = 125.0
-"""Largest initial speed (m/s)."""
-DERAILED, _LARGEST_STATE = 0.030, 1e7
-"""Lateral displacement at which a gear has left the rail (m); beyond the other no state is meaningful (SI)."""
+_LARGEST_STATE = 1e7
+"""Beyond it no state is meaningful (SI)."""
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
@@ -57,8 +52,6 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     InputError
         Without C compiler, with an impossible speed, or where the file cannot be written.
     """
-    if not (is_number(speed) and 0 < speed <= LARGEST_SPEED):
-        raise InputError(f"FMU: speed = {speed!r}, a number above 0 and up to {LARGEST_SPEED:g} m/s is needed")
     if codegen.compiler() is None:
         raise InputError("an FMU holds compiled code: a C compiler is needed")
     car = SteppedCar(route, speed, vehicle)

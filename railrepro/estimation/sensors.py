@@ -6,6 +6,7 @@ The paper names lateral position and yaw difficult or costly to measure; its own
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -172,6 +173,10 @@ class Readings:
 
     loop: Loop
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        schema.require("Readings: loop", self.loop, Loop)
+        schema.require("Readings: seed", self.seed, schema.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> dict[str, float]:
         """Run-time numbers of a gear (0 front, 1 rear) by name."""

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro.car import equations
+from railrepro.car.component import DERAILED
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.table import contact_table
 from railrepro.control import lateral, law
@@ -20,14 +21,12 @@ from railrepro.control.law import GEARS
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
+from railrepro.schema import between, require
 from railrepro.simulation.exchange import Exchange
 from railrepro.simulation.ride import FLANGE_ANGLE
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
-
-DERAILED = 0.030
-"""Lateral displacement at which a run counts as derailed and ends (m)."""
 
 
 @dataclass(frozen=True)
@@ -106,12 +105,25 @@ def run(
     Raises
     ------
     InputError
-        When the vehicle lacks an adhesion set of the scenario.
+        An argument of another kind or beyond its range, or a vehicle that lacks an adhesion set of the scenario.
     ArithmeticError
         When a lateral controller returns a torque that is not finite.
     """
-    vehicle = vehicle or load_vehicle()
-    body = plant_vehicle or vehicle
+    vehicle = load_vehicle() if vehicle is None else vehicle
+    body = vehicle if plant_vehicle is None else plant_vehicle
+    require("scenario", scenario, Scenario)
+    require("vehicle", vehicle, Vehicle)
+    require("plant_vehicle", body, Vehicle)
+    optional = {
+        "adhesion": (adhesion, AdhesionSettings),
+        "estimate": (estimate, law.EstimateSettings),
+        "sensors": (sensors, Readings),
+    }
+    for name, (given, kind) in optional.items():
+        if given is not None:
+            require(name, given, kind)
+    require("fixed_share", fixed_share, between(0.0, 1.0))
+    require("substeps", substeps, between(1, 10_000), whole=True)
     scenario.check(body)
     route = scenario.route(irregularities, line)
     profiles = filter(None, (body.contact.profile, scenario.second_profile))

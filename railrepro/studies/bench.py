@@ -352,8 +352,6 @@ def main(names: list[str]) -> None:
     """Measure the named tables, or all, and write them."""
     if codegen.compiler() is None:
         raise InputError("the bench compares compiled code and needs a C compiler")
-    vehicle = load_vehicle()
-    settings = mpc_settings(tuning.load("nmpc")["parameters"])
     measures = {
         "plant_speed": lambda: pd.concat([plant_speed(vehicle), phases(vehicle, settings)], ignore_index=True),
         "solve_times": lambda: solve_times(vehicle, settings),
@@ -365,6 +363,7 @@ def main(names: list[str]) -> None:
     unknown = set(names) - set(measures)
     if unknown:
         raise InputError(f"table {min(unknown)!r} is not known; there are {sorted(measures)}")
+    vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc")["parameters"])
     for name in names or measures:
         table = measures[name]()
         table["machine"] = machine()

@@ -5,7 +5,9 @@ Notebooks and studies are lists of these; the executor decides where they run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+import reprlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +24,7 @@ from railrepro.studies import tuning
 from railrepro.studies.executor import executor, ordered_map
 from railrepro.track import defects as defects_
 from railrepro.track import preview
-from railrepro.track.irregularity import CHANNELS, faded, irregularities
+from railrepro.track.irregularity import CHANNELS, check, coordinates, faded, irregularities
 from railrepro.track.measured import read_irregularities
 from railrepro.track.route import CELL
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -92,7 +94,14 @@ class Experiment:
         """The simulation itself."""
         parameters = tuning.load(self.controller)["parameters"] if self.parameters is None else self.parameters
         law = guidance(self.controller, parameters, self.options, **self.changes)
-        rough = rough_track(np.arange(0.0, self.scenario.end_m, CELL), **self.irregular) if self.irregular else None
+        rough = None
+        if self.irregular:
+            _fit("irregular", self.irregular, rough_track, irregularities)
+            rough = rough_track(np.arange(0.0, self.scenario.end_m, CELL), **self.irregular)
+        if self.preview:
+            _fit("preview", self.preview, _line, preview.known)
+            if rough is None:
+                raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
         return simulate.run(
             self.scenario,
             law,
@@ -142,10 +151,19 @@ def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] 
     -------
     DataFrame
         p_m and the columns of `irregularity.CHANNELS`.
+
+    Raises
+    ------
+    InputError
+        An argument that is not known, missing, or not of this kind; more than the flangeway takes.
     """
+    p = coordinates(p)
+    _fit("irregular", random, *([irregularities] if file is None else []))
     if file is None:
         frame = irregularities(p, **random)
     else:
+        if not isinstance(file, str):
+            raise InputError(f"irregular: file is {file!r}, the path of a CSV is needed")
         measured = read_irregularities(paths.source(file), length=float(p[-1]))
         channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
         frame = faded(pd.DataFrame({"p_m": p} | channels))
@@ -155,11 +173,37 @@ def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] 
         "lateral_offset": defects_.lateral_offset,
     }
     added = []
+    if not isinstance(defects, list | tuple):
+        raise InputError(f"irregular: defects are {reprlib.repr(defects)}, a list of tables is needed")
     for defect in defects:
-        if defect.get("kind") not in shapes:
-            raise InputError(f"defect kind {defect.get('kind')!r} is not known; there are {sorted(shapes)}")
-        added.append(shapes[defect["kind"]](p, **{key: value for key, value in defect.items() if key != "kind"}))
-    return defects_.superpose(frame, *added)
+        kind = defect.get("kind") if isinstance(defect, dict) else defect
+        if kind not in tuple(shapes) or kind is defect:
+            raise InputError(f"defect kind {kind!r} is not known; there are {sorted(shapes)}")
+        arguments = {key: value for key, value in defect.items() if key != "kind"}
+        _fit(f"defect {kind}", arguments, shapes[kind])
+        added.append(shapes[kind](p, **arguments))
+    total = defects_.superpose(frame, *added)
+    check(total)
+    return total
+
+
+def _fit(what: str, given: dict, *functions: Callable) -> None:
+    """Refuse a table of arguments with a name that none of the functions takes, or without one that they need.
+
+    The first parameter of each (coordinates or a frame) is given anyway.
+    """
+    if not isinstance(given, dict):
+        raise InputError(f"{what}: is {reprlib.repr(given)}, a table of arguments is needed")
+    takes = [
+        parameter for function in functions for parameter in list(inspect.signature(function).parameters.values())[1:]
+    ]
+    known = {parameter.name: parameter for parameter in takes if parameter.kind is not parameter.VAR_KEYWORD}
+    for key in given:
+        if key not in known:
+            raise InputError(f"{what}: {key!r} is not known; there are {list(known)}")
+    for name, parameter in known.items():
+        if parameter.default is parameter.empty and name not in given:
+            raise InputError(f"{what}: {name!r} is missing; needed are {list(known)}")
 
 
 def _line(rough: pd.DataFrame, share=1.0, smoothing_m=3.0, limit=5e-3, **errors) -> tuple[np.ndarray, np.ndarray]:

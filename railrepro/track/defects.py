@@ -10,7 +10,10 @@ import numpy as np
 import pandas as pd
 
 from railrepro.errors import InputError
-from railrepro.track.irregularity import CHANNELS, smooth_step, track_centre
+from railrepro.schema import between, require
+from railrepro.track.irregularity import CHANNELS, LARGEST, smooth_step, track_centre
+
+_HEIGHT = between(-LARGEST, LARGEST, "m")
 
 
 def dip(p: np.ndarray, start: float, length: float, depth: float, rail: str = "both") -> pd.DataFrame:
@@ -59,6 +62,7 @@ def lateral_offset(p: np.ndarray, start: float, length: float, offset: float, tr
     -------
     DataFrame
     """
+    require("lateral offset: offset", offset, _HEIGHT)
     _check_place("lateral offset", p, start, length, transition)
     if length < 2 * transition:
         raise InputError(
@@ -81,6 +85,7 @@ def superpose(*frames: pd.DataFrame) -> pd.DataFrame:
 
 
 def _versine(name: str, p: np.ndarray, start: float, length: float, height: float) -> np.ndarray:
+    require(f"{name}: height", height, _HEIGHT)
     _check_place(name, p, start, length, length)
     return height / 2 * (1 - np.cos(2 * np.pi * np.clip((p - start) / length, 0, 1)))
 
@@ -91,6 +96,8 @@ def _lateral(p: np.ndarray, lateral: np.ndarray) -> pd.DataFrame:
 
 def _check_place(name: str, p: np.ndarray, start: float, length: float, detail: float) -> None:
     """A defect has to lie on the coordinates and to be seen by at least four of their steps."""
+    for place in (start, length, detail):
+        require(f"{name}: place", place, between(-1e6, 1e6, "m"))
     if not p[0] <= start < start + length <= p[-1]:
         raise InputError(
             f"{name}: {start:g} to {start + length:g} m, a stretch within {p[0]:g} to {p[-1]:g} m is needed"

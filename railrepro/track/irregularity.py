@@ -7,6 +7,8 @@ A frame of irregularities has the coordinate p_m and four channels of the track 
 
 from __future__ import annotations
 
+import math
+import reprlib
 import tomllib
 from pathlib import Path
 
@@ -16,9 +18,14 @@ from scipy import signal
 
 from railrepro import paths
 from railrepro.errors import InputError
+from railrepro.schema import above, between, is_number, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channels in the order of their random generators, with their columns."""
+FLANGEWAY = {"lateral_m": (-0.020, 0.020), "gauge_m": (-0.010, 0.035)}
+"""What wheels can follow (m); more than the flangeway takes is refused."""
+LARGEST = 0.1
+"""Largest number of any channel; beyond it the unit is wrong."""
 D1, D2 = (3.0, 25.0), (25.0, 70.0)
 """Bands of wavelengths (m) in which EN 13848-1 judges level and alignment."""
 
@@ -54,7 +61,7 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
 
     Source: ERRI B176.
     """
-    if channel not in CHANNELS:
+    if channel not in tuple(CHANNELS):
         raise InputError(f"channel {channel!r} is not known; there are {list(CHANNELS)}")
     amplitude = _amplitudes(spectrum)
     w2, c2, r2, s2 = wavenumber**2, *(_WAVE[k] ** 2 for k in "crs")
@@ -68,10 +75,10 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
 
 def _amplitudes(spectrum: str) -> dict[str, float]:
     """Amplitudes of lateral, vertical and gauge (m rad)."""
-    if spectrum in _ERRI:
+    if spectrum in tuple(_ERRI):
         return _ERRI[spectrum]
     classes = track_quality()
-    if spectrum not in classes:
+    if spectrum not in tuple(classes):
         raise InputError(f"spectrum {spectrum!r} is not known; there are {sorted(_ERRI)} and {sorted(classes)}")
     level, alignment = classes[spectrum]
     low = _ERRI["erri_low"]
@@ -99,7 +106,7 @@ def track_quality(path: Path | str | None = None) -> dict[str, tuple[float, floa
             raise InputError(f"{file.name}: {name} has {entry}, exactly the keys {sorted(needed)} are needed")
         for key in ("level_mm", "alignment_mm"):
             value = entry[key]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 20:
+            if not is_number(value) or not 0 < value <= 20:
                 raise InputError(f"{file.name}: {name} {key} is {value!r}, above 0 and up to 20 mm is needed")
     return {name: (entry["level_mm"] * 1e-3, entry["alignment_mm"] * 1e-3) for name, entry in content.items()}
 
@@ -112,20 +119,34 @@ def irregularities(
     Parameters
     ----------
     p : ndarray, shape (n,)
-        Track coordinates (m).
+        Track coordinates (m), increasing.
     spectrum : str
     seed : int
         Each channel draws from its own generator (seed, channel).
     shortest, longest : float
-        Band of wavelengths (m).
+        Band of wavelengths (m); steps of p are at most half of the shortest.
 
     Returns
     -------
     DataFrame
         Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m; faded in and out smoothly over 30 m.
+
+    Raises
+    ------
+    InputError
+        An argument that is not of this kind.
     """
-    if not 0 < shortest < longest:
+    p = coordinates(p)
+    require("irregularities: seed", seed, between(0, math.inf), whole=True)
+    for name, length in (("shortest", shortest), ("longest", longest)):
+        require(f"irregularities: {name}", length, above(0.0, 1e5, "m"))
+    if not shortest < longest:
         raise InputError(f"irregularities: wavelengths from {shortest} to {longest} m, an increasing band is needed")
+    if np.diff(p).max(initial=0.0) > shortest / 2:
+        raise InputError(
+            f"irregularities: p makes a step of {np.diff(p).max():g} m, up to {shortest / 2:g} m is allowed for "
+            f"wavelengths of {shortest:g} m"
+        )
     frequency = np.linspace(1 / longest, 1 / shortest, 1200)
     step = frequency[1] - frequency[0]
     columns = {"p_m": p}
@@ -135,6 +156,45 @@ def irregularities(
         waves = np.cos(2 * np.pi * np.outer(p, frequency) + phase)
         columns[column] = waves @ np.sqrt(2 * density * step)
     return faded(pd.DataFrame(columns))
+
+
+def coordinates(p) -> np.ndarray:
+    """Track coordinates as an array, shape (n,); InputError when they are not finite and increasing numbers."""
+    try:
+        found = np.asarray(p)
+    except ValueError:  # lists of different length
+        found = np.array(None)
+    if found.dtype.kind not in "iuf" or found.ndim != 1 or found.size == 0:
+        raise InputError(f"irregularities: p is {reprlib.repr(p)}, a list of track coordinates (m) is needed")
+    wrong = ~np.isfinite(found) | np.append(False, np.diff(found) <= 0)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(f"irregularities: p[{row}] is {found[row]}, finite and increasing numbers (m) are needed")
+    return found.astype(float)
+
+
+def check(frame: pd.DataFrame) -> None:
+    """Refuse what cannot be laid along a track: not a frame of irregularities, not finite, beyond the flangeway.
+
+    Raises
+    ------
+    InputError
+        One sentence naming channel and place.
+    """
+    require("irregularities", frame, pd.DataFrame)
+    missing = sorted({"p_m", *CHANNELS.values()} - set(frame))
+    if missing:
+        raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
+    p = coordinates(frame["p_m"])
+    for column in CHANNELS.values():
+        low, high = FLANGEWAY.get(column, (-LARGEST, LARGEST))
+        inside = frame[column].between(low, high).to_numpy()
+        if not inside.all():
+            row = int(np.argmin(inside))
+            raise InputError(
+                f"irregularities: {column} = {frame[column].iloc[row]:g} at p = {p[row]:g} m, {low:g} to {high:g} is "
+                "allowed"
+            )
 
 
 def smooth_step(r: np.ndarray) -> np.ndarray:

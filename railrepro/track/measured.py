@@ -8,11 +8,9 @@ import numpy as np
 import pandas as pd
 
 from railrepro.errors import InputError
-from railrepro.track.irregularity import CHANNELS
+from railrepro.track.irregularity import CHANNELS, FLANGEWAY, LARGEST
 from railrepro.track.table import read_numbers
 
-_ALLOWED = {"lateral_m": (-0.020, 0.020), "gauge_m": (-0.010, 0.035)}
-_LARGEST = 0.1
 _GAP = 1.5
 """Longest allowed step of p_m over the usual one."""
 
@@ -61,8 +59,8 @@ def read_irregularities(path: Path | str, length: float | None = None, shortest:
             f"times the usual {usual:g} m are allowed"
         )
     for column in CHANNELS.values():
-        _check_range(file, frame[column], (-_LARGEST, _LARGEST), " (unit?)")
-    for column, allowed in _ALLOWED.items():
+        _check_range(file, frame[column], (-LARGEST, LARGEST), " (unit?)")
+    for column, allowed in FLANGEWAY.items():
         _check_range(file, frame[column], allowed, "; more than the flangeway takes")
     if length is not None and (p[0] > 0 or p[-1] < length):
         raise InputError(f"{file.name}: p_m goes from {p[0]:g} to {p[-1]:g} m, the run needs 0 to {length:g} m")

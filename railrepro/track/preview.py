@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from railrepro.errors import InputError
+from railrepro.schema import above, between, require
 from railrepro.track.irregularity import sampling
 
 
@@ -40,8 +41,9 @@ def known(
     DataFrame
         Same p_m and channels.
     """
-    if smoothing_m < 0:
-        raise InputError(f"known irregularities: smoothing_m is {smoothing_m:g}, at least 0 is needed")
+    require("known irregularities: amplitude_error", amplitude_error, between(-10.0, 10.0))
+    require("known irregularities: localisation_error_m", localisation_error_m, between(-1e5, 1e5, "m"))
+    require("known irregularities: smoothing_m", smoothing_m, between(0.0, 1e5, "m"))
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     values = channels.to_numpy()
     if smoothing_m > 0:
@@ -76,12 +78,11 @@ def planned_line(frame: pd.DataFrame, share: float, smoothing_m: float, limit: f
         Set point (m) and its first three derivatives (1, 1/m, 1/m^2) at p_m: a cubic spline, hence with a continuous
         second derivative, in the form in which cells of a `Route` hold a set point.
     """
+    require("planned line: share", share, between(0.0, 1.0))
+    require("planned line: smoothing_m", smoothing_m, between(0.0, 1e5, "m"))
+    require("planned line: limit", limit, above(0.0, 1.0, "m"))
     step, lateral = sampling(frame), frame["lateral_m"].to_numpy()
     play = limit + frame["gauge_m"].to_numpy() / 2
-    if not 0 <= share <= 1 or smoothing_m < 0:
-        raise InputError(
-            f"planned line: share {share:g} and smoothing_m {smoothing_m:g}, 0 to 1 and at least 0 are needed"
-        )
     if play.min() <= 0:
         place = frame["p_m"].iloc[int(np.argmin(play))]
         raise InputError(

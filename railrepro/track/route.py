@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro.errors import InputError
-from railrepro.track.irregularity import CHANNELS
+from railrepro.track.irregularity import CHANNELS, check
 from railrepro.track.table import Track
 
 CELL = 0.5
@@ -164,9 +164,7 @@ def _geometry(track: Track) -> dict[str, np.ndarray]:
 
 def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarray]:
     """Columns of the irregularities at p: values at the start of each cell and slopes to the next."""
-    missing = sorted({"p_m", *CHANNELS.values()} - set(irregularities))
-    if missing:
-        raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
+    check(irregularities)
     columns = {}
     for name, column in CHANNELS.items():
         value = np.interp(p, irregularities["p_m"], irregularities[column], left=0.0, right=0.0)
