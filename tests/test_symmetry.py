@@ -37,7 +37,7 @@ def drive(name, change, monkeypatch):
     scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=150.0)
     original = type(scenario).route
     with monkeypatch.context() as patched:
-        patched.setattr(type(scenario), "route", lambda self, rough=None: change(original(self, rough)))
+        patched.setattr(type(scenario), "route", lambda self, *laid: change(original(self, *laid)))
         return simulate.run(scenario, tuned(name, CONTROLLERS[name].quick)).series
 
 

@@ -35,7 +35,7 @@ from railrepro.track.alignment import alignments
 from railrepro.track.table import build_table, write_table
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
-SAMPLES, SEED = 64, 2026
+SAMPLES, SEED = 32, 2026
 SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
 """What the studies drive, in variations."""
 
