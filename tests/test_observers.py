@@ -73,17 +73,14 @@ def test_noise_and_latency_leave_a_moderate_law_on_the_rail():
     assert metrics.effort(run.series) > 2 * metrics.effort(drive(QUIET).series)
 
 
-def test_prediction_pays():
+def test_prediction_pays(monkeypatch):
     """Without prediction over the latency a fast law oscillates."""
     late = load_loop(**{"latency.measurement": 5e-3, "latency.command": 4e-3})
     fast = NDI(pole=70.0, frequency=60.0, damping=0.6, derivatives=3)
     with_it = drive(late, "sine_tracking", law=fast, end_m=400)
-    observers_gains = observers.stationary_gains
-    try:
-        observers.stationary_gains = lambda v, loop: observers_gains(v, loop) | {"prediction": 0.0}
-        without = drive(late, "sine_tracking", law=fast, end_m=400)
-    finally:
-        observers.stationary_gains = observers_gains
+    gains = observers.stationary_gains
+    monkeypatch.setattr(observers, "stationary_gains", lambda v, loop: gains(v, loop) | {"prediction": 0.0})
+    without = drive(late, "sine_tracking", law=fast, end_m=400)
     effort = [metrics.effort(run.series) for run in (with_it, without)]
     assert without.failed or effort[1] > 1.5 * effort[0]
 
