@@ -87,7 +87,7 @@ lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks
 
 tune: $(VENV)  ## tune all controllers by particle swarm (long, resumes); figures follow
-	$(PY) -m railrepro.studies.tuning
+	$(PY) -m railrepro.studies.swarm
 
 report: figures  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro.report.claims

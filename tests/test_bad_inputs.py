@@ -19,10 +19,10 @@ from railrepro.estimation.sensors import Readings, load_loop
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies import experiment, pso, tuning
-from railrepro.studies.experiment import rough_track
 from railrepro.track import table as tables
 from railrepro.track.alignment import Alignment, Segment
 from railrepro.track.irregularity import irregularities
+from railrepro.track.rough import rough_track
 from railrepro.vehicle.parameters import load_vehicle
 
 NMPC = {"q_psi_TrAx": 1.0, "q_psidot_Ax": 1.0, "r": 1e-11, "q_terminal": 1.0, "period_ms": 10, "horizon_s": 0.3}

@@ -13,9 +13,10 @@ from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies.experiment import Experiment, rough_track
+from railrepro.studies.experiment import Experiment
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS, irregularities
+from railrepro.track.rough import rough_track
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 

@@ -113,6 +113,27 @@ def test_readings_are_late_but_for_the_position(age, expected):
     assert found[SIGNALS.index("p")] == 10.0
 
 
+def test_lost_readings_keep_the_last_one():
+    quiet = load_loop().perfect()
+    loop = sensors.replace(quiet, lateral=sensors.replace(quiet.lateral, dropout=0.3))
+    found = readings(3000, loop, move=lambda k, name: float(k))
+    kept = (np.diff(found, axis=0) == 0).mean(axis=0)
+    assert kept[: 2] == pytest.approx([0.3, 0.3], abs=0.03) and not kept[2:].any()
+    both = (np.diff(found[:, :2], axis=0) == 0).all(axis=1).mean()
+    assert both == pytest.approx(0.09, abs=0.02)
+
+
+def test_what_the_inverter_does_is_unknown_to_the_filter():
+    stressed = load_loop(**{"inverter.delay": 2e-3, "inverter.gain": 1.2})
+    gain = Readings(stressed).gains(0)
+    line = [float(k) for k in range(LONGEST + 1)]
+    assert float(sensors.arriving(line, gain)) == pytest.approx(1.2 * 4)
+    assert gain["command"] == 2.0
+    assert float(sensors.arriving(line, Readings(stressed.perfect()).gains(0))) == pytest.approx(1.2 * 2)
+    with pytest.raises(InputError, match="latency of 14 ms in all"):
+        load_loop(**{"inverter.delay": 9e-3})
+
+
 def test_a_line_of_commands_begins_with_the_newest():
     memory = {f"tau_le.{k}": float(k) for k in range(LONGEST + 1)}
     line = sensors.sent(-1.0, "tau_le", memory)

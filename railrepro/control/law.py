@@ -24,7 +24,7 @@ from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
 from railrepro.errors import InputError
 from railrepro.estimation import observers
-from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, late, sense, sent
+from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
 from railrepro.model.control_model import STATES
 from railrepro.track.route import COLUMNS, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
@@ -317,7 +317,7 @@ class _Sight:
         following = observers.advance(self._filter, lines, road, self._gain)
         self.kept |= self._lines | {f"filter.{name}": value for name, value in following.items()}
         self.kept |= {f"sensor.tau_{side}.{k}": tau for side, taus in lines.items() for k, tau in enumerate(taus)}
-        return tuple(late(lines[side], self._gain["command"]) for side in SIDES)
+        return tuple(arriving(lines[side], self._gain) for side in SIDES)
 
 
 def _part(values: dict, prefix: str) -> dict:

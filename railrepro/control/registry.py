@@ -49,7 +49,7 @@ class Controller:
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
-    """MPC settings from tuning parameters q_psi_TrAx, q_psidot_Ax, r, q_terminal, period_ms, horizon_s."""
+    """MPC settings from tuning parameters q_psi_TrAx, q_psidot_Ax, r, q_terminal, period_ms, horizon_s, observer."""
     p = dict(parameters)
     period = 1e-3 * p.pop("period_ms")
     steps = min(max(round(p.pop("horizon_s") / period), LEAST_STEPS), MOST_STEPS)
@@ -77,6 +77,7 @@ _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
 CONTROLLERS = {
     "nmpc": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
+    "nmpc_observer": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
     "ltv_mpc": Controller(partial(Predictive, LTVMPC), mpc_settings, True, _AHEAD),
     "ltv_mpc_printed": Controller(
         partial(Predictive, LTVMPC, options=(("printed", True),)), mpc_settings, True, _AHEAD
@@ -85,7 +86,9 @@ CONTROLLERS = {
     "ndi_feedforward": Controller(
         _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
     ),
-    "ndi_integral": Controller(_inversion, lambda p: NDI(**p), False, _STATE + ", set point now"),
+    "ndi_integral": Controller(
+        _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
+    ),
 }
 PREDICTIVE = tuple(name for name, controller in CONTROLLERS.items() if controller.preview)
 INVERSIONS = tuple(name for name in CONTROLLERS if name not in PREDICTIVE)
@@ -93,7 +96,7 @@ PAPER_TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
 """The three methods of the paper, LTV-MPC as printed."""
 TRIO = ("nmpc", "ltv_mpc", "ndi")
 """The same with the LTV-MPC that keeps its affine term."""
-COMPARED = (*PREDICTIVE, "ndi")
+COMPARED = ("nmpc", "ltv_mpc", "ltv_mpc_printed", "ndi")
 """The paper's methods with LTV-MPC in both readings."""
 WITH_OBSERVER, OBSERVER = "nmpc_observer", 0.05
 """Name of the NMPC with an offset observer, and the observer's gain, see `MPCSettings.observer`."""

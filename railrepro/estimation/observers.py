@@ -18,6 +18,8 @@ Serves the measured states of the paper's eq. (states).
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
@@ -80,7 +82,14 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 
     Source: Van Loan 1978 (discretisation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
     """
-    n, h = len(a), EXCHANGE_PERIOD
+    return _solved(len(a), *(matrix.tobytes() for matrix in (a, c, q, r)))
+
+
+@lru_cache(maxsize=128)
+def _solved(n: int, *matrices: bytes) -> tuple[np.ndarray, np.ndarray]:
+    a, c, q, r = (np.frombuffer(matrix) for matrix in matrices)
+    a, c, q = a.reshape(n, n), c.reshape(-1, n), q.reshape(n, n)
+    r, h = r.reshape(len(c), len(c)), EXCHANGE_PERIOD
     both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * h)
     step = both[n:, n:].T
     p = solve_discrete_are(step.T, c.T, step @ both[:n, n:], r)

@@ -1,4 +1,4 @@
-"""Sensors of a running gear: readings with noise, bias, resolution, period and age, and commands that arrive late.
+"""Sensors of a running gear: readings with noise, bias, resolution, period, dropouts and age, and the way of a command.
 
 Noise is counter-based: a function of run, signal and millisecond, so it is the same on every executor and processor.
 The paper names lateral position and yaw difficult or costly to measure; its own loop measures them exactly.
@@ -27,7 +27,7 @@ position along the track."""
 _GROUP = dict(
     zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
 )
-_READ = ("noise", "bias", "resolution", "period")
+_READ = ("noise", "bias", "resolution", "period", "dropout")
 _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
@@ -37,6 +37,7 @@ def _upto(high: float, unit: str):
 
 
 _PERIOD = _upto(0.1, "s")
+_DROPOUT = _upto(0.9, "-")
 
 
 @schema.table
@@ -48,6 +49,7 @@ class Lateral:
     bias: _upto(0.01, "m")
     resolution: _upto(0.001, "m")
     period: _PERIOD
+    dropout: _DROPOUT
 
 
 @schema.table
@@ -58,6 +60,7 @@ class Rate:
     bias: _upto(1.0, "rad/s")
     resolution: _upto(0.1, "rad/s")
     period: _PERIOD
+    dropout: _DROPOUT
 
 
 @schema.table
@@ -68,6 +71,7 @@ class Speed:
     bias: _upto(1.0, "m/s")
     resolution: _upto(0.1, "m/s")
     period: _PERIOD
+    dropout: _DROPOUT
 
 
 @schema.table
@@ -78,6 +82,7 @@ class Position:
     bias: _upto(20.0, "m")
     resolution: _upto(1.0, "m")
     period: _PERIOD
+    dropout: _DROPOUT
 
 
 @schema.table
@@ -86,6 +91,14 @@ class Latency:
 
     measurement: _upto(LONGEST * EXCHANGE_PERIOD, "s")
     command: _upto(LONGEST * EXCHANGE_PERIOD, "s")
+
+
+@schema.table
+class Inverter:
+    """What becomes of a command that arrived, unknown to controllers and filter: a further delay, and a gain."""
+
+    delay: _upto(LONGEST * EXCHANGE_PERIOD, "s")
+    gain: Annotated[float, Parameter(0.0, 10.0, "-")]
 
 
 @schema.table
@@ -110,6 +123,7 @@ class Loop:
     speed: Speed
     position: Position
     latency: Latency
+    inverter: Inverter
     filter: Filter
 
     def __post_init__(self) -> None:
@@ -120,14 +134,16 @@ class Loop:
                     f"{group}.period is {1e3 * EXCHANGE_PERIOD * ratio:g} ms, a whole number of ms is needed"
                 )
 
-        total = self.latency.measurement + self.latency.command
+        total = self.latency.measurement + self.latency.command + self.inverter.delay
         if total > LONGEST * EXCHANGE_PERIOD + 1e-9:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
-        """The same loop without noise, bias, rounding and latency."""
+        """The same loop without noise, bias, rounding, dropouts and latency; the inverter stays as it is."""
         quiet = {
-            group: replace(getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=EXCHANGE_PERIOD)
+            group: replace(
+                getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=EXCHANGE_PERIOD, dropout=0.0
+            )
             for group in dict.fromkeys(_GROUP.values())
         }
         return replace(self, **quiet, latency=Latency(0.0, 0.0))
@@ -160,6 +176,21 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     return schema.build(Loop, content, file.name) if overrides else loop
 
 
+def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
+    """Sensors of a run: those of data/sensors.toml with some numbers changed, or perfect ones behind the same inverter.
+
+    Parameters
+    ----------
+    perfect : bool
+    seed : int
+    overrides
+        See `load_loop`.
+    """
+    schema.require("sensors: perfect", perfect, bool)
+    loop = load_loop(**overrides)
+    return Readings(loop.perfect() if perfect else loop, seed)
+
+
 @dataclass(frozen=True)
 class Readings:
     """Numbers of the sensors in a run: what is constant in it is drawn from its seed.
@@ -186,11 +217,16 @@ class Readings:
             settings = asdict(getattr(self.loop, group))
             settings["bias"] *= draw.uniform(-1.0, 1.0)
             gains |= {f"{signal}.{name}": settings[name] for name in _READ}
-        exchanges = {name: value / EXCHANGE_PERIOD for name, value in asdict(self.loop.latency).items()}
-        return gains | exchanges | {"seed": float(self.seed % 1_000_003), "base": self.loop.lateral.base}
+        delays = asdict(self.loop.latency) | {"unknown_delay": self.loop.inverter.delay}
+        exchanges = {name: value / EXCHANGE_PERIOD for name, value in delays.items()}
+        constant = {"torque_gain": self.loop.inverter.gain, "base": self.loop.lateral.base}
+        return gains | exchanges | constant | {"seed": float(self.seed % 1_000_003)}
 
 
-GAINS = tuple(f"{signal}.{name}" for signal in SIGNALS for name in _READ) + ("measurement", "command", "seed", "base")
+GAINS = (
+    *(f"{signal}.{name}" for signal in SIGNALS for name in _READ),
+    *("measurement", "command", "unknown_delay", "torque_gain", "seed", "base"),
+)
 """Names of the run-time numbers of a gear."""
 MEMORY = ("p.0", *(f"{s}.{k}" for s in (*SIGNALS, "tau_le", "tau_ri") if s != "p" for k in range(LONGEST + 1)))
 """Names of the delay lines of a gear, newest entry first; of the position only the last reading is needed."""
@@ -224,7 +260,9 @@ def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict
         coarse = ca.if_else(step > 0, step * ca.floor(noisy / ca.fmax(step, 1e-12) + 0.5), noisy)
         due = ca.floor(ticks * EXCHANGE_PERIOD / gain[f"{signal}.period"] + 1e-6)
         before = ca.floor((ticks - 1) * EXCHANGE_PERIOD / gain[f"{signal}.period"] + 1e-6)
-        fresh = ca.logic_or(ticks < 0.5, due > before)
+        chance = uniform(gain["seed"], 2 * (2 * len(SIGNALS) + len(SIGNALS) * gear + i), ticks)
+        lost = chance < gain[f"{signal}.dropout"]
+        fresh = ca.logic_or(ticks < 0.5, ca.logic_and(due > before, ca.logic_not(lost)))
         newest = ca.if_else(fresh, coarse, memory[f"{signal}.0"])
         if signal == "p":
             readings[signal], kept[f"{signal}.0"] = newest, newest
@@ -245,19 +283,35 @@ def late(line: list, exchanges):
     return sum(ca.fmax(0, 1 - ca.fabs(exchanges - k)) * value for k, value in enumerate(line))
 
 
-def gaussian(seed, channel: int, ticks):
-    """Noise of zero mean and unit variance: the sum of four uniform numbers from hashed counters.
+def arriving(line: list, gain: dict):
+    """Torque that a motor is told in this exchange (N m), from the line of its commands."""
+    return gain["torque_gain"] * late(line, gain["command"] + gain["unknown_delay"])
 
-    Whole numbers below 2^52 and exact operations, hence the same bits on every processor.
+
+def gaussian(seed, channel: int, ticks):
+    """Noise of zero mean and unit variance: the sum of four uniform numbers.
+
+    Exact operations, hence the same bits on every processor.
     """
     total = 0.0
     for k in range(2):
-        x = _modulo(15485863.0 * ticks + 104729.0 * seed + 32452843.0 * (2 * channel + k) + 49979687.0)
-        for constant in (7919.0, 611953.0, 1299709.0):
-            x = _modulo(x * x + constant)
+        x = _hashed(seed, 2 * channel + k, ticks)
         high = ca.floor(x / 8192.0)
         total += (x - 8192.0 * high) / 8192.0 + high / 8192.0 - 1.0
     return np.sqrt(3.0) * total
+
+
+def uniform(seed, channel: int, ticks):
+    """Number between 0 and 1, another one in each exchange; `channel` counts on from those of `gaussian`, twice."""
+    return _hashed(seed, channel, ticks) / _MODULUS
+
+
+def _hashed(seed, channel: int, ticks):
+    """Whole number below `_MODULUS` from hashed counters; whole numbers below 2^52 and exact operations."""
+    x = _modulo(15485863.0 * ticks + 104729.0 * seed + 32452843.0 * channel + 49979687.0)
+    for constant in (7919.0, 611953.0, 1299709.0):
+        x = _modulo(x * x + constant)
+    return x
 
 
 def _modulo(x):

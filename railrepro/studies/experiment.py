@@ -5,27 +5,25 @@ Notebooks and studies are lists of these; the executor decides where they run.
 
 from __future__ import annotations
 
-import inspect
-import reprlib
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 
-from railrepro import paths
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
+from railrepro.estimation import sensors
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.studies import tuning
 from railrepro.studies.executor import executor, ordered_map
-from railrepro.track import defects as defects_
 from railrepro.track import preview
-from railrepro.track.irregularity import CHANNELS, check, coordinates, faded, irregularities
-from railrepro.track.measured import read_irregularities
+from railrepro.track.rough import fit, rough_track
 from railrepro.track.route import CELL
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -61,6 +59,10 @@ class Experiment:
         What the controller knows of the irregularities, and the line that it plans with it: arguments of
         `preview.known` and `preview.planned_line` besides the frame (`smoothing_m` is that of the line); empty is
         nothing.
+    sensors : dict
+        Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
+    terms : str
+        Which tuned parameters are taken, see `tuning.load`.
     substeps : int
         See `simulate.run`.
     ride : bool
@@ -82,6 +84,8 @@ class Experiment:
     fixed_share: float = 0.0
     irregular: dict = field(default_factory=dict)
     preview: dict = field(default_factory=dict)
+    sensors: dict = field(default_factory=dict)
+    terms: str = tuning.EQUAL
     substeps: int = 1
     ride: bool = False
     stride: int = 0
@@ -92,14 +96,15 @@ class Experiment:
 
     def run(self) -> simulate.Run:
         """The simulation itself."""
-        parameters = tuning.load(self.controller)["parameters"] if self.parameters is None else self.parameters
+        parameters = (
+            tuning.load(self.controller, self.terms)["parameters"] if self.parameters is None else self.parameters
+        )
         law = guidance(self.controller, parameters, self.options, **self.changes)
         rough = None
         if self.irregular:
-            _fit("irregular", self.irregular, rough_track, irregularities)
-            rough = rough_track(np.arange(0.0, self.scenario.end_m, CELL), **self.irregular)
+            rough = _laid_rough(self.scenario.end_m, json.dumps(self.irregular, sort_keys=True))
         if self.preview:
-            _fit("preview", self.preview, _line, preview.known)
+            fit("preview", self.preview, _line, preview.known)
             if rough is None:
                 raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
         return simulate.run(
@@ -107,6 +112,7 @@ class Experiment:
             law,
             irregularities=rough,
             line=_line(rough, **self.preview) if self.preview else None,
+            sensors=sensors.readings(**self.sensors) if self.sensors else None,
             substeps=self.substeps,
             vehicle=load_vehicle(**self.vehicle),
             plant_vehicle=self.car(),
@@ -133,77 +139,10 @@ class Experiment:
         return row, tidy(run.series, self.stride).assign(**self.label) if self.stride else None
 
 
-def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] = (), **random) -> pd.DataFrame:
-    """Irregularities of a run.
-
-    Parameters
-    ----------
-    p : ndarray, shape (n,)
-        Track coordinates (m).
-    file : str, optional
-        Measured irregularities (`measured.read_irregularities`) in place of random ones.
-    defects : sequence of dict
-        Localised defects added to them: `kind` (a function of `railrepro.track.defects`) and its other arguments.
-    random
-        Arguments of `irregularity.irregularities`: spectrum, seed, shortest, longest.
-
-    Returns
-    -------
-    DataFrame
-        p_m and the columns of `irregularity.CHANNELS`.
-
-    Raises
-    ------
-    InputError
-        An argument that is not known, missing, or not of this kind; more than the flangeway takes.
-    """
-    p = coordinates(p)
-    _fit("irregular", random, *([irregularities] if file is None else []))
-    if file is None:
-        frame = irregularities(p, **random)
-    else:
-        if not isinstance(file, str):
-            raise InputError(f"irregular: file is {file!r}, the path of a CSV is needed")
-        measured = read_irregularities(paths.source(file), length=float(p[-1]))
-        channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
-        frame = faded(pd.DataFrame({"p_m": p} | channels))
-    shapes = {
-        "dip": defects_.dip,
-        "alignment_fault": defects_.alignment_fault,
-        "lateral_offset": defects_.lateral_offset,
-    }
-    added = []
-    if not isinstance(defects, list | tuple):
-        raise InputError(f"irregular: defects are {reprlib.repr(defects)}, a list of tables is needed")
-    for defect in defects:
-        kind = defect.get("kind") if isinstance(defect, dict) else defect
-        if kind not in tuple(shapes) or kind is defect:
-            raise InputError(f"defect kind {kind!r} is not known; there are {sorted(shapes)}")
-        arguments = {key: value for key, value in defect.items() if key != "kind"}
-        _fit(f"defect {kind}", arguments, shapes[kind])
-        added.append(shapes[kind](p, **arguments))
-    total = defects_.superpose(frame, *added)
-    check(total)
-    return total
-
-
-def _fit(what: str, given: dict, *functions: Callable) -> None:
-    """Refuse a table of arguments with a name that none of the functions takes, or without one that they need.
-
-    The first parameter of each (coordinates or a frame) is given anyway.
-    """
-    if not isinstance(given, dict):
-        raise InputError(f"{what}: is {reprlib.repr(given)}, a table of arguments is needed")
-    takes = [
-        parameter for function in functions for parameter in list(inspect.signature(function).parameters.values())[1:]
-    ]
-    known = {parameter.name: parameter for parameter in takes if parameter.kind is not parameter.VAR_KEYWORD}
-    for key in given:
-        if key not in known:
-            raise InputError(f"{what}: {key!r} is not known; there are {list(known)}")
-    for name, parameter in known.items():
-        if parameter.default is parameter.empty and name not in given:
-            raise InputError(f"{what}: {name!r} is missing; needed are {list(known)}")
+@lru_cache(maxsize=8)
+def _laid_rough(end: float, irregular: str) -> pd.DataFrame:
+    """Irregularities up to a coordinate (m); tuning drives the same ones very often."""
+    return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular))
 
 
 def _line(rough: pd.DataFrame, share=1.0, smoothing_m=3.0, limit=5e-3, **errors) -> tuple[np.ndarray, np.ndarray]:

@@ -1,68 +1,101 @@
-"""Tuning of all lateral controllers by particle swarm, with the same cost, budget and scenarios.
+"""What is tuned, for what, on which terms, and the tuned sets in data/tuned; `swarm` does the tuning.
 
-`python -m railrepro.studies.tuning [controller …]` tunes and writes data/tuned; an interrupted run goes on where it
-was. Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
+One ranking of controllers does not exist: it depends on what they are given. The terms are `paper` (perfect
+measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
+alike) and `loop` (all tuned alike behind sensors, noise, latency and filter).
+
+Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import reprlib
-import sys
-import time
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-import numpy as np
+import pandas as pd
 from pydantic import AfterValidator
-from tqdm import tqdm
 
-from railrepro import __version__, paths, schema
+from railrepro import paths, schema
 from railrepro.control.registry import CONTROLLERS, guidance
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
+from railrepro.estimation.sensors import Inverter, load_loop
 from railrepro.files import write
 from railrepro.schema import Number, above, between
-from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.studies import pso
-from railrepro.studies.executor import executor, ordered_map
 from railrepro.studies.fingerprint import fingerprint
+from railrepro.track.irregularity import CHANNELS, irregularity_spectrum
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TUNED = "data/tuned"
+TERMS = ("paper", "equal", "loop")
+"""Terms of comparison, see data/tuning.toml."""
+EQUAL, LOOP = "equal", "loop"
+_COUNT = Annotated[int, between(1, 10**6)]
+_SEED = Annotated[int, between(0, 2**63)]
+
+
+@dataclass(frozen=True)
+class TuningRun:
+    """One run of the cost, as the arguments of `experiment.Experiment` have it.
+
+    Attributes
+    ----------
+    name : str
+    scenario : Scenario
+    irregular, plant, sensors : dict
+        Rails, what only the car has, and sensors; empty is an ideal track, the nominal car, perfect measurements.
+    """
+
+    name: str
+    scenario: Scenario
+    irregular: dict = field(default_factory=dict)
+    plant: dict = field(default_factory=dict)
+    sensors: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a swarm is asked to minimise; see data/tuning.toml.
+    """What swarms are asked to minimise on some terms; see data/tuning.toml.
 
     Attributes
     ----------
+    terms : str
     budget, cost : dict
-    scenarios : tuple of Scenario
+    runs : tuple of TuningRun
+        The hardest last.
     dimensions : dict
         Controller -> list of `pso.Dimension`.
+    designed : dict
+        Controller -> parameters that are given, not searched.
     """
 
+    terms: str
     budget: dict
     cost: dict
-    scenarios: tuple[Scenario, ...]
+    runs: tuple[TuningRun, ...]
     dimensions: dict[str, list[pso.Dimension]]
+    designed: dict[str, dict] = field(default_factory=dict)
 
-
-_COUNT = Annotated[int, between(1, 10**6)]
+    @property
+    def searched(self) -> list[str]:
+        """Controllers that a swarm tunes on these terms."""
+        return [name for name in self.dimensions if name not in self.designed]
 
 
 @schema.table
 class Budget:
-    """Size of a swarm, see data/tuning.toml."""
+    """Size of a search, see data/tuning.toml."""
 
     particles: _COUNT
     iterations: _COUNT
     patience: _COUNT
-    seed: Annotated[int, between(0, 2**63)]
+    seeds: Annotated[tuple[_SEED, ...], schema.NOT_EMPTY]
 
 
 @schema.table
@@ -72,7 +105,30 @@ class Cost:
     y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
     du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
     weight: Annotated[Number, between(0.0, 1e6)]
+    activity_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
+    activity_weight: Annotated[Number, between(0.0, 1e6)]
     failure: Annotated[Number, above(0.0, 1e9)]
+
+
+@schema.table
+class RunEntry:
+    """A run in data/tuning.toml; keys that it does not name itself belong to its scenario."""
+
+    scenario: str
+    end_m: Annotated[Number, between(1.0, 1e5, "m")]
+    seed: _SEED
+    irregular: dict[str, schema.Free] = field(default_factory=dict)
+    plant: dict[str, schema.Plain] = field(default_factory=dict)
+    inverter: dict[str, schema.Plain] = field(default_factory=dict)
+
+
+@schema.table
+class TermsEntry:
+    """Terms in data/tuning.toml."""
+
+    sensors: schema.Flag
+    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY]
+    designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
 
 
 def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
@@ -91,20 +147,25 @@ class TaskFile:
 
     budget: Annotated[Budget, schema.AS_GIVEN]
     cost: Annotated[Cost, schema.AS_GIVEN]
-    scenario: Annotated[tuple[dict[str, Any], ...], schema.NOT_EMPTY]
+    run: Annotated[dict[str, RunEntry], schema.NOT_EMPTY]
+    terms: Annotated[dict[Literal["paper", "equal", "loop"], TermsEntry], schema.NOT_EMPTY]
     controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], schema.NOT_EMPTY]
 
 
-def load_task(path: Path | str | None = None) -> Task:
-    """The tuning task of a TOML file, default data/tuning.toml; InputError with one sentence on wrong entries."""
+def load_task(path: Path | str | None = None, terms: str = EQUAL) -> Task:
+    """The tuning task of a TOML file (default data/tuning.toml) on some terms; InputError on wrong entries."""
     file = Path(path) if path else paths.source("data/tuning.toml")
     content = schema.build(TaskFile, schema.read(file), file.name)
-    scenarios, known = [], load_scenarios()
-    for number, changes in enumerate(content.scenario, 1):
-        where, name = f"{file.name}: scenario {number}", changes.pop("scenario", None)
-        if name not in tuple(known):
-            raise InputError(f"{where} has the scenario {reprlib.repr(name)}; there are {sorted(known)}")
-        scenarios.append(schema.build(Scenario, vars(known[name]) | changes, where))
+    if terms not in content.terms:
+        raise InputError(f"{file.name}: terms {reprlib.repr(terms)} are not known; there are {sorted(content.terms)}")
+    entry, known = content.terms[terms], load_scenarios()
+    runs = []
+    for name in entry.runs:
+        if name not in content.run:
+            raise InputError(
+                f"{file.name}: [terms.{terms}] has the run {reprlib.repr(name)}; there are {sorted(content.run)}"
+            )
+        runs.append(_run(name, content.run[name], known, entry.sensors, f"{file.name}: [run.{name}]"))
     dimensions = {}
     for name, bounds in content.controller.items():
         if name not in CONTROLLERS:
@@ -112,69 +173,55 @@ def load_task(path: Path | str | None = None) -> Task:
         dimensions[name] = content.controller.get(bounds) if isinstance(bounds, str) else bounds
         if not isinstance(dimensions[name], list) or not dimensions[name]:
             raise InputError(f"{file.name}: [controller.{name}] has no bounds, nor has a controller that it is same_as")
-    return Task(content.budget, content.cost, tuple(scenarios), dimensions)
+    for name, parameters in entry.designed.items():
+        if name not in dimensions:
+            raise InputError(f"{file.name}: [terms.{terms}.designed] has {name!r}; there are {sorted(dimensions)}")
+        guidance(name, parameters)
+    return Task(terms, content.budget, content.cost, tuple(runs), dimensions, entry.designed)
 
 
-def scenario_cost(run: simulate.Run, scenario: Scenario, cost: dict) -> tuple[float, dict]:
-    """Cost of one run, and its parts: mean RMSE of y (m) and RMS of du (N m) over both gears, share of the way done."""
-    error = np.mean([metrics.rmse(run.series, gear) for gear in simulate.GEARS])
-    effort = np.mean([metrics.effort(run.series, gear) for gear in simulate.GEARS])
-    done = float(np.clip(np.nan_to_num(run.series["front.p"]).max() / scenario.end_m, 0, 1))
-    parts = {"rmse_y": float(error), "effort_du": float(effort), "done": 1.0}
-    if run.failed or not np.isfinite(error + effort):
-        return cost["failure"] * (2 - done), parts | {"done": done}
-    return 1e3 * error / cost["y_scale_mm"] + cost["weight"] * effort / cost["du_scale_Nm"], parts
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Cost of parameter sets of one controller; picklable, so that any executor can run it."""
-
-    controller: str
-    task: Task
-    vehicle: Vehicle
-
-    def __call__(self, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
-        """Mean cost over the scenarios, and the parts per scenario.
-
-        The last scenario, the hardest, comes first. Once a run has failed and the sum so far is beyond `limit`, the
-        rest is left out and counts nothing: the cost is then a lower bound.
-        """
-        law = guidance(self.controller, parameters, CONTROLLERS[self.controller].quick)
-        costs, parts, failed, number = [], [], False, len(self.task.scenarios)
-        for scenario in reversed(self.task.scenarios):
-            try:
-                run = simulate.run(scenario, law, vehicle=self.vehicle)
-                cost, part = scenario_cost(run, scenario, self.task.cost)
-            except (ArithmeticError, np.linalg.LinAlgError):
-                cost, part = 2 * self.task.cost["failure"], {"done": 0.0}
-            costs.append(cost)
-            parts.append({"scenario": scenario.name, "cost": cost, **part})
-            failed = failed or part["done"] < 1
-            if failed and sum(costs) > limit * number:
-                break
-        return sum(costs) / number, parts
-
-
-def _cost(evaluation: Evaluation, particle: tuple[dict, float]) -> float:
-    return evaluation(*particle)[0]
+def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
+    if entry.scenario not in tuple(known):
+        raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
+    scenario = schema.build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
+    sensors = {}
+    if sensed or entry.inverter:
+        sensors = {"seed": entry.seed} | {f"inverter.{key}": value for key, value in entry.inverter.items()}
+        sensors |= {} if sensed else {"perfect": True}
+        unknown = set(entry.inverter) - {key.name for key in fields(Inverter)}
+        if unknown:
+            raise InputError(f"{where} has inverter.{min(unknown)}; there are {[key.name for key in fields(Inverter)]}")
+    return TuningRun(name, scenario, entry.irregular, entry.plant, sensors)
 
 
 def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
-    """Fingerprint of what the cost of a controller's parameters reads: scenarios, vehicle, cost, own bounds, budget."""
-    numbers = [sorted((key, float(value)) for key, value in table.items()) for table in (task.budget, task.cost)]
+    """Fingerprint of what the cost of a controller's parameters reads: runs, vehicle, cost, own bounds, budget."""
+    numbers = [sorted((key, str(value)) for key, value in table.items()) for table in (task.budget, task.cost)]
     bounds = [(d.name, float(d.low), float(d.high), d.scale) for d in task.dimensions[controller]]
-    return fingerprint(task.scenarios, vehicle, *numbers, bounds, CONTROLLERS[controller].quick)
+    around = [(run.irregular, _rails(run.irregular), run.plant, run.sensors) for run in task.runs]
+    loop = repr(load_loop()) if any(run.sensors for run in task.runs) else ""
+    scenarios = [run.scenario for run in task.runs]
+    return fingerprint(scenarios, vehicle, *numbers, bounds, around, loop, CONTROLLERS[controller].quick)
+
+
+def _rails(irregular: dict) -> list[str]:
+    """What a file or a spectrum says about rails."""
+    if not irregular:
+        return []
+    if "file" in irregular:
+        return [hashlib.sha256(paths.source(irregular["file"]).read_bytes()).hexdigest()]
+    spectrum = irregular.get("spectrum", "erri_low")
+    return [f"{float(irregularity_spectrum(spectrum, channel, 0.5)):.9e}" for channel in CHANNELS]
 
 
 @lru_cache
-def _origin_here(controller: str) -> str:
-    return origin(controller, _task_here(), load_vehicle())
+def _origin_here(controller: str, terms: str) -> str:
+    return origin(controller, _task_here(terms), load_vehicle())
 
 
 @lru_cache
-def _task_here() -> Task:
-    return load_task()
+def _task_here(terms: str) -> Task:
+    return load_task(terms=terms)
 
 
 @schema.table
@@ -183,7 +230,16 @@ class Origin(Budget):
 
     fingerprint: str
     version: str
+
+
+@schema.table
+class SwarmResult:
+    """What one swarm found."""
+
+    seed: _SEED
+    cost: Annotated[Number, between(0.0, 1e9)]
     evaluations: _COUNT
+    parameters: dict[str, schema.Plain]
 
 
 @schema.table
@@ -191,71 +247,30 @@ class TunedSet:
     """Content of a file in data/tuned."""
 
     controller: str
+    terms: Literal["paper", "equal", "loop"]
     parameters: dict[str, schema.Plain]
     cost: Annotated[Number, between(0.0, 1e9)]
-    scenarios: tuple[dict[str, schema.Free], ...]
+    runs: tuple[dict[str, schema.Free], ...]
+    swarms: Annotated[tuple[SwarmResult, ...], schema.NOT_EMPTY]
     origin: Origin
 
 
-def tune(controller: str, task: Task, pool, folder: Path, vehicle: Vehicle | None = None, quiet: bool = False) -> dict:
-    """Tune one controller, or go on with an interrupted tuning.
-
-    Parameters
-    ----------
-    controller : str
-    task : Task
-    pool : concurrent.futures.Executor
-    folder : Path
-        Checkpoints (`<controller>.checkpoint.json`).
-    vehicle : Vehicle, optional
-        Default data/vehicle.toml.
-    quiet : bool
-        No progress bar.
-
-    Returns
-    -------
-    dict
-        The tuned set (`controller`, `parameters`, `cost`, `scenarios`, `origin`) with the table of all evaluated
-        particles under `history`.
-    """
-    vehicle, budget = vehicle or load_vehicle(), task.budget
-    evaluation, own = Evaluation(controller, task, vehicle), origin(controller, task, vehicle)
-    bar = tqdm(total=budget["iterations"], desc=controller, unit="iteration", disable=quiet)
-
-    def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
-        limited = list(zip(particles, limits, strict=True))
-        return ordered_map(pool, partial(_cost, evaluation), limited, controller, quiet=True)
-
-    def report(swarm: pso.Swarm) -> None:
-        bar.n = swarm.iteration
-        bar.set_postfix_str(f"best cost {swarm.best[1]:.4f}")
-
-    outcome = pso.minimise(
-        evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], budget["seed"],
-        folder / f"{controller}.checkpoint.json", own + controller, budget["patience"], report,
-    )  # fmt: skip
-    bar.close()
-    cost, parts = ordered_map(pool, evaluation, [outcome.best], controller, quiet=True)[0]
-    provenance = {"fingerprint": own, "version": __version__, "evaluations": len(outcome.history)}
-    return {
-        "controller": controller,
-        "parameters": outcome.best,
-        "cost": cost,
-        "scenarios": parts,
-        "origin": provenance | budget,
-        "history": outcome.history,
-    }
-
-
 def save(tuned: dict, folder: Path) -> None:
-    """Write a tuned set as JSON and its particles as CSV."""
+    """Write a tuned set as JSON and its particles as CSV into the folder of its terms."""
     content = {key: value for key, value in tuned.items() if key != "history"}
-    write(folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g"))
-    write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
+    file = folder / tuned["terms"] / tuned["controller"]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write(Path(f"{file}_particles.csv"), tuned["history"].to_csv(index=False, float_format="%.6g"))
+    write(Path(f"{file}.json"), json.dumps(content, indent=2) + "\n")
 
 
-def load(controller: str, folder: Path | None = None) -> dict:
-    """Tuned set of a controller.
+def particles(controller: str, terms: str = EQUAL) -> pd.DataFrame:
+    """All evaluated particles of a controller: seed of the swarm, iteration, particle, cost, parameters."""
+    return pd.read_csv(paths.source(f"{TUNED}/{terms}/{controller}_particles.csv"))
+
+
+def load(controller: str, terms: str = EQUAL, folder: Path | None = None) -> dict:
+    """Tuned set of a controller on some terms; a designed set has only `controller`, `terms` and `parameters`.
 
     Raises
     ------
@@ -263,46 +278,33 @@ def load(controller: str, folder: Path | None = None) -> dict:
         When there is none, when it does not hold a tuned set of this controller, or when it was tuned for another
         `origin`.
     """
-    file = (folder or paths.source(TUNED)) / f"{controller}.json"
+    task = _task_here(terms)
+    if controller in task.designed:
+        return {"controller": controller, "terms": terms, "parameters": task.designed[controller]}
+    file = (folder or paths.source(TUNED)) / terms / f"{controller}.json"
     if not file.exists():
-        raise InputError(f"{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
+        raise InputError(f"{terms}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
     content = schema.read(file)
     found = schema.build(TunedSet, content, file.name)
-    if found.controller != controller:
-        raise InputError(f"{file.name}: holds a tuned set of {found.controller!r}, {controller!r} is needed")
-    if controller not in _task_here().dimensions:
-        raise InputError(f"{file.name}: tuning.toml has no bounds for {controller!r}")
-    if found.origin.fingerprint != _origin_here(controller):
+    if (found.controller, found.terms) != (controller, terms):
         raise InputError(
-            f"{file.name}: was tuned for another vehicle, control model, cost or budget, other scenarios or bounds "
-            f"({found.origin.fingerprint}, here {_origin_here(controller)}); `make tune` tunes again"
+            f"{file.name}: holds a tuned set of {found.controller!r} on the terms {found.terms!r}, {controller!r} on "
+            f"{terms!r} is needed"
         )
-    searched = {dimension.name for dimension in _task_here().dimensions[controller]}
-    if set(found.parameters) != searched:
-        raise InputError(f"{file.name}: has the parameters {sorted(found.parameters)}, {sorted(searched)} are needed")
+    if controller not in task.dimensions:
+        raise InputError(f"{file.name}: tuning.toml has no bounds for {controller!r}")
+    if found.origin.fingerprint != _origin_here(controller, terms):
+        raise InputError(
+            f"{file.name}: was tuned for another vehicle, control model, cost or budget, other runs or bounds "
+            f"({found.origin.fingerprint}, here {_origin_here(controller, terms)}); `make tune` tunes again"
+        )
+    searched = {dimension.name for dimension in task.dimensions[controller]}
+    for parameters in (found.parameters, *(swarm.parameters for swarm in found.swarms)):
+        if set(parameters) != searched:
+            raise InputError(f"{file.name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
     return content
 
 
-def tuned(controller: str, options: dict | None = None, **changes):
+def tuned(controller: str, options: dict | None = None, terms: str = EQUAL, **changes):
     """Guidance of a controller with its tuned parameters, see `registry.guidance`."""
-    return guidance(controller, load(controller)["parameters"], options, **changes)
-
-
-def main(names: list[str]) -> None:
-    """Tune the named controllers, or all."""
-    task = load_task()
-    unknown = set(names) - set(task.dimensions)
-    if unknown:
-        raise InputError(f"controller {min(unknown)!r} is not in tuning.toml; there are {sorted(task.dimensions)}")
-    checkpoints = paths.BUILD / "tuning"
-    with executor() as pool:
-        for name in names or task.dimensions:
-            begin = time.perf_counter()
-            result = tune(name, task, pool, checkpoints)
-            save(result, paths.ROOT / TUNED)
-            print(f"{name}: cost {result['cost']:.4f} after {len(result['history'])} evaluations, "
-                  f"{time.perf_counter() - begin:.0f} s")  # fmt: skip
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))
+    return guidance(controller, load(controller, terms)["parameters"], options, **changes)
