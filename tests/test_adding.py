@@ -60,7 +60,7 @@ from railrepro.errors import InputError
 from railrepro.report import claims
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import tuning
+from railrepro.studies import swarm, tuning
 from railrepro.studies.executor import executor
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import load_vehicle
@@ -79,9 +79,10 @@ if __name__ == "__main__":
     except InputError as error:
         assert "make tune" in str(error)
     task = tuning.load_task()
-    small = replace(task, scenarios=(scenario,), budget=task.budget | {"particles": 1, "iterations": 1})
+    run = tuning.TuningRun("own", scenario)
+    small = replace(task, runs=(run,), budget=task.budget | {"particles": 1, "iterations": 1, "seeds": [1]})
     with executor() as pool:
-        tuning.save(tuning.tune("own", small, pool, Path("build/tuning"), quiet=True), Path("build/tuned"))
+        tuning.save(swarm.tune("own", small, pool, Path("build/tuning"), quiet=True), Path("build/tuned"))
     vehicle = Path("data/vehicle.toml").read_text().replace("value = 0.46", "value = 0.45")
     Path("build/own.toml").write_text(vehicle)
     assert load_vehicle("build/own.toml") != load_vehicle()
@@ -136,12 +137,14 @@ def test_what_is_added_works_and_leaves_the_tuned_sets_valid(copy):
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [
-        ("data/tuning.toml", "r = [1e-14, 1e-9,", "r = [1e-13, 1e-9,"),
-        ("data/tuning.toml", "end_m = 400", "end_m = 400.0  # a remark"),
+        ("data/tuning.toml", "r = [1e-14, 1e-8,", "r = [1e-13, 1e-8,"),
+        ("data/tuning.toml", "end_m = 280", "end_m = 280.0  # a remark"),
         ("data/scenarios.toml", 'paper = "Fig. 6"', 'paper = "elsewhere"'),
         ("data/scenarios.toml", "end_m = 1400", "end_m = 1300"),
         ("data/tracks.toml", "arc_m = 332", "arc_m = 332.0"),
         ("data/vehicle.toml", "[adhesion.wet]", "[adhesion.damp]"),
+        ("data/irregularities.toml", "en_C_300 = { level_mm = 0.85", "en_C_300 = { level_mm = 0.86"),
+        ("data/tuning.toml", "ndi = { pole = 30.0", "ndi = { pole = 31.0"),
     ],
 )
 def test_what_its_cost_does_not_read_leaves_a_tuned_set_valid(file, old, new, origin):
@@ -155,10 +158,16 @@ def test_what_its_cost_does_not_read_leaves_a_tuned_set_valid(file, old, new, or
         ("data/tracks.toml", "radius_m = 4250", "radius_m = -4250"),
         ("data/scenarios.toml", "period_start_m = 60", "period_start_m = 61"),
         ("data/scenarios.toml", "[130, 23.5]", "[131, 23.5]"),
-        ("data/tuning.toml", "end_m = 400", "end_m = 401"),
-        ("data/tuning.toml", "pole = [5, 120,", "pole = [5, 121,"),
-        ("data/tuning.toml", "particles = 24", "particles = 25"),
+        ("data/tuning.toml", "end_m = 280", "end_m = 281"),
+        ("data/tuning.toml", "pole = [3, 200,", "pole = [3, 201,"),
+        ("data/tuning.toml", "particles = 14", "particles = 15"),
         ("data/tuning.toml", "weight = 0.25", "weight = 0.26"),
+        ("data/tuning.toml", "seeds = [1, 2, 3]", "seeds = [1, 2, 4]"),
+        ("data/tuning.toml", '"drive.lag" = 0.0075', '"drive.lag" = 0.0076'),
+        ("data/tuning.toml", "gain = 1.2", "gain = 1.1"),
+        ("data/tuning.toml", "seed = 7", "seed = 8"),
+        ("data/irregularities.toml", "en_B_300 = { level_mm = 0.55", "en_B_300 = { level_mm = 0.56"),
+        ("data/sensors.toml", "value = 0.0002", "value = 0.0003"),
         ("data/vehicle.toml", 'symbol = "r_0", value = 0.46', 'symbol = "r_0", value = 0.461'),
     ],
 )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.ndi import NDI
 from railrepro.estimation import observers
 from railrepro.estimation.observers import LATERAL, lateral_matrices, stationary_gains
@@ -118,3 +119,16 @@ def test_errors_are_of_the_size_that_the_filter_says():
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
     adhesion = series["front.seen.f_le"] - series["front_le.Fx"] / load
     assert 1e-4 < adhesion.iloc[1000:].std() < 0.01
+
+
+def test_behind_noise_the_adhesion_law_still_holds_its_set_point():
+    scenario = load_scenario("adhesion_loss").but(end_m=120.0)
+    held = {}
+    for own in (None, AdhesionSettings()):
+        run = simulate.run(scenario, NDI(20.0, 20.0), sensors=Readings(load_loop(), 5), adhesion=own)
+        late = run.series[run.series["front.p"] > 80]
+        held[own] = float((late["front_le.fx"] + late["front_ri.fx"]).mean() / 2)
+    demand = float(late["front.f_star"].mean())
+    assert demand == pytest.approx(0.05, abs=0.005)
+    assert held[None] == pytest.approx(demand, rel=0.15)
+    assert held[AdhesionSettings()] < 0.2 * demand

@@ -20,7 +20,7 @@ def test_groups_are_made_of_registered_controllers_in_their_order():
 
 
 def test_every_controller_has_a_look_of_its_own():
-    looks = [str(figures.CONTROLLER_STYLE[name]) for name in (*registry.CONTROLLERS, registry.WITH_OBSERVER)]
+    looks = [str(figures.CONTROLLER_STYLE[name]) for name in registry.CONTROLLERS]
     assert len(set(looks)) == len(looks)
 
 
@@ -61,7 +61,7 @@ def test_guidance_of_each_method():
     poles = {"pole": 20.0, "frequency": 25.0, "damping": 0.8}
     assert registry.guidance("ndi", poles) == NDI(**poles)
     assert registry.guidance("ndi_feedforward", poles) == NDI(**poles, derivatives=3)
-    assert registry.guidance("ndi_integral", poles | {"integral": 0.3}) == NDI(**poles, integral=0.3)
+    assert registry.guidance("ndi_integral", poles | {"integral": 0.3}) == NDI(**poles, integral=0.3, derivatives=3)
     assert registry.guidance("ndi", poles, pole=9.0).pole == 9.0
 
 

@@ -23,7 +23,7 @@ from railrepro.track.alignment import alignments
 from railrepro.track.table import COLUMNS, load_track, read_table
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
 
-TUNED_NDI = paths.ROOT / tuning.TUNED / "ndi.json"
+TUNED_NDI = paths.ROOT / tuning.TUNED / "equal" / "ndi.json"
 READERS = {
     "data/vehicle.toml": lambda file: (load_vehicle(file), describe(file).to_csv(na_rep=""), sample_ranges(file)),
     "data/tracks.toml": alignments,
@@ -31,7 +31,7 @@ READERS = {
     "data/tuning.toml": tuning.load_task,
     "data/claims.toml": claims.load_claims,
     "notebooks/chain.toml": lambda file: (graph.chain(file), graph.verify_tolerance(file)),
-    "data/tuned/ndi.json": lambda file: tuning.load("ndi", file.parent),
+    "data/tuned/equal/ndi.json": lambda file: tuning.load("ndi", folder=file.parent),
     "data/tracks/T3.csv": read_table,
 }
 VALUES = (
@@ -239,8 +239,8 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
         ("data/tuning.toml", "end_m = 100", "end_m = nan", "scenario 1: end_m = nan"),
         ("data/tuning.toml", "[controller.ndi]", "[controller.pid]", r"\[controller.pid\] is not known"),
         ("data/tuning.toml", 'same_as = "nmpc"', 'same_as = "pid"', "has no bounds"),
-        ("data/tuning.toml", "pole = [5, 120,", "pole = [5, inf,", r"pole = \[5, inf, 'log'\], \[low, high, scale\]"),
-        ("data/tuning.toml", "pole = [5, 120,", "pole = [500, 120,", "controller.ndi dimension pole: bounds"),
+        ("data/tuning.toml", "pole = [3, 200,", "pole = [3, inf,", r"pole = \[3, inf, 'log'\], \[low, high, scale\]"),
+        ("data/tuning.toml", "pole = [3, 200,", "pole = [500, 200,", "controller.ndi dimension pole: bounds"),
         ("data/claims.toml", 'kind = "value"', 'kind = "fun"', r"\[C01\]: kind is 'fun', allowed are 'value', 'ratio'"),
         (
             "data/claims.toml",
@@ -249,9 +249,9 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
             r"\[C01\] has the evidence .*table9.csv', which does not exist",
         ),
         ("data/claims.toml", "[C01]", "[C99]", "has no function"),
-        ("data/tuned/ndi.json", '"ndi"', '"nmpc"', "tuned set of 'nmpc', 'ndi' is needed"),
-        ("data/tuned/ndi.json", '"pole": ', '"pole": NaN, "x": ', "parameters.pole = nan"),
-        ("data/tuned/ndi.json", '"pole"', '"colour"', r"parameters \['colour', 'damping', 'frequency'\]"),
+        ("data/tuned/equal/ndi.json", '"ndi"', '"nmpc"', "tuned set of 'nmpc', 'ndi' is needed"),
+        ("data/tuned/equal/ndi.json", '"pole": ', '"pole": NaN, "x": ', "parameters.pole = nan"),
+        ("data/tuned/equal/ndi.json", '"pole"', '"colour"', r"parameters \['colour', 'damping', 'frequency'\]"),
         ("notebooks/chain.toml", "title = ", "titel = ", "01_tracks has the unknown key 'titel'"),
         ("notebooks/chain.toml", "minutes = 0.3", "minutes = true", "01_tracks: minutes is True, a number in min"),
         ("notebooks/chain.toml", "seconds = 2.0", "seconds = nan", "04_car: test_parameters.energy_seconds has nan"),

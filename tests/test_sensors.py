@@ -104,13 +104,13 @@ def test_a_slow_sensor_keeps_its_reading():
     assert found[:, SIGNALS.index("w_le")].tolist() == list(range(20))
 
 
-@pytest.mark.parametrize(("age", "expected"), [(3e-3, 7.0), (2.5e-3, 7.5), (0.0, 10.0), (10e-3, 0.0)])
+@pytest.mark.parametrize(("age", "expected"), [(3e-3, 17.0), (2.5e-3, 17.5), (0.0, 20.0), (20e-3, 0.0)])
 def test_readings_are_late_but_for_the_position(age, expected):
     quiet = load_loop().perfect()
     loop = sensors.replace(quiet, latency=sensors.Latency(age, 0.0))
-    found = readings(11, loop, move=lambda k, name: float(k))[-1]
+    found = readings(21, loop, move=lambda k, name: float(k))[-1]
     assert found[SIGNALS.index("psidot_Ax")] == pytest.approx(expected)
-    assert found[SIGNALS.index("p")] == 10.0
+    assert found[SIGNALS.index("p")] == 20.0
 
 
 def test_lost_readings_keep_the_last_one():
@@ -118,7 +118,7 @@ def test_lost_readings_keep_the_last_one():
     loop = sensors.replace(quiet, lateral=sensors.replace(quiet.lateral, dropout=0.3))
     found = readings(3000, loop, move=lambda k, name: float(k))
     kept = (np.diff(found, axis=0) == 0).mean(axis=0)
-    assert kept[: 2] == pytest.approx([0.3, 0.3], abs=0.03) and not kept[2:].any()
+    assert kept[:2] == pytest.approx([0.3, 0.3], abs=0.03) and not kept[2:].any()
     both = (np.diff(found[:, :2], axis=0) == 0).all(axis=1).mean()
     assert both == pytest.approx(0.09, abs=0.02)
 
@@ -130,8 +130,8 @@ def test_what_the_inverter_does_is_unknown_to_the_filter():
     assert float(sensors.arriving(line, gain)) == pytest.approx(1.2 * 4)
     assert gain["command"] == 2.0
     assert float(sensors.arriving(line, Readings(stressed.perfect()).gains(0))) == pytest.approx(1.2 * 2)
-    with pytest.raises(InputError, match="latency of 14 ms in all"):
-        load_loop(**{"inverter.delay": 9e-3})
+    with pytest.raises(InputError, match="latency of 21 ms in all"):
+        load_loop(**{"inverter.delay": 16e-3})
 
 
 def test_a_line_of_commands_begins_with_the_newest():
@@ -146,8 +146,8 @@ def test_a_line_of_commands_begins_with_the_newest():
     [
         ("lateral.noise", -2e-4, "lateral.noise = -0.0002 m is impossible, 0 or more up to 0.01 is allowed"),
         ("lateral.period", 1.5e-3, "lateral.period is 1.5 ms, a whole number of ms is needed"),
-        ("latency.measurement", 9e-3, "latency of 11 ms in all, at most 10 ms are held"),
-        ("latency.measurement", 0.03, "latency.measurement = 0.03 s is impossible, 0 or more up to 0.01 is allowed"),
+        ("latency.measurement", 19e-3, "latency of 21 ms in all, at most 20 ms are held"),
+        ("latency.measurement", 0.03, "latency.measurement = 0.03 s is impossible, 0 or more up to 0.02 is allowed"),
         ("gyro.drift", 1.0, "override 'gyro.drift' is not a key of sensors.toml"),
     ],
 )

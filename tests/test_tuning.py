@@ -10,74 +10,158 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from railrepro import paths
 from railrepro.control.ndi import NDI
-from railrepro.control.registry import CONTROLLERS, guidance
+from railrepro.control.registry import CONTROLLERS, INVERSIONS, guidance
 from railrepro.errors import InputError
 from railrepro.simulation import simulate
-from railrepro.studies import tuning
+from railrepro.studies import swarm, tuning
 from railrepro.studies.executor import executor, ordered_map
-from railrepro.vehicle.parameters import load_vehicle
 
 
 def short_task(**budget):
-    """The tuning task with one short scenario."""
+    """The tuning task with one short run and one swarm."""
     task = tuning.load_task()
-    scenario = task.scenarios[2].but(end_m=80.0)
-    return replace(task, scenarios=(scenario,), budget=task.budget | budget)
+    run = replace(task.runs[2], scenario=task.runs[2].scenario.but(end_m=80.0))
+    return replace(task, runs=(run,), budget=task.budget | {"seeds": [1]} | budget)
 
 
-def test_all_controllers_are_searched_with_the_same_task():
-    task = tuning.load_task()
+@pytest.mark.parametrize("terms", tuning.TERMS)
+def test_all_controllers_are_searched_with_the_same_task(terms):
+    task = tuning.load_task(terms=terms)
     assert set(task.dimensions) == set(CONTROLLERS)
-    assert len(task.scenarios) >= 4 and len({s.speed_kmh for s in task.scenarios}) >= 4
-    assert task.budget["particles"] >= 24 and task.budget["iterations"] >= 20
+    assert set(task.designed) == (set(INVERSIONS) if terms == "paper" else set())
+    assert len({run.scenario.speed_kmh for run in task.runs}) >= 4
+    assert len(task.budget["seeds"]) >= 3
 
 
-def test_tuned_sets_belong_to_the_model_and_carry_their_origin():
+def test_terms_differ_in_what_is_seen_and_in_nothing_else():
+    paper, equal, loop = (tuning.load_task(terms=terms) for terms in tuning.TERMS)
+    assert all(not run.scenario.poor_share and not run.sensors and not run.irregular for run in paper.runs)
+    assert [run.name for run in equal.runs] == [run.name for run in loop.runs]
+    for one, other in zip(equal.runs, loop.runs, strict=True):
+        assert (one.scenario, one.irregular, one.plant) == (other.scenario, other.irregular, other.plant)
+        assert not one.sensors or one.sensors["perfect"]
+        assert other.sensors and "perfect" not in other.sensors
+    assert len({run.sensors["seed"] for run in loop.runs}) >= 2
+    stressed = loop.runs[-1]
+    assert stressed.plant == {"drive.lag": 0.0075}
+    assert stressed.sensors == {"seed": 1, "inverter.delay": 0.002, "inverter.gain": 1.2}
+    assert equal.budget == loop.budget and equal.cost == loop.cost and equal.dimensions == loop.dimensions
+
+
+@pytest.mark.parametrize("terms", tuning.TERMS)
+def test_tuned_sets_belong_to_the_model_and_carry_their_origin(terms):
+    task = tuning.load_task(terms=terms)
     for name in CONTROLLERS:
-        tuned = tuning.load(name)
-        assert tuned["origin"]["seed"] == tuning.load_task().budget["seed"]
-        assert set(tuned["parameters"]) == {d.name for d in tuning.load_task().dimensions[name]}
+        tuned = tuning.load(name, terms)
+        if name in task.designed:
+            assert tuned["parameters"] == task.designed[name]
+            continue
+        assert [swarm["seed"] for swarm in tuned["swarms"]] == list(task.budget["seeds"])
+        assert tuned["cost"] == min(swarm["cost"] for swarm in tuned["swarms"])
+        assert set(tuned["parameters"]) == {d.name for d in task.dimensions[name]}
+        found = tuning.particles(name, terms)
+        assert found.groupby("seed")["cost"].min().to_numpy() == pytest.approx(
+            [swarm["cost"] for swarm in tuned["swarms"]], rel=1e-5
+        )
 
 
 def test_tuned_sets_of_another_model_are_refused(tmp_path):
-    content = json.loads((paths.source(tuning.TUNED) / "ndi.json").read_text())
+    content = json.loads((paths.source(tuning.TUNED) / "equal" / "ndi.json").read_text())
     content["origin"]["fingerprint"] = "0" * 16
     (tmp_path / "ndi.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match="ndi.json: was tuned for another vehicle"):
-        tuning.load("ndi", tmp_path)
+        tuning.load("ndi", folder=tmp_path)
     with pytest.raises(InputError, match="make tune"):
-        tuning.load("nmpc", tmp_path)
+        tuning.load("nmpc", folder=tmp_path)
+    with pytest.raises(InputError, match="holds a tuned set of 'ndi' on the terms 'equal'"):
+        tuning.load("ndi", "loop", folder=tmp_path)
 
 
-def test_failures_cost_more_the_earlier_they_happen():
-    task, scenario = tuning.load_task(), tuning.load_task().scenarios[2]
-    run = simulate.run(scenario.but(end_m=60.0), NDI())
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('"poor_stressed"]', '"poor_wet"]', r"\[terms.equal\] has the run 'poor_wet'"),
+        ("gain = 1.2 }", "gian = 1.2 }", r"\[run.poor_stressed\] has inverter.gian"),
+        ("[terms.loop]", "[terms.laboratory]", "allowed are 'paper', 'equal' or 'loop'"),
+        ("seeds = [1, 2, 3]", "seeds = []", "at least one entry is needed"),
+        ("seeds = [1, 2, 3]", "seeds = [1, -2]", "budget.seed 2 = -2"),
+        ("sensors = true", 'sensors = "yes"', "sensors is 'yes', true or false is needed"),
+        ("ndi = { pole = 30.0", "pid = { pole = 30.0", r"\[terms.paper.designed\] has 'pid'"),
+    ],
+)
+def test_a_wrong_task_is_told_in_one_sentence(tmp_path, old, new, sentence):
+    text = (paths.ROOT / "data/tuning.toml").read_text()
+    assert old in text
+    (tmp_path / "tuning.toml").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=sentence):
+        for terms in tuning.TERMS:
+            tuning.load_task(tmp_path / "tuning.toml", terms)
+
+
+def test_unknown_terms_are_refused():
+    with pytest.raises(InputError, match=r"terms 'dry' are not known; there are \['equal', 'loop', 'paper'\]"):
+        tuning.load_task(terms="dry")
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """A run of 60 m, its scenario and the cost."""
+    scenario = tuning.load_task().runs[2].scenario
+    return simulate.run(scenario.but(end_m=60.0), NDI()), scenario, tuning.load_task().cost
+
+
+def test_failures_cost_more_the_earlier_they_happen(driven):
+    run, scenario, cost = driven
     costs = []
     for share in (0.2, 0.8):
-        series = run.series.assign(
-            **{"front.p": run.series["front.p"] / run.series["front.p"].iloc[-1] * share * 400.0}
-        )
-        lost = replace(run, series=series, failed=True)
-        costs.append(tuning.scenario_cost(lost, scenario, task.cost)[0])
-    good = tuning.scenario_cost(run, scenario, task.cost)[0]
-    assert costs[0] > costs[1] > task.cost["failure"] > good
+        way = run.series["front.p"] / run.series["front.p"].iloc[-1] * share * scenario.end_m
+        lost = replace(run, series=run.series.assign(**{"front.p": way}), failed=True)
+        costs.append(swarm.run_cost(lost, scenario, cost)[0])
+        assert costs[-1] == pytest.approx(cost["failure"] * (2 - share))
+    assert costs[0] > costs[1] > cost["failure"] > swarm.run_cost(run, scenario, cost)[0]
 
 
-def test_an_evaluation_beyond_its_limit_stops_at_the_first_failure():
+def test_a_limit_cycle_costs_though_the_error_stays(driven):
+    run, scenario, cost = driven
+    t = run.series["t_s"].to_numpy()
+    shaking = {f"{gear}.du": 1000.0 * np.sin(2 * np.pi * 8.0 * t) for gear in simulate.GEARS}
+    value, parts = swarm.run_cost(replace(run, series=run.series.assign(**shaking)), scenario, cost)
+    assert parts["activity_du"] == pytest.approx(1000 / np.sqrt(2), rel=0.05)
+    assert value - 1e3 * parts["rmse_y"] - 0.25e-3 * parts["effort_du"] == pytest.approx(
+        parts["activity_du"] / 500 - 1, rel=1e-9
+    )
+    slow = {f"{gear}.du": 1000.0 * np.sin(2 * np.pi * 2.0 * t) for gear in simulate.GEARS}
+    value, parts = swarm.run_cost(replace(run, series=run.series.assign(**slow)), scenario, cost)
+    assert parts["activity_du"] < 60 and value == pytest.approx(
+        1e3 * parts["rmse_y"] + 0.25e-3 * parts["effort_du"], rel=1e-12
+    )
+
+
+def test_behind_sensors_the_error_counts_from_the_rails(driven):
+    run, scenario, cost = driven
+    moved = run.series.assign(**{f"{gear}.rail_y": 2e-3 for gear in simulate.GEARS})
+    moved = moved.assign(**{f"{gear}.y": run.series[f"{gear}.y"] + 2e-3 for gear in simulate.GEARS})
+    run = replace(run, series=moved)
+    seen, ideal = (swarm.run_cost(run, scenario, cost, sensed)[1]["rmse_y"] for sensed in (True, False))
+    assert seen == pytest.approx(swarm.run_cost(driven[0], scenario, cost)[1]["rmse_y"])
+    assert ideal > 1.5e-3
+
+
+def test_an_evaluation_beyond_its_limit_stops():
     task = tuning.load_task()
-    curve, loss = task.scenarios[-2:]
-    task = replace(task, scenarios=(curve.but(end_m=60.0), loss.but(end_m=200.0)))
-    evaluation = tuning.Evaluation("ndi", task, load_vehicle())
-    hasty = {"pole": 104.0, "frequency": 83.0, "damping": 1.55}
-    whole, parts = evaluation(hasty)
-    assert [part["done"] < 1 for part in parts] == [True, False]
-    bounded, first = evaluation(hasty, limit=1.0)
-    assert first == parts[:1] and 1.0 < bounded < whole
-    assert evaluation(hasty, limit=whole) == (whole, parts)
+    curve, loss = (replace(task.runs[i], scenario=task.runs[i].scenario.but(end_m=60.0)) for i in (2, -2))
+    evaluation = swarm.Evaluation("ndi", replace(task, runs=(curve, loss)))
+    poles = {"pole": 40.0, "frequency": 30.0, "damping": 1.0}
+    whole, parts = evaluation(poles)
+    assert [part["run"] for part in parts] == ["poor", "T3"]
+    bounded, first = evaluation(poles, limit=0.4 * parts[0]["cost"])
+    assert first == parts[:1] and bounded == parts[0]["cost"] / 2 < whole
+    assert evaluation(poles, limit=whole) == (whole, parts)
 
 
 def test_unknown_controller_and_setting_are_refused():
@@ -93,11 +177,11 @@ def square(x):
 
 
 def test_results_do_not_depend_on_the_number_of_workers(monkeypatch, tmp_path):
-    task, costs = short_task(particles=3, iterations=2, seed=5), []
+    task, costs = short_task(particles=3, iterations=2, seeds=[5, 6]), []
     for workers in ("1", "2"):
         monkeypatch.setenv("RAILREPRO_WORKERS", workers)
         with executor() as pool:
-            costs.append(tuning.tune("ndi", task, pool, tmp_path / workers, quiet=True)["history"])
+            costs.append(swarm.tune("ndi", task, pool, tmp_path / workers, quiet=True)["history"])
     assert costs[0].equals(costs[1])
 
 
@@ -109,7 +193,7 @@ def test_a_dask_cluster_gives_the_same(monkeypatch):
         monkeypatch.setenv("RAILREPRO_DASK", cluster.scheduler_address)
         with executor() as pool:
             assert ordered_map(pool, square, [1, 2, 3], "squares", quiet=True) == [1, 4, 9]
-            evaluation = tuning.Evaluation("ndi", short_task(), load_vehicle())
+            evaluation = swarm.Evaluation("ndi", short_task())
             parameters = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
             there = ordered_map(pool, evaluation, [parameters], "there", quiet=True)[0]
     assert there[0] == evaluation(parameters)[0]

@@ -133,7 +133,7 @@ def control_law(
     guidance : LateralLaw, optional
         Default: the held torque of a slower controller guides.
     adhesion, estimate : optional
-        Settings of the adhesion law and of its estimates.
+        Settings of the adhesion law (default: its own, or those that the sensors need) and of its estimates.
     fixed_share : float
         See `allocate`.
     sensors : Readings, optional
@@ -151,7 +151,9 @@ def control_law(
         raise InputError(f"control law: the limits {sorted(limits)} are given, {sorted(LIMITS)} are needed")
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
     gains = {f"lateral.{name}": value for name, value in guidance.gains().items()}
-    gains |= (adhesion or AdhesionSettings()).gains() | (estimate or EstimateSettings()).gains()
+    if adhesion is None:
+        adhesion = AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
+    gains |= adhesion.gains() | (estimate or EstimateSettings()).gains()
     gains |= {"fixed_share": fixed_share, "nominal_load": load}
     gains["adhesion.torque_per_adhesion"] = load * vehicle.wheel.radius
     gains |= {

@@ -19,7 +19,7 @@ from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import Parameter
 
-LONGEST = 10
+LONGEST = 20
 """Longest latency that the delay lines hold (exchanges)."""
 SIGNALS = ("y_ahead", "y_behind", "psidot_Ax", "w_le", "w_ri", "v", "p")
 """Readings of a gear (SI): displacement against the rails in two planes, absolute yaw rate, wheel speeds, speed and
@@ -114,6 +114,14 @@ class Filter:
 
 
 @schema.table
+class Adhesion:
+    """What the adhesion law needs behind noise, see `railrepro.control.adhesion.AdhesionSettings`."""
+
+    filter_time: _upto(1.0, "s")
+    dead_zone: _upto(10.0, "1/s")
+
+
+@schema.table
 class Loop:
     """All that stands between the car and its controllers; the numbers live in data/sensors.toml."""
 
@@ -125,6 +133,7 @@ class Loop:
     latency: Latency
     inverter: Inverter
     filter: Filter
+    adhesion: Adhesion
 
     def __post_init__(self) -> None:
         for group in dict.fromkeys(_GROUP.values()):
@@ -139,14 +148,14 @@ class Loop:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
-        """The same loop without noise, bias, rounding, dropouts and latency; the inverter stays as it is."""
+        """Without noise, bias, rounding, dropouts and latency; the inverter stays as it is."""
         quiet = {
             group: replace(
                 getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=EXCHANGE_PERIOD, dropout=0.0
             )
             for group in dict.fromkeys(_GROUP.values())
         }
-        return replace(self, **quiet, latency=Latency(0.0, 0.0))
+        return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3))
 
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:

@@ -36,7 +36,7 @@ CONTROLLER_STYLE = {
         "linewidth": 1.0,
         "label": "NDI, set-point rates",
     },
-    "ndi_integral": {"color": SKY, "linestyle": (0, (3, 1)), "linewidth": 1.0, "label": "NDI, integral"},
+    "ndi_integral": {"color": SKY, "linestyle": (0, (3, 1)), "linewidth": 1.0, "label": "NDI, rates and integral"},
 }
 _STYLE = {
     "font.family": "STIXGeneral",

@@ -118,6 +118,7 @@ def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float,
     return {
         "rmse_y": (rmse(series), "m"),
         "rmse_y_rear": (rmse(series, "rear"), "m"),
+        "followed_rmse_y": (followed_rmse(series), "m"),
         "rail_rmse_y": (rail_rmse(series), "m"),
         "mean_error_last_third": (float(np.mean(error[-len(error) // 3 :])), "m"),
         "largest_error": (float(np.abs(error).max()), "m"),

@@ -39,7 +39,7 @@ from railrepro.files import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.exchange import Exchange
-from railrepro.studies import pso, tuning
+from railrepro.studies import pso, swarm, tuning
 from railrepro.studies.executor import executor, ordered_map
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -317,19 +317,19 @@ def _exchange(scenario, vehicle: Vehicle, compiled: bool = True) -> Exchange:
     return Exchange(parameters, table, scenario.route(), control, state, compiled)
 
 
-def executor_speed(vehicle: Vehicle, particles: int = 24, rounds: int = 2) -> pd.DataFrame:
+def executor_speed(particles: int = 24, rounds: int = 2) -> pd.DataFrame:
     """Wall time of a first swarm of the tuning on one and on all workers (best of `rounds`), and their efficiency."""
     task, before, rows = tuning.load_task(), os.environ.get("RAILREPRO_WORKERS"), []
     numbers = (1, os.cpu_count() or 1)
     for name in ("nmpc", "ndi"):
-        swarm = pso.Swarm(task.dimensions[name], particles, task.budget["seed"]).ask()
-        evaluation, best = tuning.Evaluation(name, task, vehicle), dict.fromkeys(numbers, np.inf)
+        first = pso.Swarm(task.dimensions[name], particles, task.budget["seeds"][0]).ask()
+        evaluation, best = swarm.Evaluation(name, task), dict.fromkeys(numbers, np.inf)
         for workers in numbers * rounds:
             os.environ["RAILREPRO_WORKERS"] = str(workers)
             with executor() as pool:
-                ordered_map(pool, evaluation, swarm[: 2 * workers], "warm up", quiet=True)
+                ordered_map(pool, evaluation, first[: 2 * workers], "warm up", quiet=True)
                 begin = time.perf_counter()
-                ordered_map(pool, evaluation, swarm, f"{name}, {workers} workers")
+                ordered_map(pool, evaluation, first, f"{name}, {workers} workers")
                 best[workers] = min(best[workers], time.perf_counter() - begin)
         for workers, seconds in best.items():
             row = {"controller": name, "workers": workers, "evaluations": particles, "seconds": seconds}
@@ -356,7 +356,7 @@ def main(names: list[str]) -> None:
         "plant_speed": lambda: pd.concat([plant_speed(vehicle), phases(vehicle, settings)], ignore_index=True),
         "solve_times": lambda: solve_times(vehicle, settings),
         "horizon_times": lambda: horizon_times(vehicle, settings),
-        "executor_speed": lambda: executor_speed(vehicle),
+        "executor_speed": executor_speed,
     }
     if importlib.util.find_spec("do_mpc"):
         measures["peer"] = lambda: peer(vehicle, settings)

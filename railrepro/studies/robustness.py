@@ -31,6 +31,7 @@ from railrepro.studies import tuning
 from railrepro.studies.executor import executor, ordered_map
 from railrepro.studies.experiment import Experiment
 from railrepro.studies.fingerprint import fingerprint
+from railrepro.studies.swarm import run_cost
 from railrepro.track.alignment import alignments
 from railrepro.track.table import build_table, write_table
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
@@ -193,7 +194,7 @@ def evaluate(sample: Sample) -> dict:
                 keys = ("r",) if preview else ("pole", "frequency")
                 parameters = base | {key: base[key] * scale for key in keys}
                 runs = {s.name: run(s, name, parameters) for s in (curve, sine)}
-                cost = sum(tuning.scenario_cost(runs[s.name], s, task.cost)[0] for s in (curve, sine))
+                cost = sum(run_cost(runs[s.name], s, task.cost)[0] for s in (curve, sine))
                 if cost < best:
                     best, chosen[name] = cost, parameters
                     on_curve, on_sine = runs[curve.name], runs[sine.name]

@@ -171,7 +171,7 @@ def main(names: list[str]) -> None:
                     continue
                 begin = time.perf_counter()
                 result = tune(name, task, pool, paths.BUILD / "tuning")
-                save(result, paths.ROOT / TUNED)
+                save(result, paths.ROOT / TUNED / each)
                 found = ", ".join(f"{swarm['cost']:.4f}" for swarm in result["swarms"])
                 seconds = time.perf_counter() - begin
                 print(

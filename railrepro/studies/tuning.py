@@ -256,12 +256,10 @@ class TunedSet:
 
 
 def save(tuned: dict, folder: Path) -> None:
-    """Write a tuned set as JSON and its particles as CSV into the folder of its terms."""
+    """Write a tuned set as JSON and its particles as CSV."""
     content = {key: value for key, value in tuned.items() if key != "history"}
-    file = folder / tuned["terms"] / tuned["controller"]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write(Path(f"{file}_particles.csv"), tuned["history"].to_csv(index=False, float_format="%.6g"))
-    write(Path(f"{file}.json"), json.dumps(content, indent=2) + "\n")
+    write(folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g"))
+    write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
 
 
 def particles(controller: str, terms: str = EQUAL) -> pd.DataFrame:
@@ -281,7 +279,7 @@ def load(controller: str, terms: str = EQUAL, folder: Path | None = None) -> dic
     task = _task_here(terms)
     if controller in task.designed:
         return {"controller": controller, "terms": terms, "parameters": task.designed[controller]}
-    file = (folder or paths.source(TUNED)) / terms / f"{controller}.json"
+    file = (folder or paths.source(f"{TUNED}/{terms}")) / f"{controller}.json"
     if not file.exists():
         raise InputError(f"{terms}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
     content = schema.read(file)

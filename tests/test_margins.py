@@ -1,0 +1,101 @@
+"""Measured sensitivity against a linearised loop, margins of hand-made curves, and the search for what is survived."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from railrepro.car.component import SteppedCar
+from railrepro.control.ndi import NDI
+from railrepro.control.registry import guidance
+from railrepro.errors import InputError
+from railrepro.studies import margins
+from railrepro.studies.margins import FREQUENCIES, Sensitivity
+
+SPEED = 300.0
+
+
+class RateFeedback:
+    """du = -gain psi'."""
+
+    memory = ()
+
+    def __init__(self, gain):
+        self._gain = gain
+
+    def gains(self):
+        return {"k": self._gain}
+
+    def torque(self, gear, road, memory, gain, model):
+        return -gain["k"] * gear["psidot_Ax"], {}
+
+
+def linearised(gain):
+    """Torque of the front gear over a disturbance of both, from the car's linear model sampled at 1 kHz."""
+    car = SteppedCar("T5", speed=SPEED / 3.6)
+    car.step([0.0] * 4, exchanges=300)
+    model = car.linearise()
+    turn = {"le": 1.0, "ri": -1.0}
+    b = np.stack([sum(turn[s] * model.b[f"{gear}_{s}"].to_numpy() for s in turn) for gear in ("front", "rear")], axis=1)
+    c = model.c.loc[["front.psidot_Ax", "rear.psidot_Ax"]].to_numpy()
+    n = len(model.a)
+    both = linalg.expm(np.block([[model.a.to_numpy(), b], [np.zeros((2, n + 2))]]) * 1e-3)
+    a, b = both[:n, :n], both[:n, n:]
+    z = np.exp(2j * np.pi * np.array(FREQUENCIES) * 1e-3)
+    found = []
+    for each in z:
+        plant = c @ np.linalg.solve(each * np.eye(n) - a, b)
+        found.append(np.linalg.solve(np.eye(2) + gain * plant, np.ones(2))[0])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("gain", [3e4, 6e4])
+def test_sensitivity_is_that_of_the_linearised_loop(gain):
+    found = margins.sensitivity(RateFeedback(gain), SPEED).values
+    assert found == pytest.approx(linearised(gain), abs=0.01)
+    assert np.abs(found - 1).max() > 0.3
+
+
+def test_noise_of_sensors_does_not_enter():
+    loud, other = (margins.sensitivity(NDI(20.0, 20.0), SPEED, {"seed": seed}) for seed in (1, 2))
+    assert loud.values == pytest.approx(other.values, abs=0.05)
+
+
+def test_a_loop_that_is_unstable_has_none():
+    assert margins.sensitivity(NDI(100.0, 100.0), 400.0) is None
+
+
+def test_slow_controllers_are_disturbed_at_the_same_place():
+    slow = margins.probed(guidance("nmpc", NMPC, {"solver": "rti"}), 1.0)
+    assert callable(slow) and slow.memory == ("probe.exchange",)
+    found = margins.sensitivity(guidance("nmpc", NMPC, {"solver": "rti"}), SPEED)
+    assert 1.0 < found.peak < 4.0
+    assert abs(found.values[0]) < 0.7  # slow disturbances are countered
+
+
+NMPC = {
+    **{"q_psi_TrAx": 1.0, "q_psidot_Ax": 1e-3, "r": 1e-11, "q_terminal": 10.0},
+    **{"period_ms": 10, "horizon_s": 0.4},
+}
+
+
+def test_margins_of_hand_made_curves():
+    loop = np.array([-0.5, 1j, 3.0])
+    found = Sensitivity(1 / (1 + loop))
+    assert found.peak == pytest.approx(2.0)
+    assert found.disk_margin == pytest.approx(1 / 1.5)  # the gain may double: (2 + a) / (2 - a) = 2
+    assert (2 + found.disk_margin) / (2 - found.disk_margin) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("quantity", "breaks_at", "expected"), [("delay", 6.5e-3, 6e-3), ("gain", 1.55, 1.5)])
+def test_the_largest_value_that_is_survived_is_found(monkeypatch, quantity, breaks_at, expected):
+    monkeypatch.setattr(margins.Survival, "_fails", lambda self, value: value > breaks_at)
+    assert margins.Survival("equal", "ndi", "dry", quantity)() == pytest.approx(expected)
+    monkeypatch.setattr(margins.Survival, "_fails", lambda self, value: False)
+    assert margins.Survival("equal", "ndi", "dry", quantity)() == margins.QUANTITIES[quantity].largest
+    monkeypatch.setattr(margins.Survival, "_fails", lambda self, value: True)
+    assert np.isnan(margins.Survival("equal", "ndi", "dry", quantity)())
+
+
+def test_wrong_sensors_are_told():
+    with pytest.raises(InputError, match="override 'gyro.colour' is not a key"):
+        margins.sensitivity(NDI(), SPEED, {"gyro.colour": 1.0})
