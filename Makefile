@@ -87,7 +87,7 @@ faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; pri
 lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks
 
-tune: $(VENV)  ## tune all controllers by particle swarm (long, resumes); figures follow
+tune: $(VENV)  ## tune all controllers on all terms by particle swarm (long, resumes); figures follow
 	$(PY) -m railrepro.studies.swarm
 
 report: figures  ## write REPLICATION.md from the measured results
@@ -104,8 +104,9 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.studies.second_opinion; \
 	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
 
-study: $(VENV)  ## robustness study over the unpublished parameters (long, resumes)
+study: $(VENV)  ## robustness over the unpublished parameters, margins of the tuned controllers (long, resumes)
 	$(PY) -m railrepro.studies.robustness
+	$(PY) -m railrepro.studies.margins
 
 html: figures  ## executed notebooks as an HTML book in build/html
 	$(PY) -m railrepro.chain html

@@ -41,7 +41,8 @@ from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.exchange import Exchange
 from railrepro.studies import pso, swarm, tuning
 from railrepro.studies.executor import executor, ordered_map
-from railrepro.track.route import Route
+from railrepro.track.rough import rough_track
+from railrepro.track.route import CELL, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SCENARIOS = (
@@ -270,6 +271,9 @@ def _seconds(call: Callable[[], None], least: float = 0.2) -> float:
     return best
 
 
+_S1002, _TWO_STAGE = {"contact.profile": "s1002"}, {"primary.two_stage": True}
+
+
 def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
     """Real-time factors of the car and of the closed loop, and where the time of an exchange goes."""
     rows, base, per_second = [], scenarios.load_scenario("sine_tracking"), "ms per simulated s"
@@ -286,6 +290,13 @@ def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
         add("car alone", 1e6 * _seconds(exchange.functions["step"]), per_second, speed_kmh)
         add("loop with NDI, adhesion law and log", 1e6 * loop, per_second, speed_kmh)
         add("whole run, Python included", 1e3 * whole, per_second, speed_kmh)
+    changes = {"cone": {}, "S1002": _S1002, "two-stage": _TWO_STAGE, "S1002, two-stage": _S1002 | _TWO_STAGE}
+    for speed_kmh in (400, 160, 40):
+        scenario = base.but(speed_kmh=speed_kmh, end_m=max(50.0, speed_kmh / 3.6 * 3))
+        rough = rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum="en_B_300")
+        for name, change in changes.items():
+            _, loop = _loop(scenario, load_vehicle(**change), rough)
+            add(f"loop on irregular rails, {name}", 1e6 * loop, per_second, speed_kmh)
     exchange, loop = _loop(base, vehicle)
     nothing = ca.SX.sym("x")
     overhead = _seconds(codegen.compiled(ca.Function("nothing", [nothing], [nothing])))
@@ -303,24 +314,24 @@ def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _loop(scenario, vehicle: Vehicle, exchanges: int = 1000) -> tuple[Exchange, float]:
+def _loop(scenario, vehicle: Vehicle, rough=None, exchanges: int = 1000) -> tuple[Exchange, float]:
     """An exchange after a run, and the time of one of its exchanges (s), best of five runs."""
     best = np.inf
     for _ in range(5):
-        exchange = _exchange(scenario, vehicle)
+        exchange = _exchange(scenario, vehicle, rough)
         begin = time.perf_counter()
         exchange.run(exchanges)
         best = min(best, (time.perf_counter() - begin) / exchanges)
     return exchange, best
 
 
-def _exchange(scenario, vehicle: Vehicle, compiled: bool = True) -> Exchange:
+def _exchange(scenario, vehicle: Vehicle, rough=None, compiled: bool = True) -> Exchange:
     table = contact_table(vehicle.contact.profile, vehicle)
     limits = {"lateral": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
     control = law.control_law(vehicle, NDI(), **limits)
     parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
     state = equations.rest_state(vehicle, table, scenario.speed)
-    return Exchange(parameters, table, scenario.route(), control, state, compiled)
+    return Exchange(parameters, table, scenario.route(rough), control, state, compiled)
 
 
 def executor_speed(particles: int = 24, rounds: int = 2) -> pd.DataFrame:
