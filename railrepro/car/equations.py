@@ -25,6 +25,7 @@ from railrepro.car.integrator import Stages, rodas3
 from railrepro.car.kinematics import COORDINATES, Body, named
 from railrepro.car.suspension import PrimaryStage, Suspension
 from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
+from railrepro.compile.reciprocals import share_reciprocals
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.errors import InputError
 from railrepro.track import route
@@ -241,8 +242,10 @@ def car(two_stage: bool = False) -> Car:
     return Car(
         states=states,
         rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
-        step=ca.Function(
-            f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}
+        step=share_reciprocals(
+            ca.Function(
+                f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}
+            )
         ),
         coordinates=ca.Function(f"{kind}_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
         output=ca.Function(
