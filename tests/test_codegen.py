@@ -242,3 +242,18 @@ def test_processes_that_need_the_same_object_compile_it_once(tmp_path):
         ".sha256",
         ".so",
     ]
+
+
+def test_a_denominator_is_inverted_once():
+    """The quotients of a sparse matrix by shared numbers: as many divisions as denominators, equal values."""
+    x, y = ca.SX.sym("x", 5), ca.SX.sym("y", 2)
+    before = ca.Function("f", [x, y], [x[:4] / y[0], ca.sin(x[0] / y[0]) / y[1], 1 / y[1], x[4] / x[0]])
+    after = codegen.share_reciprocals(before)
+    divisions = [after.instruction_id(k) for k in range(after.n_instructions())]
+    assert sum(kind in (ca.OP_DIV, ca.OP_INV) for kind in divisions) == 3
+    at = np.array([0.3, -1.2, 2.5, 0.7, 1.9]), np.array([1.7, -0.6])
+    for found, expected in zip(after(*at), before(*at), strict=True):
+        assert np.array(found) == pytest.approx(np.array(expected), rel=1e-15)
+    assert (after.name(), after.name_in(), after.name_out()) == ("f", before.name_in(), before.name_out())
+    a = ca.SX.sym("a")
+    assert (a * (1 / y[0]) - a / y[0]).is_zero()  # simplification is on again

@@ -255,12 +255,13 @@ def test_step_converges_with_order_three_on_a_smooth_stretch(vehicle):
     assert (orders > 2.4).all()
 
 
-def test_jacobian_of_the_step_is_the_derivative_of_the_rate(vehicle):
+@pytest.mark.parametrize("two_stage", [False, True])
+def test_jacobian_of_the_step_is_the_derivative_of_the_rate(two_stage):
     """A wrong chain rule would cost the order silently; a linear test problem would not see it."""
-    coupled = start(vehicle, "T3", 280 * KMH, NDI())
+    coupled = start(load_vehicle(**{"primary.two_stage": two_stage}), "T3", 280 * KMH, NDI())
     coupled.run(700)
-    car = equations.car()
-    x = ca.SX.sym("x", len(equations.STATES))
+    car = equations.car(two_stage)
+    x = ca.SX.sym("x", len(car.states))
     inputs = coupled.inputs()[1:]
     jacobian = np.array(ca.Function("J", [x], [ca.jacobian(car.rate(x, *inputs), x)])(coupled.state))
     h = 1e-3

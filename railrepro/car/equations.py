@@ -25,7 +25,7 @@ from railrepro.car.integrator import Stages, rodas3
 from railrepro.car.kinematics import COORDINATES, Body, named
 from railrepro.car.suspension import PrimaryStage, Suspension
 from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
-from railrepro.compile.reciprocals import share_reciprocals
+from railrepro.compile.codegen import share_reciprocals
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.errors import InputError
 from railrepro.track import route
@@ -201,12 +201,12 @@ def car(two_stage: bool = False) -> Car:
         moment = stage.moment_on_lower
         for wheel in own:
             force += wheels[wheel].force
-            moment += wheels[wheel].moment + ca.vertcat(0, torques[wheel], 0)
+            moment += wheels[wheel].moment * ca.vertcat(1, 0, 1) + ca.vertcat(0, torques[wheel], 0)
         spin = -par["wheel.spin_inertia"] * sum(speeds[wheel] for wheel in own)
         derivatives.append(gear.derivatives(force, moment, *inertias[name], spin))
     coupling = {wheel: par["gear.axle_damping"] * (speeds[_opposite(wheel)] - speeds[wheel]) for wheel in WHEELS}
     spin_up = [
-        (torques[wheel] + coupling[wheel] - wheels[wheel].axle_moment[1]) / par["wheel.spin_inertia"]
+        (torques[wheel] + coupling[wheel] - wheels[wheel].moment[1]) / par["wheel.spin_inertia"]
         for wheel in WHEELS
     ]
     lag = [(_available(commands[wheel], speeds[wheel], par) - torques[wheel]) / par["drive.lag"] for wheel in WHEELS]
@@ -232,7 +232,7 @@ def car(two_stage: bool = False) -> Car:
     look_up = ca.vertcat(*(bodies[name].s for name in BODIES), *shifts)
     forces = {
         "all": rate,
-        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.axle_moment) for w in wheels.values()))),
+        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.moment) for w in wheels.values()))),
         "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in suspensions.values()))),
     }
     counts = {

@@ -49,6 +49,11 @@ class Stage:
         """About its centre of gravity, in its own axes (N m), shape (3, 1)."""
         return -self._relative.T @ self._on_upper
 
+    def _hold(self, stages: Stages) -> None:
+        """Keep the finished forces and moments as symbols, since each acts on both bodies."""
+        held = stages.hold(self.force_on_lower, self.moment_on_lower, self._on_upper)
+        self.force_on_lower, self.moment_on_lower, self._on_upper = held
+
     def _own(self, name: str) -> ca.SX:
         return self._par[f"{self._group}.{name}"]
 
@@ -132,6 +137,7 @@ class Suspension(Stage):
         self._torsion_spring("yaw", own("yaw_stop_stiffness"), 0, own("yaw_stop_angle"))
         self.yaw_sine = -self._relative[_SINE["yaw"]]
         self.sway = mean[1]
+        self._hold(stages)
 
     def _link(self, half: ca.SX) -> None:
         """Traction link at axle height; acts along the carrier only."""
@@ -154,3 +160,4 @@ class PrimaryStage(Stage):
         weight = (par["body.mass"] / 2 + self._own("frame_mass")) * par["gravity"]
         self._spring_pair(ca.SX.zeros(3), ca.SX.zeros(3), weight)
         self._torsion_spring("carrier_pitch", self._own("pitch_stiffness"), self._own("pitch_damping"))
+        self._hold(stages)

@@ -60,45 +60,40 @@ class Contact:
         self.penetration = (at["effective_radius"] - rail_z) * cos_angle
         self.angle = ca.atan(at["slope"])
 
+        # Axes of the unpitched axle serve below: what rail and profile give in them does not depend on the pitch.
         upright = rotation("z", gear.psi) @ rotation("x", gear.phi)
+        to_body = rotation("x", -gear.phi) @ rotation("y", -gear.pitch) @ rotation("x", gear.phi)
         turn_rate, base = section.turn_rate, sign * par["gear.contact_base"] / 2
         aside, sinking = _rail_slopes(gear, sign, par)
         climb = turn_rate[0] * base + sinking
         tangent = ca.vertcat(1, ca.vertcat(aside, climb) / (1 - turn_rate[2] * base))
-        tangent /= ca.norm_2(tangent)
-        normal = upright @ ca.vertcat(0, sign * at["slope"] * cos_angle, cos_angle)
+        tangent = upright.T @ (tangent / ca.norm_2(tangent))
+        normal = ca.vertcat(0, sign * at["slope"] * cos_angle, cos_angle)
         normal -= tangent * ca.dot(tangent, normal)
         normal /= ca.norm_2(normal)
         lateral = ca.cross(normal, tangent)
-        to_body = gear.rotation.T @ upright
-        centre = ca.vertcat(0, base, 0)
         # A wheel is a body of revolution, so the normal meets its axis: on a rail that climbs against the axle (cant
         # ramp) the contact sits ahead of or behind the lowest point.
-        normal_axes = upright.T @ normal
-        ahead = normal_axes[0] / normal_axes[2]
+        ahead = normal[0] / normal[2]
         depth = at["rolling_radius"] - self.penetration / cos_angle
-        at_normal = to_body @ ca.vertcat(ahead * rail_z, rail_y, rail_z)
-        at_contact = to_body @ ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
+        at_normal = ca.vertcat(ahead * rail_z, rail_y, rail_z)
+        at_contact = ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
 
-        spin = ca.vertcat(gear.wx, -speed, gear.wz)
-        slide = gear.v + gear.rotation @ (ca.cross(gear.w, centre) + ca.cross(spin, at_contact - centre))
+        spin = to_body.T @ ca.vertcat(gear.wx, -speed, gear.wz)
+        slide = upright.T @ gear.v + ca.cross(spin, at_contact)  # the hub lies on the axis of the spin that it adds
         rolling_speed = ca.sqrt(gear.vx**2 + par["contact.rest_speed"] ** 2)
         motion = (offset, self.penetration, self._penetration_rate(gear, sign, par), ca.dot(slide, tangent))
-        motion += (ca.dot(slide, lateral), ca.dot(gear.rotation @ spin, normal), rolling_speed)
+        motion += (ca.dot(slide, lateral), ca.dot(spin, normal), rolling_speed)
         self._forces(stages.hold(*motion), cell, section.poor[side], par)
         self.normal, self.spin_moment, *self.tangential = stages.hold(self.normal, self.spin_moment, *self.tangential)
 
         creep_force = tangent * self.tangential[0] + lateral * self.tangential[1]
         normal_force = -normal * self.normal
-        self.force = creep_force + normal_force
         self.friction_loss = -ca.dot(
             ca.vertcat(*self.tangential, self.spin_moment), ca.vertcat(*self.sliding, self.turn)
         )
-        creep_axes, normal_axes = gear.rotation.T @ creep_force, gear.rotation.T @ normal_force
-        self.axle_moment = ca.cross(at_contact - centre, creep_axes) + ca.cross(at_normal - centre, normal_axes)
-        self.axle_moment += gear.rotation.T @ normal * self.spin_moment
-        bearing = ca.cross(centre, creep_axes + normal_axes)
-        self.moment = ca.vertcat(self.axle_moment[0], 0, self.axle_moment[2]) + bearing
+        moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + normal * self.spin_moment
+        self.force, self.moment = upright @ (creep_force + normal_force), to_body @ moment
 
     def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: dict[str, ca.SX]) -> None:
         """Hertzian normal force with damping, and creep forces, from the motion of the contact.

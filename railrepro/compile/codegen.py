@@ -1,7 +1,7 @@
 """From CasADi functions to C source text, and from there to functions that are called.
 
 The only module of this room that the others import: `cache` compiles text and keeps the objects, `functions` binds
-them to buffers. Without a C compiler `library` returns None and callers evaluate the same CasADi functions in CasADi's
+them to buffers, `reciprocals` saves divisions. Without a C compiler `library` returns None and callers evaluate the same CasADi functions in CasADi's
 virtual machine.
 """
 
@@ -14,6 +14,7 @@ import casadi as ca
 
 from railrepro.compile.cache import CompilerError, build, compiler, do_without, flags
 from railrepro.compile.functions import Call, CompiledFunction, InterpretedFunction
+from railrepro.compile.reciprocals import share_reciprocals
 
 __all__ = [
     "Call",
@@ -26,6 +27,7 @@ __all__ = [
     "flags",
     "lanes_text",
     "library",
+    "share_reciprocals",
     "source_text",
 ]
 

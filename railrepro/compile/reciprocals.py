@@ -26,14 +26,17 @@ def share_reciprocals(function: ca.Function) -> ca.Function:
     """
     arguments = [ca.SX.sym(name, function.sparsity_in(i)) for i, name in enumerate(function.name_in())]
     results = [ca.SX.zeros(function.sparsity_out(i)) for i in range(function.n_out())]
-    dividing = _denominators(function)
+    instructions = [
+        (function.instruction_id(k), function.instruction_output(k), function.instruction_input(k))
+        for k in range(function.n_instructions())
+    ]
+    dividing = _denominators(instructions)
     uses = Counter(dividing.values())
     reciprocals: dict[int, ca.SX] = {}
     slots: dict[int, ca.SX] = {}
     ca.GlobalOptions.setSimplificationOnTheFly(False)  # it turns x (1/y) into x/y
     try:
-        for k in range(function.n_instructions()):
-            kind, to, of = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        for k, (kind, to, of) in enumerate(instructions):
             if kind == ca.OP_OUTPUT:
                 results[to[0]].nz[to[1]] = slots[of[0]]
             elif kind == ca.OP_INPUT:
@@ -51,13 +54,12 @@ def share_reciprocals(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), arguments, results, function.name_in(), function.name_out())
 
 
-def _denominators(function: ca.Function) -> dict[int, int]:
-    """Instructions that divide, each with the instruction that made its denominator."""
+def _denominators(instructions: list[tuple[int, list[int], list[int]]]) -> dict[int, int]:
+    """Instructions (kind, output, inputs) that divide, each with the instruction that made its denominator."""
     dividing, made = {}, {}
-    for k in range(function.n_instructions()):
-        kind, of = function.instruction_id(k), function.instruction_input(k)
+    for k, (kind, to, of) in enumerate(instructions):
         if kind in (ca.OP_DIV, ca.OP_INV):
             dividing[k] = made[of[-1]]
         if kind != ca.OP_OUTPUT:
-            made[function.instruction_output(k)[0]] = k
+            made[to[0]] = k
     return dividing
