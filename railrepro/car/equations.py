@@ -206,8 +206,7 @@ def car(two_stage: bool = False) -> Car:
         derivatives.append(gear.derivatives(force, moment, *inertias[name], spin))
     coupling = {wheel: par["gear.axle_damping"] * (speeds[_opposite(wheel)] - speeds[wheel]) for wheel in WHEELS}
     spin_up = [
-        (torques[wheel] + coupling[wheel] - wheels[wheel].moment[1]) / par["wheel.spin_inertia"]
-        for wheel in WHEELS
+        (torques[wheel] + coupling[wheel] - wheels[wheel].moment[1]) / par["wheel.spin_inertia"] for wheel in WHEELS
     ]
     lag = [(_available(commands[wheel], speeds[wheel], par) - torques[wheel]) / par["drive.lag"] for wheel in WHEELS]
     framed = []

@@ -92,6 +92,7 @@ class Contact:
         self.friction_loss = -ca.dot(
             ca.vertcat(*self.tangential, self.spin_moment), ca.vertcat(*self.sliding, self.turn)
         )
+        # Of this moment about the gear's centre of gravity the bearings pass the y component to the wheel alone.
         moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + normal * self.spin_moment
         self.force, self.moment = upright @ (creep_force + normal_force), to_body @ moment
 

@@ -1,8 +1,8 @@
 """From CasADi functions to C source text, and from there to functions that are called.
 
 The only module of this room that the others import: `cache` compiles text and keeps the objects, `functions` binds
-them to buffers, `reciprocals` saves divisions. Without a C compiler `library` returns None and callers evaluate the same CasADi functions in CasADi's
-virtual machine.
+them to buffers, `reciprocals` saves divisions. Without a C compiler `library` returns None and callers evaluate the
+same CasADi functions in CasADi's virtual machine.
 """
 
 from __future__ import annotations
