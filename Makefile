@@ -12,7 +12,7 @@ PY := .venv/bin/python
 CORES := $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
 # Notebooks at a time; each has the workers of its share of the processors.
 AT_ONCE := $(shell echo $$(( $(CORES) < 4 ? $(CORES) : 4 )))
-PYTEST_JOBS := -n $(AT_ONCE) --dist loadgroup
+PYTEST_JOBS := -n $(AT_ONCE) --dist loadgroup --no-loadscope-reorder
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
@@ -22,7 +22,8 @@ export MPLCONFIGDIR := $(CURDIR)/build/matplotlib
 export JUPYTER_CONFIG_DIR := $(CURDIR)/build/jupyter/config
 export JUPYTER_DATA_DIR := $(CURDIR)/build/jupyter/data
 export JUPYTER_RUNTIME_DIR := $(CURDIR)/build/jupyter/runtime
-unexport JUPYTER_PATH PYTHONPATH
+# Without stored byte code each of some hundred processes would compile the libraries that it imports, for seconds.
+unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 # What make starts ends with it, also when only make is killed.
 ifndef RAILREPRO_LEADER
