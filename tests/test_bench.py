@@ -14,9 +14,8 @@ FEW, MANY = 3, 15
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
 def problem_set(request):
     vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc")["parameters"])
-    recordings = [
-        bench.record(name, settings, vehicle, request.param, hard) for name in bench.SCENARIOS for hard in (False, True)
-    ]
+    plain = [bench.record(name, settings, vehicle, request.param) for name in bench.SCENARIOS]
+    recordings = [recording for one in plain for recording in (one, bench.tightened(one))]
     return vehicle, recordings, [bench.solve_all("ipopt", recording, vehicle)[0] for recording in recordings]
 
 

@@ -93,6 +93,17 @@ def test_the_source_is_kept_on_demand(tmp_path, monkeypatch):
 
 
 @needs_compiler
+def test_long_sources_are_compiled_with_less_optimisation(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
+    text = "int long_one(void) { return 4; }\n"
+    assert "-O2" in cache.flags(length=len(text)) and "-Og" in cache.flags(length=cache._LONG)
+    usual = cache.build(text)
+    monkeypatch.setattr(cache, "_LONG", len(text))
+    assert cache.build(text) != usual
+
+
+@needs_compiler
 def test_a_refused_source_is_kept_and_named(tmp_path, monkeypatch):
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     with pytest.raises(InputError, match=r"refused the generated source .*\.failed\.c"):

@@ -61,6 +61,18 @@ def test_a_killed_worker_is_told_in_one_sentence(monkeypatch):
         assert ordered_map(pool, sleeper, [0.0, 0.1], "again", quiet=True) == [0.0, 0.1]
 
 
+def test_a_script_without_guard_is_told_what_to_do(tmp_path):
+    script = tmp_path / "own.py"
+    script.write_text(
+        "from railrepro.studies.executor import executor, ordered_map\n"
+        "with executor() as pool:\n    ordered_map(pool, abs, [1, 2], 'own', quiet=True)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}
+    done = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.count("Traceback") == 1, done.stderr
+    assert done.stderr.splitlines()[-1].endswith('must stand below if __name__ == "__main__":')
+
+
 @pytest.mark.parametrize("workers", ["0", "-1", "two", "²", "1e3", "100000"])
 def test_a_number_of_workers_that_is_none_is_refused(workers, monkeypatch):
     monkeypatch.setenv("RAILREPRO_WORKERS", workers)

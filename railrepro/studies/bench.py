@@ -70,19 +70,24 @@ class Recording:
 
 
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW, hard: bool = False) -> Recording:
-    """Problems of a closed-loop run, from its middle; `hard` tightens torque and lateral bounds until they act."""
+    """Problems of a closed-loop run, from its middle; `hard` see `tightened`."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
     run = simulate.run(scenario, lambda v, w, g: NMPC(v, w, g, settings, recorded=[]), vehicle=vehicle)
     problems = run.controllers[0].recorded
     first = len(problems) // 2
-    problems = problems[first : first + count]
-    if hard:
-        largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
-        tight = replace(settings, lateral_bound=0.6 * largest, yielding=True)
-        problems = [replace(problem, settings=tight, tau_max=60.0) for problem in problems]
-    return Recording(name + (", bounds active" if hard else ""), scenario.route(), tuple(problems))
+    recording = Recording(name, scenario.route(), tuple(problems[first : first + count]))
+    return tightened(recording) if hard else recording
+
+
+def tightened(recording: Recording) -> Recording:
+    """The same problems with torque and lateral bounds so tight that they act."""
+    problems = recording.problems
+    largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
+    tight = replace(problems[0].settings, lateral_bound=0.6 * largest, yielding=True)
+    hard = tuple(replace(problem, settings=tight, tau_max=60.0) for problem in problems)
+    return Recording(f"{recording.scenario}, bounds active", recording.route, hard)
 
 
 def _solver(kind: str, recording: Recording, vehicle: Vehicle):
@@ -131,7 +136,8 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
 def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
     """Table of all solver paths on all scenarios (contract of data/results/solve_times.csv)."""
     rows = []
-    recordings = [record(name, settings, vehicle, hard=hard) for name in names for hard in (False, True)]
+    plain = [record(name, settings, vehicle) for name in names]
+    recordings = [recording for one in plain for recording in (one, tightened(one))]
     for recording in tqdm(recordings, desc="solvers", unit="scenario"):
         solved = {kind: solve_all(kind, recording, vehicle) for kind in KINDS}
         exact, reference, *_ = solved["ipopt"]

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import re
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +26,8 @@ PATIENCE = 15.0
 """Time without scheduler or worker after which a cluster is lost (s)."""
 _LOOK = 1.0
 """Time between two looks at the cluster (s)."""
+_UNGUARDED = 77
+"""Exit code of a local process that was to start processes while it read the script that had started it."""
 
 
 @contextmanager
@@ -45,6 +48,8 @@ def executor() -> Iterator[Executor]:
     workers = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
     if not (workers.isascii() and workers.isdigit() and 1 <= int(workers) <= 4096):
         raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 to 4096 is needed")
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # what multiprocessing itself looks at
+        sys.exit(_UNGUARDED)  # told by the process that started this one
     pool = _processes(int(workers))
     try:
         yield pool
@@ -81,10 +86,15 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 def _end(pool: ProcessPoolExecutor) -> None:
     """End a pool at once; what its processes were at is lost."""
-    processes = list((getattr(pool, "_processes", None) or {}).values())
+    processes = _started(pool)
     pool.shutdown(wait=False, cancel_futures=True)
     for process in processes:
         process.kill()
+
+
+def _started(pool: Executor) -> list:
+    """The local processes of a pool; none of a cluster."""
+    return list((getattr(pool, "_processes", None) or {}).values())
 
 
 @lru_cache
@@ -128,10 +138,13 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
     Raises
     ------
     InputError
-        When a local process was killed, or the Dask scheduler or all its workers are lost for `PATIENCE`.
+        When a local process was killed, a script is not guarded against being read by the local processes, or the Dask
+        scheduler or all its workers are lost for `PATIENCE`.
     """
+    processes = []
     try:
         futures: list[Future] = [pool.submit(task, argument) for argument in arguments]
+        processes = _started(pool)
         waiting, seen = set(futures), time.monotonic()
         with tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
             while waiting:
@@ -145,6 +158,8 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
                     raise InputError(_LOST)
         return [future.result() for future in futures]
     except (BrokenExecutor, CancelledError) as error:
+        if any(process.exitcode == _UNGUARDED for process in processes):
+            raise InputError(_READ_AGAIN) from None
         raise InputError(_KILLED if isinstance(pool, ProcessPoolExecutor) else _LOST) from error
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
@@ -153,6 +168,10 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
 
 
 _KILLED = "a process of the study was killed, by the system when memory ran out or by somebody; run again to resume"
+_READ_AGAIN = (
+    "the processes of a study read the script that starts it: there, what calls the library must stand below "
+    'if __name__ == "__main__":'
+)
 _LOST = "the Dask scheduler, or all its workers, are lost; start them and run again to resume"
 
 
