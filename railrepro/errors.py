@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 
@@ -25,6 +26,8 @@ def told(command: Callable[[], int | None]) -> int:
         130 after Ctrl-C or the end of make.
     """
     try:
+        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see the package
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         leash.follow_make()
         return command() or 0
     except InputError as error:

@@ -3,6 +3,7 @@
 import inspect
 import math
 import os
+import signal
 import subprocess
 import sys
 import warnings
@@ -12,6 +13,8 @@ import pytest
 
 from railrepro import paths
 from railrepro.car.component import SteppedCar
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.law import EstimateSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
@@ -57,6 +60,7 @@ def swarm(dimensions=None, particles=3, iterations=3, seed=1):
 
 
 WAY = np.arange(0.0, 100.0, 0.5)
+FLAT = np.zeros((4, WAY.size))
 FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
 SINE = {"kind": "sine", "amplitude_mm": 3, "period_m": 50, "start_m": 0}
 LIBRARY = {
@@ -142,6 +146,25 @@ LIBRARY = {
     "a loop in place of readings": (lambda: drive(sensors=load_loop()), "sensors is Loop.*class Readings"),
     "a law of adhesion that is a text": (lambda: drive(adhesion="slip"), "adhesion is 'slip'"),
     "estimates that are a table": (lambda: drive(estimate={"lag": 1}), "estimate is {'lag': 1}"),
+    "a negative step of torque": (lambda: AdhesionSettings(raise_step=-1), "raise_step = -1, a number from 0 to"),
+    "a drop that is no number": (lambda: AdhesionSettings(drop_step=math.nan), "AdhesionSettings: drop_step = nan"),
+    "a lowering that is a text": (lambda: AdhesionSettings(lower_step="x"), "lower_step is 'x', a number in N m"),
+    "a corridor beyond all": (lambda: AdhesionSettings(corridor=2.0), "corridor = 2.0, a number from 0 to 1 "),
+    "a huge filter time": (lambda: AdhesionSettings(filter_time=1e9), "filter_time = .*, a number from 0 to 10 s"),
+    "an infinite dead zone": (lambda: AdhesionSettings(dead_zone=math.inf), "dead_zone = inf"),
+    "a law that is half active": (lambda: AdhesionSettings(active=0.5), "active is 0.5, .*bool"),
+    "negative noise": (lambda: EstimateSettings(noise_f=-0.1), "noise_f = -0.1, a number from 0 to 10"),
+    "noise that is no number": (lambda: EstimateSettings(noise_s=math.nan), "EstimateSettings: noise_s = nan"),
+    "a bias that is a text": (lambda: EstimateSettings(bias_f="x"), "bias_f is 'x'"),
+    "a huge bias": (lambda: EstimateSettings(bias_s=-1e9), "bias_s = .*, a number from -10 to 10"),
+    "a negative lag": (lambda: EstimateSettings(lag=-1.0), "lag = -1.0, a number from 0 to 100 s"),
+    "a line that is a text": (lambda: drive(line="straight"), "line is 'straight', a pair"),
+    "a line that is a number": (lambda: drive(line=3.0), "line is 3.0, a pair"),
+    "a line without derivatives": (lambda: drive(line=(WAY, 0 * WAY)), r"shapes \(200,\) and \(200,\), \(m,\) and"),
+    "an empty line": (lambda: drive(line=([], np.zeros((4, 0)))), r"shapes \(0,\) and \(4, 0\)"),
+    "a line at no numbers": (lambda: drive(line=(WAY * math.nan, FLAT)), "line: the coordinates must be finite"),
+    "a line that is no number": (lambda: drive(line=(WAY, FLAT + math.inf)), "the set points finite"),
+    "a line backwards": (lambda: drive(line=(WAY[::-1], FLAT)), "finite and increasing"),
     "irregularities that are a list": (lambda: drive(irregularities=[1, 2]), r"irregularities is \[1, 2\]"),
     "irregularities beyond the flangeway": (
         lambda: drive(irregularities=rough(lateral_m=0.025)),
@@ -303,6 +326,35 @@ def test_the_command_line_answers_in_one_sentence(what):
     done = subprocess.run(command, env=environment, cwd=paths.ROOT, capture_output=True, text=True)
     assert done.returncode == 1 and sentence in done.stderr
     assert len(done.stderr.splitlines()) == 1, done.stderr
+
+
+def interrupted(folder, *command):
+    """Exit code and stderr of a command that gets Ctrl-C when it writes its first line."""
+    environment = os.environ | {"PYTHONPATH": f"{folder}:{paths.ROOT}"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([sys.executable, *command], env=environment, cwd=folder, **pipes)
+    assert process.stdout.readline() == "here\n"
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=30)
+    return process.returncode, told
+
+
+HERE = "print('here', flush=True); time.sleep(60)"
+
+
+def test_an_interrupt_while_a_command_imports_is_silent(tmp_path):
+    (tmp_path / "numpy.py").write_text(f"import time; {HERE}")
+    assert interrupted(tmp_path, "-m", TUNING) == (-signal.SIGINT, "")
+
+
+def test_an_interrupt_of_a_command_is_told_in_one_sentence(tmp_path):
+    (tmp_path / "tomllib.py").write_text(
+        "import time\ndef load(*_):\n    " + HERE + "\nloads = load\nTOMLDecodeError = ValueError"
+    )
+    assert interrupted(tmp_path, "-m", CHAIN, "fresh") == (
+        130,
+        "interrupted; nothing half-written, run again to resume\n",
+    )
 
 
 ENVIRONMENT = {

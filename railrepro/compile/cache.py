@@ -6,10 +6,10 @@ the same object at the same time wait for the one that compiles it. An object is
 the user, nobody else can write it, and its content is what was stored; else it is made again.
 
 By default nothing but 256-bit registers is asked of the processor, where it has them, and products and sums are not
-fused, so that compilers and processors round alike. Very long sources are optimised less: a tenth of the time to compile,
-for a tenth more to run. `RAILREPRO_CFLAGS` replaces these flags, for example by
-"-O2 -march=native", `RAILREPRO_COMPILER_SECONDS` the time limits. With `RAILREPRO_KEEP_SOURCE=1` the source stays
-beside its object, to be read.
+fused, so that compilers and processors round alike. Very long sources are optimised less: a tenth of the time to
+compile, for a tenth more to run. `RAILREPRO_CFLAGS` replaces these flags, for example by "-O2 -march=native",
+`RAILREPRO_COMPILER_SECONDS` the time limits. With `RAILREPRO_KEEP_SOURCE=1` the source stays beside its object, to be
+read.
 """
 
 from __future__ import annotations

@@ -14,6 +14,15 @@ from dataclasses import dataclass
 import casadi as ca
 
 from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.schema import between, require
+
+_RANGES = {
+    **dict.fromkeys(("raise_step", "lower_step", "drop_step"), between(0.0, 1e9, "N m per ms")),
+    "corridor": between(0.0, 1.0),
+    "filter_time": between(0.0, 10.0, "s"),
+    "dead_zone": between(0.0, 1e9, "1/s"),
+    "active": bool,
+}
 
 
 @dataclass(frozen=True)
@@ -36,6 +45,11 @@ class AdhesionSettings:
         Slip rate below which the switching function is ignored (1/s).
     active : bool
         False gives the baseline without slip control: the torque follows the demand with `raise_step`.
+
+    Raises
+    ------
+    InputError
+        When a value is of another kind or beyond its range.
     """
 
     raise_step: float = 2.0
@@ -46,10 +60,13 @@ class AdhesionSettings:
     dead_zone: float = 1e-3
     active: bool = True
 
+    def __post_init__(self):
+        for name, allowed in _RANGES.items():
+            require(f"AdhesionSettings: {name}", getattr(self, name), allowed)
+
     def gains(self) -> dict[str, float]:
         """Run-time gains by name."""
-        names = ("raise_step", "lower_step", "drop_step", "corridor", "filter_time", "dead_zone")
-        return {f"adhesion.{name}": float(getattr(self, name)) for name in (*names, "active")}
+        return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
 
 
 def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:

@@ -26,6 +26,7 @@ from railrepro.errors import InputError
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, late, sense, sent
 from railrepro.model.control_model import STATES
+from railrepro.schema import between, require
 from railrepro.track.route import COLUMNS, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 
@@ -64,6 +65,11 @@ class EstimateSettings:
         Relative error of scale (-).
     lag : float
         Time constant of a first-order lag (s).
+
+    Raises
+    ------
+    InputError
+        When a value is no number or beyond its range.
     """
 
     noise_f: float = 0.0
@@ -71,6 +77,12 @@ class EstimateSettings:
     bias_f: float = 0.0
     bias_s: float = 0.0
     lag: float = 0.0
+
+    def __post_init__(self):
+        noise, bias = between(0.0, 10.0), between(-10.0, 10.0)
+        ranges = {"noise_f": noise, "noise_s": noise, "bias_f": bias, "bias_s": bias, "lag": between(0.0, 100.0, "s")}
+        for name, allowed in ranges.items():
+            require(f"EstimateSettings: {name}", getattr(self, name), allowed)
 
     def gains(self) -> dict[str, float]:
         """Run-time gains by name."""

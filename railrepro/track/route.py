@@ -7,6 +7,7 @@ Controllers read the same cells, so plant and preview agree about the road ahead
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -125,6 +126,11 @@ def lay(
     Returns
     -------
     Route
+
+    Raises
+    ------
+    InputError
+        When irregularities or line are malformed, or something laid is not finite.
     """
     columns = dict(_geometry(track))
     p = columns["p"]
@@ -134,7 +140,7 @@ def lay(
     if reference is not None:
         columns |= dict(zip(_SET_POINT, _derivatives(reference, p), strict=True))
     if line is not None:
-        columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(*line, p), strict=True)}
+        columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
     if poor is not None:
         left, right = poor if isinstance(poor, tuple) else (poor, poor)
         columns |= {"poor_le": left(p), "poor_ri": right(p)}
@@ -172,8 +178,24 @@ def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarra
     return columns
 
 
-def _sampled(at: np.ndarray, values: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Set point and its derivatives at p from those at the coordinates `at`, shape (4, n)."""
+def _pair(line) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (m,) and set points (4, m) of a planned line; InputError when it is anything else."""
+    try:
+        at, values = (np.asarray(part, dtype=float) for part in line)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"line is {reprlib.repr(line)}, a pair of coordinates (m,) and set points (4, m) is needed"
+        ) from None
+    if at.ndim != 1 or at.size == 0 or values.shape != (len(_SET_POINT), at.size):
+        raise InputError(f"line: arrays of the shapes {at.shape} and {values.shape}, (m,) and (4, m) are needed")
+    if not (np.isfinite(at).all() and np.isfinite(values).all() and (np.diff(at) > 0).all()):
+        raise InputError("line: the coordinates must be finite and increasing, the set points finite")
+    return at, values
+
+
+def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
+    """Set point and its derivatives at p from those of a planned line, shape (4, n)."""
+    at, values = _pair(line)
     index = np.searchsorted(at, p + 1e-9, side="right") - 1
     inside, index = (index >= 0) & (p <= at[-1]), np.clip(index, 0, None)
     d, (y, y1, y2, y3) = p - at[index], values[:, index]
