@@ -12,7 +12,7 @@ PY := .venv/bin/python
 CORES := $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
 # Notebooks at a time; each has the workers of its share of the processors.
 AT_ONCE := $(shell echo $$(( $(CORES) < 4 ? $(CORES) : 4 )))
-PYTEST_JOBS := -n $(AT_ONCE) --dist loadgroup --no-loadscope-reorder
+PYTEST_JOBS := -n $(AT_ONCE)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export PYTHONHASHSEED := 0

@@ -15,19 +15,26 @@ LONG = ("test_notebooks", "test_bench", "test_tuning", "test_claims", "test_addi
 """Files whose tests start first, so that what comes last is short and all workers end together."""
 
 
-@pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A file stays with one worker, which keeps its fixtures; each notebook goes alone."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Files(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.partition("::")[0]
+            return nodeid if file.endswith("test_notebooks.py") else file
+
+    config.option.loadscopereorder = False
+    return Files(config, log)
+
+
 def pytest_collection_modifyitems(items):
-    """A file stays with one worker, which keeps its fixtures; notebooks go alone, those that take longest first."""
+    """What takes longest comes first."""
     items.sort(key=_turn)
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(item.name if _notebook(item) else item.path.stem))
 
 
 def _turn(item):
     place = LONG.index(item.path.stem) if item.path.stem in LONG else len(LONG)
-    return place, -_notebook(item).minutes if _notebook(item) else 0.0
-
-
-def _notebook(item):
-    """The notebook that a test runs, or None."""
-    return getattr(item, "callspec", None) and item.callspec.params.get("notebook")
+    notebook = getattr(item, "callspec", None) and item.callspec.params.get("notebook")
+    return place, -notebook.minutes if notebook else 0.0
