@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -332,7 +333,9 @@ def interrupted(folder, *command):
     """Exit code and stderr of a command that gets Ctrl-C when it writes its first line."""
     environment = os.environ | {"PYTHONPATH": f"{folder}:{paths.ROOT}"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen([sys.executable, *command], env=environment, cwd=folder, **pipes)
+    # A job in the background of a shell hands down that it ignores Ctrl-C.
+    listens = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen([sys.executable, *command], env=environment, cwd=folder, preexec_fn=listens, **pipes)
     assert process.stdout.readline() == "here\n"
     process.send_signal(signal.SIGINT)
     _, told = process.communicate(timeout=30)

@@ -34,11 +34,16 @@ def mirrored(route):
 
 
 def drive(name, change, monkeypatch):
+    return drive_with(tuned(name, CONTROLLERS[name].quick), change, monkeypatch)
+
+
+def drive_with(guidance, change, monkeypatch):
+    """T3's first 150 m with a route that was changed."""
     scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=150.0)
     original = type(scenario).route
     with monkeypatch.context() as patched:
         patched.setattr(type(scenario), "route", lambda self, *laid: change(original(self, *laid)))
-        return simulate.run(scenario, tuned(name, CONTROLLERS[name].quick)).series
+        return simulate.run(scenario, guidance).series
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

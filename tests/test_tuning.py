@@ -199,13 +199,6 @@ def test_a_dask_cluster_gives_the_same(monkeypatch):
     assert there[0] == evaluation(parameters)[0]
 
 
-def test_an_absent_cluster_is_told_in_one_sentence(monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setenv("RAILREPRO_DASK", "tcp://127.0.0.1:9")
-    with pytest.raises(InputError, match="no Dask scheduler answers"), executor():
-        pass
-
-
 WORKERS = """
 import fcntl, sys, time
 from railrepro.studies.executor import executor, ordered_map

@@ -50,6 +50,9 @@ class LateralLaw(Protocol):
 class SlowController(Protocol):
     """A guidance law of one running gear that runs slower than the exchange.
 
+    One that wants to know how its wheels slip also has `notice(adhesion, slip)`, which is called before `plan` with the
+    estimates of the adhesion law, each of left and right wheel, shape (2,), adhesion traction positive (-).
+
     Attributes
     ----------
     period : float

@@ -46,7 +46,8 @@ LIMITS = ("lateral", "track_end", "stop_speed")
 MARGINS = (*(f"{gear}.lateral" for gear in GEARS), "track_end", "stop_speed")
 """Distances to the limits of a run."""
 _ADHESION_MEMORY = ("u", "f_0", "f_1", "s_0", "s_1")
-_ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
+ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
+"""Adhesion and slip of left and right wheel, in the memory of a law, per gear."""
 GUIDANCE_FADE = 1.0
 """Speed below which the differential torque fades (m/s): a wheel that stands cannot steer."""
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
@@ -209,7 +210,7 @@ def memory_names(kind: lateral.Kind, sensed: bool = False) -> tuple[str, ...]:
 
     With sensors `front.seen.y_TrAx` and so on are the states that the controllers saw last.
     """
-    own = (*_ADHESION_MEMORY, *_ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
+    own = (*_ADHESION_MEMORY, *ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
     if sensed:
         own += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN)
     return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in own))

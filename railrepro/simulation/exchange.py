@@ -82,6 +82,7 @@ class Exchange:
         if control.sensed:
             self._seen = np.array([[control.memory.index(f"{gear}.{name}") for name in law.SEEN] for gear in law.GEARS])
         self._base = [control.memory.index(f"{gear}.u") for gear in law.GEARS]
+        self._estimates = np.array([[control.memory.index(f"{gear}.{n}") for n in law.ESTIMATES] for gear in law.GEARS])
         self.memory, self._gains = np.zeros(len(control.memory)), np.array(control.gains)
         self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.record))
         self._measured, self._margins = np.zeros(len(law.MEASURED)), np.zeros(len(law.MARGINS))
@@ -150,6 +151,10 @@ class Exchange:
     def base_torques(self) -> np.ndarray:
         """Base torque per wheel of front and rear gear (N m), shape (2,)."""
         return self.memory[self._base]
+
+    def adhesion_estimates(self) -> np.ndarray:
+        """Adhesion and slip of left and right wheel as the law knew them last, shape (2 gears, 2, 2)."""
+        return self.memory[self._estimates].reshape(len(law.GEARS), 2, 2)
 
     def _run_python(self, rows: np.ndarray) -> int:
         for k in range(len(rows)):

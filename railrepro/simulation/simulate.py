@@ -162,7 +162,10 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
         if not np.isfinite(exchange.measure()).all():
             break
         states, base = exchange.measured_states(), exchange.base_torques()
+        estimates = exchange.adhesion_estimates()
         for gear, controller in enumerate(controllers):
+            if hasattr(controller, "notice"):
+                controller.notice(*estimates[gear])
             plan = controller.plan(states[gear], base[gear])
             if not isfinite(plan):
                 raise ArithmeticError(

@@ -141,10 +141,8 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
         When a local process was killed, a script is not guarded against being read by the local processes, or the Dask
         scheduler or all its workers are lost for `PATIENCE`.
     """
-    processes = []
     try:
         futures: list[Future] = [pool.submit(task, argument) for argument in arguments]
-        processes = _started(pool)
         waiting, seen = set(futures), time.monotonic()
         with tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
             while waiting:
@@ -158,9 +156,13 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
                     raise InputError(_LOST)
         return [future.result() for future in futures]
     except (BrokenExecutor, CancelledError) as error:
+        if not isinstance(pool, ProcessPoolExecutor):
+            raise InputError(_LOST) from error
+        processes = _started(pool)
+        pool.shutdown()  # a process has no exit code before the pool has waited for it
         if any(process.exitcode == _UNGUARDED for process in processes):
             raise InputError(_READ_AGAIN) from None
-        raise InputError(_KILLED if isinstance(pool, ProcessPoolExecutor) else _LOST) from error
+        raise InputError(_KILLED) from error
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error

@@ -1,0 +1,214 @@
+r"""Gains of a lateral controller on the creep-aware model: linear-quadratic feedback with preview, and Kalman filter.
+
+With dy = y - y* and the change of the differential torque from step to step, the cost over an infinite horizon is
+
+    sum_k  q dy_k^2 + rho (du_k - du_(k-1))^2
+
+so that any du that a curve needs costs nothing as long as it is held. What the road brings is known over a preview and
+constant behind it; disturbances are constant. The optimum is linear in all of them.
+
+Source: Anderson and Moore 1990, Optimal Control, ch. 2 and 4 (tracking, known disturbances).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from railrepro.errors import InputError
+from railrepro.model.creep_model import LEAST_SPEED, STATES, UNKNOWN, Creep, lateral_model
+from railrepro.schema import between, require
+from railrepro.vehicle.parameters import Vehicle
+
+READ = ("y", "psi", "r")
+"""States that are measured."""
+SPEEDS = np.geomspace(LEAST_SPEED, 125.0, 31)
+"""Speeds at which gains are computed (m/s); in between they are interpolated over the logarithm."""
+_PRIOR = 1e-4
+"""Slip at which the ratio of measured adhesion and slip counts as much as the creep without traction (-)."""
+_SOFTNESS_STEP, _ADHESION_STEP = 0.15, 0.01
+"""Steps of the logarithm of the secant stiffness and of the used adhesion (-), to which both are rounded."""
+_KNEE, _LEAST_SLOPE = 3e-3, 0.03
+"""Slip at which the slope of the longitudinal creep force is half its secant, and least ratio of both (-): rounded from
+Polach's law, for which this slip is 0.0015 to 0.006 on dry to very poor rails at 40 to 400 km/h."""
+_UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0, 1e-2, 1e-2, 1e-3, 1e-2)
+"""Usual sizes of the states (SI)."""
+_SLIGHT = 1e-12
+"""Variance per step of states that no noise drives (SI), which keeps the filter's equation regular."""
+
+
+@dataclass(frozen=True)
+class CreepSettings:
+    """Tuning of the creep-aware predictive controller.
+
+    Attributes
+    ----------
+    period : float
+        Sampling time, a whole number of milliseconds (s).
+    preview : float
+        How far ahead road and set point are known (s).
+    error, change : float
+        Weights q of the lateral error (1/m2) and rho of a change of the differential torque (1/(N m)2).
+    force_rate, moment_rate : float
+        Random walks of the disturbances, standard deviation after one second (N, N m).
+    y_noise, psi_noise, r_noise : float
+        Standard deviations of what is read (m, rad, rad/s).
+
+    Raises
+    ------
+    InputError
+        When a value is not a number in its range.
+    """
+
+    period: float = 2e-3
+    preview: float = 0.6
+    error: float = 1e7
+    change: float = 1e-3
+    force_rate: float = 3e4
+    moment_rate: float = 1e4
+    y_noise: float = 1e-5
+    psi_noise: float = 1e-5
+    r_noise: float = 1e-4
+
+    def __post_init__(self):
+        ranges = {"period": between(1e-3, 0.1, "s"), "preview": between(0.0, 5.0, "s")}
+        ranges |= {"error": between(1e-3, 1e12, "1/m2"), "change": between(1e-9, 1e6, "1/(N m)2")}
+        ranges |= {"force_rate": between(1e-3, 1e8, "N"), "moment_rate": between(1e-3, 1e8, "N m")}
+        ranges |= {"y_noise": between(1e-9, 1.0, "m"), "psi_noise": between(1e-9, 1.0, "rad")}
+        for name, allowed in (ranges | {"r_noise": between(1e-9, 10.0, "rad/s")}).items():
+            require(f"CreepSettings: {name}", getattr(self, name), allowed)
+
+    @property
+    def steps(self) -> int:
+        """Number of previewed steps, one at least."""
+        return max(round(self.preview / self.period), 1)
+
+
+@dataclass(frozen=True)
+class Gains:
+    """What the controller needs at one speed and creep.
+
+    Attributes
+    ----------
+    step : ndarray, shape (10, 10 + 2 + 1 + 5)
+        States after a period from states, disturbances, differential torque and known inputs (exact).
+    read : ndarray, shape (12, 3)
+        Kalman gain from readings (y, psi, r) to states and disturbances.
+    change : ndarray, shape (13 + 6 * (steps + 1),)
+        Factors of a change of torque (N m): of states, disturbances and last torque; of each known input during each
+        previewed step; of the set point after each of them. Those of the last step stand for all that follow.
+    """
+
+    step: np.ndarray
+    read: np.ndarray
+    change: np.ndarray
+
+
+def gains(vehicle: Vehicle, speed: float, creep: Creep, settings: CreepSettings) -> Gains:
+    """Gains of a gear at a speed (m/s); see `Gains`."""
+    model = lateral_model(vehicle, speed, creep).discrete(settings.period)
+    step = np.column_stack([model.a, model.d, model.b, model.e])
+    return Gains(step, _kalman(model, settings), _tracking(model, settings))
+
+
+class Schedule:
+    """Gains over speed, used adhesion and slip.
+
+    Those of all speeds without traction are computed at the start, others when they are needed first (about 3 ms).
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    settings : CreepSettings
+    creep : Creep
+        Of wheels that hardly slip.
+    """
+
+    def __init__(self, vehicle: Vehicle, settings: CreepSettings, creep: Creep):
+        self._vehicle, self._settings, self._creep = vehicle, settings, creep
+        self._load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
+        self._nodes: dict[tuple[int, int, int], Gains] = {}
+        for node in range(len(SPEEDS)):
+            self._node(node, 0, 0)
+
+    def around(self, speed: float, adhesion: float, slip: float) -> tuple[Gains, Gains, float]:
+        """Gains at the speeds below and above a speed (m/s), and the share of the latter.
+
+        Parameters
+        ----------
+        speed : float
+        adhesion, slip : float
+            Used adhesion and slip, traction positive (-).
+        """
+        place = float(np.interp(np.log(max(speed, SPEEDS[0])), np.log(SPEEDS), np.arange(len(SPEEDS))))
+        node = min(int(place), len(SPEEDS) - 2)
+        softness = (self._load * abs(adhesion) / self._creep.across + _PRIOR) / (abs(slip) + _PRIOR)
+        level = round(min(np.log(softness), 0.0) / _SOFTNESS_STEP)
+        used = round(adhesion / _ADHESION_STEP)
+        return self._node(node, level, used), self._node(node + 1, level, used), place - node
+
+    def _node(self, node: int, level: int, used: int) -> Gains:
+        key = node, level, used
+        if key not in self._nodes:
+            softness, adhesion = float(np.exp(_SOFTNESS_STEP * level)), _ADHESION_STEP * used
+            across = softness * self._creep.across
+            slip = self._load * adhesion / across
+            along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
+            creep = Creep(along, across, adhesion)
+            self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, self._settings)
+        return self._nodes[key]
+
+
+def _kalman(model, settings: CreepSettings) -> np.ndarray:
+    n, m = len(STATES), len(UNKNOWN)
+    a = np.block([[model.a, model.d], [np.zeros((m, n)), np.eye(m)]])
+    c = np.eye(n + m)[[STATES.index(name) for name in READ]]
+    wander = np.full(n + m, _SLIGHT)
+    wander[n:] = settings.period * np.square([settings.force_rate, settings.moment_rate])
+    noise = np.diag(np.square([settings.y_noise, settings.psi_noise, settings.r_noise]))
+    p = _riccati(a.T, c.T, np.diag(wander), noise, 1 / np.array([*_UNITS, settings.force_rate, settings.moment_rate]))
+    return p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
+
+
+def _tracking(model, settings: CreepSettings) -> np.ndarray:
+    """Factors of a change of torque, see `Gains.change`.
+
+    The last torque is a state, its change the input; the costate of what is known is summed backwards in time through
+    the closed loop.
+    """
+    n = len(STATES)
+    a, b = np.eye(n + 1), np.append(model.b, 1.0)[:, None]
+    a[:n, :n], a[:n, n] = model.a, model.b
+    weight = np.zeros((n + 1, n + 1))
+    weight[STATES.index("y"), STATES.index("y")] = settings.error
+    p = _riccati(a, b, weight, np.array([[settings.change]]), np.array([*_UNITS, _UNITS[STATES.index("tau")]]))
+    size = settings.change + float(b[:, 0] @ p @ b[:, 0])
+    feedback = b[:, 0] @ p @ a / size
+    closed = (a - b * feedback).T
+    known, unknown = p[:, :n] @ model.e, p[:, :n] @ model.d
+
+    row = np.empty((settings.steps + 1, n + 1))
+    row[0] = b[:, 0] / size
+    for k in range(settings.steps):
+        row[k + 1] = row[k] @ closed
+    rest = np.linalg.inv(np.eye(n + 1) - closed)
+    row[-1] = row[-1] @ rest
+    state = np.concatenate([-feedback[:n], -row[0] @ rest @ unknown, -feedback[n:]])
+    ahead = np.column_stack([-row @ known, row @ weight[:, STATES.index("y")]]).T
+    return np.concatenate([state, ahead.ravel()])
+
+
+def _riccati(a, b, q, r, units) -> np.ndarray:
+    """Stabilising solution of the discrete Riccati equation, found with states and weights in units of like size."""
+    inputs = 1 / np.sqrt(np.diag(r))
+    scale = np.outer(units, units)
+    try:
+        found = solve_discrete_are(a * units / units[:, None], b * inputs / units[:, None], q * scale, np.eye(len(r)))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InputError(
+            f"CreepSettings: the Riccati equation has no usable solution ({error}); weights, noises or random walks "
+            "nearer to the defaults are needed"
+        ) from error
+    return found / scale

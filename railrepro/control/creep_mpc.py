@@ -1,0 +1,167 @@
+"""Predictive control of a running gear that knows creep: a slower controller with a filter of its own.
+
+Where the paper's model predictive controllers optimise over a model that rolls without sliding, this one optimises over
+`railrepro.model.creep_model`. Without active bounds the optimum is linear in states, disturbances, and road ahead, so
+its gains are scheduled over speed, used adhesion and slip; the torque limit cuts what they ask for, which the filter is
+told.
+A Kalman filter finds creepage, body motion and disturbances from displacement, yaw angle and yaw rate; the disturbances
+make the controller free of steady error.
+
+No counterpart in the paper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from railrepro.control.creep_gains import READ, CreepSettings, Schedule
+from railrepro.errors import InputError
+from railrepro.model import control_model as model
+from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at
+from railrepro.model.forecast import nominal_values
+from railrepro.schema import require
+from railrepro.track.route import CELL, INDEX, Route
+from railrepro.vehicle.parameters import Vehicle
+
+_SLIP_LAG = 0.02
+"""Time constant of the low-pass of measured adhesion and slip (s)."""
+_GRID = 0.25
+"""Pitch of the table of the road ahead (m)."""
+
+
+@dataclass(frozen=True)
+class CreepMPC:
+    """Factory of the controllers of both gears, for `railrepro.simulation.simulate.run`; picklable.
+
+    Attributes
+    ----------
+    settings : CreepSettings
+    creep : Creep, optional
+        Of wheels that hardly slip; default that of the vehicle on a dry rail. What they do when they slip is measured.
+
+    Raises
+    ------
+    InputError
+        When settings or creep are of another kind, or the creep has a used adhesion.
+    """
+
+    settings: CreepSettings = field(default_factory=CreepSettings)
+    creep: Creep | None = None
+
+    def __post_init__(self):
+        require("CreepMPC: settings", self.settings, CreepSettings)
+        if self.creep is not None:
+            require("CreepMPC: creep", self.creep, Creep)
+            if self.creep.adhesion:
+                raise InputError(f"CreepMPC: creep.adhesion = {self.creep.adhesion!r}, 0 is needed, for it is measured")
+
+    def __call__(self, vehicle: Vehicle, route: Route, gear: int) -> CreepGuide:
+        """The controller of a gear (0 front, 1 rear)."""
+        creep = creep_at(vehicle, "dry", 20.0) if self.creep is None else self.creep
+        return CreepGuide(vehicle, route, gear, self.settings, creep)
+
+
+class CreepGuide:
+    """The controller of one gear, a `railrepro.control.lateral.SlowController`.
+
+    Attributes
+    ----------
+    period : float
+        Sampling time (s).
+    state : ndarray, shape (13,)
+        Filtered states of the creep model, disturbances, and the torque that acts (SI).
+    missed : int
+        Samples whose measurement was not finite, so that the filter went on without it.
+    """
+
+    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings, creep: Creep):
+        self.period, self.missed, self.state = settings.period, 0, np.zeros(len(STATES) + 3)
+        self._vehicle, self._started = vehicle, False
+        self._schedule = Schedule(vehicle, settings, creep)
+        self._acceleration, partner, _ = nominal_values(vehicle, gear)
+        self._ahead, self._start = _table(route, partner), route.start
+        self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
+        weight = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity
+        self._bounds = weight / 2 * np.array([1.0, vehicle.gear.contact_base])
+        self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros(2)
+
+    def notice(self, adhesion: np.ndarray, slip: np.ndarray) -> None:
+        """Used adhesion (traction positive) and slip of both wheels (-), see `SlowController`."""
+        found = np.array([adhesion.sum(), -slip.sum()]) / 2
+        if np.isfinite(found).all():
+            self._slip += self.period / (self.period + _SLIP_LAG) * (found - self._slip)
+
+    def plan(self, x_hat: np.ndarray, u_d: float) -> float:
+        """Differential torque (N m) from the measured states (6,) and the base torque per wheel (N m).
+
+        Below the slowest speed of the model the torque is held.
+        """
+        measured = bool(np.isfinite(x_hat).all())
+        if measured:
+            self._seen[:] = x_hat
+        else:
+            self.missed += 1
+            self._seen[model.X] += self._seen[model.XDOT] * self.period
+        v = float(self._seen[model.XDOT])
+        curvature, ahead = self._road(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
+        rate = self._seen[model.PSIDOT_AX] - v * curvature
+        read = np.array([self._seen[model.Y], self._seen[model.PSI_TRAX], rate])
+        if not self._started or v < LEAST_SPEED:
+            self._started = True
+            self._begin(v, read)
+        if v >= LEAST_SPEED:
+            self._follow(read if measured else None, ahead, v)
+        return float(self.state[-1])
+
+    def _follow(self, read: np.ndarray | None, ahead: np.ndarray, v: float) -> None:
+        """Correct the state by what was read, choose the torque, predict the state of the next sample."""
+        low, high, share = self._schedule.around(v, *self._slip)
+        state, limit = self.state, self._vehicle.drive.torque_limit
+        if read is not None:
+            state[:-1] += (low.read + share * (high.read - low.read)) @ (read - state[_READ])
+            state[-3:-1] = np.minimum(np.maximum(state[-3:-1], -self._bounds), self._bounds)
+        known = np.concatenate([state, ahead.ravel()])
+        below, above = low.change @ known, high.change @ known
+        state[-1] = min(max(state[-1] + below + share * (above - below), -limit), limit)
+        step = low.step + share * (high.step - low.step)
+        state[: len(STATES)] = step @ np.concatenate([state, ahead[: len(KNOWN), 0]])
+
+    def _begin(self, v: float, read: np.ndarray) -> None:
+        """State without creepage and disturbance at what was read; the torque stays."""
+        y, psi, r = read
+        start = {"y": y, "vy": v * psi, "psi": psi, "r": r, "E": self._vehicle.gear.contact_base / 2 * r, "yb": y}
+        self.state[:-1] = [*(start.get(name, 0.0) for name in STATES), *(0.0 for _ in UNKNOWN)]
+        self.state[STATES.index("tau")] = self.state[-1]
+
+    def _road(self, speed: float, acceleration: float) -> tuple[float, np.ndarray]:
+        """Curvature here (1/m); known inputs in the middle of each step and set point at its end, (6, steps + 1)."""
+        t = self._times
+        driven = np.minimum(t, speed / -acceleration) if acceleration < 0 else t
+        p = self._seen[model.X] + (speed + acceleration / 2 * driven) * driven
+        place = np.minimum(np.maximum((p - self._start) / _GRID, 0.0), self._ahead.shape[1] - 1.001)
+        index = place.astype(int)
+        columns = self._ahead.take(index, axis=1)
+        columns += (place - index) * (self._ahead.take(index + 1, axis=1) - columns)
+        kappa, dkappa, phi, dphi, heading, apart, y_ref, slope = columns[:, 1:]
+        v = speed + acceleration * driven[1:]
+        side, set_point = self._vehicle.gravity * phi - v**2 * kappa, y_ref + self.period / 2 * v * slope
+        road = np.array([side, v**2 * dkappa, v * dphi, heading, v * apart, set_point])
+        return columns[0, 0], road
+
+
+_READ = [STATES.index(name) for name in READ]
+
+
+def _table(route: Route, partner: float) -> np.ndarray:
+    """The track along the route every `_GRID`, shape (8, n).
+
+    Curvature and its slope (1/m, 1/m2), cant angle and its slope (rad, rad/m), heading and curvature at the gear less
+    those at the car body (rad, 1/m), set point and its slope (m, -).
+    """
+    p = np.arange(route.start, route.start + CELL * len(route.cells), _GRID)
+    (psi, kappa, phi, dphi, *_), there = route.track_at(p), route.track_at(p + partner)
+    dkappa = route.rows_at(p)[:, INDEX["dkappa"]]
+    apart = (psi - there[0]) / 2, (kappa - there[1]) / 2
+    return np.ascontiguousarray([kappa, dkappa, phi, dphi, *apart, *route.reference_at(p)])

@@ -1,0 +1,146 @@
+"""Creep-aware lateral model: poles against the car, steady creep by hand, the control model as its stiff limit."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro.car.component import SteppedCar
+from railrepro.control.ndi import NDI
+from railrepro.errors import InputError
+from railrepro.model import control_model as rolling
+from railrepro.model.creep_model import KNOWN, STATES, Creep, creep_at, lateral_model
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import load_vehicle
+
+V = load_vehicle()
+_LATERAL = ("y", "psi", "phi", "vy", "wx", "wz")
+
+
+def car_poles(speed, slip=0.0, adhesion="dry"):
+    """Poles (rad/s) of the antisymmetric motion of the car in steady rolling, all wheels with a slip."""
+    car = SteppedCar("T5", speed, V, good=adhesion)
+    car.step(exchanges=1000)
+    names = list(car.model.states)
+    wheels = [names.index(name) for name in names if name.startswith("w.")]
+    car.state[wheels] *= 1 + slip
+    rows = [np.eye(len(names))[i] for i, name in enumerate(names) if name.rpartition(".")[2] in _LATERAL]
+    for kind in ("w", "tau"):
+        for gear in ("front", "rear"):
+            left, right = (names.index(f"{kind}.{gear}_{side}") for side in ("le", "ri"))
+            rows.append((np.eye(len(names))[left] - np.eye(len(names))[right]) / np.sqrt(2))
+    basis = np.array(rows)
+    return np.linalg.eigvals(basis @ car.linearise().a.to_numpy() @ basis.T)
+
+
+def model_poles(speed, creep):
+    poles = np.linalg.eigvals(lateral_model(V, speed, creep).a)
+    return poles[np.abs(poles) > 0.05]
+
+
+def distance(found, expected):
+    """Distance of each expected pole to the nearest found one, relative to its size."""
+    return np.abs(found[None, :] / expected[:, None] - 1).min(axis=1)
+
+
+@pytest.mark.parametrize("speed_kmh", [100, 280, 400])
+def test_poles_are_those_of_the_car(speed_kmh):
+    """Sway and yaw of the body differ in frequency; half a body knows the sway only."""
+    speed = speed_kmh / 3.6
+    poles = model_poles(speed, creep_at(V, "dry", speed))
+    assert len(poles) == 9
+    assert distance(car_poles(speed), poles).max() < 0.04
+
+
+@pytest.mark.parametrize("slip", [0.0104, 0.0121])
+def test_used_adhesion_makes_the_gear_unstable_as_in_the_car(slip):
+    speed = 400 / 3.6
+    creep, car = creep_at(V, "poor", speed, slip), car_poles(speed, slip, "poor")
+    poles = model_poles(speed, creep)
+    unstable = poles[(poles.real > 0.5) & (poles.imag > 0)]
+    assert len(unstable) == 1 and distance(car, unstable).max() < 0.03
+    drifting = poles[(poles.real > 0.5) & (poles.imag == 0)]
+    assert len(drifting) == 1 and distance(car, drifting).max() < 0.3  # the car has one of sway and one of yaw
+    assert model_poles(speed, Creep(creep.along, creep.across)).real.max() < 0
+
+
+def test_steady_creep_in_an_arc_is_that_of_the_car_and_of_the_hand_formula():
+    scenario = load_scenario("curve_entry_T3").but(set_point={"kind": "none"})
+    run = simulate.run(scenario, NDI(integral=0.05))
+    last = run.series.tail(500).mean()
+    _, kappa, phi, *_ = load_track("T3").interpolate(np.array([last["front.p"]]))[:, 0]
+    speed = last["front.v"]
+    creep = creep_at(V, "dry", speed)
+    side = (V.body.mass / 2 + V.gear.mass) * (speed**2 * kappa - V.gravity * phi)
+    model = lateral_model(V, speed, creep)
+    known = np.zeros(len(KNOWN))
+    known[KNOWN.index("side")] = V.gravity * phi - speed**2 * kappa
+    place = STATES.index("y")  # y = 0, and the torque that it takes is unknown instead
+    steady = np.linalg.solve(np.column_stack([np.delete(model.a, place, 1), model.b]), -model.e @ known)
+    psi = steady[STATES.index("psi") - 1]
+    cone = np.tan(V.wheel.cone_angle) * (last["front_le.N"] - last["front_ri.N"])
+    assert psi == pytest.approx((side - cone) / (2 * creep.across), rel=0.01)
+    assert 2 * creep.across * psi == pytest.approx(last["front_le.Fy"] + last["front_ri.Fy"], rel=0.02)
+    assert psi == pytest.approx(last["front.psi_TrAx"], rel=0.1)  # Polach's law softens by 7 % up to this creepage
+    assert psi > 3e-4
+
+
+def response(a, b, row, frequency):
+    return np.linalg.solve(1j * frequency * np.eye(len(a)) - a, b)[row]
+
+
+@pytest.mark.parametrize(("cone_angle", "tolerance"), [(1e-5, 2e-3), (0.025, 0.03)])
+def test_stiff_creep_is_the_control_model(cone_angle, tolerance):
+    """Displacement after torque, cant, body and curvature; on a cone the hub's roll moves the contact by 1.6 %."""
+    vehicle, speed = load_vehicle(**{"wheel.cone_angle": cone_angle}), 50.0
+    stiff = lateral_model(vehicle, speed, Creep(1e13, 1e13))
+    control = rolling.control_model()
+    x, u, theta = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("theta", len(rolling.THETA))
+    rate = control.rhs(x, u, theta, control.parameter_vector(vehicle))
+    jacobians = ca.Function("j", [x, u, theta], [ca.jacobian(rate, v) for v in (x, u, theta)])
+    at = np.zeros(6), np.zeros(2), np.zeros(len(rolling.THETA))
+    at[0][rolling.XDOT], at[2][rolling.M_CB] = speed, vehicle.body.mass
+    by_x, by_u, by_theta = (np.array(m) for m in jacobians(*at))
+    keep = [rolling.PSI_AX, rolling.PSIDOT_AX, rolling.Y, rolling.PSI_TRAX]
+    a = by_x[np.ix_(keep, keep)]
+    side, turning, rolls, heading, slewing = stiff.e.T
+    inputs = {
+        "du": (stiff.b, by_u[keep, rolling.TAU_LE] - by_u[keep, rolling.TAU_RI]),
+        "cant": (speed * rolls, by_theta[keep, rolling.DPHI_DP]),
+        "body": (heading, -by_theta[keep, rolling.PSI_CB]),
+    }
+    for frequency in (1.0, 5.0, 20.0):
+        s = 1j * frequency
+        bend = speed * (s * turning + slewing + heading / s - speed * side)
+        inputs["curvature"] = bend, by_theta[keep, rolling.DPSI_DP]
+        lag = 1 / (1 + s * vehicle.drive.lag)
+        for name, (ours, theirs) in inputs.items():
+            found = response(stiff.a, ours, STATES.index("y"), frequency)
+            expected = response(a, theirs, 2, frequency) * (lag if name == "du" else 1)
+            assert abs(found / expected - 1) < tolerance, (name, frequency)
+
+
+def test_discrete_model_is_exact_for_held_inputs():
+    model = lateral_model(V, 20.0, creep_at(V, "dry", 20.0))
+    one, half = model.discrete(4e-3), model.discrete(2e-3)
+    assert half.a @ half.a == pytest.approx(one.a, rel=1e-9, abs=1e-9 * np.abs(one.a).max())
+    for name in ("b", "e", "d"):
+        short, long = getattr(half, name), getattr(one, name)
+        assert half.a @ short + short == pytest.approx(long, rel=1e-9, abs=1e-9 * np.abs(long).max())
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Creep(1e7, 0.0), "Creep: across is 0.0, a number above 0"),
+        (lambda: Creep(True, 1e7), "Creep: along is True"),
+        (lambda: Creep(1e7, 1e7, np.nan), "Creep: adhesion = nan"),
+        (lambda: lateral_model(V, 0.0, Creep(1e7, 1e7)), "lateral model: speed = 0.0, a number from 0.5"),
+        (lambda: creep_at(V, "dry", 20.0, "much"), "creep: slip is 'much'"),
+        (lambda: creep_at(V, "icy", 20.0), "adhesion set 'icy' is not known"),
+    ],
+)
+def test_impossible_arguments_are_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()

@@ -1,0 +1,200 @@
+"""The creep-aware predictive controller: optimum, reach, symmetry, steady error, what it does at the limits."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_symmetry import drive_with, mirrored, turned
+
+from railrepro.control.creep_gains import CreepSettings, Schedule, _riccati, gains
+from railrepro.control.creep_mpc import CreepGuide, CreepMPC
+from railrepro.errors import InputError
+from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at
+from railrepro.simulation import metrics, simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
+
+V = load_vehicle()
+T3 = load_scenario("curve_entry_T3")
+DRY = creep_at(V, "dry", 20.0)
+HOT = CreepSettings(change=1e-4, force_rate=3e5, y_noise=1e-6, psi_noise=1e-6, r_noise=1e-5)
+
+
+def test_first_move_is_that_of_the_whole_optimisation():
+    """Least squares over all moves of a long horizon, with random states, disturbances, road and set points ahead."""
+    settings, horizon, generator = CreepSettings(period=0.01, preview=0.2), 400, np.random.default_rng(3)
+    found = gains(V, 30.0, DRY, settings)
+    scale = [1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 50.0, 1e-2, 1e-2, 1e-3, 1e-3, 500.0, 300.0, 50.0]
+    start = generator.normal(0, scale)
+    ahead = generator.normal(0, [0.3, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3], (settings.steps + 1, 6))
+    move = found.change @ np.concatenate([start, ahead.T.ravel()])
+
+    n = len(STATES)
+    free, forced = start[:n].copy(), np.zeros((n, horizon))
+    y, by_move = [], []
+    for k in range(horizon):
+        road = ahead[min(k, settings.steps)]
+        free = found.step @ np.concatenate([free, start[n:], road[: len(KNOWN)]])
+        torque = (np.arange(horizon) <= k).astype(float)
+        forced = found.step[:, :n] @ forced + np.outer(found.step[:, n + len(UNKNOWN)], torque)
+        y.append(free[0] - road[-1])
+        by_move.append(forced[0].copy())
+    weight = np.sqrt(settings.error)
+    system = np.vstack([weight * np.array(by_move), np.sqrt(settings.change) * np.eye(horizon)])
+    moves = np.linalg.lstsq(system, np.append(-weight * np.array(y), np.zeros(horizon)), rcond=None)[0]
+    assert move == pytest.approx(moves[0], rel=1e-4)
+    assert abs(move) > 10.0
+
+
+@pytest.mark.parametrize("speed", [LEAST_SPEED, 5.0, 125.0])
+@pytest.mark.parametrize(
+    "creep", [DRY, Creep(3e4, 6e5, 0.09), Creep(3e4, 6e5, -0.09)], ids=["dry", "traction", "braking"]
+)
+@pytest.mark.parametrize("settings", [CreepSettings(), HOT], ids=["default", "hot"])
+def test_controller_and_filter_are_stable(speed, creep, settings):
+    found, n = gains(V, speed, creep, settings), len(STATES)
+    a, d, b, _ = np.split(found.step, [n, n + 2, n + 3], axis=1)
+    loop = np.block([[a, b], [np.zeros((1, n)), np.eye(1)]])
+    loop += np.outer(np.append(b, 1.0), np.delete(found.change[: n + 3], [n, n + 1]))
+    drift = np.block([[a, d], [np.zeros((2, n)), np.eye(2)]])
+    seen = np.eye(n + 2)[[STATES.index(name) for name in ("y", "psi", "r")]]
+    for matrix in (loop, drift - found.read @ seen @ drift):
+        assert np.abs(np.linalg.eigvals(matrix)).max() < 1.0
+
+
+def test_gains_exist_at_all_speeds_for_sharp_settings():
+    """In SI units the Riccati equation of the filter fails at some of the low speeds."""
+    assert Schedule(V, HOT, DRY).around(1.0, 0.0, 0.0)[0].read.shape == (len(STATES) + len(UNKNOWN), 3)
+
+
+def test_an_unsolvable_riccati_equation_is_told_in_one_sentence():
+    with pytest.raises(InputError, match="CreepSettings: the Riccati equation has no usable solution"):
+        _riccati(2 * np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1), np.ones(1))
+
+
+@pytest.mark.parametrize(("name", "limit_mm"), [("curve_entry_T3", 0.03), ("sine_tracking", 0.015)])
+def test_reach_with_perfect_measurements(name, limit_mm):
+    run = simulate.run(load_scenario(name).but(end_m=300.0), CreepMPC())
+    for gear in ("front", "rear"):
+        assert metrics.rmse(run.series, gear) < 1e-3 * limit_mm
+    assert not run.failed and not any(controller.missed for controller in run.controllers)
+
+
+def test_without_preview_the_error_grows():
+    short, far = (
+        metrics.rmse(simulate.run(T3.but(end_m=200.0), CreepMPC(CreepSettings(preview=s))).series) for s in (0.0, 0.6)
+    )
+    assert short > 5 * far
+
+
+def test_heading_of_the_track_does_not_matter(monkeypatch):
+    straight, turn = (drive_with(CreepMPC(), change, monkeypatch) for change in (lambda route: route, turned))
+    assert metrics.rmse(turn) == pytest.approx(metrics.rmse(straight), rel=1e-6)
+
+
+def test_a_run_on_the_mirrored_track_is_its_mirror_image(monkeypatch):
+    right, left = (drive_with(CreepMPC(), change, monkeypatch) for change in (lambda route: route, mirrored))
+    for column in ("front.y", "front.du", "rear.du", "rear.psi_TrAx"):
+        assert np.abs(right[column] + left[column]).max() < 1e-6 * right[column].abs().max()
+    assert right["front.y"].abs().max() > 1e-3
+
+
+def test_no_steady_error_in_an_arc_with_wrong_creep_on_a_heavier_car():
+    scenario = T3.but(set_point={"kind": "none"}, end_m=1200.0)
+    heavy = load_vehicle(**{"body.mass": 28_000.0, "suspension.k_x": 50_000.0})
+    wrong = Creep(DRY.along / 2, 2 * DRY.across)
+    last = simulate.run(scenario, CreepMPC(creep=wrong), plant_vehicle=heavy).series.tail(200).mean()
+    for gear in ("front", "rear"):
+        assert abs(last[f"{gear}.y"]) < 2e-6
+    assert abs(last["front.psi_TrAx"]) > 3e-4 and abs(last["front.du"]) > 10.0
+
+
+class Blind(CreepGuide):
+    """Without use of adhesion and slip."""
+
+    def notice(self, adhesion, slip):
+        """Nothing is kept."""
+
+
+def test_seen_slip_saves_adhesion_on_a_poor_rail():
+    """Who takes a slipping wheel for a rolling one wastes the adhesion on a limit cycle of du."""
+    scenario = load_scenario("adhesion_loss").but(end_m=500.0)
+    seeing = simulate.run(scenario, CreepMPC()).series
+    blind = simulate.run(scenario, lambda *on: Blind(*on, CreepSettings(), DRY)).series
+    assert metrics.effort(seeing) < 0.4 * metrics.effort(blind)
+    saved, wasted = (log.loc[log["front.p"] > 300, "front_le.fx"].mean() for log in (seeing, blind))
+    assert saved > 0.085 > 0.06 > wasted
+
+
+def test_it_guides_until_standstill():
+    scenario = load_scenario("braking").but(speed_kmh=20, end_m=400.0)
+    run = simulate.run(scenario, CreepMPC())
+    assert run.ended.startswith("stop speed") and metrics.rmse(run.series) < 1e-4
+
+
+@pytest.fixture
+def guide():
+    return CreepMPC()(V, T3.route(), 0)
+
+
+def measured(v, y=0.0):
+    return np.array([100.0, 0.0, v, 0.0, y, 0.0])
+
+
+def test_torque_keeps_its_limit_and_the_filter_knows(guide):
+    assert guide.plan(measured(50.0), 0.0) != 0.0
+    assert abs(guide.plan(measured(50.0, 0.02), 0.0)) == V.drive.torque_limit
+    assert abs(guide.state[-1]) == V.drive.torque_limit
+
+
+def test_a_measurement_that_is_not_finite_is_bridged_and_counted(guide):
+    for _ in range(20):
+        before = guide.plan(measured(50.0, 1e-4), 0.0)
+    after = guide.plan(np.full(6, np.nan), np.nan)
+    assert np.isfinite(after) and abs(after - before) < 0.2 * V.drive.torque_limit
+    assert guide.missed == 1
+    guide.notice(np.full(2, np.nan), np.zeros(2))
+    assert np.isfinite(guide.plan(measured(50.0, 1e-4), 0.0)) and guide.missed == 1
+
+
+def test_torque_is_held_at_rest(guide):
+    held = guide.plan(measured(1.0, 1e-4), 0.0)
+    assert held != 0.0
+    assert [guide.plan(measured(v, 1e-3), 0.0) for v in (0.4, 0.0, -0.1)] == [held] * 3
+    assert CreepMPC()(V, T3.route(), 1).plan(measured(0.0, 1e-3), 0.0) == 0.0
+
+
+def test_schedule_meets_its_nodes_and_softens_with_slip():
+    schedule = Schedule(V, CreepSettings(), DRY)
+    low, high, share = schedule.around(LEAST_SPEED, 0.0, 0.0)
+    assert share == 0.0
+    assert np.array_equal(low.change, gains(V, LEAST_SPEED, DRY, CreepSettings()).change)
+    assert schedule.around(1e3, 0.0, 0.0)[2] == 1.0 and schedule.around(-1.0, 0.0, 0.0)[2] == 0.0
+    rolling, *_ = schedule.around(100.0, 0.09, 0.001)
+    slipping, *_ = schedule.around(100.0, 0.09, 0.012)
+    free = len(STATES) + len(UNKNOWN)
+    damping = STATES.index("vy"), STATES.index("vy")
+    assert slipping.step[damping] > rolling.step[damping]  # less of the lateral speed is lost in a period
+    assert slipping.step.shape == (len(STATES), free + 1 + len(KNOWN))
+
+
+def test_factory_is_picklable():
+    assert pickle.loads(pickle.dumps(CreepMPC())) == CreepMPC()
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: CreepSettings(period=0.0), "CreepSettings: period = 0.0, a number from 0.001"),
+        (lambda: CreepSettings(change=-1.0), "CreepSettings: change = -1.0, a number from 1e-09"),
+        (lambda: CreepSettings(force_rate="much"), "CreepSettings: force_rate is 'much'"),
+        (lambda: CreepSettings(preview=np.nan), "CreepSettings: preview = nan"),
+        (lambda: CreepMPC({"period": 2e-3}), "CreepMPC: settings is .*CreepSettings is needed"),
+        (lambda: CreepMPC(creep=1e7), "CreepMPC: creep is 10000000.0"),
+        (lambda: CreepMPC(creep=replace(DRY, adhesion=0.1)), "creep.adhesion = 0.1, 0 is needed"),
+    ],
+)
+def test_impossible_settings_are_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
