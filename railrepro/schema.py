@@ -102,7 +102,7 @@ def between(low: float, high: float, unit: str = "") -> Quantity:
     return Quantity(low, high, unit, closed=True)
 
 
-def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> None:
+def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole: bool = False) -> None:
     """Refuse an argument (`what`) that is no (whole) number in a range, or no object of a class, with an InputError."""
     if isinstance(allowed, Quantity):
         try:
@@ -110,7 +110,8 @@ def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> 
         except ValueError as fault:
             raise InputError(f"{what} {fault}") from None
     elif not isinstance(value, allowed):
-        raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {allowed.__name__} is needed")
+        names = " or ".join(kind.__name__ for kind in (allowed if isinstance(allowed, tuple) else (allowed,)))
+        raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {names} is needed")
 
 
 Plain = Annotated[Number, between(-1e12, 1e12)]

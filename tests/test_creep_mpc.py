@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from test_symmetry import drive_with, mirrored, turned
 from railrepro.control.creep_gains import CreepSettings, Schedule, _riccati, gains
 from railrepro.control.creep_mpc import CreepGuide, CreepMPC
 from railrepro.errors import InputError
-from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at
+from railrepro.estimation.sensors import readings
+from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at, lateral_model
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -21,25 +23,29 @@ DRY = creep_at(V, "dry", 20.0)
 HOT = CreepSettings(change=1e-4, force_rate=3e5, y_noise=1e-6, psi_noise=1e-6, r_noise=1e-5)
 
 
-def test_first_move_is_that_of_the_whole_optimisation():
-    """Least squares over all moves of a long horizon, with random states, disturbances, road and set points ahead."""
+@pytest.mark.parametrize(("delay", "sent"), [(0.0, 1), (0.004, 1), (0.01, 1), (0.025, 3)])
+def test_first_move_is_that_of_the_whole_optimisation(delay, sent):
+    """Least squares over all moves of a long horizon, with random states, disturbances, torques under way, road and set
+    points ahead; the model in steps of a thousandth of a second, so that a delay is a number of steps."""
     settings, horizon, generator = CreepSettings(period=0.01, preview=0.2), 400, np.random.default_rng(3)
-    found = gains(V, 30.0, DRY, settings)
-    scale = [1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 50.0, 1e-2, 1e-2, 1e-3, 1e-3, 500.0, 300.0, 50.0]
-    start = generator.normal(0, scale)
+    found, fine = gains(V, 30.0, DRY, settings, delay), lateral_model(V, 30.0, DRY).discrete(1e-3)
+    scale = [1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 50.0, 1e-2, 1e-2, 1e-3, 1e-3, 500.0, 300.0]
+    start, before = generator.normal(0, scale), generator.normal(0, 50.0, sent)
     ahead = generator.normal(0, [0.3, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3], (settings.steps + 1, 6))
-    move = found.change @ np.concatenate([start, ahead.T.ravel()])
+    move = found.change @ np.concatenate([start, [7.0], before, ahead.T.ravel()])
 
-    n = len(STATES)
+    n, late = len(STATES), round(delay / 1e-3)
     free, forced = start[:n].copy(), np.zeros((n, horizon))
     y, by_move = [], []
-    for k in range(horizon):
-        road = ahead[min(k, settings.steps)]
-        free = found.step @ np.concatenate([free, start[n:], road[: len(KNOWN)]])
-        torque = (np.arange(horizon) <= k).astype(float)
-        forced = found.step[:, :n] @ forced + np.outer(found.step[:, n + len(UNKNOWN)], torque)
-        y.append(free[0] - road[-1])
-        by_move.append(forced[0].copy())
+    for k in range(10 * horizon):
+        road, sample = ahead[min(k // 10, settings.steps)], (k - late) // 10
+        old = before[min(-sample - 1, sent - 1)] if sample < 0 else before[0]
+        free = fine.a @ free + fine.d @ start[n:] + fine.b * old + fine.e @ road[: len(KNOWN)]
+        torque = (np.arange(horizon) <= sample).astype(float)
+        forced = fine.a @ forced + np.outer(fine.b, torque)
+        if k % 10 == 9:
+            y.append(free[0] - road[-1])
+            by_move.append(forced[0].copy())
     weight = np.sqrt(settings.error)
     system = np.vstack([weight * np.array(by_move), np.sqrt(settings.change) * np.eye(horizon)])
     moves = np.linalg.lstsq(system, np.append(-weight * np.array(y), np.zeros(horizon)), rcond=None)[0]
@@ -54,18 +60,21 @@ def test_first_move_is_that_of_the_whole_optimisation():
 @pytest.mark.parametrize("settings", [CreepSettings(), HOT], ids=["default", "hot"])
 def test_controller_and_filter_are_stable(speed, creep, settings):
     found, n = gains(V, speed, creep, settings), len(STATES)
-    a, d, b, _ = np.split(found.step, [n, n + 2, n + 3], axis=1)
+    a, d, b, before, _ = np.split(found.step, [n, n + 2, n + 3, n + 4], axis=1)
+    assert not before.any()
     loop = np.block([[a, b], [np.zeros((1, n)), np.eye(1)]])
-    loop += np.outer(np.append(b, 1.0), np.delete(found.change[: n + 3], [n, n + 1]))
-    drift = np.block([[a, d], [np.zeros((2, n)), np.eye(2)]])
-    seen = np.eye(n + 2)[[STATES.index(name) for name in ("y", "psi", "r")]]
+    loop += np.outer(np.append(b, 1.0), np.delete(found.change[: n + 4], [n, n + 1, n + 2]))
+    drift = np.eye(n + 3)
+    drift[:n, : n + 2] = np.hstack([a, d])
+    seen = np.eye(n + 3)[[STATES.index(name) for name in ("y", "psi", "r")]]
+    seen[2, -1] = 1.0
     for matrix in (loop, drift - found.read @ seen @ drift):
         assert np.abs(np.linalg.eigvals(matrix)).max() < 1.0
 
 
 def test_gains_exist_at_all_speeds_for_sharp_settings():
     """In SI units the Riccati equation of the filter fails at some of the low speeds."""
-    assert Schedule(V, HOT, DRY).around(1.0, 0.0, 0.0)[0].read.shape == (len(STATES) + len(UNKNOWN), 3)
+    assert Schedule(V, HOT, DRY).around(1.0, 0.0, 0.0)[0].read.shape == (len(STATES) + len(UNKNOWN) + 1, 3)
 
 
 def test_an_unsolvable_riccati_equation_is_told_in_one_sentence():
@@ -133,6 +142,33 @@ def test_it_guides_until_standstill():
     assert run.ended.startswith("stop speed") and metrics.rmse(run.series) < 1e-4
 
 
+def test_behind_sensors_it_works_on_the_readings_and_knows_their_age():
+    """Late readings are not those of the present; the loop's filter hands on a course for the yaw angle."""
+    careful = CreepSettings(change=1e-2, y_noise=1.4e-4, psi_noise=2.4e-4, r_noise=4e-3, r_drift=1e-5)
+    scenario, seen = load_scenario("sine_tracking").but(end_m=250.0), readings(seed=1)
+    knowing, hasty, deaf = (
+        simulate.run(scenario, partial(kind, settings=careful, creep=DRY), sensors=seen).series
+        for kind in (CreepGuide, Hasty, Deaf)
+    )
+    assert metrics.effort(knowing) < 0.8 * metrics.effort(hasty)
+    assert metrics.rmse(knowing) < 0.8 * metrics.rmse(deaf)
+
+
+class Hasty(CreepGuide):
+    """Takes readings for present ones."""
+
+    def read(self, readings, delay):
+        """No delay."""
+        super().read(readings, 0.0)
+
+
+class Deaf(CreepGuide):
+    """Works on what the filter of the loop found."""
+
+    def read(self, readings, delay):
+        """Nothing is taken."""
+
+
 @pytest.fixture
 def guide():
     return CreepMPC()(V, T3.route(), 0)
@@ -144,8 +180,8 @@ def measured(v, y=0.0):
 
 def test_torque_keeps_its_limit_and_the_filter_knows(guide):
     assert guide.plan(measured(50.0), 0.0) != 0.0
-    assert abs(guide.plan(measured(50.0, 0.02), 0.0)) == V.drive.torque_limit
-    assert abs(guide.state[-1]) == V.drive.torque_limit
+    assert abs(guide.plan(measured(50.0, 4.9e-3), 0.0)) == V.drive.torque_limit
+    assert abs(guide.sent[0]) == V.drive.torque_limit
 
 
 def test_a_measurement_that_is_not_finite_is_bridged_and_counted(guide):
@@ -156,6 +192,16 @@ def test_a_measurement_that_is_not_finite_is_bridged_and_counted(guide):
     assert guide.missed == 1
     guide.notice(np.full(2, np.nan), np.zeros(2))
     assert np.isfinite(guide.plan(measured(50.0, 1e-4), 0.0)) and guide.missed == 1
+
+
+def test_a_filter_that_is_lost_begins_anew_and_counts(guide):
+    for y in (0.0, 1e-4, 8e-3):
+        torque = guide.plan(measured(50.0, y), 0.0)
+    assert guide.restarts == 1 and np.isfinite(torque)
+    assert guide.state[STATES.index("y")] == pytest.approx(8e-3, abs=1e-4)
+    guide.state[STATES.index("vy")] = np.nan
+    guide.plan(measured(50.0, 8e-3), 0.0)
+    assert np.isfinite(guide.plan(measured(50.0, 8e-3), 0.0)) and guide.restarts == 2
 
 
 def test_torque_is_held_at_rest(guide):
@@ -176,7 +222,7 @@ def test_schedule_meets_its_nodes_and_softens_with_slip():
     free = len(STATES) + len(UNKNOWN)
     damping = STATES.index("vy"), STATES.index("vy")
     assert slipping.step[damping] > rolling.step[damping]  # less of the lateral speed is lost in a period
-    assert slipping.step.shape == (len(STATES), free + 1 + len(KNOWN))
+    assert slipping.step.shape == (len(STATES), free + 2 + len(KNOWN))
 
 
 def test_factory_is_picklable():

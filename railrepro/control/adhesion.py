@@ -10,6 +10,7 @@ Serves the paper's section Adhesion Control.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 
@@ -59,6 +60,8 @@ class AdhesionSettings:
     filter_time: float = 5e-3
     dead_zone: float = 1e-3
     active: bool = True
+    memory: ClassVar[tuple[str, ...]] = ("u", "f_0", "f_1", "s_0", "s_1")
+    """Names of the states of the law, see `base_torque`."""
 
     def __post_init__(self):
         for name, allowed in _RANGES.items():
@@ -69,7 +72,7 @@ class AdhesionSettings:
         return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
 
 
-def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
+def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     """Next base torque of one running gear.
 
     Parameters
@@ -78,12 +81,14 @@ def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
         Estimated adhesion (traction-positive) and slip s = (v - w r)/v of the left and right wheel (-).
     f_star : SX
         Adhesion set point, traction-positive (-).
+    v, ticks : SX
+        Not used.
     memory : dict of SX
         u (N m), f_0, f_1, s_0, s_1: base torque and filtered estimates of the previous call.
     gain : mapping
-        `AdhesionSettings.gains`.
-    tau_max : SX
-        Torque limit (N m).
+        `AdhesionSettings.gains` and nominal_load (N).
+    model : mapping
+        Of the control model: tau_max (N m), r_0 (m).
 
     Returns
     -------
@@ -97,7 +102,7 @@ def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
     Source: eqs. (MAC_switching_function), (MAC_control_law), (RAC_law); with s as printed, the stable branch in
     traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
     """
-    sign = ca.if_else(f_star < 0, -1, 1)
+    sign, tau_max = ca.if_else(f_star < 0, -1, 1), model["tau_max"]
     pole = EXCHANGE_PERIOD / (gain["adhesion.filter_time"] + EXCHANGE_PERIOD)
     filtered, unstable = {}, 0
     for i in range(2):
@@ -116,7 +121,7 @@ def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
     moved = ca.if_else(ca.logic_and(unstable, along > 0), released, along + regular)
     seeking = sign * ca.fmin(ca.fmax(moved, -tau_max), tau_max)
 
-    direct = f_star * gain["adhesion.torque_per_adhesion"]
+    direct = f_star * gain["nominal_load"] * model["r_0"]
     step = gain["adhesion.raise_step"]
     ramp = memory["u"] + ca.fmin(ca.fmax(direct - memory["u"], -step), step)
     follow = ca.fmin(ca.fmax(ramp, -tau_max), tau_max)

@@ -1,5 +1,7 @@
 r"""Gains of a lateral controller on the creep-aware model: linear-quadratic feedback with preview, and Kalman filter.
 
+Time runs with the readings: a torque that is chosen now acts after the age of the readings and the way of a command.
+
 With dy = y - y* and the change of the differential torque from step to step, the cost over an infinite horizon is
 
     sum_k  q dy_k^2 + rho (du_k - du_(k-1))^2
@@ -27,7 +29,9 @@ READ = ("y", "psi", "r")
 SPEEDS = np.geomspace(LEAST_SPEED, 125.0, 31)
 """Speeds at which gains are computed (m/s); in between they are interpolated over the logarithm."""
 _PRIOR = 1e-4
-"""Slip at which the ratio of measured adhesion and slip counts as much as the creep without traction (-)."""
+"""Slip that the ratio of adhesion and slip has anyway, so that it exists without traction (-)."""
+_TOLERANCE = 5e-4
+"""Slip beyond that of the linear range that a rolling wheel may show: by its radius, by the noise of the speed (-)."""
 _SOFTNESS_STEP, _ADHESION_STEP = 0.15, 0.01
 """Steps of the logarithm of the secant stiffness and of the used adhesion (-), to which both are rounded."""
 _KNEE, _LEAST_SLOPE = 3e-3, 0.03
@@ -55,6 +59,8 @@ class CreepSettings:
         Random walks of the disturbances, standard deviation after one second (N, N m).
     y_noise, psi_noise, r_noise : float
         Standard deviations of what is read (m, rad, rad/s).
+    r_drift : float
+        Random walk of the bias of the yaw rate that is read, standard deviation after one second (rad/s).
 
     Raises
     ------
@@ -71,13 +77,15 @@ class CreepSettings:
     y_noise: float = 1e-5
     psi_noise: float = 1e-5
     r_noise: float = 1e-4
+    r_drift: float = 1e-6
 
     def __post_init__(self):
         ranges = {"period": between(1e-3, 0.1, "s"), "preview": between(0.0, 5.0, "s")}
         ranges |= {"error": between(1e-3, 1e12, "1/m2"), "change": between(1e-9, 1e6, "1/(N m)2")}
         ranges |= {"force_rate": between(1e-3, 1e8, "N"), "moment_rate": between(1e-3, 1e8, "N m")}
         ranges |= {"y_noise": between(1e-9, 1.0, "m"), "psi_noise": between(1e-9, 1.0, "rad")}
-        for name, allowed in (ranges | {"r_noise": between(1e-9, 10.0, "rad/s")}).items():
+        ranges |= {name: between(1e-9, 10.0, "rad/s") for name in ("r_noise", "r_drift")}
+        for name, allowed in ranges.items():
             require(f"CreepSettings: {name}", getattr(self, name), allowed)
 
     @property
@@ -92,13 +100,15 @@ class Gains:
 
     Attributes
     ----------
-    step : ndarray, shape (10, 10 + 2 + 1 + 5)
-        States after a period from states, disturbances, differential torque and known inputs (exact).
-    read : ndarray, shape (12, 3)
-        Kalman gain from readings (y, psi, r) to states and disturbances.
-    change : ndarray, shape (13 + 6 * (steps + 1),)
-        Factors of a change of torque (N m): of states, disturbances and last torque; of each known input during each
-        previewed step; of the set point after each of them. Those of the last step stand for all that follow.
+    step : ndarray, shape (10, 10 + 2 + 2 + 5)
+        States after a period (exact) from states, disturbances, the differential torque that acts last, the one before
+        it, and known inputs.
+    read : ndarray, shape (13, 3)
+        Kalman gain from readings (y, psi, r) to states, disturbances and the bias of r.
+    change : ndarray, shape (10 + 2 + 1 + sent + 6 * (steps + 1),)
+        Factors of a change of torque (N m): of states, disturbances, bias and the torques that were sent, the last one
+        first; of each known input during each previewed step; of the set point after each of them. Those of the last
+        step stand for all that follow.
     """
 
     step: np.ndarray
@@ -106,17 +116,44 @@ class Gains:
     change: np.ndarray
 
 
-def gains(vehicle: Vehicle, speed: float, creep: Creep, settings: CreepSettings) -> Gains:
-    """Gains of a gear at a speed (m/s); see `Gains`."""
-    model = lateral_model(vehicle, speed, creep).discrete(settings.period)
-    step = np.column_stack([model.a, model.d, model.b, model.e])
-    return Gains(step, _kalman(model, settings), _tracking(model, settings))
+@dataclass(frozen=True)
+class Delay:
+    """Time between a reading and the torque that answers it, in periods.
+
+    Attributes
+    ----------
+    whole : int
+    rest : float
+        Share of a period, below 1.
+    """
+
+    whole: int
+    rest: float
+
+    @property
+    def sent(self) -> int:
+        """How many of the last torques are under way, that which acts now among them; at least one."""
+        return max(self.whole + (self.rest > 0), 1)
+
+
+def delay_of(seconds: float, settings: CreepSettings) -> Delay:
+    """A time (s) in periods, to a thousandth."""
+    periods = round(seconds / settings.period, 3)
+    return Delay(int(periods), periods - int(periods))
+
+
+def gains(vehicle: Vehicle, speed: float, creep: Creep, settings: CreepSettings, delay: float = 0.0) -> Gains:
+    """Gains of a gear at a speed (m/s) with a delay (s) from reading to torque; see `Gains`."""
+    model, late = lateral_model(vehicle, speed, creep), delay_of(delay, settings)
+    whole = model.discrete(settings.period)
+    last = model.discrete((1 - late.rest) * settings.period)
+    before = whole.b - last.b  # of the torque that acts during the rest of the delay
+    step = np.column_stack([whole.a, whole.d, last.b, before, whole.e])
+    return Gains(step, _kalman(whole, settings), _tracking(whole, last.b, before, late, settings))
 
 
 class Schedule:
-    """Gains over speed, used adhesion and slip.
-
-    Those of all speeds without traction are computed at the start, others when they are needed first (about 3 ms).
+    """Gains over speed, used adhesion and slip, computed when they are needed first (about 3 ms).
 
     Parameters
     ----------
@@ -124,14 +161,14 @@ class Schedule:
     settings : CreepSettings
     creep : Creep
         Of wheels that hardly slip.
+    delay : float
+        From reading to torque (s).
     """
 
-    def __init__(self, vehicle: Vehicle, settings: CreepSettings, creep: Creep):
-        self._vehicle, self._settings, self._creep = vehicle, settings, creep
+    def __init__(self, vehicle: Vehicle, settings: CreepSettings, creep: Creep, delay: float = 0.0):
+        self._vehicle, self._settings, self._creep, self._delay = vehicle, settings, creep, delay
         self._load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
         self._nodes: dict[tuple[int, int, int], Gains] = {}
-        for node in range(len(SPEEDS)):
-            self._node(node, 0, 0)
 
     def around(self, speed: float, adhesion: float, slip: float) -> tuple[Gains, Gains, float]:
         """Gains at the speeds below and above a speed (m/s), and the share of the latter.
@@ -144,8 +181,9 @@ class Schedule:
         """
         place = float(np.interp(np.log(max(speed, SPEEDS[0])), np.log(SPEEDS), np.arange(len(SPEEDS))))
         node = min(int(place), len(SPEEDS) - 2)
-        softness = (self._load * abs(adhesion) / self._creep.across + _PRIOR) / (abs(slip) + _PRIOR)
-        level = round(min(np.log(softness), 0.0) / _SOFTNESS_STEP)
+        linear = self._load * abs(adhesion) / self._creep.across + _PRIOR
+        beyond = max(abs(slip) - linear - _TOLERANCE, 0.0)
+        level = round(np.log(linear / (linear + beyond)) / _SOFTNESS_STEP)
         used = round(adhesion / _ADHESION_STEP)
         return self._node(node, level, used), self._node(node + 1, level, used), place - node
 
@@ -157,45 +195,58 @@ class Schedule:
             slip = self._load * adhesion / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
             creep = Creep(along, across, adhesion)
-            self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, self._settings)
+            self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, self._settings, self._delay)
         return self._nodes[key]
 
 
 def _kalman(model, settings: CreepSettings) -> np.ndarray:
     n, m = len(STATES), len(UNKNOWN)
-    a = np.block([[model.a, model.d], [np.zeros((m, n)), np.eye(m)]])
-    c = np.eye(n + m)[[STATES.index(name) for name in READ]]
-    wander = np.full(n + m, _SLIGHT)
-    wander[n:] = settings.period * np.square([settings.force_rate, settings.moment_rate])
+    a = np.eye(n + m + 1)
+    a[:n, :n], a[:n, n : n + m] = model.a, model.d
+    c = np.eye(n + m + 1)[[STATES.index(name) for name in READ]]
+    c[READ.index("r"), -1] = 1.0
+    walks = [settings.force_rate, settings.moment_rate, settings.r_drift]
+    wander = np.full(n + m + 1, _SLIGHT)
+    wander[n:] = settings.period * np.square(walks)
     noise = np.diag(np.square([settings.y_noise, settings.psi_noise, settings.r_noise]))
-    p = _riccati(a.T, c.T, np.diag(wander), noise, 1 / np.array([*_UNITS, settings.force_rate, settings.moment_rate]))
+    p = _riccati(a.T, c.T, np.diag(wander), noise, 1 / np.array([*_UNITS, *walks]))
     return p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
 
 
-def _tracking(model, settings: CreepSettings) -> np.ndarray:
+def _tracking(model, last: np.ndarray, before: np.ndarray, late: Delay, settings: CreepSettings) -> np.ndarray:
     """Factors of a change of torque, see `Gains.change`.
 
-    The last torque is a state, its change the input; the costate of what is known is summed backwards in time through
-    the closed loop.
+    The torques that were sent are states, the change of the newest is the input; the costate of what is known is summed
+    backwards in time through the closed loop.
     """
-    n = len(STATES)
-    a, b = np.eye(n + 1), np.append(model.b, 1.0)[:, None]
-    a[:n, :n], a[:n, n] = model.a, model.b
-    weight = np.zeros((n + 1, n + 1))
+    n, sent = len(STATES), late.sent
+    size = n + sent
+    a, b = np.zeros((size, size)), np.zeros((size, 1))
+    a[:n, :n], a[n, n], b[n] = model.a, 1.0, 1.0
+    for k in range(1, sent):
+        a[n + k, n + k - 1] = 1.0
+    for age, column in ((late.whole, last), (late.whole + 1, before)):
+        if age == 0:  # the torque that is chosen now acts at once: the last one and its change
+            a[:n, n] += column
+            b[:n, 0] += column
+        elif age <= sent:
+            a[:n, n + age - 1] += column
+    weight = np.zeros((size, size))
     weight[STATES.index("y"), STATES.index("y")] = settings.error
-    p = _riccati(a, b, weight, np.array([[settings.change]]), np.array([*_UNITS, _UNITS[STATES.index("tau")]]))
-    size = settings.change + float(b[:, 0] @ p @ b[:, 0])
-    feedback = b[:, 0] @ p @ a / size
+    units = np.array([*_UNITS, *(_UNITS[STATES.index("tau")] for _ in range(sent))])
+    p = _riccati(a, b, weight, np.array([[settings.change]]), units)
+    size_u = settings.change + float(b[:, 0] @ p @ b[:, 0])
+    feedback = b[:, 0] @ p @ a / size_u
     closed = (a - b * feedback).T
     known, unknown = p[:, :n] @ model.e, p[:, :n] @ model.d
 
-    row = np.empty((settings.steps + 1, n + 1))
-    row[0] = b[:, 0] / size
+    row = np.empty((settings.steps + 1, size))
+    row[0] = b[:, 0] / size_u
     for k in range(settings.steps):
         row[k + 1] = row[k] @ closed
-    rest = np.linalg.inv(np.eye(n + 1) - closed)
+    rest = np.linalg.inv(np.eye(size) - closed)
     row[-1] = row[-1] @ rest
-    state = np.concatenate([-feedback[:n], -row[0] @ rest @ unknown, -feedback[n:]])
+    state = np.concatenate([-feedback[:n], -row[0] @ rest @ unknown, [0.0], -feedback[n:]])
     ahead = np.column_stack([-row @ known, row @ weight[:, STATES.index("y")]]).T
     return np.concatenate([state, ahead.ravel()])
 

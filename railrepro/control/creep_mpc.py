@@ -5,7 +5,8 @@ Where the paper's model predictive controllers optimise over a model that rolls 
 its gains are scheduled over speed, used adhesion and slip; the torque limit cuts what they ask for, which the filter is
 told.
 A Kalman filter finds creepage, body motion and disturbances from displacement, yaw angle and yaw rate; the disturbances
-make the controller free of steady error.
+make the controller free of steady error. Behind sensors the filter works on the readings themselves, with their age and
+the way of the commands in its model, not on what the filter of the loop makes of them for models that roll.
 
 No counterpart in the paper.
 """
@@ -16,7 +17,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from railrepro.control.creep_gains import READ, CreepSettings, Schedule
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.control.creep_gains import READ, CreepSettings, Schedule, delay_of
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
 from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at
@@ -27,6 +29,8 @@ from railrepro.vehicle.parameters import Vehicle
 
 _SLIP_LAG = 0.02
 """Time constant of the low-pass of measured adhesion and slip (s)."""
+_LOST = 5e-3
+"""Distance between filter and reading of the displacement beyond which the filter begins anew (m)."""
 _GRID = 0.25
 """Pitch of the table of the road ahead (m)."""
 
@@ -71,21 +75,41 @@ class CreepGuide:
     period : float
         Sampling time (s).
     state : ndarray, shape (13,)
-        Filtered states of the creep model, disturbances, and the torque that acts (SI).
+        Filtered states of the creep model, disturbances, and bias of the yaw rate (SI).
+    sent : ndarray
+        Torques that are under way or act, the last one first (N m).
     missed : int
         Samples whose measurement was not finite, so that the filter went on without it.
+    restarts : int
+        How often the filter was so far off that it began anew.
     """
 
     def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings, creep: Creep):
-        self.period, self.missed, self.state = settings.period, 0, np.zeros(len(STATES) + 3)
-        self._vehicle, self._started = vehicle, False
-        self._schedule = Schedule(vehicle, settings, creep)
+        self.period, self.missed, self.restarts = settings.period, 0, 0
+        self.state = np.zeros(len(STATES) + len(UNKNOWN) + 1)
+        self._vehicle, self._settings, self._creep, self._started = vehicle, settings, creep, False
         self._acceleration, partner, _ = nominal_values(vehicle, gear)
         self._ahead, self._start = _table(route, partner), route.start
         self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
         weight = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity
         self._bounds = weight / 2 * np.array([1.0, vehicle.gear.contact_base])
         self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros(2)
+        self._read: np.ndarray | None = None
+        self._wait(0.0)
+
+    def _wait(self, delay: float) -> None:
+        """Plan for torques that act a delay (s) after what was read."""
+        self._delay, self._late = delay, delay_of(delay, self._settings)
+        self._behind = max(delay - EXCHANGE_PERIOD, 0.0)  # the position that is seen is that of an exchange before
+        self._schedule = Schedule(self._vehicle, self._settings, self._creep, delay)
+        self.sent = np.zeros(self._late.sent)
+
+    def read(self, readings: np.ndarray, delay: float) -> None:
+        """What sensors read: displacement (m), yaw angle (rad), yaw rate (rad/s); and how long it takes from there to the
+        torque (s), see `SlowController`."""
+        if delay != self._delay:
+            self._wait(delay)
+        self._read = np.array(readings)
 
     def notice(self, adhesion: np.ndarray, slip: np.ndarray) -> None:
         """Used adhesion (traction positive) and slip of both wheels (-), see `SlowController`."""
@@ -98,7 +122,7 @@ class CreepGuide:
 
         Below the slowest speed of the model the torque is held.
         """
-        measured = bool(np.isfinite(x_hat).all())
+        measured = bool(np.isfinite(x_hat).all() and (self._read is None or np.isfinite(self._read).all()))
         if measured:
             self._seen[:] = x_hat
         else:
@@ -106,40 +130,48 @@ class CreepGuide:
             self._seen[model.X] += self._seen[model.XDOT] * self.period
         v = float(self._seen[model.XDOT])
         curvature, ahead = self._road(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
-        rate = self._seen[model.PSIDOT_AX] - v * curvature
-        read = np.array([self._seen[model.Y], self._seen[model.PSI_TRAX], rate])
-        if not self._started or v < LEAST_SPEED:
+        read = self._seen[[model.Y, model.PSI_TRAX, model.PSIDOT_AX]] if self._read is None else self._read.copy()
+        read[-1] -= v * curvature
+        lost = measured and self._started and not abs(read[0] - self.state[0]) < _LOST  # also when the state is NaN
+        self.restarts += lost
+        if not self._started or lost or v < LEAST_SPEED:
             self._started = True
             self._begin(v, read)
         if v >= LEAST_SPEED:
             self._follow(read if measured else None, ahead, v)
-        return float(self.state[-1])
+        return float(self.sent[0])
 
     def _follow(self, read: np.ndarray | None, ahead: np.ndarray, v: float) -> None:
         """Correct the state by what was read, choose the torque, predict the state of the next sample."""
         low, high, share = self._schedule.around(v, *self._slip)
-        state, limit = self.state, self._vehicle.drive.torque_limit
+        state, limit, free = self.state, self._vehicle.drive.torque_limit, len(STATES) + len(UNKNOWN)
         if read is not None:
-            state[:-1] += (low.read + share * (high.read - low.read)) @ (read - state[_READ])
-            state[-3:-1] = np.minimum(np.maximum(state[-3:-1], -self._bounds), self._bounds)
-        known = np.concatenate([state, ahead.ravel()])
+            expected = state[_READ]
+            expected[-1] += state[-1]
+            state += (low.read + share * (high.read - low.read)) @ (read - expected)
+            state[len(STATES) : free] = np.minimum(np.maximum(state[len(STATES) : free], -self._bounds), self._bounds)
+        known = np.concatenate([state, self.sent, ahead.ravel()])
         below, above = low.change @ known, high.change @ known
-        state[-1] = min(max(state[-1] + below + share * (above - below), -limit), limit)
+        torque = min(max(self.sent[0] + below + share * (above - below), -limit), limit)
+        torques = np.array([torque, *self.sent])
+        acts = torques[[self._late.whole, min(self._late.whole + 1, len(torques) - 1)]]
         step = low.step + share * (high.step - low.step)
-        state[: len(STATES)] = step @ np.concatenate([state, ahead[: len(KNOWN), 0]])
+        state[: len(STATES)] = step @ np.concatenate([state[:free], acts, ahead[: len(KNOWN), 0]])
+        self.sent = torques[: len(self.sent)]
 
     def _begin(self, v: float, read: np.ndarray) -> None:
         """State without creepage and disturbance at what was read; the torque stays."""
         y, psi, r = read
         start = {"y": y, "vy": v * psi, "psi": psi, "r": r, "E": self._vehicle.gear.contact_base / 2 * r, "yb": y}
-        self.state[:-1] = [*(start.get(name, 0.0) for name in STATES), *(0.0 for _ in UNKNOWN)]
-        self.state[STATES.index("tau")] = self.state[-1]
+        self.state[:] = [start.get(name, 0.0) for name in (*STATES, *UNKNOWN, "bias")]
+        self.sent[:] = self.sent[0]
+        self.state[STATES.index("tau")] = self.sent[0]
 
     def _road(self, speed: float, acceleration: float) -> tuple[float, np.ndarray]:
         """Curvature here (1/m); known inputs in the middle of each step and set point at its end, (6, steps + 1)."""
         t = self._times
         driven = np.minimum(t, speed / -acceleration) if acceleration < 0 else t
-        p = self._seen[model.X] + (speed + acceleration / 2 * driven) * driven
+        p = self._seen[model.X] - self._behind * speed + (speed + acceleration / 2 * driven) * driven
         place = np.minimum(np.maximum((p - self._start) / _GRID, 0.0), self._ahead.shape[1] - 1.001)
         index = place.astype(int)
         columns = self._ahead.take(index, axis=1)

@@ -19,9 +19,11 @@ import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.control import lateral
-from railrepro.control.adhesion import AdhesionSettings, base_torque
+from railrepro.control import adhesion as paper_adhesion
+from railrepro.control import lateral, slip
+from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.allocation import allocate
+from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
@@ -42,10 +44,14 @@ MEASURED = (
 """Outputs of the car that the law measures."""
 SEEN = tuple(f"seen.{name}" for name in STATES)
 """States of a gear as its controllers saw them last, in the memory of a law with sensors."""
+READ = ("read.y_TrAx", "read.psi_TrAx", "read.psidot_Ax")
+"""Displacement, yaw angle and yaw rate of a gear as sensors read them, in the memory of a law with sensors."""
 LIMITS = ("lateral", "track_end", "stop_speed")
 MARGINS = (*(f"{gear}.lateral" for gear in GEARS), "track_end", "stop_speed")
 """Distances to the limits of a run."""
-_ADHESION_MEMORY = ("u", "f_0", "f_1", "s_0", "s_1")
+Longitudinal = type[AdhesionSettings] | type[SlipSettings]
+"""Which law gives the base torque."""
+_BASE_TORQUE = {AdhesionSettings: paper_adhesion.base_torque, SlipSettings: slip.base_torque}
 ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
 """Adhesion and slip of left and right wheel, in the memory of a law, per gear."""
 GUIDANCE_FADE = 1.0
@@ -102,21 +108,24 @@ class ControlLaw:
         Run-time gains in the order of `gain_names`.
     sensed : bool
         Whether sensors and filter stand between the car and the controllers.
+    along : type
+        `AdhesionSettings` or `SlipSettings`: which law gives the base torque.
     """
 
     kind: lateral.Kind
     gains: np.ndarray
     sensed: bool = False
+    along: Longitudinal = AdhesionSettings
 
     @property
     def memory(self) -> tuple[str, ...]:
         """Names of the states of the law."""
-        return memory_names(self.kind, self.sensed)
+        return memory_names(self.kind, self.sensed, self.along)
 
     @property
     def function(self) -> ca.Function:
         """See `function`."""
-        return function(self.kind, self.sensed)
+        return function(self.kind, self.sensed, self.along)
 
     @property
     def record(self) -> tuple[str, ...]:
@@ -125,13 +134,13 @@ class ControlLaw:
 
     def library(self) -> ctypes.CDLL | None:
         """The law as a shared object; None without a C compiler."""
-        return _library(self.kind, self.sensed)
+        return _library(self.kind, self.sensed, self.along)
 
 
 def control_law(
     vehicle: Vehicle,
     guidance: lateral.LateralLaw | None = None,
-    adhesion: AdhesionSettings | None = None,
+    adhesion: AdhesionSettings | SlipSettings | None = None,
     estimate: EstimateSettings | None = None,
     fixed_share: float = 0.0,
     sensors: Readings | None = None,
@@ -146,7 +155,8 @@ def control_law(
     guidance : LateralLaw, optional
         Default: the held torque of a slower controller guides.
     adhesion, estimate : optional
-        Settings of the adhesion law (default: its own, or those that the sensors need) and of its estimates.
+        Settings of the paper's adhesion law (default: its own, or those that the sensors need) or of the slip control
+        of our own, and of its estimates.
     fixed_share : float
         See `allocate`.
     sensors : Readings, optional
@@ -168,7 +178,6 @@ def control_law(
         adhesion = AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
     gains |= adhesion.gains() | (estimate or EstimateSettings()).gains()
     gains |= {"fixed_share": fixed_share, "nominal_load": load}
-    gains["adhesion.torque_per_adhesion"] = load * vehicle.wheel.radius
     gains |= {
         "model.J_eff": vehicle.effective_yaw_inertia,
         "model.k_sz": vehicle.suspension.yaw_stiffness,
@@ -187,16 +196,17 @@ def control_law(
         for g, gear in enumerate(GEARS):
             gains |= {f"{gear}.sensor.{name}": value for name, value in sensors.gains(g).items()}
         gains |= {f"filter.{name}": value for name, value in observers.stationary_gains(vehicle, sensors.loop).items()}
-    return ControlLaw(kind, np.array([gains[name] for name in gain_names(kind, sensed)], dtype=float), sensed)
+    along = type(adhesion)
+    numbers = [gains[name] for name in gain_names(kind, sensed, along)]
+    return ControlLaw(kind, np.array(numbers, dtype=float), sensed, along)
 
 
-def gain_names(kind: lateral.Kind, sensed: bool = False) -> tuple[str, ...]:
+def gain_names(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> tuple[str, ...]:
     """Names of the run-time gains."""
     seeing = (*(f"{gear}.sensor.{n}" for gear in GEARS for n in GAINS), *(f"filter.{n}" for n in observers.GAINS))
     return (
         *(f"lateral.{name}" for name in kind.gains),
-        *AdhesionSettings().gains(),
-        "adhesion.torque_per_adhesion",
+        *along().gains(),
         *EstimateSettings().gains(),
         *("fixed_share", "nominal_load"),
         *(f"model.{name}" for name in lateral.MODEL),
@@ -205,14 +215,14 @@ def gain_names(kind: lateral.Kind, sensed: bool = False) -> tuple[str, ...]:
     )
 
 
-def memory_names(kind: lateral.Kind, sensed: bool = False) -> tuple[str, ...]:
+def memory_names(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> tuple[str, ...]:
     """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m).
 
     With sensors `front.seen.y_TrAx` and so on are the states that the controllers saw last.
     """
-    own = (*_ADHESION_MEMORY, *ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
+    own = (*along.memory, *ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
     if sensed:
-        own += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN)
+        own += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN, *READ)
     return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in own))
 
 
@@ -223,12 +233,12 @@ def record_names(sensed: bool = False) -> tuple[str, ...]:
 
 
 @lru_cache
-def _library(kind: lateral.Kind, sensed: bool) -> ctypes.CDLL | None:
-    return codegen.library((function(kind, sensed),))
+def _library(kind: lateral.Kind, sensed: bool, along: Longitudinal) -> ctypes.CDLL | None:
+    return codegen.library((function(kind, sensed, along),))
 
 
 @lru_cache
-def function(kind: lateral.Kind, sensed: bool = False) -> ca.Function:
+def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> ca.Function:
     """The 1 kHz law as a function.
 
     Returns
@@ -237,7 +247,7 @@ def function(kind: lateral.Kind, sensed: bool = False) -> ca.Function:
         (measured, cells of both gears, held[2], gains, memory) -> command[4] (N m), memory, record, margins; a run goes
         on while all margins are positive.
     """
-    names = {"y": MEASURED, "gains": gain_names(kind, sensed), "memory": memory_names(kind, sensed)}
+    names = {"y": MEASURED, "gains": gain_names(kind, sensed, along), "memory": memory_names(kind, sensed, along)}
     symbols = {name: ca.SX.sym(name, len(entries)) for name, entries in names.items()}
     y, gain, old = (_named(names[name], symbols[name]) for name in names)
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
@@ -263,7 +273,8 @@ def function(kind: lateral.Kind, sensed: bool = False) -> ca.Function:
             state, estimates = states[gear], _estimates(gear, g, y, old["ticks"], own, gain)
         f_star = cells[gear]["force"] / (2 * gain["nominal_load"])
         f, s = ([estimates[f"{kind_}_hat_{i}"] for i in range(2)] for kind_ in ("f", "s"))
-        u_d, kept, segment = base_torque(f, s, f_star, own, gain, model["tau_max"])
+        v, ticks = state["xdot"], old["ticks"]
+        u_d, kept, segment = _BASE_TORQUE[along](f, s, f_star, v, ticks, own, gain, model)
 
         state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
         wanted, following = _lateral(kind, state, road, own, gain, model)
@@ -322,6 +333,9 @@ class _Sight:
         state = {name: seen[name] for name in ("xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")}
         state |= {"x": self.place, "psi_Ax": road["psi_Tr"] + seen["psi_TrAx"]}
         self.kept = {f"seen.{name}": state[name] for name in STATES}
+        planes = self._readings["y_ahead"], self._readings["y_behind"]
+        self.kept |= {"read.y_TrAx": sum(planes) / 2, "read.psi_TrAx": (planes[0] - planes[1]) / self._gain["base"]}
+        self.kept |= {"read.psidot_Ax": self._readings["psidot_Ax"]}
         sides = tuple(enumerate(SIDES))
         return state, {f"{what}_hat_{i}": seen[f"{what}_{side}"] for what in ("f", "s") for i, side in sides}
 

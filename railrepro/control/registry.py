@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 
+from railrepro.control.creep_gains import CreepSettings
+from railrepro.control.creep_mpc import CreepMPC
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
@@ -102,6 +104,12 @@ WITH_OBSERVER, OBSERVER = "nmpc_observer", 0.05
 """Name of the NMPC with an offset observer, and the observer's gain, see `MPCSettings.observer`."""
 EMPHASIS = 10.0
 """Factor on R of NMPC where the longitudinal task counts more (Fig. 8)."""
+OURS = "creep_mpc"
+"""The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
+REGISTERED = CONTROLLERS | {
+    OURS: Controller(CreepMPC, lambda p: CreepSettings(**p), True, _AHEAD + "; adhesion and slip of its wheels")
+}
+"""All of them."""
 
 
 def with_r_times(parameters: dict, factor: float) -> dict:
@@ -120,7 +128,7 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     Parameters
     ----------
     name : str
-        Key of `CONTROLLERS`.
+        Key of `REGISTERED`.
     parameters : dict
         Tuning parameters, see data/tuning.toml.
     options : dict, optional
@@ -133,9 +141,9 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     LateralLaw or callable
         See `simulate.run`.
     """
-    if name not in CONTROLLERS:
-        raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
-    controller = CONTROLLERS[name]
+    if name not in REGISTERED:
+        raise InputError(f"controller {name!r} is not known; there are {sorted(REGISTERED)}")
+    controller = REGISTERED[name]
     if not isinstance(parameters, dict):
         raise InputError(f"controller {name}: parameters are {reprlib.repr(parameters)}, a table of numbers is needed")
     wrong = [key for key, value in parameters.items() if not is_number(value)]

@@ -37,6 +37,7 @@ CONTROLLER_STYLE = {
         "label": "NDI, set-point rates",
     },
     "ndi_integral": {"color": SKY, "linestyle": (0, (3, 1)), "linewidth": 1.0, "label": "NDI, rates and integral"},
+    "creep_mpc": {"color": BLACK, "linestyle": "-", "linewidth": 1.2, "label": "CreepMPC (ours)"},
 }
 _STYLE = {
     "font.family": "STIXGeneral",

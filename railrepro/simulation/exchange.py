@@ -81,6 +81,7 @@ class Exchange:
         self._seen = None
         if control.sensed:
             self._seen = np.array([[control.memory.index(f"{gear}.{name}") for name in law.SEEN] for gear in law.GEARS])
+            self._read = np.array([[control.memory.index(f"{gear}.{name}") for name in law.READ] for gear in law.GEARS])
         self._base = [control.memory.index(f"{gear}.u") for gear in law.GEARS]
         self._estimates = np.array([[control.memory.index(f"{gear}.{n}") for n in law.ESTIMATES] for gear in law.GEARS])
         self.memory, self._gains = np.zeros(len(control.memory)), np.array(control.gains)
@@ -147,6 +148,10 @@ class Exchange:
         if self._seen is None or not self.exchanges:
             return self.car.outputs[self._states]
         return self.memory[self._seen]
+
+    def readings(self) -> np.ndarray | None:
+        """What sensors read of both gears last, shape (2, 3), see `law.READ`; None without sensors or at first."""
+        return None if self._seen is None or not self.exchanges else self.memory[self._read]
 
     def base_torques(self) -> np.ndarray:
         """Base torque per wheel of front and rear gear (N m), shape (2,)."""

@@ -18,6 +18,7 @@ from railrepro.contact.table import contact_table
 from railrepro.control import lateral, law
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS
+from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
@@ -66,7 +67,7 @@ def run(
     *,
     vehicle: Vehicle | None = None,
     plant_vehicle: Vehicle | None = None,
-    adhesion: AdhesionSettings | None = None,
+    adhesion: AdhesionSettings | SlipSettings | None = None,
     estimate: law.EstimateSettings | None = None,
     fixed_share: float = 0.0,
     sensors: Readings | None = None,
@@ -115,7 +116,7 @@ def run(
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
     optional = {
-        "adhesion": (adhesion, AdhesionSettings),
+        "adhesion": (adhesion, (AdhesionSettings, SlipSettings)),
         "estimate": (estimate, law.EstimateSettings),
         "sensors": (sensors, Readings),
     }
@@ -135,7 +136,8 @@ def run(
     state = equations.rest_state(body, tables[0], scenario.speed)
     exchange = Exchange(parameters, tables, route, control, state, compiled, substeps)
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
-    log = _drive(exchange, controllers, _longest(route, scenario))
+    latency = vars(sensors.loop.latency).values() if sensors else ()
+    log = _drive(exchange, controllers, _longest(route, scenario), sum(latency) + EXCHANGE_PERIOD)
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
@@ -149,8 +151,11 @@ def _longest(route: Route, scenario: Scenario) -> int:
     return int(max(10.0, 10 * route.length / scenario.speed) / EXCHANGE_PERIOD)
 
 
-def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
-    """Alternate lateral plans and exchanges until the run ends; rows of the log, shape (n, columns)."""
+def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> np.ndarray:
+    """Alternate lateral plans and exchanges until the run ends; rows of the log, shape (n, columns).
+
+    Behind sensors a torque acts a `delay` (s) after the readings that it answers, those of the exchange before.
+    """
     if not controllers:
         return exchange.run(longest)
     periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
@@ -162,10 +167,12 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int) -> np.ndarray:
         if not np.isfinite(exchange.measure()).all():
             break
         states, base = exchange.measured_states(), exchange.base_torques()
-        estimates = exchange.adhesion_estimates()
+        estimates, readings = exchange.adhesion_estimates(), exchange.readings()
         for gear, controller in enumerate(controllers):
             if hasattr(controller, "notice"):
                 controller.notice(*estimates[gear])
+            if readings is not None and hasattr(controller, "read"):
+                controller.read(readings[gear], delay)
             plan = controller.plan(states[gear], base[gear])
             if not isfinite(plan):
                 raise ArithmeticError(

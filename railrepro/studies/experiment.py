@@ -16,6 +16,7 @@ import pandas as pd
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import guidance
+from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
 from railrepro.simulation import metrics, ride, simulate
@@ -42,7 +43,7 @@ class Experiment:
     ----------
     scenario : Scenario
     controller : str
-        Key of `registry.CONTROLLERS`.
+        Key of `registry.REGISTERED`.
     label : dict
         Further columns of the row.
     parameters : dict or None
@@ -79,7 +80,7 @@ class Experiment:
     changes: dict = field(default_factory=dict)
     vehicle: dict = field(default_factory=dict)
     plant: dict = field(default_factory=dict)
-    adhesion: AdhesionSettings | None = None
+    adhesion: AdhesionSettings | SlipSettings | None = None
     estimate: EstimateSettings | None = None
     fixed_share: float = 0.0
     irregular: dict = field(default_factory=dict)

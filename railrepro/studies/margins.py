@@ -18,7 +18,7 @@ import pandas as pd
 from railrepro import paths
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
-from railrepro.control.registry import CONTROLLERS
+from railrepro.control.registry import REGISTERED
 from railrepro.errors import told
 from railrepro.estimation.sensors import readings
 from railrepro.files import write
@@ -211,7 +211,7 @@ class Survival:
         name, end = RAILS[self.rail]
         change = QUANTITIES[self.quantity].change(value)
         sensors = {"seed": 101} | ({} if self.terms == tuning.LOOP else {"perfect": True}) | change.get("sensors", {})
-        quick = CONTROLLERS[self.controller].quick
+        quick = REGISTERED[self.controller].quick
         run = Experiment(
             load_scenario(name).but(end_m=end), self.controller, options=quick, terms=self.terms, sensors=sensors,
             plant=change.get("plant", {}),
@@ -228,7 +228,7 @@ class Measured:
     speed_kmh: float
 
     def __call__(self) -> dict:
-        guidance = tuning.tuned(self.controller, CONTROLLERS[self.controller].quick, self.terms)
+        guidance = tuning.tuned(self.controller, REGISTERED[self.controller].quick, self.terms)
         found = sensitivity(guidance, self.speed_kmh, {"seed": 101} if self.terms == tuning.LOOP else None)
         row = {"terms": self.terms, "controller": self.controller, "speed_kmh": self.speed_kmh}
         peak, margin = (float("inf"), 0.0) if found is None else (found.peak, found.disk_margin)
@@ -241,7 +241,7 @@ def _call(task):
 
 def main() -> None:
     """Measure all tuned sets and write both tables."""
-    pairs = [(terms, name) for terms in tuning.TERMS for name in CONTROLLERS]
+    pairs = [(terms, name) for terms in tuning.TERMS for name in REGISTERED]
     cases = [Survival(*pair, rail, what) for pair in pairs for rail in RAILS for what in QUANTITIES]
     loops = [Measured(*pair, speed) for pair in pairs for speed in _KMH]
     with executor() as pool:

@@ -21,7 +21,7 @@ import pandas as pd
 from pydantic import AfterValidator
 
 from railrepro import paths, schema
-from railrepro.control.registry import CONTROLLERS, guidance
+from railrepro.control.registry import REGISTERED, guidance
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Inverter, load_loop
 from railrepro.files import write
@@ -168,8 +168,8 @@ def load_task(path: Path | str | None = None, terms: str = EQUAL) -> Task:
         runs.append(_run(name, content.run[name], known, entry.sensors, f"{file.name}: [run.{name}]"))
     dimensions = {}
     for name, bounds in content.controller.items():
-        if name not in CONTROLLERS:
-            raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(CONTROLLERS)}")
+        if name not in REGISTERED:
+            raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(REGISTERED)}")
         dimensions[name] = content.controller.get(bounds) if isinstance(bounds, str) else bounds
         if not isinstance(dimensions[name], list) or not dimensions[name]:
             raise InputError(f"{file.name}: [controller.{name}] has no bounds, nor has a controller that it is same_as")
@@ -201,7 +201,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
     around = [(run.irregular, _rails(run.irregular), run.plant, run.sensors) for run in task.runs]
     loop = repr(load_loop()) if any(run.sensors for run in task.runs) else ""
     scenarios = [run.scenario for run in task.runs]
-    return fingerprint(scenarios, vehicle, *numbers, bounds, around, loop, CONTROLLERS[controller].quick)
+    return fingerprint(scenarios, vehicle, *numbers, bounds, around, loop, REGISTERED[controller].quick)
 
 
 def _rails(irregular: dict) -> list[str]:
