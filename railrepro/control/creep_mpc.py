@@ -105,8 +105,8 @@ class CreepGuide:
         self.sent = np.zeros(self._late.sent)
 
     def read(self, readings: np.ndarray, delay: float) -> None:
-        """What sensors read: displacement (m), yaw angle (rad), yaw rate (rad/s); and how long it takes from there to the
-        torque (s), see `SlowController`."""
+        """What sensors read: displacement (m), yaw angle (rad), yaw rate (rad/s); and the time from there to the torque
+        (s), see `SlowController`."""
         if delay != self._delay:
             self._wait(delay)
         self._read = np.array(readings)
@@ -132,7 +132,10 @@ class CreepGuide:
         curvature, ahead = self._road(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
         read = self._seen[[model.Y, model.PSI_TRAX, model.PSIDOT_AX]] if self._read is None else self._read.copy()
         read[-1] -= v * curvature
-        lost = measured and self._started and not abs(read[0] - self.state[0]) < _LOST  # also when the state is NaN
+        sound = bool(np.isfinite(self.state).all() and np.isfinite(self.sent).all()) and not (
+            measured and abs(read[0] - self.state[0]) > _LOST
+        )
+        lost = self._started and not sound
         self.restarts += lost
         if not self._started or lost or v < LEAST_SPEED:
             self._started = True
@@ -164,7 +167,7 @@ class CreepGuide:
         y, psi, r = read
         start = {"y": y, "vy": v * psi, "psi": psi, "r": r, "E": self._vehicle.gear.contact_base / 2 * r, "yb": y}
         self.state[:] = [start.get(name, 0.0) for name in (*STATES, *UNKNOWN, "bias")]
-        self.sent[:] = self.sent[0]
+        self.sent[:] = self.sent[0] if np.isfinite(self.sent[0]) else 0.0
         self.state[STATES.index("tau")] = self.sent[0]
 
     def _road(self, speed: float, acceleration: float) -> tuple[float, np.ndarray]:

@@ -51,10 +51,11 @@ class SlowController(Protocol):
     """A guidance law of one running gear that runs slower than the exchange.
 
     One that wants to know how its wheels slip also has `notice(adhesion, slip)`, which is called before `plan` with the
-    estimates of the adhesion law, each of left and right wheel, shape (2,), adhesion traction positive (-). One that has
-    a filter of its own has `read(readings, delay)`: behind sensors it is called before `plan` with displacement (m), yaw
-    angle against the track (rad) and yaw rate (rad/s) as they were read, and the time from the reading to the moment
-    when a torque acts (s).
+    estimates of the adhesion law, each of left and right wheel, shape (2,), adhesion traction positive (-).
+
+    One that has a filter of its own has `read(readings, delay)`: behind sensors it is called before `plan` with the
+    displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as they were read, and the time from the
+    reading to the moment when a torque acts (s).
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-r"""Slip control of our own: a base torque that holds a limit of slip, and a limit that seeks its place below the maximum.
+r"""Slip control of our own: a base torque that holds a limit of slip, and a limit that seeks a place below the maximum.
 
 A wheel with moment of inertia J that is told
 
