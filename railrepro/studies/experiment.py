@@ -134,7 +134,7 @@ class Experiment:
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label}
         row |= {name: value for name, (value, _) in values.items()}
         row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
-        solves = [solve for controller in run.controllers for solve in controller.stats]
+        solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
         row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
         row |= {"fallbacks": sum(solve.fallback for solve in solves)}
         return row, tidy(run.series, self.stride).assign(**self.label) if self.stride else None

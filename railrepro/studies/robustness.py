@@ -22,7 +22,8 @@ import pandas as pd
 from scipy import stats
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, guidance, with_r_times
+from railrepro.control.registry import CONTROLLERS, EMPHASIS, OURS, PAPER_TRIO, guidance, with_r_times
+from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError, told
 from railrepro.files import write
 from railrepro.simulation import metrics, simulate
@@ -90,8 +91,8 @@ def stability(
     speeds_kmh=(100, 200, 300, 400), sets=("dry", "wet", "poor", "very_poor"), factors=(0.1, 1, 10, 100),
     periods_ms=(5, 10, 20), poles=(10, 20, 30, 45, 70), quiet: bool = False,
 ) -> pd.DataFrame:  # fmt: skip
-    """Whether the car stays on the rail: speed, adhesion set, R and sampling time of NMPC, pole of NDI; rolling and at
-    the adhesion maximum.
+    """Whether the car stays on the rail: speed, adhesion set, R and sampling time of NMPC, pole of NDI, ours with the
+    paper's adhesion law and with slip control; rolling and at the adhesion maximum.
 
     Returns
     -------
@@ -113,6 +114,9 @@ def stability(
         for pole in poles:
             parameters = {"pole": pole, "frequency": pole, "damping": 1.0}
             experiments.append(Experiment(scenario, "ndi", label | {"controller": "ndi", "pole": pole}, parameters))
+        for slip in (None, SlipSettings()):
+            own = label | {"controller": OURS if slip is None else f"{OURS}_slip"}
+            experiments.append(Experiment(scenario, OURS, own, adhesion=slip))
     return pd.DataFrame(_kept(_row, experiments, paths.BUILD / "study" / "stability", "stability", quiet))
 
 
