@@ -18,6 +18,7 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     *("#000000", "#E69F00", "#56B4E9", "#009E73"),
     *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
 )
+BROWN = "#8C6D31"
 CONTROLLER_STYLE = {
     "set point": {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "set point"},
     "nmpc": {"color": BLUE, "linestyle": "-", "linewidth": 1.0, "label": "NMPC"},
@@ -31,7 +32,7 @@ CONTROLLER_STYLE = {
     },
     "ndi": {"color": RED, "linestyle": "-.", "linewidth": 1.0, "label": "NDI"},
     "ndi_feedforward": {
-        "color": GREEN,
+        "color": BROWN,
         "linestyle": (0, (5, 1, 1, 1)),
         "linewidth": 1.0,
         "label": "NDI, set-point rates",
