@@ -23,7 +23,7 @@ from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import cone_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
-from railrepro.errors import told
+from railrepro.errors import InputError, told
 from railrepro.files import write
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
@@ -368,22 +368,25 @@ def _call(task):
     return task()
 
 
-def nominal(quiet: bool = False) -> pd.DataFrame:
-    """Probes of the nominal car on all terms: scenario, controller, metric, value, unit, terms, swarm (rank), seed."""
+def nominal(terms: Iterable[str] = tuning.TERMS, quiet: bool = False) -> pd.DataFrame:
+    """Probes of the nominal car on some terms: scenario, controller, metric, value, unit, terms, swarm (rank), seed."""
     tasks = []
-    for terms in tuning.TERMS:
-        seeds = SEEDS if terms == tuning.LOOP else (0,)
-        tasks += [Nominal(terms, 0, seed) for seed in seeds] + [Nominal(terms, rank, seeds[0]) for rank in (1, 2)]
+    for each in terms:
+        seeds = SEEDS if each == tuning.LOOP else (0,)
+        tasks += [Nominal(each, 0, seed) for seed in seeds] + [Nominal(each, rank, seeds[0]) for rank in (1, 2)]
     with executor() as pool:
         found = ordered_map(pool, _call, tasks, "nominal", quiet)
     columns = ["scenario", "controller", "metric", "value", "unit", "terms", "swarm", "seed"]
     return pd.DataFrame([row for rows in found for row in rows], columns=columns)
 
 
-def main() -> None:
-    """Drive the nominal probes and write their table."""
-    write(paths.product("data/results/nominal_metrics.csv"), nominal().to_csv(index=False, float_format="%.6g"))
+def main(names: list[str]) -> None:
+    """Drive the nominal probes on the named terms, or all, and write their table."""
+    if set(names) - set(tuning.TERMS):
+        raise InputError(f"terms {min(set(names) - set(tuning.TERMS))!r} are not known; there are {tuning.TERMS}")
+    table = nominal(names or tuning.TERMS)
+    write(paths.product("data/results/nominal_metrics.csv"), table.to_csv(index=False, float_format="%.6g"))
 
 
 if __name__ == "__main__":
-    sys.exit(told(main))
+    sys.exit(told(lambda: main(sys.argv[1:])))

@@ -40,9 +40,15 @@ SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
 """What the studies drive, in variations."""
 
 
-def _kept(call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False) -> list[dict]:
-    """Evaluate on the executor, one JSON file per finished argument; files of equal arguments are taken as they are."""
-    start = [tuning.load(name)["parameters"] for name in PAPER_TRIO]
+def kept(
+    call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False,
+    terms: Sequence[str] = (tuning.EQUAL,),
+) -> list[dict]:  # fmt: skip
+    """Evaluate on the executor, one JSON file per finished argument; files of equal arguments are taken as they are.
+
+    `terms` are those whose tuned sets enter.
+    """
+    start = [tuning.load(name, each)["parameters"] for each in terms for name in PAPER_TRIO]
     here = fingerprint([load_scenario(name) for name in SCENARIOS], load_vehicle(), start)
     files = [folder / f"{hashlib.sha256((here + repr(a)).encode()).hexdigest()[:20]}.json" for a in arguments]
     rows = [_stored(file) for file in files]
@@ -112,7 +118,7 @@ def stability(
         for pole in poles:
             parameters = {"pole": pole, "frequency": pole, "damping": 1.0}
             experiments.append(Experiment(scenario, "ndi", label | {"controller": "ndi", "pole": pole}, parameters))
-    return pd.DataFrame(_kept(_row, experiments, paths.BUILD / "study" / "stability", "stability", quiet))
+    return pd.DataFrame(kept(_row, experiments, paths.BUILD / "study" / "stability", "stability", quiet))
 
 
 @dataclass(frozen=True)
@@ -319,7 +325,9 @@ def robustness(
     """Samples and shares of the robustness study; besides, one replicate with the printed model on equal terms."""
     samples = draw(count, replicates)
     samples += draw(count, 1, terms=(tuning.EQUAL,), variant="printed")
-    table = pd.DataFrame(_kept(evaluate, samples, paths.BUILD / "study" / "robustness", "robustness", quiet))
+    table = pd.DataFrame(
+        kept(evaluate, samples, paths.BUILD / "study" / "robustness", "robustness", quiet, tuning.TERMS)
+    )
     return table, verdicts(table, samples)
 
 
