@@ -104,8 +104,10 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.studies.second_opinion; \
 	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
 
-study: $(VENV)  ## robustness over the unpublished parameters, margins of the tuned controllers (long, resumes)
+study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins (long, resumes)
+	$(PY) -m railrepro.studies.probe
 	$(PY) -m railrepro.studies.robustness
+	$(PY) -m railrepro.studies.matching
 	$(PY) -m railrepro.studies.margins
 
 html: figures  ## executed notebooks as an HTML book in build/html
