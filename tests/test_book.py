@@ -102,7 +102,11 @@ def test_a_chapter_links_equations_and_names_source_data_and_claims():
     image = {"output_type": "display_data", "data": {"image/png": "AA=="}, "metadata": {}}
     content = {
         "cells": [
-            {"cell_type": "markdown", "source": "from eq. (8)\n\n$$a = b \\tag{8}$$\n\nand eq. (9)", "metadata": {}},
+            {
+                "cell_type": "markdown",
+                "source": "from eq. (8)\n\n$$a = b \\tag{8}$$\n\nand eq. (9), `02_contact`, `99_none`",
+                "metadata": {},
+            },
             {
                 "cell_type": "code",
                 "id": "c07",
@@ -115,6 +119,7 @@ def test_a_chapter_links_equations_and_names_source_data_and_claims():
     rows = [{"id": "C01", "statement": "it holds", "verdict": "reproduced"}]
     made = [cell["source"] for cell in pages.chapter(notebook, content, {"8": "01_one", "9": "02_two"}, rows)["cells"]]
     assert "from eq. [(8)](#eq-8)" in made[0] and "and eq. [(9)](#eq-9)" in made[0]
+    assert made[0].endswith(", [`02_contact`](02_contact.ipynb), `99_none`")
     assert "(eq-8)=\n\\begin{equation*}\na = b \\tag{8}\n\\end{equation*}" in made[0]
     assert made[1] == "(01_one-c07)=" and ":name: fig10_tracks" in made[3]
     for part in ("source/01_one.ipynb", "data/results/table1.csv", "it holds | reproduced", 'REPLICATION.html#C01"'):

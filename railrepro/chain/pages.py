@@ -19,6 +19,7 @@ ORDER = ("compile", "vehicle", "track", "contact", "model", "car", "estimation",
 _EQUATION = re.compile(r"\beqs?\. (\([^()\s]+\)(?:(?:, | and | to )\([^()\s]+\))*)")
 _DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
 _TAG = re.compile(r"\\tag\{([^}]*)\}")
+_CHAPTER = re.compile(r"`(\d\d_\w+)`")
 _SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
 
 
@@ -54,12 +55,12 @@ def prose(content: dict) -> str:
 
 
 def executed(notebook: Notebook) -> dict:
-    """Content of an executed notebook, sources as single strings; InputError when there is none."""
+    """Content of an executed notebook, sources as single strings and the title bare; InputError when there is none."""
     file = paths.BUILD / "notebooks" / f"{notebook.name}.ipynb"
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         for cell in content["cells"]:
-            cell["source"] = "".join(cell["source"])
+            cell["source"] = re.sub(r"^# \[Re\] ", "# ", "".join(cell["source"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{file}: there is no executed notebook; `make figures` makes it") from error
     return content
@@ -115,12 +116,18 @@ def _display(formula: str, waiting: set[str]) -> str:
 
 
 def _linked(text: str, home: dict[str, str]) -> str:
-    """Mentions of equations of the paper as links to the place in the book that shows them."""
+    """Mentions of the paper's equations and of chapters as links to their places in the book."""
 
     def link(match: re.Match) -> str:
         return f"[{match[0]}](#{anchor(match[1])})" if match[1] in home else match[0]
 
-    return _EQUATION.sub(lambda m: m[0].replace(m[1], re.sub(r"\(([^()]+)\)", link, m[1])), text)
+    text = _EQUATION.sub(lambda m: m[0].replace(m[1], re.sub(r"\(([^()]+)\)", link, m[1])), text)
+    return _CHAPTER.sub(lambda m: f"[`{m[1]}`]({m[1]}.ipynb)" if _is_chapter(m[1]) else m[0], text)
+
+
+@cache
+def _is_chapter(name: str) -> bool:
+    return (paths.NOTEBOOKS / f"{name}.ipynb").exists()
 
 
 def _with_figures(cell: dict) -> list[dict]:
