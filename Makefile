@@ -33,6 +33,9 @@ endif
 # The folder is part of it: a moved or copied clone installs itself again.
 LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | sha256sum | cut -c1-16)
 VENV := .venv/ready-$(LOCK_HASH)
+# Sphinx and what it needs come on top, and only for the book; they share the pins of environment.lock.
+BOOK_LOCK := notebooks/book/book.lock
+BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell sha256sum < $(BOOK_LOCK) | cut -c1-16)
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
@@ -110,7 +113,7 @@ study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, ma
 	$(PY) -m railrepro.studies.matching
 	$(PY) -m railrepro.studies.margins
 
-html: figures  ## executed notebooks as an HTML book in build/html
+html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
 	$(PY) -m railrepro.chain html
 
 strip: $(VENV)  ## remove outputs from the notebooks
@@ -118,12 +121,14 @@ strip: $(VENV)  ## remove outputs from the notebooks
 
 lock:  ## renew environment.lock from pyproject.toml
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
-	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=venv/bin/uv; }; \
+	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=$$d/venv/bin/uv; }; \
 	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
-	    > $(CURDIR)/environment.lock; rm -rf $$d
+	    > $(CURDIR)/environment.lock; cd $(CURDIR); \
+	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
+	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); rm -rf $$d
 
 clean:  ## remove executed notebooks, stamps and reports of runs
-	rm -rf build/stamps build/notebooks build/staging build/html build/verify build/chain.mk
+	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify build/chain.mk
 
 distclean: clean  ## also remove the environment and compiled code
 	rm -rf build .venv
@@ -131,6 +136,8 @@ distclean: clean  ## also remove the environment and compiled code
 ifeq ($(ONLY_SHOW),yes)
 $(VENV): environment.lock pyproject.toml
 	# .venv would be set up first
+$(BOOK): $(VENV)
+	# the packages of the book would be installed
 else
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
@@ -142,6 +149,10 @@ $(VENV): environment.lock pyproject.toml
 	@.venv/bin/python -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .venv/uv.txt
 	@.venv/bin/uv pip sync -q --python $(PY) --require-hashes environment.lock
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
+	@touch $@
+
+$(BOOK): $(BOOK_LOCK) | $(VENV)
+	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(BOOK_LOCK)
 	@touch $@
 
 $(RULES): notebooks/chain.toml railrepro/chain/graph.py | $(VENV)
