@@ -51,7 +51,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-slow test-all faults lab tune report verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all faults lab score leaderboard tune report verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -86,6 +86,12 @@ faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; pri
 
 lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks
+
+score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
+	$(PY) -m railrepro.score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
+
+leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
+	$(PY) -m railrepro.score.leaderboard
 
 tune: $(VENV)  ## tune all controllers on all terms by particle swarm (long, resumes); figures follow
 	$(PY) -m railrepro.studies.swarm
