@@ -123,7 +123,7 @@ strip: $(VENV)  ## remove outputs from the notebooks
 lock:  ## renew environment.lock from pyproject.toml
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
 	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=venv/bin/uv; }; \
-	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
+	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --no-extra learn --format requirements-txt --no-emit-project --no-header \
 	    > $(CURDIR)/environment.lock; rm -rf $$d
 
 clean:  ## remove executed notebooks, stamps and reports of runs
