@@ -54,7 +54,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-slow test-all faults lab tune report verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all faults lab score leaderboard tune report verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -90,6 +90,12 @@ faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; pri
 lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks
 
+score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
+	$(PY) -m railrepro.score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
+
+leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
+	$(PY) -m railrepro.score.leaderboard
+
 tune: $(VENV)  ## tune all controllers on all terms by particle swarm (long, resumes); figures follow
 	$(PY) -m railrepro.studies.swarm
 
@@ -122,7 +128,7 @@ strip: $(VENV)  ## remove outputs from the notebooks
 lock:  ## renew environment.lock from pyproject.toml
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
 	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=$$d/venv/bin/uv; }; \
-	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
+	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --no-extra learn --format requirements-txt --no-emit-project --no-header \
 	    > $(CURDIR)/environment.lock; cd $(CURDIR); \
 	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
 	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); rm -rf $$d
