@@ -128,9 +128,10 @@ def test_a_chapter_links_equations_and_names_source_data_and_claims():
 
 def test_claims_rest_on_the_notebook_that_they_name_or_whose_product_they_judge():
     notebook = graph.Notebook("01_one", "one", writes=("data/a.csv",), figures=("fig10_tracks",))
-    claims = {"C01": {"notebook": "01_one"}, "C02": {"evidence": "fig10_tracks"}, "C03": {}, "C04": {"notebook": "02"}}
-    table = [{"id": name, "data": "data/a.csv" if name == "C03" else "data/b.csv"} for name in claims]
-    assert [row["id"] for row in pages.resting(notebook, claims, table)] == ["C01", "C02", "C03"]
+    homes = {"C01": "01_one", "C04": "02"}
+    evidence = {"C01": "data/b.csv", "C02": "figures/fig10_tracks.png", "C03": "data/a.csv", "C04": "data/b.csv"}
+    table = [{"id": name, "evidence": file} for name, file in evidence.items()]
+    assert [row["id"] for row in pages.resting(notebook, homes, table)] == ["C01", "C02", "C03"]
 
 
 def test_the_report_leads_to_cells_of_the_book():

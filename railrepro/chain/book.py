@@ -37,7 +37,7 @@ def html() -> Path:
 def _source(folder: Path) -> Path:
     """Write the source of the book; returns its folder."""
     from railrepro.report import notation
-    from railrepro.report.claims import load_claims
+    from railrepro.studies import statements
 
     notebooks = chain()
     contents = {notebook.name: pages.executed(notebook) for notebook in notebooks}
@@ -45,7 +45,8 @@ def _source(folder: Path) -> Path:
     for name, content in contents.items():
         for number in pages.tags(pages.prose(content)):
             home.setdefault(number, name)
-    claims, table = load_claims(), _claims_table()
+    homes = {name: statement.notebook for name, statement in statements.load().items()}
+    table = _claims_table()
     with written():
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(paths.NOTEBOOKS / "book", folder, ignore=shutil.ignore_patterns("__pycache__"))
@@ -53,7 +54,7 @@ def _source(folder: Path) -> Path:
             (folder / name).symlink_to(paths.ROOT / name)
         (folder / "source").symlink_to(paths.NOTEBOOKS)
     for notebook in notebooks:
-        rows = pages.resting(notebook, claims, table)
+        rows = pages.resting(notebook, homes, table)
         chapter = pages.chapter(notebook, contents[notebook.name], home, rows)
         write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
     write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))

@@ -165,7 +165,9 @@ def _around(notebook: Notebook, rows: list[dict]) -> str:
         lines += [f"Writes: {', '.join(map(_download, notebook.writes))}; figures above.", ""]
     if rows:
         lines += ["Statements of the paper that rest on this chapter:", "", *_head("", "statement", "verdict")]
-        lines += [f"| {_claim(row['id'])} | {row['statement']} | {row['verdict']} |" for row in rows]
+        for row in rows:
+            terms = f", {row['terms']}" if row.get("terms") else ""
+            lines.append(f"| {_claim(row['id'])} | {row['statement']} | {row['verdict']}{terms} |")
     else:
         lines += ["No statement of the paper rests on this chapter."]
     return "\n".join(lines)
@@ -179,13 +181,13 @@ def _claim(identity: str) -> str:
     return f'<a href="../REPLICATION.html#{identity}">{identity}</a>'
 
 
-def resting(notebook: Notebook, claims: dict[str, dict], table: list[dict]) -> list[dict]:
-    """Rows of claims.csv whose claim names the notebook or a product of it."""
+def resting(notebook: Notebook, homes: dict[str, str], table: list[dict]) -> list[dict]:
+    """Rows of claims.csv whose statement names the notebook (`homes`) or a product of it."""
     own = set(notebook.products) | set(notebook.figures)
 
     def rests(row: dict) -> bool:
-        claim = claims.get(row["id"], {})
-        return claim.get("notebook") == notebook.name or bool(own & {claim.get("evidence"), *row["data"].split()})
+        evidence = Path(row["evidence"])
+        return homes.get(row["id"]) == notebook.name or bool(own & {str(evidence), evidence.stem})
 
     return [row for row in table if rests(row)]
 
