@@ -33,6 +33,9 @@ endif
 # The folder is part of it: a moved or copied clone installs itself again.
 LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | sha256sum | cut -c1-16)
 VENV := .venv/ready-$(LOCK_HASH)
+# Sphinx and what it needs come on top, and only for the book; they share the pins of environment.lock.
+BOOK_LOCK := notebooks/book/book.lock
+BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell sha256sum < $(BOOK_LOCK) | cut -c1-16)
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
@@ -51,7 +54,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-slow test-all faults lab tune report verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all faults lab score leaderboard tune report verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -87,6 +90,12 @@ faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; pri
 lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks
 
+score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
+	$(PY) -m railrepro.score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
+
+leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
+	$(PY) -m railrepro.score.leaderboard
+
 tune: $(VENV)  ## tune all controllers on all terms by particle swarm (long, resumes); figures follow
 	$(PY) -m railrepro.studies.swarm
 
@@ -104,11 +113,13 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.studies.second_opinion; \
 	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
 
-study: $(VENV)  ## robustness over the unpublished parameters, margins of the tuned controllers (long, resumes)
+study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins (long, resumes)
+	$(PY) -m railrepro.studies.probe
 	$(PY) -m railrepro.studies.robustness
+	$(PY) -m railrepro.studies.matching
 	$(PY) -m railrepro.studies.margins
 
-html: figures  ## executed notebooks as an HTML book in build/html
+html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
 	$(PY) -m railrepro.chain html
 
 strip: $(VENV)  ## remove outputs from the notebooks
@@ -116,12 +127,14 @@ strip: $(VENV)  ## remove outputs from the notebooks
 
 lock:  ## renew environment.lock from pyproject.toml
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
-	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=venv/bin/uv; }; \
-	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
-	    > $(CURDIR)/environment.lock; rm -rf $$d
+	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=$$d/venv/bin/uv; }; \
+	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --no-extra learn --format requirements-txt --no-emit-project --no-header \
+	    > $(CURDIR)/environment.lock; cd $(CURDIR); \
+	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
+	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); rm -rf $$d
 
 clean:  ## remove executed notebooks, stamps and reports of runs
-	rm -rf build/stamps build/notebooks build/staging build/html build/verify build/chain.mk
+	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify build/chain.mk
 
 distclean: clean  ## also remove the environment and compiled code
 	rm -rf build .venv
@@ -129,6 +142,8 @@ distclean: clean  ## also remove the environment and compiled code
 ifeq ($(ONLY_SHOW),yes)
 $(VENV): environment.lock pyproject.toml
 	# .venv would be set up first
+$(BOOK): $(VENV)
+	# the packages of the book would be installed
 else
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
@@ -140,6 +155,10 @@ $(VENV): environment.lock pyproject.toml
 	@.venv/bin/python -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .venv/uv.txt
 	@.venv/bin/uv pip sync -q --python $(PY) --require-hashes environment.lock
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
+	@touch $@
+
+$(BOOK): $(BOOK_LOCK) | $(VENV)
+	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(BOOK_LOCK)
 	@touch $@
 
 $(RULES): notebooks/chain.toml railrepro/chain/graph.py | $(VENV)

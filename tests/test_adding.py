@@ -37,18 +37,19 @@ CLAIM = """
 [C99]
 section = "own"
 statement = "Four tracks are in Table I"
-kind = "value"
+kind = "statement"
 unit = "-"
-tolerance = 0
+above = 3.5
+below = 4.5
 reason = "a count"
 evidence = "data/results/table1.csv"
 notebook = "01_tracks"
 """
-MEASURE = """@measure("C99")
-def _four_tracks(r, claim):
-    return Measured(float(len(r["table1"])), REPRODUCED)
+PREDICATE = """
 
-
+@value("C99")
+def _four_tracks(e):
+    return float(len(e.table("table1")))
 """
 CONTROLLER = (
     'CONTROLLERS["own"] = Controller(lambda settings: settings, lambda p: StateFeedback(**p), False, "own gear")\n'
@@ -60,7 +61,7 @@ from railrepro.errors import InputError
 from railrepro.report import claims
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import swarm, tuning
+from railrepro.studies import statements, swarm, tuning
 from railrepro.studies.executor import executor
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import load_vehicle
@@ -71,7 +72,7 @@ if __name__ == "__main__":
     for name in ("own", "own_csv"):
         scenario, rough = load_scenario(name), irregularities(np.arange(60.0), "own")
         assert not simulate.run(scenario, tuning.tuned("ndi"), irregularities=rough).failed
-    assert "C99" in claims.load_claims() and claims.evaluate().set_index("id").verdict["C99"] == "reproduced"
+    assert "C99" in statements.load() and claims.evaluate().set_index("id").verdict["C99"] == "reproduced"
     for name in set(CONTROLLERS) - {"own"}:
         tuning.load(name)
     try:
@@ -127,7 +128,7 @@ def test_what_is_added_works_and_leaves_the_tuned_sets_valid(copy):
     add(copy / "data/scenarios.toml", SCENARIO)
     add(copy / "data/irregularities.toml", QUALITY)
     add(copy / "data/claims.toml", CLAIM)
-    insert(copy / "railrepro/report/claims.py", "@schema.table\nclass Claim:", MEASURE)
+    add(copy / "railrepro/studies/statements.py", PREDICATE)
     (copy / "drive.py").write_text(DRIVE)
     python(copy, "drive.py")
     (copy / "example.py").write_text(example + "assert not run.failed\n" + slower + "assert not run.failed\n")

@@ -15,10 +15,9 @@ from railrepro import paths, schema
 from railrepro.chain import graph
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
-from railrepro.report import claims
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario, load_scenarios
-from railrepro.studies import tuning
+from railrepro.studies import statements, tuning
 from railrepro.track.alignment import alignments
 from railrepro.track.table import COLUMNS, load_track, read_table
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
@@ -29,7 +28,7 @@ READERS = {
     "data/tracks.toml": alignments,
     "data/scenarios.toml": load_scenarios,
     "data/tuning.toml": tuning.load_task,
-    "data/claims.toml": claims.load_claims,
+    "data/claims.toml": statements.load,
     "notebooks/chain.toml": lambda file: (graph.chain(file), graph.verify_tolerance(file)),
     "data/tuned/equal/ndi.json": lambda file: tuning.load("ndi", folder=file.parent),
     "data/tracks/T3.csv": read_table,
@@ -241,7 +240,7 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
         ("data/tuning.toml", 'same_as = "nmpc"', 'same_as = "pid"', "has no bounds"),
         ("data/tuning.toml", "pole = [3, 200,", "pole = [3, inf,", r"pole = \[3, inf, 'log'\], \[low, high, scale\]"),
         ("data/tuning.toml", "pole = [3, 200,", "pole = [500, 200,", "controller.ndi dimension pole: bounds"),
-        ("data/claims.toml", 'kind = "value"', 'kind = "fun"', r"\[C01\]: kind is 'fun', allowed are 'value', 'ratio'"),
+        ("data/claims.toml", 'kind = "statement"', 'kind = "fun"', r"\[C01\]: kind is 'fun', allowed are 'statement'"),
         (
             "data/claims.toml",
             "table1.csv",

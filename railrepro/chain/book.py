@@ -1,63 +1,72 @@
-"""The executed notebooks and the report as an HTML book."""
+"""The book: its source in build/book, made by Sphinx into build/html, and checked."""
 
 from __future__ import annotations
 
-import re
+import csv
+import json
 import shutil
 from pathlib import Path
 
-from nbconvert import HTMLExporter
-from nbconvert.filters import markdown2html
-
 from railrepro import paths
+from railrepro.chain import pages, weblinks
 from railrepro.chain.graph import chain
 from railrepro.errors import InputError
 from railrepro.files import write, written
 
 
 def html() -> Path:
-    """Executed notebooks as an HTML book in build/html; returns its index. InputError when one is missing."""
+    """The book in build/html; returns its first page. InputError without executed notebooks, or with a broken link."""
+    source = _source(paths.BUILD / "book")
     folder = paths.BUILD / "html"
-    exporter = HTMLExporter()
-    items = []
-    for notebook in chain():
-        source = paths.BUILD / "notebooks" / f"{notebook.name}.ipynb"
-        try:
-            body, _ = exporter.from_filename(str(source))
-        except (OSError, ValueError) as error:
-            raise InputError(f"{source}: there is no executed notebook; `make figures` makes it") from error
-        back = '<p style="margin:1em 4em"><a href="index.html">all notebooks</a></p>'
-        write(folder / f"{notebook.name}.html", body.replace("<main>", back + "<main>", 1))
-        items.append(f'<li><a href="{notebook.name}.html">{notebook.name[:2]} {notebook.title}</a></li>')
-    report = paths.ROOT / "REPLICATION.md"
-    link = ""
-    if report.exists():
-        _page(folder / "REPLICATION.html", "Replication report", _report_html(report.read_text(), folder))
-        link = '<p><a href="REPLICATION.html">Replication report: every claim with its verdict</a></p>'
-    index = folder / "index.html"
-    _page(index, "railrepro", f"<h1>railrepro: the notebooks</h1>{link}<ol>{''.join(items)}</ol>")
-    return index
+    try:
+        from sphinx.cmd.build import build_main
+    except ImportError as error:
+        raise InputError("the book needs the packages of book.lock; `make html` installs them") from error
+    with written():
+        shutil.rmtree(folder, ignore_errors=True)
+    settings = paths.NOTEBOOKS / "book"
+    if build_main(["-q", "-W", "--keep-going", "-b", "html", "-c", str(settings), str(source), str(folder)]):
+        raise InputError("the book is not complete, see the lines above")
+    shutil.rmtree(folder / ".doctrees", ignore_errors=True)
+    faults = weblinks.faults(folder)
+    if faults:
+        raise InputError(f"the book has {len(faults)} faulty links, the first: {faults[0]}")
+    return folder / "index.html"
 
 
-def _page(path: Path, title: str, body: str) -> None:
-    style = (
-        "<style>body{font:16px/1.6 serif;max-width:70em;margin:3em auto;padding:0 1em}"
-        "td,th{padding:.2em .6em;border-bottom:1px solid #ccc;text-align:left;vertical-align:top}"
-        "img{max-width:100%}</style>"
-    )
-    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>{style}'
-    write(path, f"{head}{body}</html>\n")
+def _source(folder: Path) -> Path:
+    """Write the source of the book; returns its folder."""
+    from railrepro.report import notation
+    from railrepro.studies import statements
+
+    notebooks = chain()
+    contents = {notebook.name: pages.executed(notebook) for notebook in notebooks}
+    home: dict[str, str] = {}
+    for name, content in contents.items():
+        for number in pages.tags(pages.prose(content)):
+            home.setdefault(number, name)
+    homes = {name: statement.notebook for name, statement in statements.load().items()}
+    table = _claims_table()
+    with written():
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(paths.NOTEBOOKS / "book", folder, ignore=shutil.ignore_patterns("__pycache__"))
+        for name in ("data", "figures", "railrepro"):
+            (folder / name).symlink_to(paths.ROOT / name)
+        (folder / "source").symlink_to(paths.NOTEBOOKS)
+    for notebook in notebooks:
+        rows = pages.resting(notebook, homes, table)
+        chapter = pages.chapter(notebook, contents[notebook.name], home, rows)
+        write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
+    write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
+    write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
+    for name, text in pages.reference().items():
+        write(folder / "reference" / f"{name}.md", text)
+    return folder
 
 
-def _report_html(text: str, folder: Path) -> str:
-    """The report with its links turned to pages of the book and to copies of the figures and tables."""
-    body = markdown2html(text)
-    for target, cell in sorted(set(re.findall(r'(?:href|src)="([^"#:]+)(#[^"]*)?"', body))):
-        source = paths.ROOT / target
-        if target.startswith("notebooks/"):
-            body = body.replace(f'"{target}{cell}"', f'"{source.stem}.html{cell}"')
-        elif source.is_file():
-            with written():
-                (folder / target).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(source, folder / target)
-    return body
+def _claims_table() -> list[dict]:
+    file = paths.source("data/results/claims.csv")
+    if not file.exists():
+        return []
+    with file.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))

@@ -1,6 +1,7 @@
 r"""Linear lateral model of one running gear that creeps, with half of the car body.
 
-The control model rolls without sliding; here the wheels need creepage to carry a force. Small angles, constant speed v:
+The control model rolls without sliding; here the wheels need creepage to carry a force. Small angles, constant speed
+v::
 
     y' = vy - r_0 phi_Tr',   psi' = r,   m vy' = F_y + F_s + F_N + m (g phi_Tr - v^2 kappa) + F_d
     J_z r' = b F_x - k_sz (psi + psi_Tr - psi_CB) - k_dz (r + v kappa - v kappa_CB) + 2 J_Wy v/r_0 (phi_Tr' - Gamma y')

@@ -5,9 +5,12 @@ Colours are Okabe-Ito's, fixed by meaning and doubled by line style, so that fig
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from railrepro import paths
@@ -18,6 +21,7 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     *("#000000", "#E69F00", "#56B4E9", "#009E73"),
     *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
 )
+BROWN = "#8C6D31"
 CONTROLLER_STYLE = {
     "set point": {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "set point"},
     "nmpc": {"color": BLUE, "linestyle": "-", "linewidth": 1.0, "label": "NMPC"},
@@ -31,7 +35,7 @@ CONTROLLER_STYLE = {
     },
     "ndi": {"color": RED, "linestyle": "-.", "linewidth": 1.0, "label": "NDI"},
     "ndi_feedforward": {
-        "color": GREEN,
+        "color": BROWN,
         "linestyle": (0, (5, 1, 1, 1)),
         "linewidth": 1.0,
         "label": "NDI, set-point rates",
@@ -87,3 +91,15 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     for suffix, entries in metadata.items():
         figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=250, metadata=entries)
     data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")
+
+
+def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
+    """Dotted vertical lines at coordinates through all axes, their names at the top of the first, upright."""
+    for i, axis in enumerate(axes):
+        for x, name in places.items():
+            axis.axvline(x, color="0.4", linestyle=":", linewidth=0.7, zorder=0)
+            if i == 0:
+                place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+                box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
+                look = {"fontsize": 6, "color": "0.3", "rotation": 90, "va": "bottom", "bbox": box}
+                axis.annotate(name, (x, 0.0), (2, 3), **place, **look)

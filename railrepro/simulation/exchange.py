@@ -56,6 +56,7 @@ class Exchange:
     ----------
     car : CarStepper
         The car with its buffers.
+    control : ControlLaw
     state : ndarray
         Plant state, see `CarStepper`, also for the parameters; writable.
     held : ndarray, shape (2,)
@@ -73,7 +74,7 @@ class Exchange:
     ):
         self.car = CarStepper(car_parameters, table, route, state, compiled, substeps)
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
-        self.exchanges, self.ended = 0, False
+        self.control, self.exchanges, self.ended = control, 0, False
         outputs = self.car.model.outputs
         self.columns = (*outputs, *control.record)
         self._sensed = [outputs.index(name) for name in law.MEASURED]

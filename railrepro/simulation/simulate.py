@@ -125,16 +125,10 @@ def run(
             require(name, given, kind)
     require("fixed_share", fixed_share, between(0.0, 1.0))
     require("substeps", substeps, between(1, 10_000), whole=True)
-    scenario.check(body)
-    route = scenario.route(irregularities, line)
-    profiles = filter(None, (body.contact.profile, scenario.second_profile))
-    tables = tuple(contact_table(profile, body) for profile in profiles)
     lateral_law, factory = lateral.split(guidance)
-    limits = {"lateral": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, lateral_law, adhesion, estimate, fixed_share, sensors, **limits)
-    parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
-    state = equations.rest_state(body, tables[0], scenario.speed)
-    exchange = Exchange(parameters, tables, route, control, state, compiled, substeps)
+    settings = adhesion, estimate, fixed_share, sensors
+    route = checked_route(scenario, body, irregularities, line)
+    exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
     latency = vars(sensors.loop.latency).values() if sensors else ()
     log = _drive(exchange, controllers, _longest(route, scenario), sum(latency) + EXCHANGE_PERIOD)
@@ -142,8 +136,39 @@ def run(
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
     series = series[np.isfinite(series).all(axis=1)]  # the row that is not finite is named in `ended`
-    memory = dict(zip(control.memory, exchange.memory.tolist(), strict=True))
+    memory = dict(zip(exchange.control.memory, exchange.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy(), memory)
+
+
+def checked_route(scenario: Scenario, body: Vehicle, irregularities=None, line=None) -> Route:
+    """Route of a scenario that a car can drive; InputError otherwise."""
+    scenario.check(body)
+    return scenario.route(irregularities, line)
+
+
+def start(
+    scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
+    settings: tuple = (None, None, 0.0, None), substeps: int = 1, compiled: bool = True,
+) -> Exchange:  # fmt: skip
+    """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
+
+    Parameters
+    ----------
+    scenario, guidance, vehicle, substeps, compiled
+        See `run`.
+    route : Route
+        That of the scenario, see `checked_route`.
+    body : Vehicle
+        The car itself.
+    settings : tuple
+        adhesion, estimate, fixed_share, sensors, see `run`.
+    """
+    tables = tuple(contact_table(name, body) for name in filter(None, (body.contact.profile, scenario.second_profile)))
+    limits = {"lateral": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    control = law.control_law(vehicle, guidance, *settings, **limits)
+    parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
+    state = equations.rest_state(body, tables[0], scenario.speed)
+    return Exchange(parameters, tables, route, control, state, compiled, substeps)
 
 
 def _longest(route: Route, scenario: Scenario) -> int:

@@ -123,8 +123,13 @@ class Experiment:
         )
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
-        """Row of metrics (SI) and the kept series; of a failed run the place instead of how well it followed."""
-        run, vehicle = self.run(), self.car()
+        """Row of metrics and the kept series, see `row`."""
+        run = self.run()
+        return self.row(run), tidy(run.series, self.stride).assign(**self.label) if self.stride else None
+
+    def row(self, run: simulate.Run) -> dict:
+        """Metrics of a run (SI); of a failed run the place instead of how well it followed."""
+        vehicle = self.car()
         values = metrics.summary(run.series, vehicle.drive.torque_limit)
         if run.failed:
             values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
@@ -136,8 +141,7 @@ class Experiment:
         row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
         solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
         row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
-        row |= {"fallbacks": sum(solve.fallback for solve in solves)}
-        return row, tidy(run.series, self.stride).assign(**self.label) if self.stride else None
+        return row | {"fallbacks": sum(solve.fallback for solve in solves)}
 
 
 @lru_cache(maxsize=8)

@@ -184,6 +184,20 @@ QUANTITIES = {
 """Delay on top of that of the loop, lag of the drive, torque over what was told."""
 
 
+def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:
+    """Largest value of a quantity (SI) with which a run does not fail, by bisection; nan when the nominal does."""
+    if fails(quantity.nominal):
+        return float("nan")
+    low, high = quantity.nominal, quantity.largest
+    if not fails(high):
+        return high
+    while high - low > 1.01 * quantity.resolution:
+        steps = round((high - low) / quantity.resolution) // 2
+        middle = low + max(steps, 1) * quantity.resolution
+        low, high = (low, middle) if fails(middle) else (middle, high)
+    return low
+
+
 @dataclass(frozen=True)
 class Survival:
     """Largest value of a quantity with which a tuned controller stays on a rail; picklable."""
@@ -194,18 +208,8 @@ class Survival:
     quantity: str
 
     def __call__(self) -> float:
-        """The value (SI), by bisection; nan when already the nominal run fails."""
-        quantity = QUANTITIES[self.quantity]
-        if self._fails(quantity.nominal):
-            return float("nan")
-        low, high = quantity.nominal, quantity.largest
-        if not self._fails(high):
-            return high
-        while high - low > 1.01 * quantity.resolution:
-            steps = round((high - low) / quantity.resolution) // 2
-            middle = low + max(steps, 1) * quantity.resolution
-            low, high = (low, middle) if self._fails(middle) else (middle, high)
-        return low
+        """The value, see `survived`."""
+        return survived(self._fails, QUANTITIES[self.quantity])
 
     def _fails(self, value: float) -> bool:
         name, end = RAILS[self.rail]

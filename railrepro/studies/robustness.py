@@ -10,8 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-import tempfile
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -22,29 +20,36 @@ import pandas as pd
 from scipy import stats
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, EMPHASIS, OURS, PAPER_TRIO, guidance, with_r_times
+from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_times
 from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError, told
 from railrepro.files import write
-from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import tuning
+from railrepro.studies import statements, tuning
 from railrepro.studies.executor import executor, ordered_map
 from railrepro.studies.experiment import Experiment
 from railrepro.studies.fingerprint import fingerprint
+from railrepro.studies.probe import PARTS, World, probe
 from railrepro.studies.swarm import run_cost
-from railrepro.track.alignment import alignments
-from railrepro.track.table import build_table, write_table
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
-SAMPLES, SEED = 32, 2026
+SAMPLES, REPLICATES, SEED = 16, 4, 2026
+"""Samples per scrambled sequence, sequences, seed of the first."""
+TUNING, JUDGING = 1, 101
+"""Seeds of the noise, on the terms `loop`."""
 SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
 """What the studies drive, in variations."""
 
 
-def _kept(call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False) -> list[dict]:
-    """Evaluate on the executor, one JSON file per finished argument; files of equal arguments are taken as they are."""
-    start = [tuning.load(name)["parameters"] for name in PAPER_TRIO]
+def kept(
+    call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False,
+    terms: Sequence[str] = (tuning.EQUAL,),
+) -> list[dict]:  # fmt: skip
+    """Evaluate on the executor, one JSON file per finished argument; files of equal arguments are taken as they are.
+
+    `terms` are those whose tuned sets enter.
+    """
+    start = [tuning.load(name, each)["parameters"] for each in terms for name in PAPER_TRIO]
     here = fingerprint([load_scenario(name) for name in SCENARIOS], load_vehicle(), start)
     files = [folder / f"{hashlib.sha256((here + repr(a)).encode()).hexdigest()[:20]}.json" for a in arguments]
     rows = [_stored(file) for file in files]
@@ -117,176 +122,216 @@ def stability(
         for slip in (None, SlipSettings()):
             own = label | {"controller": OURS if slip is None else f"{OURS}_slip"}
             experiments.append(Experiment(scenario, OURS, own, adhesion=slip))
-    return pd.DataFrame(_kept(_row, experiments, paths.BUILD / "study" / "stability", "stability", quiet))
+    return pd.DataFrame(kept(_row, experiments, paths.BUILD / "study" / "stability", "stability", quiet))
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One draw of what the paper does not publish."""
+    """One draw of what the paper does not publish, on some terms.
+
+    Attributes
+    ----------
+    number, replicate : int
+        Place in the sequence, and which scrambling of it.
+    terms, variant : str
+        Terms of comparison; control model, "corrected" or "printed".
+    vehicle : tuple
+        (dotted key, value) pairs.
+    profile, good : str
+        Profile of the wheels, adhesion set of a good rail.
+    amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
+        See `World`.
+    """
 
     number: int
+    replicate: int
+    terms: str
+    variant: str
     vehicle: tuple[tuple[str, float], ...]
     profile: str
     good: str
-    variant: str
     amplitude_mm: float
     period_start_m: float
     period_end_m: float
     clothoid_factor: float
 
 
-def draw(count: int = SAMPLES, seed: int = SEED) -> list[Sample]:
-    """Quasi-random samples (scrambled Sobol) over the ranges of vehicle.toml and the open choices of experiments."""
+def draw(
+    count: int = SAMPLES, replicates: int = REPLICATES, seed: int = SEED, terms: Sequence[str] = tuning.TERMS,
+    variant: str = "corrected",
+) -> list[Sample]:  # fmt: skip
+    """Quasi-random samples over the ranges of vehicle.toml and the open choices of experiments.
+
+    Each replicate is a Sobol sequence with a scrambling of its own: their spread tells how sure a share is.
+    """
     ranges = {k: v for k, v in sample_ranges().items() if not k.startswith("adhesion.")}
-    extra = ("profile", "good", "variant", "amplitude_mm", "period_start_m", "period_end_m", "clothoid_factor")
-    points = stats.qmc.Sobol(len(ranges) + len(extra), seed=seed).random(count)
+    extra = ("profile", "good", "amplitude_mm", "period_start_m", "period_end_m", "clothoid_factor")
     samples = []
-    for number, point in enumerate(points):
-        vehicle = tuple((k, lo + u * (hi - lo)) for u, (k, (lo, hi)) in zip(point, ranges.items(), strict=False))
-        u = dict(zip(extra, point[len(ranges) :], strict=True))
-        samples.append(
-            Sample(
-                number,
-                vehicle,
+    for replicate in range(replicates):
+        points = stats.qmc.Sobol(len(ranges) + len(extra), seed=seed + replicate).random(count)
+        for number, point in enumerate(points):
+            vehicle = tuple((k, lo + u * (hi - lo)) for u, (k, (lo, hi)) in zip(point, ranges.items(), strict=False))
+            u = dict(zip(extra, point[len(ranges) :], strict=True))
+            own = (
                 "cone" if u["profile"] < 0.5 else "s1002",
                 "dry" if u["good"] < 0.5 else "wet",
-                "corrected" if u["variant"] < 0.75 else "printed",
                 1.0 + 4.0 * u["amplitude_mm"],
                 100.0 + 100.0 * u["period_start_m"],
                 30.0 + 50.0 * u["period_end_m"],
                 0.6 + 0.9 * u["clothoid_factor"],
             )
-        )
+            samples += [Sample(number, replicate, each, variant, vehicle, *own) for each in terms]
     return samples
 
 
-def _curve(sample: Sample, folder: str):
-    """Curve entry on T3 with another clothoid and sweep."""
-    original = alignments()["T3"]
-    straight, clothoid, *rest = original.segments
-    clothoid = replace(clothoid, length=clothoid.length * sample.clothoid_factor)
-    file = Path(folder) / "T3.csv"
-    write_table(build_table(replace(original, segments=(straight, clothoid, *rest))), file)
-    base = load_scenario("curve_entry_T3")
-    point = base.set_point | {"period_start_m": sample.period_start_m, "period_end_m": sample.period_end_m}
-    return base.but(
-        track=str(file), end_m=400.0, good=sample.good, set_point=point | {"amplitude_mm": sample.amplitude_mm}
-    )
-
-
 def evaluate(sample: Sample) -> dict:
-    """All runs of a sample: a small retuning of each controller, then what the claims need; values in SI."""
-    changes = dict(sample.vehicle)
-    vehicle, plant = load_vehicle(**changes), load_vehicle(**changes, **{"contact.profile": sample.profile})
-    task = tuning.load_task()
-    sine = load_scenario("sine_tracking").but(end_m=300.0, good=sample.good)
+    """A small retuning of each controller on its terms, then the probe with other seeds of the noise; values in SI.
 
-    def run(scenario, name, parameters):
-        variant = {"variant": sample.variant} if CONTROLLERS[name].preview else {}
-        law = guidance(name, parameters, CONTROLLERS[name].quick, **variant)
-        return simulate.run(scenario, law, vehicle=vehicle, plant_vehicle=plant)
-
-    with tempfile.TemporaryDirectory() as folder:
-        curve = _curve(sample, folder)
-        row = {"number": sample.number}
-        chosen = {}
-        for name in PAPER_TRIO:
-            base, best = tuning.load(name)["parameters"], np.inf
-            preview = CONTROLLERS[name].preview
-            scales = (0.1, 1.0, 10.0) if preview else (0.7, 1.0, 1.4)
-            for scale in scales:
-                keys = ("r",) if preview else ("pole", "frequency")
-                parameters = base | {key: base[key] * scale for key in keys}
-                runs = {s.name: run(s, name, parameters) for s in (curve, sine)}
-                cost = sum(run_cost(runs[s.name], s, task.cost)[0] for s in (curve, sine))
-                if cost < best:
-                    best, chosen[name] = cost, parameters
-                    on_curve, on_sine = runs[curve.name], runs[sine.name]
-            row |= {
-                f"{name}.curve": metrics.rmse(on_curve.series),
-                f"{name}.delay": metrics.delay(on_curve.series),
-                f"{name}.drift": float(np.mean(metrics.lateral_error(on_curve.series)[-len(on_curve.series) // 3 :])),
-                f"{name}.sine400": metrics.rmse(on_sine.series),
-                f"{name}.failed": bool(on_curve.failed or on_sine.failed),
-                f"{name}.sine160": metrics.rmse(run(sine.but(speed_kmh=160.0), name, parameters=chosen[name]).series),
-            }
-        brake = load_scenario("braking").but(speed_kmh=80.0, good=sample.good, end_m=900.0)
-        soft = with_r_times(chosen["nmpc"], 100)
-        for label, name, parameters in (
-            ("ndi", "ndi", chosen["ndi"]),
-            ("nmpc", "nmpc", chosen["nmpc"]),
-            ("nmpc_soft", "nmpc", soft),
-        ):
-            done = run(brake, name, parameters)
-            row |= {f"brake.{label}.rmse": metrics.rmse(done.series), f"brake.{label}.failed": bool(done.failed)}
-            row |= {f"brake.{label}.distance": metrics.stopping_distance(done.series)}
-        loss = load_scenario("adhesion_loss").but(end_m=450.0)
-        lost = run(loss, "nmpc", with_r_times(chosen["nmpc"], EMPHASIS))  # as in the adhesion notebook
-        values = metrics.longitudinal(lost.series, loss, plant)
-        row |= {"loss.failed": bool(lost.failed), "loss.slip": values["largest_slip"][0]}
-        row |= {"loss.utilisation": values["utilisation"][0]}
-        row |= {"loss.error": float(np.abs(metrics.lateral_error(lost.series)).max())}
-    return {name: _plain(value) for name, value in row.items()}
+    Returns
+    -------
+    dict
+        The sample's number, replicate, terms, variant and profile, and "scenario/controller/metric" -> value.
+    """
+    world = World(
+        {}, dict(sample.vehicle), sample.profile, sample.good, sample.variant, sample.amplitude_mm,
+        sample.period_start_m, sample.period_end_m, sample.clothoid_factor,
+    )  # fmt: skip
+    tuned = {name: _retuned(world, name, sample.terms) for name in PAPER_TRIO}
+    judged = replace(world, parameters=tuned, sensors=_sensors(sample.terms, JUDGING))
+    rows = probe(judged, PARTS, speeds=(80, 240, 400))
+    kept = {name: getattr(sample, name) for name in LABELS}
+    return kept | {"/".join(key): _plain(value) for *key, value in rows}
 
 
-def _limits() -> dict[str, float]:
-    """Limits of the claims by id, in the units of data/claims.toml, which also judges the nominal results."""
-    file = paths.source("data/claims.toml")
-    return {identity: claim["tolerance"] for identity, claim in tomllib.loads(file.read_text()).items()}
+LABELS = ("number", "replicate", "terms", "variant", "profile")
 
 
-def _holds(t: pd.DataFrame) -> dict[str, pd.Series]:
-    """For each claim that the samples can answer: whether it holds, per sample."""
-    limit = _limits()
-    n, p, d = (f"{name}." for name in PAPER_TRIO)
-    ok = ~t[n + "failed"].astype(bool)
-    curve = {name: t[name + "curve"].where(~t[name + "failed"].astype(bool), np.inf) for name in (n, p, d)}
-    slope = {name: t[name + "sine400"] - t[name + "sine160"] for name in (n, p, d)}
-    stopped = ~(t["brake.nmpc.failed"].astype(bool) | t["brake.nmpc_soft.failed"].astype(bool))
-    shorter = t["brake.nmpc_soft.distance"] < t["brake.nmpc.distance"]
-    worst = t[["brake.nmpc.rmse", "brake.nmpc_soft.rmse"]].max(axis=1)
-    longest = t[["brake.nmpc.distance", "brake.nmpc_soft.distance"]].max(axis=1)
-    return {
-        "C05": ok & (curve[n] < limit["C05"] * curve[d]) & (curve[p] < limit["C05"] * curve[d]),
-        "C06": ok & (curve[n] < limit["C06"] * curve[p]) & (curve[n] < limit["C06"] * curve[d]),
-        "C07": ok & (curve[p] > 1.02 * curve[n]),
-        "C08": ok & (t[n + "delay"].abs() < limit["C08"]),
-        "C11": ok & (1e3 * t[n + "drift"].abs() > limit["C11"]),
-        "C17": ok & (t[n + "sine400"] < t[p + "sine400"]) & (t[p + "sine400"] < t[d + "sine400"]),
-        "C18": ok & np.logical_and.reduce([slope[name] > 0 for name in slope]),
-        "C19": ok & (slope[d] > limit["C19"] * slope[n]) & (slope[d] > limit["C19"] * slope[p]),
-        "C20": ok & (t[n + "sine400"] < t[d + "sine400"]) & (t[n + "sine160"] < t[d + "sine160"]),
-        "C23": t["loss.slip"] < limit["C23"],
-        "C28": ~t["loss.failed"].astype(bool) & (1e3 * t["loss.error"] < limit["C28"]),
-        "C30": stopped & shorter & (t["brake.nmpc_soft.rmse"] > t["brake.nmpc.rmse"]),
-        "C31": stopped & (worst < limit["C31"] * t["brake.ndi.rmse"]),
-        "C32": stopped & (longest - t["brake.ndi.distance"] < limit["C32"]),
-    }  # fmt: skip
+def _sensors(terms: str, seed: int) -> dict:
+    return {"seed": seed} if terms == tuning.LOOP else {}
 
 
-def verdicts(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
-    """Share of samples in which each claim holds, with Wilson's 95 % interval, and the parameters that decide it."""
-    own = [{k: v for k, v in vars(s).items() if k not in ("vehicle", "number")} for s in samples]
-    factors = pd.DataFrame([dict(s.vehicle) | o for s, o in zip(samples, own, strict=True)])
-    factors = factors.apply(lambda column: pd.factorize(column, sort=True)[0] if column.dtype == object else column)
+def _retuned(world: World, name: str, terms: str) -> dict:
+    """The best of three scales of a controller's tuned set, by the cost of tuning; designed sets stay as they are."""
+    task, base = tuning.load_task(terms=terms), tuning.load(name, terms)["parameters"]
+    if name in task.designed:
+        return base
+    runs = [run for run in task.runs if run.name in ("T3", "sine", "poor")]
+    preview = CONTROLLERS[name].preview
+    best, chosen = np.inf, base
+    for scale in (0.1, 1.0, 10.0) if preview else (0.7, 1.0, 1.4):
+        parameters = base | {key: base[key] * scale for key in (("r",) if preview else ("pole", "frequency"))}
+        aware = replace(world, parameters={name: parameters}, sensors=_sensors(terms, TUNING))
+        cost = sum(
+            run_cost(aware.run(run.scenario, name), run.scenario, task.cost, terms == tuning.LOOP)[0] for run in runs
+        )
+        best, chosen = (cost, parameters) if cost < best else (best, chosen)
+    return chosen
+
+
+def evidence(row: dict) -> statements.Evidence:
+    """What a row of robustness_samples.csv tells."""
+    metrics = {}
+    for name, value in row.items():
+        key = tuple(name.split("/"))
+        if len(key) == 3 and value is not None and not (isinstance(value, float) and np.isnan(value)):
+            metrics[key] = float(value)
+    return statements.Evidence(metrics)
+
+
+def holds(table: pd.DataFrame) -> pd.DataFrame:
+    """Whether each statement holds in each sample, by the rule of the report; a failed run is no missing one.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `LABELS`, one column of True and False per statement that the samples can answer.
+    """
+    known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     rows = []
-    for identity, holds in _holds(table).items():
-        interval = stats.binomtest(int(holds.sum()), len(holds)).proportion_ci(0.95, "wilson")
-        deciding = ""
-        if holds.nunique() > 1:
-            ranks = factors.apply(lambda column, holds=holds: stats.spearmanr(column, holds.astype(float)).statistic)
-            strongest = ranks.abs().sort_values(ascending=False).index[:3]
-            threshold = 2.6 / np.sqrt(len(holds))
-            deciding = ", ".join(f"{name} {ranks[name]:+.2f}" for name in strongest if abs(ranks[name]) > threshold)
-        row = {"id": identity, "share": holds.mean(), "low": interval.low, "high": interval.high}
-        rows.append(row | {"samples": len(holds), "decided_by": deciding})
+    for row in table.to_dict("records"):
+        found, seen = {}, evidence(row)
+        for identity, statement in known.items():
+            try:
+                found[identity] = statement.judge(statements.find(identity, seen)) == statements.REPRODUCED
+            except statements.MissingEvidence:
+                continue
+        rows.append({name: row[name] for name in LABELS} | found)
     return pd.DataFrame(rows)
 
 
-def robustness(count: int = SAMPLES, quiet: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Samples and verdicts of the robustness study."""
-    samples = draw(count)
-    table = pd.DataFrame(_kept(evaluate, samples, paths.BUILD / "study" / "robustness", "robustness", quiet))
+def shares(table: pd.DataFrame | None) -> pd.DataFrame:
+    """Share of the samples in which each statement holds, on each terms, with a 95 % interval from the replicates.
+
+    Returns
+    -------
+    DataFrame
+        id, terms, share, low, high, samples; cone, s1002, printed: shares by profile and with the printed model.
+    """
+    columns = ["id", "terms", "share", "low", "high", "samples", "cone", "s1002", "printed"]
+    if table is None or not set(LABELS) <= set(table):
+        return pd.DataFrame(columns=columns)
+    judged = holds(table)
+    rows = []
+    for identity in [name for name in judged if name not in LABELS]:
+        answered = judged.dropna(subset=[identity])
+        for terms, own in answered.groupby("terms", sort=False):
+            main, printed = (own[own["variant"] == v][identity].astype(float) for v in ("corrected", "printed"))
+            if main.empty:
+                continue
+            chosen = own.loc[main.index]
+            by = main.groupby(chosen["replicate"]).mean()
+            profile = main.groupby(chosen["profile"]).mean()
+            low, high = _interval(by.to_numpy())
+            row = {"id": identity, "terms": terms, "share": by.mean(), "low": low, "high": high, "samples": len(main)}
+            row |= {name: profile.get(name, np.nan) for name in ("cone", "s1002")}
+            rows.append(row | {"printed": printed.mean() if len(printed) else np.nan})
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _interval(replicates: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the mean of replicates (Student), within 0 and 1; nan for a single one."""
+    if len(replicates) < 2:
+        return float("nan"), float("nan")
+    half = stats.t.ppf(0.975, len(replicates) - 1) * replicates.std(ddof=1) / np.sqrt(len(replicates))
+    return max(replicates.mean() - half, 0.0), min(replicates.mean() + half, 1.0)
+
+
+def verdicts(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
+    """`shares`, and the parameters that decide each statement by rank correlation over the samples."""
+    found, judged = shares(table), holds(table)
+    own = [
+        {k: v for k, v in vars(s).items() if k not in (*LABELS, "vehicle")} | {"profile": s.profile} for s in samples
+    ]
+    factors = pd.DataFrame([dict(s.vehicle) | o for s, o in zip(samples, own, strict=True)])
+    factors = factors.apply(lambda column: pd.factorize(column, sort=True)[0] if column.dtype == object else column)
+    deciding = []
+    for row in found.itertuples():
+        chosen = (
+            judged[(judged["terms"] == row.terms) & (judged["variant"] == "corrected")][row.id].dropna().astype(float)
+        )
+        deciding.append(_deciding(factors.loc[chosen.index], chosen))
+    return found.assign(decided_by=deciding)
+
+
+def _deciding(factors: pd.DataFrame, held: pd.Series) -> str:
+    if held.nunique() < 2:
+        return ""
+    moving = factors.loc[:, factors.nunique() > 1]
+    ranks = moving.apply(lambda column: stats.spearmanr(column, held).statistic)
+    strongest = ranks.abs().sort_values(ascending=False).index[:3]
+    threshold = 2.6 / np.sqrt(len(held))
+    return ", ".join(f"{name} {ranks[name]:+.2f}" for name in strongest if abs(ranks[name]) > threshold)
+
+
+def robustness(
+    count: int = SAMPLES, replicates: int = REPLICATES, quiet: bool = False
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Samples and shares of the robustness study; besides, one replicate with the printed model on equal terms."""
+    samples = draw(count, replicates)
+    samples += draw(count, 1, terms=(tuning.EQUAL,), variant="printed")
+    table = pd.DataFrame(
+        kept(evaluate, samples, paths.BUILD / "study" / "robustness", "robustness", quiet, tuning.TERMS)
+    )
     return table, verdicts(table, samples)
 
 

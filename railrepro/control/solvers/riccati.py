@@ -88,7 +88,8 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
 
 
 @lru_cache
-def _functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
+def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
+    """The functions behind a horizon: place, stage, terminal, backward, forward."""
     return *forecast.functions(), *recursion(variant, discretisation)
 
 
@@ -97,15 +98,20 @@ def _enum(names: Iterable[str]) -> str:
     return f"enum {{ {', '.join(names)} }};\n"
 
 
-@lru_cache
-def _library(variant: str, discretisation: str) -> ctypes.CDLL | None:
-    headers, model = Path(codegen.__file__), dynamics(variant, discretisation)
-    extra = "".join(headers.with_name(name).read_text() for name in ("call.h", "lanes.h"))
+def c_text(variant: str, discretisation: str) -> str:
+    """Hand-written C around the generated functions, to stand after call.h."""
+    model = dynamics(variant, discretisation)
+    extra = Path(codegen.__file__).with_name("lanes.h").read_text()
     extra += _enum(f"STATE_{name}" for name in STATES) + _enum(f"TUNING_{name}" for name in TUNING)
     extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
     extra += codegen.lanes_text(model, common=("u_d", "par", "T", "affine"))
-    extra += Path(__file__).with_name("riccati.c").read_text()
-    return codegen.library(_functions(variant, discretisation), extra)
+    return extra + Path(__file__).with_name("riccati.c").read_text()
+
+
+@lru_cache
+def _library(variant: str, discretisation: str) -> ctypes.CDLL | None:
+    extra = Path(codegen.__file__).with_name("call.h").read_text() + c_text(variant, discretisation)
+    return codegen.library(functions(variant, discretisation), extra)
 
 
 class PlainHorizon:
@@ -196,9 +202,11 @@ class Horizon(PlainHorizon):
 
     def __init__(self, settings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
         self.settings, steps, cells = settings, settings.steps, route.cells
-        functions = _functions(settings.variant, settings.discretisation)
         library = _library(settings.variant, settings.discretisation)
-        self._calls = [codegen.CompiledFunction(library, function) for function in functions]
+        self._calls = [
+            codegen.CompiledFunction(library, function)
+            for function in functions(settings.variant, settings.discretisation)
+        ]
         matrix = dynamics(settings.variant, settings.discretisation).sparsity_out(1)
         self._sparsity = [np.array(index) for index in matrix.get_triplet()]
         n_a = self._sparsity[0].size

@@ -1,0 +1,68 @@
+"""Settings of the book; `make html` writes its source to build/book and calls Sphinx with this file."""
+
+import os
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+from railrepro import __version__, paths
+from railrepro.chain import pages
+
+project = "railrepro"
+author = "railrepro contributors"
+copyright = "railrepro contributors, text and figures under CC-BY-4.0"
+release = __version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinxcontrib.bibtex"]
+exclude_patterns = ["data", "figures", "railrepro", "source"]
+suppress_warnings = ["myst.header", "ref.python"]
+bibtex_bibfiles = ["references.bib"]
+
+# The book shows what the chain executed and runs nothing itself.
+nb_execution_mode = "off"
+nb_merge_streams = True
+nb_ipywidgets_js = {}
+nb_mime_priority_overrides = [("html", "text/latex", 5)]
+nb_render_markdown_format = "myst"
+myst_enable_extensions = ["amsmath", "dollarmath", "deflist"]
+myst_heading_anchors = 3
+myst_update_mathjax = False
+
+# Formulas without a network: one file with its own glyphs.
+mathjax_path = "tex-svg-full.js"
+mathjax3_config = {
+    "tex": {"inlineMath": [["\\(", "\\)"], ["$", "$"]]},
+    "options": {"ignoreHtmlClass": "bd-all|furo-all|page", "processHtmlClass": "math|cell_output", "enableMenu": False},
+    "svg": {"fontCache": "global"},
+}
+_mathjax = find_spec("sphinx-mathjax-offline").submodule_search_locations[0]
+html_static_path = ["book.css", str(Path(_mathjax) / "static" / "mathjax" / "tex-svg-full.js")]
+
+html_theme = "furo"
+html_title = "railrepro"
+html_css_files = ["book.css"]
+html_show_sphinx = False
+html_copy_source = False
+# Summaries would be fetched, which a browser refuses between files.
+html_show_search_summary = False
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+autodoc_mock_imports = ["exudyn", "do_mpc", "distributed"]
+napoleon_google_docstring = False
+
+os.chdir(paths.ROOT)
+
+
+def _numbered(app, what, name, obj, options, lines):
+    """Equations by the numbers of the PDF in place of the labels of its source."""
+    text = pages.numbered("\n".join(lines))
+    # `name` is code here, not a title, and |y| a magnitude, not a substitution.
+    text = re.sub(r"(?<![`:\w])`([^`\n<>]+)`(?![`_])", r"``\1``", text)
+    parts = re.split(r"(``.*?``)", text)
+    lines[:] = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in parts).split("\n")
+
+
+def setup(app):
+    app.connect("autodoc-process-docstring", _numbered)

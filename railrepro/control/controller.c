@@ -1,0 +1,49 @@
+/* A controller of both gears with its road built in, without allocation: the control law every millisecond, and before it,
+   every PLAN_STEPS, the torques of slower controllers. Knows nothing of railways. Starts after call.h, the generated law and
+   the constants of the exported one; controller_plan is that of the slower controllers, where there are some. */
+
+typedef struct {
+  /* what is measured, in the order of MEASURED; torques that follow (N m) */
+  double measured[N_MEASURED], torque[N_TORQUE];
+  double rows[GEARS * N_CELL_COLUMNS], held[GEARS], memory[N_MEMORY], next[N_MEMORY];
+  const double *in[LAW_ARG];
+  double *out[LAW_RES];
+  casadi_int integers[LAW_IW + 1];
+  double work[LAW_W + 1];
+  casadi_int exchanges;
+#ifdef PLAN_STEPS
+  planner_t planner[GEARS];
+#endif
+} controller_t;
+
+void controller_reset(controller_t *c) {
+  memset(c, 0, sizeof *c);
+#ifdef PLAN_STEPS
+  for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g);
+#endif
+}
+
+/* One exchange: from `measured` to `torque`; not 0 when the law fails. */
+int controller_step(controller_t *c) {
+  for (int g = 0; g < GEARS; ++g) {
+    const double *row = row_at(CELLS, c->measured[PLACES[g]], CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
+    memcpy(c->rows + g * N_CELL_COLUMNS, row, N_CELL_COLUMNS * sizeof(double));
+  }
+#ifdef PLAN_STEPS
+  if (c->exchanges % PLAN_STEPS == 0)
+    for (int g = 0; g < GEARS; ++g) {
+      double state[N_SEEN];
+      for (int i = 0; i < N_SEEN; ++i)
+        state[i] = SEEN_IN_MEMORY && c->exchanges ? c->memory[SEEN[g][i]] : c->measured[STATES_AT[g][i]];
+      c->held[g] = planner_plan(&c->planner[g], state, c->memory[BASE[g]]);
+    }
+#endif
+  const double *in[] = {c->measured, c->rows, c->held, GAINS, c->memory};
+  double *out[] = {c->torque, c->next};
+  memset(c->out, 0, sizeof c->out);  /* nobody reads what the law records */
+  memcpy(c->in, in, sizeof in), memcpy(c->out, out, sizeof out);
+  if (control_law(c->in, c->out, c->integers, c->work, 0)) return 1;
+  memcpy(c->memory, c->next, sizeof c->memory);
+  ++c->exchanges;
+  return 0;
+}

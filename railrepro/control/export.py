@@ -1,0 +1,157 @@
+"""Controllers to take away: as C that needs nothing else, and as units of FMI 2.0 for co-simulation.
+
+What is exported is the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also their filter)
+with the road, and before it the predictive controllers at their own period. It measures what the car's unit puts out
+and gives the four torques; a master that steps the controller before the car, each by 1 ms, gives the trajectory of
+`simulate.run`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from railrepro.car import equations
+from railrepro.car.component import DERAILED
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.compile import codegen
+from railrepro.compile.unit import Unit, constant, write_unit
+from railrepro.control import lateral, law
+from railrepro.control.ltv_mpc import LTVMPC
+from railrepro.control.nmpc import NMPC
+from railrepro.control.predictive import PredictiveController
+from railrepro.control.solvers import riccati
+from railrepro.errors import InputError
+from railrepro.files import write
+from railrepro.model.control_model import STATES, THETA
+from railrepro.model.forecast import nominal_values
+from railrepro.track.route import CELL, COLUMNS, INDEX, Route
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+TORQUES = tuple(f"tau_{wheel}" for wheel in equations.WHEELS)
+"""Outputs of a controller (N m), inputs of the car."""
+_LARGEST = 1e9
+"""Largest magnitude of what is measured (SI)."""
+_HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Export:
+    """A controller on a route, ready to be written.
+
+    Attributes
+    ----------
+    guidance : lateral.Guidance
+        A 1 kHz law, or a factory of `NMPC` by real-time iteration, or of `LTVMPC`.
+    route : Route
+    vehicle : Vehicle
+        What it believes of the car.
+    settings : tuple
+        adhesion, estimate, fixed_share, sensors, see `law.control_law`.
+
+    Raises
+    ------
+    InputError
+        When the slower controller of a guidance is written in Python.
+    """
+
+    guidance: lateral.Guidance
+    route: Route
+    vehicle: Vehicle = field(default_factory=load_vehicle)
+    settings: tuple = (None, None, 0.0, None)
+
+    def source(self) -> str:
+        """C source: controller_t with `measured` and `torque`, controller_reset(c), controller_step(c) every ms."""
+        lateral_law, factory = lateral.split(self.guidance)
+        limits = {"lateral": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
+        control = law.control_law(self.vehicle, lateral_law, *self.settings, **limits)
+        planners = [factory(self.vehicle, self.route, gear) for gear in range(len(law.GEARS))] if factory else []
+        functions = [control.function, *(self._functions(planners[0]) if planners else ())]
+        text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
+        text += self._constants(control) + (self._planner(planners, control) if planners else "")
+        return text + (_HERE / "controller.c").read_text()
+
+    def write_source(self, path: Path | str) -> Path:
+        """Write `source` to a file."""
+        write(Path(path), self.source())
+        return Path(path)
+
+    def write_fmu(self, path: Path | str) -> Path:
+        """Write a unit of FMI 2.0 for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
+        if codegen.compiler() is None:
+            raise InputError("an FMU holds compiled code: a C compiler is needed")
+        description = "Controller of two running gears with independently rotating wheels"
+        unit = Unit("controller", description, TORQUES, law.MEASURED, _LARGEST)
+        sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}
+        sizes |= {"INPUT_TEXT": f'"what is measured must be a number of at most {_LARGEST:g}"'}
+        return write_unit(path, unit, self.source() + _defines(sizes), (_HERE / "unit.c").read_text())
+
+    def _constants(self, control: law.ControlLaw) -> str:
+        """Sizes, road and gains of the law."""
+        sizes = {"N_MEASURED": len(law.MEASURED), "N_TORQUE": len(TORQUES), "N_MEMORY": len(control.memory)}
+        sizes |= {"GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)} | _work("LAW", [control.function])
+        sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
+        sizes |= {"PERIOD": float(EXCHANGE_PERIOD).hex()}
+        places = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
+        text = _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("PLACES", places)
+        return text + constant("CELLS", self.route.cells) + constant("GAINS", control.gains)
+
+    @staticmethod
+    def _functions(planner: PredictiveController) -> tuple[ca.Function, ...]:
+        real_time = isinstance(planner, NMPC) and planner.solver == "rti"
+        if not (real_time or isinstance(planner, LTVMPC)):
+            raise InputError(
+                f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC or NMPC by real-time iteration "
+                '(options {"solver": "rti"}), which alone have C of their own'
+            )
+        return riccati.functions(planner.settings.variant, planner.settings.discretisation)
+
+    def _planner(self, planners: list[PredictiveController], control: law.ControlLaw) -> str:
+        """The predictive controllers of both gears: solver, numbers, where they find what is measured."""
+        settings, first = planners[0].settings, planners[0]
+        functions = self._functions(first)
+        sizes = {"PLAN_STEPS": round(settings.period / EXCHANGE_PERIOD), "STEPS": settings.steps}
+        sizes |= {
+            "MOST_SETS": riccati.MOST_SETS,
+            "YIELDING": int(settings.yielding),
+            "INFORMED": int(settings.informed),
+        }
+        sizes |= {"N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.sensed)} | _work("PLAN", functions)
+        numbers = {"OBSERVER": settings.observer, "PLAN_PERIOD": settings.period, "AFFINE": first.horizon.affine}
+        numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
+        sizes |= {name: float(value).hex() for name, value in numbers.items()}
+        if isinstance(first, LTVMPC):
+            sizes["LINEAR"] = 1
+        nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
+        sizes["N_NOMINAL"] = nominal.shape[1]
+        states = [[law.MEASURED.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS]
+        names = [[f"{gear}.{name}" for name in law.SEEN] for gear in law.GEARS]
+        seen = [[control.memory.index(name) if control.sensed else 0 for name in row] for row in names]
+        text = _defines(sizes) + f"enum {{ {', '.join(f'THETA_{name}' for name in THETA)} }};\n"
+        text += _integers("STATES_AT", states) + _integers("SEEN", seen)
+        text += _integers("BASE", [control.memory.index(f"{gear}.u") for gear in law.GEARS])
+        text += (
+            constant("NOMINAL", nominal) + constant("MODEL", first.parameters) + constant("TUNING", settings.tuning())
+        )
+        return text + riccati.c_text(settings.variant, settings.discretisation) + (_HERE / "planner.c").read_text()
+
+
+def _work(name: str, functions) -> dict[str, int]:
+    """Sizes of the memory of generated functions."""
+    sizes = {"ARG": "sz_arg", "RES": "sz_res", "IW": "sz_iw", "W": "sz_w"}
+    return {f"{name}_{key}": max(getattr(f, size)() for f in functions) for key, size in sizes.items()}
+
+
+def _defines(values: dict) -> str:
+    return "".join(f"#define {name} {value}\n" for name, value in values.items())
+
+
+def _integers(name: str, values) -> str:
+    """C constant of whole numbers in one or two dimensions."""
+    table = np.array(values)
+    shape = "".join(f"[{n}]" for n in table.shape)
+    rows = ["{" + ",".join(map(str, row)) + "}" for row in table] if table.ndim == 2 else map(str, table)
+    return f"static const int {name}{shape} = {{{','.join(rows)}}};\n"

@@ -1,0 +1,26 @@
+/* A controller as a unit of FMI. Starts after controller.c, fmi2.h; fmi2.c follows. */
+
+typedef struct {
+  double inputs[N_INPUT], y[N_OUTPUT];
+  controller_t controller;
+  const fmi2CallbackFunctions *callbacks;
+} unit_t;
+
+static void connect(unit_t *u) {}
+
+static void reset(unit_t *u) {
+  memset(u->inputs, 0, sizeof u->inputs);
+  memset(u->y, 0, sizeof u->y);
+  controller_reset(&u->controller);
+}
+
+static void begin(unit_t *u) {}
+
+/* What is measured is held for all exchanges of a step. */
+static fmi2Status advance(unit_t *u, casadi_int steps) {
+  memcpy(u->controller.measured, u->inputs, sizeof u->controller.measured);
+  for (casadi_int k = 0; k < steps; ++k)
+    if (controller_step(&u->controller)) return report(u->callbacks, fmi2Error, "the control law failed");
+  memcpy(u->y, u->controller.torque, sizeof u->y);
+  return fmi2OK;
+}

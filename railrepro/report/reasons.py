@@ -1,0 +1,178 @@
+"""Numbers in the report's prose: placeholders of data/claims.toml and of the page, filled in from the results.
+
+{equal: scenario/controller/metric unit} is a metric on some terms, {name} an entry of `NAMED`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from railrepro import paths
+from railrepro.report.evidence import Nominal
+from railrepro.studies import statements, tuning
+from railrepro.studies.statements import MissingEvidence
+
+UNKNOWN = "n/a"
+NAMED: dict[str, Callable[[Nominal], str]] = {}
+_PLACE = re.compile(r"\{(?:(\w+): ([^{}/]+)/([^{}/]+)/(\w+)(?: (mm|m|%))?|(\w+))\}")
+
+
+def named(function: Callable[[Nominal], str]) -> Callable:
+    """Register a number of the prose under the name of its function."""
+    NAMED[function.__name__.strip("_")] = function
+    return function
+
+
+def filled(text: str, nominal: Nominal) -> str:
+    """A text with its placeholders filled in; what the results do not have reads n/a."""
+
+    def number(match: re.Match) -> str:
+        terms, scenario, controller, metric, unit, name = match.groups()
+        if name:
+            return NAMED[name](nominal)
+        try:
+            return quantity(nominal.evidence(terms)(scenario, controller, metric), unit or "")
+        except MissingEvidence:
+            return UNKNOWN
+
+    return _PLACE.sub(number, text)
+
+
+def quantity(value: float, unit: str = "") -> str:
+    """A number with three digits, and its unit; "left the rail" for an infinite one."""
+    if np.isinf(value):
+        return "left the rail"
+    if np.isnan(value):
+        return UNKNOWN
+    shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value
+    return (f"{shown:.3g}" if abs(shown) < 100 else f"{shown:.1f}".removesuffix(".0")) + (f" {unit}" if unit else "")
+
+
+@named
+def _pole_cross(nominal: Nominal) -> str:
+    """Triple pole of NDI with which it draws level with NMPC on T3 (rad/s)."""
+    table = nominal.results("ndi_poles").sort_values("pole_radps")
+    ahead = np.log(table["rmse_mm"] / table["nmpc_mm"]).to_numpy()
+    if (ahead > 0).all() or (ahead < 0).all():
+        return UNKNOWN
+    return f"{np.interp(0.0, -ahead, table['pole_radps']):.0f}"
+
+
+@named
+def _no_creep_share(nominal: Nominal) -> str:
+    table = nominal.results("sine_causes").query("case == 'T3, 280 km/h'").set_index("cause")["rmse_y"]
+    return quantity(table["no creep"] / table["as tuned"], "%")
+
+
+def _table_one(track: str) -> Callable[[Nominal], str]:
+    def found(nominal: Nominal) -> str:
+        table = nominal.results("table1").set_index("track")
+        return f"{table.loc[track, 'b_sin_phi_m']:.4f} (sine, 1.5 m)"
+
+    return found
+
+
+NAMED |= {f"table1_T{i}": _table_one(f"T{i}") for i in (1, 2, 3, 4)}
+
+
+@named
+def _error_at_crests(nominal: Nominal) -> str:
+    return quantity(nominal.evidence("equal")("curve_entry_T3", "nmpc", "error_at_crests"))
+
+
+def _median_ms(nominal: Nominal, solver: str) -> float:
+    times = nominal.results("solve_times").query("solver == @solver")
+    return float(times[~times["scenario"].str.contains("bounds")]["median_ms"].median())
+
+
+@named
+def _ipopt_ms(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "ipopt"))
+
+
+@named
+def _nmpc_ms(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "gauss_newton"))
+
+
+@named
+def _ltv_ms(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "ltv_mpc"))
+
+
+@named
+def _time_ratio(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "gauss_newton") / _median_ms(nominal, "ltv_mpc"))
+
+
+@named
+def _reached_m(nominal: Nominal) -> str:
+    table = nominal.results("adhesion_metrics").query("experiment == 'fig08'").set_index("case")["reached_m"]
+    return quantity(table["NMPC, R x 10"])
+
+
+@named
+def _allocation_gain(nominal: Nominal) -> str:
+    return quantity(100 * statements.find("C34", nominal.evidence("equal")).value)
+
+
+def _preview_error(nominal: Nominal, error: str) -> str:
+    table = nominal.results("preview_errors").query("controller == 'nmpc' and error == @error")["rail_rmse_y"]
+    return quantity(float(table.iloc[0]), "mm") if len(table) else UNKNOWN
+
+
+@named
+def _error_0m(nominal: Nominal) -> str:
+    return _preview_error(nominal, "0 m")
+
+
+@named
+def _error_2m(nominal: Nominal) -> str:
+    return _preview_error(nominal, "2 m")
+
+
+@named
+def _nmpc_period(nominal: Nominal) -> str:
+    file = paths.source(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
+    return f"{json.loads(file.read_text(encoding='utf-8'))['parameters']['period_ms']:g} ms"
+
+
+def _cause(nominal: Nominal, cause: str) -> str:
+    table = nominal.results("sine_causes").query("case == 'straight, 160 km/h'").set_index("cause")["rmse_y"]
+    return quantity(table[cause], "mm") if cause in table else UNKNOWN
+
+
+@named
+def _cone_straight(nominal: Nominal) -> str:
+    return _cause(nominal, "as tuned")
+
+
+@named
+def _s1002_straight(nominal: Nominal) -> str:
+    return _cause(nominal, "S1002 profiles")
+
+
+@named
+def _ltv_gap_same_weights(nominal: Nominal) -> str:
+    table = nominal.results("ltv_gap").query("scenario == 'curve_entry_T3'").set_index("kind")["rmse_y"]
+    return quantity(table["ltv printed"] / table["nmpc"])
+
+
+def _front(nominal: Nominal) -> tuple[float, float]:
+    ways = nominal.results("braking_front").query("stopped and kind == 'nmpc' and factor >= 1")["stopping_distance"]
+    return ways.max() - ways.min(), ways.max()
+
+
+@named
+def _front_range(nominal: Nominal) -> str:
+    return quantity(_front(nominal)[0], "m")
+
+
+@named
+def _front_share(nominal: Nominal) -> str:
+    saved, longest = _front(nominal)
+    return quantity(saved / longest, "%")

@@ -1,0 +1,423 @@
+"""What would have to be true: the region of cars and settings in which the paper's statements hold together.
+
+The paper's results are observations of a car that nobody published. History matching by waves: runs over a
+space-filling design, an emulator per statement with its error, points ruled out where a statement is implausible, the
+next runs in what is left. `python -m railrepro.studies.matching [small]` writes data/results/matching_*.csv and the
+named set `paper_like`; every finished run is kept in build/study, so an interrupted matching goes on where it was.
+
+Source: Craig, Goldstein, Seheult and Smith 1997; Vernon, Goldstein and Bower 2010 (implausibility, waves).
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from railrepro import paths, schema
+from railrepro.control.registry import PAPER_TRIO
+from railrepro.errors import InputError, told
+from railrepro.files import write
+from railrepro.studies import emulator, statements, tuning
+from railrepro.studies.probe import World, probe
+from railrepro.studies.pso import Dimension
+from railrepro.studies.robustness import evidence, kept
+from railrepro.studies.statements import Finding, MissingEvidence, Statement
+from railrepro.vehicle.parameters import sample_ranges
+
+TERMS = "paper"
+"""Terms whose tuned sets the settings change: how the paper compared."""
+SETTINGS = (
+    Dimension("R of the MPC, over the tuned", 1e-2, 1e2, "log"),
+    Dimension("weight of psi, over the tuned", 1e-1, 1e1, "log"),
+    Dimension("terminal weight, over the tuned", 1e-1, 1e1, "log"),
+    Dimension("sampling of the MPC (ms)", 4, 40, "integer"),
+    Dimension("horizon (s)", 0.1, 1.0, "log"),
+    Dimension("triple pole of NDI (rad/s)", 10, 120, "log"),
+    Dimension("damping of NDI", 0.5, 1.5),
+    Dimension("delay of the drive (s)", 0.0, 5e-3),
+    Dimension("amplitude of the sweep (mm)", 1.5, 4.5),
+    Dimension("longest wave of the sweep (m)", 100, 200),
+    Dimension("shortest wave of the sweep (m)", 30, 80),
+    Dimension("clothoid over ours", 0.6, 1.5),
+    Dimension("profile (cone, S1002)", 0, 1, "integer"),
+    Dimension("rail (dry, wet)", 0, 1, "integer"),
+)
+"""What the paper leaves open besides the car."""
+SIZES = {"committed": (6, 128), "small": (4, 32)}
+"""Waves and runs per wave."""
+PARTS, SPEEDS = ("curve", "sine", "loss", "brake"), (160, 400)
+CUT = 3.0
+"""Implausibility beyond which a point is ruled out (three standard deviations, Pukelsheim 1994)."""
+DISCREPANCY = 0.1
+"""What a limit may be off by, because the plant is not the paper's (logarithm, or units of the value)."""
+CLIP = 2.0
+"""Largest margin that is told apart; a run that failed has this one, negative."""
+CANDIDATES = 2**14
+LEAST = 1e-3
+"""Share of the prior that is to survive at least; else one more statement is allowed to be implausible."""
+
+
+def margin(statement: Statement, finding: Finding) -> float:
+    """How far a value is inside the limits of a statement: positive where it holds, at most `CLIP` in size.
+
+    Logarithm of the ratio to a positive limit, difference to another.
+    """
+    found = []
+    for limit, sign in ((statement.below, -1.0), (statement.above, 1.0)):
+        if limit is None:
+            continue
+        if np.isnan(finding.value):
+            return -CLIP
+        ratio = limit > 0 and finding.value > 0
+        inside = np.log(finding.value / limit) if ratio else finding.value - limit
+        found.append(sign * inside)
+    return float(np.clip(min(found), -CLIP, CLIP))
+
+
+Values = tuple[tuple[str, float], ...]
+"""Parameters of a run by name."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is matched.
+
+    Attributes
+    ----------
+    dimensions : tuple of Dimension
+        The prior: uniform in each (in the logarithm, where its scale says so).
+    run : callable
+        List of `Values` -> margin by statement (`margin`) of each, in order.
+    """
+
+    dimensions: tuple[Dimension, ...]
+    run: Callable[[list[Values]], list[dict[str, float]]]
+
+    def values(self, point: Sequence[float]) -> Values:
+        """Parameters at a point of the unit cube."""
+        return tuple((d.name, d.value(float(u))) for d, u in zip(self.dimensions, point, strict=True))
+
+    def encoded(self, points: np.ndarray) -> np.ndarray:
+        """Points as the emulator sees them: a choice of two is 0 or 1."""
+        choice = [d.scale == "integer" and d.high - d.low == 1 for d in self.dimensions]
+        return np.where(choice, np.round(points), points)
+
+
+@dataclass(frozen=True)
+class Matched:
+    """What a matching found.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, d)
+        All that were run, in the unit cube, wave by wave.
+    margins : DataFrame, shape (n, statements)
+    waves : DataFrame
+        One row per wave: points, surviving share, statements allowed to be implausible, error of the emulators.
+    survivors : ndarray, shape (m, d)
+        Points of the prior that are not ruled out.
+    emulators : dict
+        Statement -> Emulator.
+    """
+
+    points: np.ndarray
+    margins: pd.DataFrame
+    waves: pd.DataFrame
+    survivors: np.ndarray
+    emulators: dict[str, emulator.Emulator]
+
+
+def implausibility(emulators: Mapping[str, emulator.Emulator], x: np.ndarray) -> np.ndarray:
+    """How many standard deviations a point is outside each statement, shape (m, statements); 0 where it may hold."""
+    found = []
+    for emulate in emulators.values():
+        mean, deviation = emulate(x)
+        found.append(np.maximum(-mean, 0) / np.sqrt(deviation**2 + DISCREPANCY**2))
+    return np.array(found).T
+
+
+def survives(implausible: np.ndarray, allowed: int) -> np.ndarray:
+    """Points with no more than `allowed` implausible statements."""
+    return (implausible > CUT).sum(axis=1) <= allowed
+
+
+def match(problem: Problem, waves: int, count: int, seed: int = 2027, candidates: int = CANDIDATES) -> Matched:
+    """Match by waves.
+
+    Parameters
+    ----------
+    problem : Problem
+    waves, count : int
+        Number of waves, runs in each.
+    seed : int
+    candidates : int
+        Points of the prior on which the region is measured.
+
+    Returns
+    -------
+    Matched
+    """
+    size = len(problem.dimensions)
+    prior = stats.qmc.Sobol(size, seed=seed).random(candidates)
+    chosen = stats.qmc.Sobol(size, seed=seed + 1).random(count)
+    generator = np.random.default_rng(seed)
+    points, rows, table, allowed = np.empty((0, size)), [], [], 0
+    for wave in range(1, waves + 1):
+        points = np.vstack([points, chosen])
+        rows += problem.run([problem.values(point) for point in chosen])
+        margins = pd.DataFrame(rows)
+        x = problem.encoded(points)
+        emulators = {name: emulator.fit(x, margins[name].to_numpy()) for name in margins}
+        implausible = implausibility(emulators, problem.encoded(prior))
+        while survives(implausible, allowed).mean() < LEAST and allowed < len(emulators):
+            allowed += 1
+        kept_points = prior[survives(implausible, allowed)]
+        errors = [emulate.error for emulate in emulators.values()]
+        table.append(
+            {
+                "wave": wave,
+                "points": len(chosen),
+                "surviving_share": len(kept_points) / len(prior),
+                "allowed": allowed,
+                "emulator_error": float(np.median(errors)),
+                "most_statements": int((margins > 0).sum(axis=1).max()),
+                "statements": len(emulators),
+            }
+        )
+        chosen = _within(problem, emulators, allowed, kept_points, count, generator)
+    return Matched(points, margins, pd.DataFrame(table), kept_points, emulators)
+
+
+def _within(problem, emulators, allowed: int, kept_points: np.ndarray, count: int, generator) -> np.ndarray:
+    """Points for the next wave: survivors, moved a little so that few survivors give many points."""
+    found = np.empty((0, kept_points.shape[1]))
+    for _ in range(50):
+        chosen = kept_points[generator.integers(len(kept_points), size=4 * count)]
+        moved = chosen + generator.normal(0, 0.1, chosen.shape)
+        moved = 1 - np.abs(1 - np.abs(moved) % 2)  # reflected at both ends
+        alive = survives(implausibility(emulators, problem.encoded(moved)), allowed)
+        found = np.vstack([found, moved[alive]])
+        if len(found) >= count:
+            return found[:count]
+    return np.vstack([found, kept_points[generator.integers(len(kept_points), size=count)]])[:count]
+
+
+def region(problem: Problem, matched: Matched) -> pd.DataFrame:
+    """Projection of the region on each dimension, and what knowing it would tell.
+
+    Returns
+    -------
+    DataFrame
+        what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), narrowing (1 - width over that
+        of the prior), reduction (share of the variance of how many statements hold which goes when it is known).
+    """
+    x = problem.encoded(matched.survivors)
+    expected = np.zeros(len(x))
+    for emulate in matched.emulators.values():
+        mean, deviation = emulate(x)
+        expected += stats.norm.cdf(mean / deviation)
+    rows = []
+    for i, dimension in enumerate(problem.dimensions):
+        low, middle, high = np.quantile(matched.survivors[:, i], (0.05, 0.5, 0.95))
+        rows.append(
+            {
+                "what": dimension.name,
+                "prior_low": dimension.low,
+                "prior_high": dimension.high,
+                **{k: dimension.value(float(u)) for k, u in (("low", low), ("median", middle), ("high", high))},
+                "narrowing": 1 - (high - low) / 0.9,
+                "reduction": _explained(matched.survivors[:, i], expected),
+            }
+        )
+    return pd.DataFrame(rows).sort_values("reduction", ascending=False, ignore_index=True)
+
+
+def _explained(x: np.ndarray, y: np.ndarray, bins: int = 10) -> float:
+    """Share of the variance of y that the mean over bins of x explains, less what chance does."""
+    total = y.var()
+    if total <= 0 or len(y) < 5 * bins:
+        return 0.0
+    place = np.minimum((x * bins).astype(int), bins - 1)
+    groups = pd.Series(y).groupby(place)
+    between = float((groups.size() * (groups.mean() - y.mean()) ** 2).sum()) / len(y)
+    return max(0.0, between / total - (groups.ngroups - 1) / len(y))
+
+
+def conflicts(held: pd.DataFrame, largest: int = 3, expected: float = 5.0) -> pd.DataFrame:
+    """Smallest sets of statements that no run has together, though so many runs would if they were independent.
+
+    Parameters
+    ----------
+    held : DataFrame of bool, shape (runs, statements)
+    largest : int
+        Size of a set, at most.
+    expected : float
+        Runs that would have the set by chance, at least; with fewer nothing is said.
+
+    Returns
+    -------
+    DataFrame
+        statements, size, expected, probes (runs that have all but one of the set).
+    """
+    share, rows, known = held.mean(), [], []
+    for size in range(1, largest + 1):
+        for chosen in itertools.combinations(held.columns, size):
+            if any(set(old) <= set(chosen) for old in known) or held[list(chosen)].all(axis=1).any():
+                continue
+            chance = len(held) * float(np.prod(share[list(chosen)])) if size > 1 else float(len(held))
+            if chance < expected:
+                continue
+            known.append(chosen)
+            nearly = int((held[list(chosen)].sum(axis=1) == size - 1).sum())
+            rows.append({"statements": " ".join(chosen), "size": size, "expected": chance, "probes": nearly})
+    return pd.DataFrame(rows, columns=["statements", "size", "expected", "probes"])
+
+
+def dimensions() -> tuple[Dimension, ...]:
+    """The prior: ranges of vehicle.toml besides adhesion, and `SETTINGS`."""
+    ranges = {key: pair for key, pair in sample_ranges().items() if not key.startswith("adhesion.")}
+    return (*(Dimension(key, *map(float, pair)) for key, pair in ranges.items()), *SETTINGS)
+
+
+def world(values: Mapping[str, float]) -> World:
+    """The car, controllers and experiments of a point; what is not named stays nominal."""
+    v = dict(values)
+    names = {d.name for d in SETTINGS}
+    vehicle = {key: value for key, value in v.items() if key not in names}
+    r, psi, terminal, period, horizon, pole, damping, delay, amplitude, start, end, clothoid, profile, rail = (
+        v.get(d.name) for d in SETTINGS
+    )
+    parameters = {name: dict(tuning.load(name, TERMS)["parameters"]) for name in PAPER_TRIO}
+    for name in PAPER_TRIO[:2]:
+        own = parameters[name]
+        for key, factor in (("r", r), ("q_psi_TrAx", psi), ("q_terminal", terminal)):
+            own[key] *= 1.0 if factor is None else factor
+        own |= {key: value for key, value in (("period_ms", period), ("horizon_s", horizon)) if value is not None}
+    if pole is not None:
+        parameters["ndi"] |= {"pole": pole, "frequency": pole}
+    if damping is not None:
+        parameters["ndi"]["damping"] = damping
+    given = {
+        "amplitude_mm": amplitude, "period_start_m": start, "period_end_m": end, "clothoid_factor": clothoid,
+        "profile": None if profile is None else ("cone", "s1002")[round(profile)],
+        "good": None if rail is None else ("dry", "wet")[round(rail)],
+        "sensors": None if not delay else {"perfect": True, "inverter.delay": delay},
+    }  # fmt: skip
+    sweeps = {"r_factors": (1.0, 10.0, 100.0), "poles": (8.0, 20.0, 50.0), "brake_kmh": 60.0}
+    return World(parameters, vehicle, **sweeps, **{key: value for key, value in given.items() if value is not None})
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Runs of the car at some values, as "scenario/controller/metric" -> value; picklable.
+
+    Attributes
+    ----------
+    parts : tuple of str
+        See `probe`.
+    """
+
+    parts: tuple[str, ...] = PARTS
+
+    def __call__(self, values: Values) -> dict[str, float]:
+        return {"/".join(key): float(value) for *key, value in probe(world(dict(values)), self.parts, SPEEDS)}
+
+
+def margins(row: dict, judged: Mapping[str, Statement]) -> dict[str, float]:
+    """Margins of the statements that a row of metrics can answer."""
+    seen, found = evidence(row), {}
+    for identity, rule in judged.items():
+        try:
+            found[identity] = margin(rule, statements.find(identity, seen))
+        except MissingEvidence:
+            continue
+    return found
+
+
+def rules() -> dict[str, Statement]:
+    """The statements of the paper with their limits."""
+    return {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
+
+
+@schema.table
+class PaperLike:
+    """The named set `paper_like`: values by dimension, statements that hold there."""
+
+    values: dict[str, schema.Plain]
+    holds: tuple[str, ...]
+    fails: tuple[str, ...]
+
+
+def paper_like() -> World:
+    """Car, controllers and experiments at which most of the paper's statements hold, as found by the matching."""
+    file = paths.source("data/results/paper_like.json")
+    if not file.exists():
+        raise InputError(f"{file.name}: is missing; `python -m railrepro.studies.matching` makes it")
+    return world(schema.build(PaperLike, schema.read(file), file.name).values)
+
+
+def best(problem: Problem, matched: Matched) -> dict:
+    """The run with most statements; among equals that with the largest sum of margins."""
+    held = (matched.margins > 0).sum(axis=1)
+    score = held + 1e-3 * matched.margins.clip(upper=0).sum(axis=1)
+    row = int(score.to_numpy().argmax())
+    told_apart = matched.margins.iloc[row] > 0
+    names = list(matched.margins.columns)
+    return asdict(
+        PaperLike(
+            dict(problem.values(matched.points[row])),
+            tuple(name for name in names if told_apart[name]),
+            tuple(name for name in names if not told_apart[name]),
+        )
+    )
+
+
+def _sentence(row) -> str:
+    return (
+        f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; plausible are "
+        f"{row.low:.3g} to {row.high:.3g} of {row.prior_low:.3g} to {row.prior_high:.3g}"
+    )
+
+
+def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
+    """Tables by name: waves, region, questions, conflicts, best (margins of all runs with their points)."""
+    projection = region(problem, matched)
+    asked = projection.assign(sentence=[_sentence(row) for row in projection.itertuples()])
+    values = pd.DataFrame([dict(problem.values(point)) for point in matched.points])
+    return {
+        "waves": matched.waves,
+        "region": projection,
+        "questions": asked[["what", "reduction", "sentence"]],
+        "conflicts": conflicts(matched.margins > 0),
+        "best": pd.concat([matched.margins, values], axis=1),
+    }
+
+
+def main(names: list[str]) -> None:
+    """Match at a size and write the tables and the named set."""
+    if set(names) - set(SIZES) or len(names) > 1:
+        raise InputError(f"matching takes one of the sizes {sorted(SIZES)}, found {' '.join(names)!r}")
+    waves, count = SIZES[names[0] if names else "committed"]
+    judged = rules()
+
+    def run(points: list[Values]) -> list[dict[str, float]]:
+        rows = kept(Drive(), points, paths.BUILD / "study" / "matching", "matching", terms=(TERMS,))
+        return [margins(row, judged) for row in rows]
+
+    problem = Problem(dimensions(), run)
+    matched = match(problem, waves, count)
+    for name, table in tables(problem, matched).items():
+        write(paths.product(f"data/results/matching_{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
+    write(paths.product("data/results/paper_like.json"), json.dumps(best(problem, matched), indent=2) + "\n")
+    print(matched.waves.to_string(index=False))
+
+
+if __name__ == "__main__":
+    sys.exit(told(lambda: main(sys.argv[1:])))

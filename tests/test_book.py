@@ -1,0 +1,151 @@
+"""The book: every notebook has its place, pages link what they should, and the check of links finds what is broken."""
+
+import csv
+import re
+
+import pytest
+
+from railrepro import paths
+from railrepro.chain import book, graph, pages, weblinks
+from railrepro.errors import InputError
+
+PDF = [str(number) for number in range(1, 43)]
+LETTERS = {
+    "3": "abcdef",
+    "12": "ab",
+    "13": "abc",
+    "16": "ab",
+    "29": "ab",
+    "30": "abcde",
+    "31": "abcdef",
+    "34": "abcdef",
+}
+
+
+def site(folder, **pages_):
+    """A folder of pages with the given bodies."""
+    for name, body in pages_.items():
+        (folder / f"{name}.html").write_text(f"<html><body>{body}</body></html>")
+    (folder / "style.css").write_text("p { color: black }")
+    return folder
+
+
+def test_sound_links_are_no_fault(tmp_path):
+    body = '<p id="here"></p><a href="#here">x</a><a href="two.html#there">x</a><img src="style.css">'
+    body += '<a href="https://example.org/a?b=c">x</a><img src="data:image/png;base64,AA=="><a href="style.css">x</a>'
+    assert weblinks.faults(site(tmp_path, one=body, two='<p id="there"></p>')) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "fault"),
+    [
+        ('<a href="three.html">x</a>', "links to three.html, which is not there"),
+        ('<a href="two.html#here">x</a>', "links to two.html#here, which has no such place"),
+        ('<a href="#nowhere">x</a>', "links to #nowhere, which has no such place"),
+        ('<a href="https:///x">x</a>', "links to https:///x, which is no address"),
+        ('<a href="htp://example.org">x</a>', "links to htp://example.org, which is no address"),
+        ('<script src="https://cdn.example.org/a.js"></script>', "loads https://cdn.example.org/a.js from a network"),
+        ('<link rel="stylesheet" href="//example.org/a.css">', "loads //example.org/a.css from a network"),
+        ('<img src="http://example.org/a.png">', "loads http://example.org/a.png from a network"),
+        ('<script>fetch("https://example.org/a.json")</script>', "loads https://example.org/a.json from a network"),
+        ("<style>@import url(https://example.org/a.css)</style>", "loads https://example.org/a.css from a network"),
+        ('<img src="gone.png">', "loads gone.png, which is not there"),
+    ],
+)
+def test_a_broken_link_or_a_load_from_a_network_is_told(tmp_path, body, fault):
+    assert weblinks.faults(site(tmp_path, one=body, two="")) == [f"one.html {fault}"]
+
+
+def test_a_style_sheet_that_loads_from_a_network_is_told(tmp_path):
+    site(tmp_path, one="")
+    (tmp_path / "style.css").write_text("@font-face { src: url('https://example.org/a.woff2') }")
+    assert weblinks.faults(tmp_path) == ["style.css loads https://example.org/a.woff2"]
+
+
+def test_every_notebook_has_one_place_in_the_contents():
+    places = re.findall(r"^notebooks/(\w+)$", (paths.NOTEBOOKS / "book/index.md").read_text(), re.MULTILINE)
+    assert sorted(places) == [notebook.name for notebook in graph.chain()]
+
+
+def test_labels_of_the_source_become_numbers_of_the_pdf():
+    assert pages.numbered("see eqs. (psi_trax) to (gen_forces) and eq. (18)") == "see eqs. (8) to (17) and eq. (18)"
+    assert pages.numbered("eq. (eq.integration_rule)") == "eq. (41), (42)"
+
+
+def test_every_label_that_is_used_has_a_number():
+    with (paths.NOTEBOOKS / "book/equations.csv").open(newline="") as stream:
+        known = {row["label"]: re.findall(r"\((\d+)([a-f]?)\)", row["number"]) for row in csv.DictReader(stream)}
+    assert all(n in PDF and (not x or x in LETTERS[n]) for found in known.values() for n, x in found)
+    texts = [file.read_text() for file in (paths.ROOT / "railrepro").rglob("*.py")]
+    texts += [pages.prose({"cells": cells(notebook)}) for notebook in graph.chain()]
+    with paths.source("data/notation.csv").open(newline="") as stream:
+        texts += [f"eq. {row['equation']}" for row in csv.DictReader(stream)]
+    left = {label for text in texts for label in re.findall(r"\beqs?\. \((\w+)\)", pages.numbered(text))}
+    assert {label for label in left if not label[0].isdigit()} == set()
+
+
+def cells(notebook):
+    from railrepro.chain.manifest import cells
+
+    return cells(notebook)
+
+
+@pytest.mark.parametrize("notebook", graph.chain(), ids=lambda notebook: notebook.name)
+def test_formulas_carry_numbers_that_the_pdf_has(notebook):
+    for number in pages.tags(pages.prose({"cells": cells(notebook)})):
+        bare = number.rstrip("abcdef")
+        assert bare in PDF and set(number[len(bare) :]) <= set(LETTERS.get(bare, "")), number
+
+
+def test_a_chapter_links_equations_and_names_source_data_and_claims():
+    notebook = graph.Notebook("01_one", "one", writes=("data/results/table1.csv",), figures=("fig10_tracks",))
+    image = {"output_type": "display_data", "data": {"image/png": "AA=="}, "metadata": {}}
+    content = {
+        "cells": [
+            {
+                "cell_type": "markdown",
+                "source": "from eq. (8)\n\n$$a = b \\tag{8}$$\n\nand eq. (9), `02_contact`, `99_none`",
+                "metadata": {},
+            },
+            {
+                "cell_type": "code",
+                "id": "c07",
+                "source": 'figures.save_figure(fig, "fig10_tracks", table)',
+                "metadata": {},
+                "outputs": [image],
+            },
+        ]
+    }
+    rows = [{"id": "C01", "statement": "it holds", "verdict": "reproduced"}]
+    made = [cell["source"] for cell in pages.chapter(notebook, content, {"8": "01_one", "9": "02_two"}, rows)["cells"]]
+    assert "from eq. [(8)](#eq-8)" in made[0] and "and eq. [(9)](#eq-9)" in made[0]
+    assert made[0].endswith(", [`02_contact`](02_contact.ipynb), `99_none`")
+    assert "(eq-8)=\n\\begin{equation*}\na = b \\tag{8}\n\\end{equation*}" in made[0]
+    assert made[1] == "(01_one-c07)=" and ":name: fig10_tracks" in made[3]
+    for part in ("source/01_one.ipynb", "data/results/table1.csv", "it holds | reproduced", 'REPLICATION.html#C01"'):
+        assert part in made[-1]
+
+
+def test_claims_rest_on_the_notebook_that_they_name_or_whose_product_they_judge():
+    notebook = graph.Notebook("01_one", "one", writes=("data/a.csv",), figures=("fig10_tracks",))
+    homes = {"C01": "01_one", "C04": "02"}
+    evidence = {"C01": "data/b.csv", "C02": "figures/fig10_tracks.png", "C03": "data/a.csv", "C04": "data/b.csv"}
+    table = [{"id": name, "evidence": file} for name, file in evidence.items()]
+    assert [row["id"] for row in pages.resting(notebook, homes, table)] == ["C01", "C02", "C03"]
+
+
+def test_the_report_leads_to_cells_of_the_book():
+    text = "| C08 | ✓ | [06, cell c20](notebooks/06_curve_entry.ipynb#cell-id=c20) |"
+    assert pages.report(text) == '| <span id="C08"></span>C08 | ✓ | [06, cell c20](#06_curve_entry-c20) |'
+
+
+def test_every_module_is_in_the_reference():
+    listed = {m for page in pages.reference().values() for m in re.findall(r"automodule:: ([\w.]+)", page)}
+    files = [file.relative_to(paths.ROOT) for file in (paths.ROOT / "railrepro").rglob("*.py")]
+    assert {".".join(file.with_suffix("").parts) for file in files if not file.name.startswith("__")} <= listed
+
+
+def test_a_book_without_executed_notebooks_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    with pytest.raises(InputError, match="there is no executed notebook; `make figures` makes it"):
+        book.html()

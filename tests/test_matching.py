@@ -1,0 +1,159 @@
+"""History matching: emulator with its error, planted truths that must survive, conflicts that are there."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from railrepro.errors import InputError
+from railrepro.studies import emulator, matching, statements
+from railrepro.studies.matching import Problem
+from railrepro.studies.pso import Dimension
+from railrepro.studies.statements import Finding, Statement
+
+SPACE = tuple(Dimension(f"x{i}", 0.0, 1.0) for i in range(12))
+"""Twelve parameters of which three matter."""
+
+
+def answer(x):
+    """Three quantities of a car that nobody knows."""
+    return 3 * np.array([np.sin(3 * x[0]) + 0.5 * x[1], x[1] ** 2 - x[2], x[0] * x[2]])
+
+
+def planted(truth, tolerance=0.24):
+    """A problem whose statements are that each quantity is as at the truth."""
+    hidden = answer(truth)
+
+    def run(points):
+        found = [answer(np.array([value for _, value in point])) for point in points]
+        return [{f"S{i}": tolerance - abs(y[i] - hidden[i]) for i in range(3)} for y in found]
+
+    return Problem(SPACE, run)
+
+
+def still_there(problem, matched, truth):
+    x = problem.encoded(np.array([truth]))
+    allowed = int(matched.waves["allowed"].iloc[-1])
+    return bool(matching.survives(matching.implausibility(matched.emulators, x), allowed)[0])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_planted_truth_survives_and_the_region_shrinks(seed):
+    truth = np.random.default_rng(seed).uniform(0.15, 0.85, len(SPACE))
+    problem = planted(truth)
+    matched = matching.match(problem, waves=4, count=64, candidates=2**12)
+    assert still_there(problem, matched, truth)
+    assert matched.waves["surviving_share"].iloc[-1] < 0.25
+    assert matched.waves["allowed"].iloc[-1] == 0
+    found = matching.region(problem, matched).set_index("what")
+    assert found.loc[["x0", "x1", "x2"], "narrowing"].mean() > found.drop(["x0", "x1", "x2"])["narrowing"].mean() + 0.1
+
+
+def test_a_wrong_place_is_ruled_out():
+    truth = np.full(len(SPACE), 0.25)
+    problem = planted(truth)
+    matched = matching.match(problem, waves=4, count=64, candidates=2**12)
+    wrong = truth.copy()
+    wrong[:3] = 0.95
+    assert not still_there(problem, matched, wrong)
+
+
+def test_statements_that_cannot_all_hold_are_allowed_to_fail():
+    def run(points):
+        return [{"small": 0.2 - dict(p)["x0"], "large": dict(p)["x0"] - 0.8} for p in points]
+
+    matched = matching.match(Problem(SPACE, run), waves=2, count=64, candidates=2**12)
+    assert matched.waves["allowed"].iloc[-1] == 1
+    found = matching.conflicts(matched.margins > 0)
+    assert found["statements"].tolist() == ["small large"]
+
+
+def test_the_emulator_tells_its_error():
+    x = stats.qmc.Sobol(12, seed=4).random(128)
+    y = np.sin(4 * x[:, 0]) + x[:, 1]
+    emulate, fresh = emulator.fit(x, y), stats.qmc.Sobol(12, seed=5).random(512)
+    mean, deviation = emulate(fresh)
+    misfit = mean - (np.sin(4 * fresh[:, 0]) + fresh[:, 1])
+    assert set(emulate.active[:2]) == {0, 1}
+    assert np.sqrt(np.mean(misfit**2)) < 0.25 * y.std()
+    assert np.mean(np.abs(misfit) < 3 * deviation) > 0.97
+    assert emulate.error == pytest.approx(np.sqrt(np.mean(misfit**2)) / y.std(), abs=0.1)
+
+
+def test_the_emulator_of_a_constant_is_constant():
+    mean, _ = emulator.fit(stats.qmc.Sobol(3, seed=4).random(32), np.full(32, 2.0))(
+        np.random.default_rng(0).random((5, 3))
+    )
+    assert mean == pytest.approx(2.0)
+
+
+def rule(**limits):
+    return Statement("", "", "statement", "-", "", "11_solvers", **limits)
+
+
+@pytest.mark.parametrize(
+    ("limits", "value", "expected"),
+    [
+        ({"below": 2.0}, 1.0, np.log(2)),
+        ({"below": 2.0}, 4.0, -np.log(2)),
+        ({"above": 2.0}, 4.0, np.log(2)),
+        ({"above": 0.0}, -0.5, -0.5),
+        ({"above": 1.0, "below": 4.0}, 3.0, np.log(4 / 3)),
+        ({"below": 2.0}, np.inf, -matching.CLIP),
+        ({"below": 2.0}, np.nan, -matching.CLIP),
+        ({"above": 2.0}, np.inf, matching.CLIP),
+    ],
+)
+def test_the_margin_is_positive_where_the_rule_holds(limits, value, expected):
+    found = matching.margin(rule(**limits), Finding(value))
+    assert found == pytest.approx(expected)
+    assert (found > 0) == (rule(**limits).judge(Finding(value)) == statements.REPRODUCED)
+
+
+def test_conflicts_are_minimal_and_need_enough_runs():
+    a = np.arange(40) % 2 == 0
+    held = pd.DataFrame({"A": a, "B": ~a, "C": True, "D": False})
+    assert matching.conflicts(held)["statements"].tolist() == ["D", "A B"]
+    assert matching.conflicts(held.iloc[:10]).query("size == 2").empty
+
+
+def test_values_become_a_world():
+    changed = {
+        "wheel.radius": 0.45,
+        "triple pole of NDI (rad/s)": 40.0,
+        "profile (cone, S1002)": 1,
+        "delay of the drive (s)": 2e-3,
+    }
+    world = matching.world(changed)
+    assert world.vehicle == {"wheel.radius": 0.45} and world.profile == "s1002"
+    assert world.parameters["ndi"]["pole"] == world.parameters["ndi"]["frequency"] == 40.0
+    assert world.sensors == {"perfect": True, "inverter.delay": 2e-3}
+    nominal = matching.world({})
+    assert nominal.sensors == {} and nominal.profile == "cone" and nominal.vehicle == {}
+    halved = matching.world({"R of the MPC, over the tuned": 0.5})
+    assert halved.parameters["nmpc"]["r"] == 0.5 * nominal.parameters["nmpc"]["r"]
+
+
+def test_an_unknown_size_is_told():
+    with pytest.raises(InputError, match="sizes"):
+        matching.main(["huge"])
+
+
+@pytest.mark.slow
+def test_a_planted_car_is_found_by_its_runs():
+    """Statements made from the runs of a hidden car are matched with the true simulator; the car stays inside."""
+    space = tuple(d for d in matching.SETTINGS if d.name.startswith(("triple pole", "R of the MPC", "amplitude")))
+    drive, hidden = matching.Drive(("curve",)), np.array([0.3, 0.6, 0.5])
+    truth = matching.evidence(drive(Problem(space, list).values(hidden)))
+    made = {}
+    for identity in ("C04", "C05", "C11"):
+        value = statements.find(identity, truth).value
+        made[identity] = rule(above=value / 1.15, below=value * 1.15)
+
+    def run(points):
+        return [matching.margins(drive(point), made) for point in points]
+
+    problem = Problem(space, run)
+    matched = matching.match(problem, waves=2, count=16, candidates=2**12)
+    assert still_there(problem, matched, hidden)
+    assert matched.waves["surviving_share"].iloc[-1] < 0.6

@@ -1,0 +1,90 @@
+"""What a probe measures on runs made by hand, and one small probe of the car that answers statements."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from railrepro.control.registry import PAPER_TRIO
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies import probe, statements, tuning
+from railrepro.vehicle.parameters import load_vehicle
+
+
+def torques(later, noise=0.0):
+    """Torque of one run over the way, and of another `later` metres behind, with noise."""
+    p = np.arange(0.0, 650.0, 0.5)
+    scatter = np.random.default_rng(5).normal(0, noise, p.size)
+
+    def shape(place):
+        return np.sin(place / 15 + 4 * np.sin(place / 100))
+
+    pairs = (shape(p), shape(p - later) + scatter)
+    return [pd.DataFrame({"p_m": p, "du_Nm": du}) for du in pairs]
+
+
+@pytest.mark.parametrize(
+    ("later", "noise", "alike"), [(5.0, 0.0, 1.0), (0.75, 0.0, 1.0), (-12.0, 0.0, 1.0), (5.0, 0.9, 0.6)]
+)
+def test_by_how_much_a_torque_comes_later(later, noise, alike):
+    found = probe.torque_shift(*torques(later, noise))
+    assert found["torque_later"] == pytest.approx(later, abs=0.26)
+    assert found["torque_alike"] == pytest.approx(alike, abs=0.1)
+
+
+def test_gyroscopic_torque_on_the_cant_ramp_of_t3():
+    # v^2/R - 0.4333 m/s2 is balanced by a cant that rises along 423 m; J_Wy 60 kg m2, b 1.5 m
+    v = 280 / 3.6
+    cant_rate = np.arcsin((v**2 / 4250 - 0.4333) / 9.81) / 423
+    found = probe.gyroscopic_torque(load_vehicle(), load_scenario("curve_entry_T3"))
+    assert found == pytest.approx(-2 * 60.0 * v**2 * cant_rate / 1.5, rel=0.01)
+
+
+def test_torque_step_leaves_out_the_transition():
+    p = np.arange(0.0, 400.0)
+    du = np.select([p < 20, p < 60, p <= 300], [30.0, 1e4, 10.0], -1e4)
+    assert probe.torque_step(pd.DataFrame({"p_m": p, "du_Nm": du})) == pytest.approx(-20.0)
+
+
+def test_errors_at_crests_over_those_below():
+    reference = 1e-3 * np.array([3.0, -3.0, 2.6, 2.4, -1.0, 0.2, 0.05, 0.0])
+    error = np.array([2.0, -2.0, 2.0, 1.0, -1.0, 1.0, 50.0, -50.0])
+    assert probe.error_at_crests(pd.DataFrame({"y_ref_m": reference, "y_m": reference + error})) == pytest.approx(2.0)
+
+
+def test_entries_into_macro_slip_that_are_left_again():
+    time = np.arange(0.0, 4.0, 0.01)
+    segment = np.ones(time.size)
+    segment[(time > 0.5) & (time < 0.7)] = 3  # back within 0.3 s
+    segment[(time > 1.0) & (time < 2.0)] = 3  # not
+    segment[time > 3.8] = 3  # too late to tell
+    assert probe.recovered_share(pd.DataFrame({"t_s": time, "segment": segment})) == 0.5
+    assert probe.recovered_share(pd.DataFrame({"t_s": time, "segment": 1})) == 0.0
+
+
+def test_deviation_in_regular_operation():
+    p = np.array([10.0, 90.0, 100.0, 140.0])
+    rows = pd.DataFrame({"p_m": p, "fx_ri": [9.0, 0.05, 0.06, 9.0], "fx_le": [9.0, 0.04, 0.07, 9.0], "f_star": 0.05})
+    assert probe.regular_deviation(rows) == pytest.approx((0.1 + 0.3) / 2)
+
+
+def test_what_doing_nothing_gives():
+    found = probe.nothing(load_scenario("sine_tracking").but(end_m=600.0))
+    assert found["rmse_y"] == pytest.approx(3e-3 / np.sqrt(2), rel=0.02)
+    assert found["largest_error"] == pytest.approx(3e-3, rel=1e-3) and found["shortest_wave"] == 150.0
+
+
+def test_a_probe_answers_statements():
+    parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
+    rows = probe.probe(probe.World(parameters), ["curve", "offset"])
+    evidence = statements.Evidence({row[:3]: row[3] for row in rows})
+    for identity in ("C04", "C05", "C08", "C09", "C10", "C11", "C12", "C42", "C47"):
+        assert np.isfinite(statements.find(identity, evidence).value), identity
+    assert statements.load()["C10"].judge(statements.find("C10", evidence)) == "reproduced"
+    with pytest.raises(statements.MissingEvidence):
+        statements.find("C30", evidence)
+
+
+def test_a_failed_run_tells_only_that_it_failed():
+    parameters = {"pole": 60.0, "frequency": 60.0, "damping": 0.05}
+    world = probe.World({"ndi": parameters}, vehicle={"drive.lag": 0.05})
+    assert probe.lateral(world.run(load_scenario("sine_tracking").but(end_m=200.0), "ndi")) == {"failed": 1.0}

@@ -1,0 +1,260 @@
+"""Rules of the paper's statements: they hold where the paper is right throughout, and fail where it is not.
+
+One world is made by hand in which every statement holds; each rule is then put to its negative control, and to changes
+on both sides of its limits. The limits are those of data/claims.toml.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from railrepro.errors import InputError
+from railrepro.studies import negative, statements
+from railrepro.studies.statements import NOT, PARTLY, REPRODUCED, Evidence, Finding, MissingEvidence
+
+KNOWN = {i: s for i, s in statements.load().items() if s.kind == "statement"}
+TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
+SOFT, SOFTEST = "nmpc, R x 10", "nmpc, R x 100"
+
+
+def _metrics():
+    found = {}
+
+    def put(scenario, controller, **values):
+        found.update({(scenario, controller, metric): value for metric, value in values.items()})
+
+    put("curve_entry_T3", "nothing", rmse_y=2e-3, largest_error=3e-3, shortest_wave=40.0)
+    shared = {"gyroscopic_share": 1.0, "error_at_crests": 1.5, "failed": 0.0}
+    for name, error, delay in zip(TRIO, (0.5e-3, 0.6e-3, 1.2e-3), (0.2, 0.3, 5.0), strict=True):
+        put("curve_entry_T3", name, rmse_y=error, delay=delay, mean_error_last_third=-6e-4, effort_du=80.0, **shared)
+    put("curve_entry_T3", "ndi", torque_later=4.0, torque_alike=0.95)
+    for i, effort in ((1, 600.0), (2, 70.0), (4, 120.0)):
+        for name, error in zip(TRIO, (0.5e-3, 0.6e-3, 1.2e-3), strict=True):
+            put(f"curve_entry_T{i}", name, rmse_y=error, effort_du=effort, failed=0.0)
+    for speed in (80, 240, 400):
+        put(f"sine_tracking {speed}", "nothing", rmse_y=2e-3)
+        for name, slope in zip(TRIO, (1e-6, 1.5e-6, 4e-6), strict=True):
+            put(f"sine_tracking {speed}", name, rmse_y=slope * speed, failed=0.0)
+    put("offset", "nothing", largest_error=5e-3)
+    put("adhesion_loss", "nothing", rmse_y=1.4e-3, slip_at_maximum=0.02)
+    put("adhesion_loss", "regular operation", regular_deviation=0.05)
+    good = {"rmse_y": 0.7e-3, "largest_slip": 0.025, "utilisation": 0.9, "recovered_share": 1.0, "failed": 0.0}
+    for name in ("nmpc", SOFT):
+        put("adhesion_loss", name, **good)
+    put("adhesion_loss", "no slip control", utilisation=0.68, largest_slip=0.054, recovered_share=0.2, failed=1.0)
+    for name in TRIO:
+        put("offset", name, mean_error_last_third=1e-4)
+    for factor, way, error in ((1, 1003.0, 1e-3), (10, 1002.0, 2e-3), (100, 1001.0, 3e-3)):
+        put("braking", "sweep of R", **{f"stopping_distance {factor}": way, f"rmse_y {factor}": error})
+        put("braking", "sweep of poles", **{f"stopping_distance {factor}": way + 5, f"rmse_y {factor}": error})
+    put("braking", "nmpc", rmse_y=1e-3, stopping_distance=1003.0)
+    put("braking", SOFTEST, rmse_y=3e-3, stopping_distance=1001.0)
+    put("braking", "ndi", rmse_y=4e-3, stopping_distance=1010.0)
+    return found
+
+
+def _rows(columns, *values):
+    return pd.DataFrame(values, columns=columns.split())
+
+
+def _tables():
+    width, phi = 1.5, np.array([4.12, 6.44, 5.79, 4.69])
+    cases, known = ("T3, 280 km/h", "straight, 160 km/h"), (("as tuned", 1.0), ("S1002 profiles", 1.1))
+    causes = [(case, cause, value, value) for case in cases for cause, value in known]
+    problems = ("curve_entry_T3", "curve_entry_T3, bounds active", "sine_tracking")
+    solvers = (("ipopt", 400.0), ("gauss_newton", 0.4), ("ltv_mpc", 0.1))
+    slips = [(*place, on, slip) for place in _PLACES for on, slip in ((True, 0.03), (False, 0.5))]
+    ride = ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")
+    previews = (("none", 1.0), ("exact", 0.4))
+    return {
+        "table1": pd.DataFrame({"printed_m": (width * np.sin(np.radians(phi))).round(3), "phi_deg": phi}),
+        "sine_causes": _rows(
+            "case cause rmse_y mean_error_last_third",
+            *causes,
+            ("T3, 280 km/h", "no creep", 0.9, 0.2),
+            ("straight, 160 km/h", "no creep", 0.5, 0.5),
+        ),
+        "solve_times": _rows(
+            "solver scenario median_ms max_ms", *[(s, name, ms, ms) for s, ms in solvers for name in problems]
+        ),
+        "adhesion_metrics": _rows(
+            "experiment place drive slip_control largest_slip", *[("sudden", *slip) for slip in slips]
+        ),
+        "adhesion_map": _rows("map utilisation", *[("friction", 0.95)] * 4, ("steps", 0.1)),
+        "adhesion_law": _rows("p2_over_bound rms_error", (0.5, 9.0), (0.9, 5.0), (1.1, 1.0), (3.0, 1.0)),
+        "braking_front": _rows(
+            "kind controller factor stopping_distance rmse_y stopped",
+            ("nmpc", "nmpc", 1.0, 1000.0, 1.0, True),
+            ("fixed", "nmpc", 0.05, 1020.0, 9.0, True),
+            ("fixed", "nmpc", 0.1, 1052.0, 1.05, True),
+        ),
+        "braking_dependence": _rows(
+            "factor amplitude_mm wavelength limit_Nm rmse_y", (1, 3, 1.0, 4000.0, 1.0), (1, 3, 1.0, 0.0, 1.2)
+        ),
+        "ride_metrics": _rows(
+            "controller track car preview metric value",
+            *[("nmpc", "straight", "cone", *preview[:1], m, preview[1]) for m in ride for preview in previews],
+        ),
+    }
+
+
+_PLACES = (("both rails", "traction"), ("left rail", "braking"))
+
+
+IDEAL = Evidence(_metrics(), {}, lambda name: _tables()[name])
+
+
+def judged(identity, evidence):
+    return KNOWN[identity].judge(statements.find(identity, evidence))
+
+
+def but(*changes, spread=None):
+    """The ideal world with some metrics changed: (scenario, controller, metric, value)."""
+    changed = {(s, c, m): value for s, c, m, value in changes}
+    return Evidence(dict(IDEAL.metrics) | changed, spread or {}, IDEAL.tables)
+
+
+@pytest.mark.parametrize("identity", KNOWN)
+def test_every_statement_holds_where_the_paper_is_right(identity):
+    assert judged(identity, IDEAL) == REPRODUCED
+
+
+@pytest.mark.parametrize("identity", KNOWN)
+def test_every_rule_fails_its_negative_control(identity):
+    control = negative.CONTROLS[KNOWN[identity].control]
+    assert judged(identity, control(IDEAL)) != REPRODUCED
+
+
+def test_every_negative_control_is_used():
+    assert set(negative.CONTROLS) == {statement.control for statement in KNOWN.values()}
+
+
+T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
+
+
+@pytest.mark.parametrize(
+    ("identity", "changes", "verdict"),
+    [
+        ("C03", [("curve_entry_T4", "nmpc", "effort_du", 601.0)], NOT),
+        ("C04", [(T3, "ndi", "rmse_y", 1.5e-3)], PARTLY),
+        ("C04", [(T3, "ltv_mpc_printed", "rmse_y", 2.1e-3)], NOT),
+        ("C04", [(T3, "ndi", "failed", 1.0)], NOT),
+        ("C05", [(T3, "ltv_mpc_printed", "rmse_y", 1.3e-3)], PARTLY),
+        ("C05", [(T3, "ndi", "rmse_y", 0.4e-3)], NOT),
+        ("C05", [(T3, "ndi", "failed", 1.0)], REPRODUCED),
+        ("C05", [(T3, "nmpc", "failed", 1.0)], PARTLY),
+        ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], PARTLY),
+        ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3), (T3, "ndi", "rmse_y", 0.4e-3)], NOT),
+        ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.8e-3)], NOT),
+        ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], NOT),
+        ("C08", [(T3, "nmpc", "delay", -0.7)], PARTLY),
+        ("C08", [(T3, "nmpc", "delay", 0.7), (T3, "ltv_mpc_printed", "delay", 0.7)], NOT),
+        ("C42", [(T3, "nmpc", "delay", 4.6)], PARTLY),
+        ("C09", [(T3, "ndi", "torque_alike", 0.7)], NOT),
+        ("C09", [(T3, "ndi", "torque_later", 0.5)], PARTLY),
+        ("C09", [(T3, "ndi", "torque_later", -3.0)], NOT),
+        ("C09", [(T3, "nmpc", "failed", 1.0)], NOT),
+        ("C10", [(T3, "ltv_mpc_printed", "gyroscopic_share", 1.4)], NOT),
+        ("C10", [(T3, "ndi", "gyroscopic_share", 0.6)], NOT),
+        ("C11", [(T3, "nmpc", "mean_error_last_third", 2.9e-4)], NOT),
+        ("C12", [(T3, "nmpc", "error_at_crests", 1.1)], NOT),
+        ("C16", [("curve_entry_T1", "ltv_mpc_printed", "failed", 1.0)], PARTLY),
+        ("C17", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 0.7e-4)], PARTLY),
+        ("C18", [("sine_tracking 240", "ndi", "rmse_y", 9e-3)], PARTLY),
+        ("C18", [("sine_tracking 240", "ndi", "failed", 1.0)], NOT),
+        ("C19", [("sine_tracking 400", "ndi", "rmse_y", 0.5e-3)], NOT),
+        ("C20", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 9e-3)], PARTLY),
+        ("C20", [("sine_tracking 80", "nmpc", "rmse_y", 9e-3)], NOT),
+        ("C47", [("offset", "ndi", "mean_error_last_third", -6e-4)], NOT),
+        ("C21", [(LOSS, "regular operation", "regular_deviation", 0.11)], NOT),
+        ("C23", [(LOSS, "nmpc", "failed", 1.0)], PARTLY),
+        ("C23", [(LOSS, "nmpc", "largest_slip", 0.041), (LOSS, SOFT, "largest_slip", 0.041)], NOT),
+        ("C24", [(LOSS, "nmpc", "recovered_share", 0.8)], PARTLY),
+        ("C50", [(LOSS, "nmpc", "utilisation", 0.7)], PARTLY),
+        ("C50", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
+        ("C28", [(LOSS, "nmpc", "rmse_y", 1.2e-3), (LOSS, SOFT, "rmse_y", 1.2e-3)], PARTLY),
+        ("C28", [(LOSS, "nmpc", "rmse_y", 1.5e-3)], PARTLY),
+        ("C28", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
+        ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5)], NOT),
+        ("C30", [(BRAKE, "sweep of R", "rmse_y 10", 0.9e-3)], PARTLY),
+        ("C30", [(BRAKE, "sweep of R", "stopping_distance 10", float("inf"))], NOT),
+        ("C46", [(BRAKE, "sweep of poles", f"stopping_distance {f}", 1002.0) for f in (1, 10, 100)], NOT),
+        ("C31", [(BRAKE, SOFTEST, "rmse_y", 5e-3)], PARTLY),
+        ("C32", [(BRAKE, "nmpc", "stopping_distance", 1009.5)], PARTLY),
+        ("C32", [(BRAKE, "ndi", "stopping_distance", 1000.0)], NOT),
+    ],
+)
+def test_a_change_turns_the_verdict(identity, changes, verdict):
+    assert judged(identity, but(*changes)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("identity", "name", "change", "verdict"),
+    [
+        ("C01", "table1", lambda t: t.assign(phi_deg=t["phi_deg"] * [1, 1, 1, 1.02]), NOT),
+        ("C13", "sine_causes", lambda t: t.replace({"mean_error_last_third": {0.2: 0.6}}), NOT),
+        ("C14", "solve_times", lambda t: t.replace({"median_ms": {0.1: 0.16}}), PARTLY),
+        ("C14", "solve_times", lambda t: t.replace({"median_ms": {0.1: 0.06}}), PARTLY),
+        ("C15", "solve_times", lambda t: t.assign(max_ms=[0.1, 6.0, 0.1] * 3), PARTLY),
+        ("C15", "solve_times", lambda t: t.assign(max_ms=6.0), NOT),
+        ("C44", "solve_times", lambda t: t.assign(median_ms=[400.0, 1.0, 1e3] * 3), NOT),
+        ("C25", "adhesion_metrics", lambda t: t.assign(largest_slip=[0.03, 0.5, 0.3, 0.5]), PARTLY),
+        ("C26", "adhesion_map", lambda t: t.assign(utilisation=[0.9, 0.9, 0.9, 0.7, 0.9]), PARTLY),
+        ("C27", "adhesion_law", lambda t: t.assign(rms_error=[9.0, 9.0, 9.0, 1.0]), NOT),
+        ("C34", "braking_front", lambda t: t.assign(stopping_distance=[1000.0, 1020.0, 1100.0]), PARTLY),
+        ("C34", "braking_front", lambda t: t.assign(rmse_y=[1.0, 9.0, 9.0]), NOT),
+        ("C45", "braking_front", lambda t: t.assign(stopping_distance=[1000.0, 1002.0, 1052.0]), NOT),
+        ("C37", "braking_dependence", lambda t: t.assign(rmse_y=[1.0, 1.005]), PARTLY),
+        ("C37", "braking_dependence", lambda t: t.assign(rmse_y=[1.0, 0.95]), NOT),
+        ("C35", "sine_causes", lambda t: t.assign(rmse_y=[1.0, 1.1, 1.0, 1.5, 0.9, 0.5]), PARTLY),
+        ("C35", "sine_causes", lambda t: t.assign(rmse_y=[1.0, 0.7, 1.0, 1.1, 0.9, 0.5]), NOT),
+        ("C36", "sine_causes", lambda t: t.replace({"rmse_y": {0.9: 0.7}}), PARTLY),
+        ("C36", "sine_causes", lambda t: t.replace({"rmse_y": {0.9: 0.4}}), NOT),
+        ("C39", "ride_metrics", lambda t: t.replace({"value": {0.4: 0.6}}), PARTLY),
+        ("C41", "ride_metrics", lambda t: t.assign(value=[1.0, 0.4, 1.0, 0.4, 1.0, 1.1]), PARTLY),
+        ("C41", "ride_metrics", lambda t: t.replace({"value": {0.4: 0.97}}), NOT),
+    ],
+)  # fmt: skip
+def test_a_changed_table_turns_the_verdict(identity, name, change, verdict):
+    evidence = Evidence(
+        IDEAL.metrics, {}, lambda which: change(_tables()[which]) if which == name else _tables()[which]
+    )
+    assert judged(identity, evidence) == verdict
+
+
+@pytest.mark.parametrize(("seeds", "verdict"), [(1.5, REPRODUCED), (2.5, PARTLY)])
+def test_a_difference_within_the_spread_of_seeds_is_a_tie(seeds, verdict):
+    """NMPC leads by a factor of 2.4, printed LTV-MPC by 2."""
+    evidence = but(spread={(T3, "nmpc", "rmse_y"): np.log(seeds)})
+    assert judged("C05", evidence) == verdict
+    assert KNOWN["C05"].tied(statements.find("C05", evidence)) == (verdict == PARTLY)
+    assert judged("C16", evidence) == PARTLY  # NMPC and LTV-MPC are a tie on T3
+
+
+def test_a_lost_lead_is_no_tie():
+    evidence = but((T3, "ndi", "rmse_y", 0.2e-3), spread={(T3, "nmpc", "rmse_y"): np.log(1.2)})
+    assert judged("C05", evidence) == NOT and not KNOWN["C05"].tied(statements.find("C05", evidence))
+
+
+def test_what_is_not_a_number_never_holds():
+    for statement in KNOWN.values():
+        assert statement.judge(Finding(float("nan"), float("nan"))) == NOT
+
+
+def test_missing_evidence_is_told():
+    with pytest.raises(MissingEvidence, match="curve_entry_T3, nmpc, rmse_y"):
+        statements.find("C05", Evidence({}))
+    with pytest.raises(MissingEvidence, match="table1"):
+        statements.find("C01", Evidence({}))
+
+
+def test_a_statement_needs_limits(tmp_path):
+    file = tmp_path / "claims.toml"
+    texts = ("section", "statement", "unit", "reason", "evidence", "notebook")
+    head = "\n".join(["[C05]", 'kind = "statement"', *(f'{key} = ""' for key in texts), ""])
+    file.write_text(head)
+    with pytest.raises(InputError, match=r"claims.toml: \[C05\] has neither above nor below"):
+        statements.load(file)
+    file.write_text(head.replace("C05", "C99") + "above = 1\n")
+    with pytest.raises(InputError, match="has no function"):
+        statements.load(file)
