@@ -18,7 +18,7 @@ import numpy as np
 
 from railrepro.control import lateral
 from railrepro.control.predictive import PredictiveController, Solve
-from railrepro.control.registry import CONTROLLERS, Controller
+from railrepro.control.registry import REGISTERED, Controller
 from railrepro.errors import InputError
 from railrepro.schema import is_number
 from railrepro.studies import tuning
@@ -35,7 +35,7 @@ class Entry:
     Attributes
     ----------
     name : str
-        Key of `registry.CONTROLLERS`, or the name of a file without its suffix.
+        Key of `registry.REGISTERED`, or the name of a file without its suffix.
     file : str
         Path of the file, empty for a registered controller.
     """
@@ -60,18 +60,18 @@ class Entry:
         known = {"equal", "loop"}
         if set(parameters) - known:
             raise InputError(f"{self.name}: `tuned` has {sorted(parameters)}, only {sorted(known)} are known")
-        CONTROLLERS[f"own {self.name}"] = Controller(lambda settings: _Own(own, settings).guidance(), dict, True, "own")
+        REGISTERED[f"own {self.name}"] = Controller(lambda settings: _Own(own, settings).guidance(), dict, True, "own")
         return f"own {self.name}", parameters.get(terms, {})
 
 
 def entry(controller: str) -> Entry:
     """The entry for a registered name or the path of a file; InputError when it is neither."""
-    if controller in tuple(CONTROLLERS):
+    if controller in tuple(REGISTERED):
         return Entry(controller)
     file = Path(controller)
     if not file.is_file():
         raise InputError(
-            f"controller {controller!r} is neither a file nor a registered controller; there are {list(CONTROLLERS)}"
+            f"controller {controller!r} is neither a file nor a registered controller; there are {list(REGISTERED)}"
         )
     return Entry(file.stem, str(file.resolve()))
 

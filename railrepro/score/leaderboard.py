@@ -10,7 +10,7 @@ import sys
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS
+from railrepro.control.registry import REGISTERED
 from railrepro.errors import told
 from railrepro.files import write
 from railrepro.score import card, suite
@@ -22,7 +22,7 @@ from railrepro.score.run import score
 def entries() -> list[Entry]:
     """All registered controllers, and the files of examples/."""
     files = sorted((paths.ROOT / "examples").glob("*.py"))
-    return [*(entry(name) for name in CONTROLLERS), *(entry(str(file)) for file in files)]
+    return [*(entry(name) for name in REGISTERED), *(entry(str(file)) for file in files)]
 
 
 def table(chosen: list[Entry], names: tuple[str, ...] | None = None) -> pd.DataFrame:

@@ -22,7 +22,7 @@ import numpy as np
 
 from railrepro.compile import codegen
 from railrepro.control import lateral
-from railrepro.control.registry import CONTROLLERS, guidance
+from railrepro.control.registry import REGISTERED, guidance
 from railrepro.score import suite
 from railrepro.score.entry import NOT_FINITE, Entry, fault
 from railrepro.simulation.scenarios import load_scenario
@@ -70,7 +70,7 @@ class Trial:
 
     def _experiment(self, scenario, terms: str, **around) -> Experiment:
         name, parameters = self.entry.enter(terms)
-        return Experiment(scenario, name, parameters=parameters, options=CONTROLLERS[name].quick, terms=terms, **around)
+        return Experiment(scenario, name, parameters=parameters, options=REGISTERED[name].quick, terms=terms, **around)
 
     def _run(self) -> dict:
         case = self.case
