@@ -26,6 +26,7 @@ from railrepro.schema import between, require
 from railrepro.simulation.exchange import Exchange
 from railrepro.simulation.ride import FLANGE_ANGLE
 from railrepro.simulation.scenarios import Scenario
+from railrepro.threads import one_thread
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -129,9 +130,10 @@ def run(
     settings = adhesion, estimate, fixed_share, sensors
     route = checked_route(scenario, body, irregularities, line)
     exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
-    controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
     latency = vars(sensors.loop.latency).values() if sensors else ()
-    log = _drive(exchange, controllers, _longest(route, scenario), sum(latency) + EXCHANGE_PERIOD)
+    with one_thread():
+        controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
+        log = _drive(exchange, controllers, _longest(route, scenario), sum(latency) + EXCHANGE_PERIOD)
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
