@@ -121,7 +121,7 @@ def stability(
             experiments.append(Experiment(scenario, "ndi", label | {"controller": "ndi", "pole": pole}, parameters))
         for slip in (None, SlipSettings()):
             own = label | {"controller": OURS if slip is None else f"{OURS}_slip"}
-            experiments.append(Experiment(scenario, OURS, own, adhesion=slip))
+            experiments.append(Experiment(scenario, OURS, own, tuning.load(OURS)["parameters"], adhesion=slip))
     return pd.DataFrame(kept(_row, experiments, paths.BUILD / "study" / "stability", "stability", quiet))
 
 
