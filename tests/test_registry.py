@@ -66,7 +66,7 @@ def test_guidance_of_each_method():
 
 
 def test_unknown_controllers_and_settings_are_refused():
-    with pytest.raises(InputError, match=r"controller 'pid' is not known; there are \['ltv_mpc', "):
+    with pytest.raises(InputError, match=r"controller 'pid' is not known; there are \['creep_mpc', "):
         registry.guidance("pid", {})
     with pytest.raises(InputError, match="controller nmpc: setting 'stepz' is not known"):
         registry.guidance("nmpc", TUNED, stepz=3, steps=7)

@@ -72,7 +72,7 @@ class AdhesionSettings:
         return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
 
 
-def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
+def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
     """Next base torque of one running gear.
 
     Parameters
@@ -81,14 +81,12 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
         Estimated adhesion (traction-positive) and slip s = (v - w r)/v of the left and right wheel (-).
     f_star : SX
         Adhesion set point, traction-positive (-).
-    v, ticks : SX
-        Not used.
     memory : dict of SX
         u (N m), f_0, f_1, s_0, s_1: base torque and filtered estimates of the previous call.
     gain : mapping
-        `AdhesionSettings.gains` and nominal_load (N).
-    model : mapping
-        Of the control model: tau_max (N m), r_0 (m).
+        `AdhesionSettings.gains`.
+    tau_max : SX
+        Torque limit (N m).
 
     Returns
     -------
@@ -102,7 +100,7 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     Source: eqs. (MAC_switching_function), (MAC_control_law), (RAC_law); with s as printed, the stable branch in
     traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
     """
-    sign, tau_max = ca.if_else(f_star < 0, -1, 1), model["tau_max"]
+    sign = ca.if_else(f_star < 0, -1, 1)
     pole = EXCHANGE_PERIOD / (gain["adhesion.filter_time"] + EXCHANGE_PERIOD)
     filtered, unstable = {}, 0
     for i in range(2):
@@ -121,7 +119,7 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     moved = ca.if_else(ca.logic_and(unstable, along > 0), released, along + regular)
     seeking = sign * ca.fmin(ca.fmax(moved, -tau_max), tau_max)
 
-    direct = f_star * gain["nominal_load"] * model["r_0"]
+    direct = f_star * gain["adhesion.torque_per_adhesion"]
     step = gain["adhesion.raise_step"]
     ramp = memory["u"] + ca.fmin(ca.fmax(direct - memory["u"], -step), step)
     follow = ca.fmin(ca.fmax(ramp, -tau_max), tau_max)

@@ -19,9 +19,8 @@ import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.control import adhesion as paper_adhesion
 from railrepro.control import lateral, slip
-from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
 from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
@@ -51,7 +50,6 @@ MARGINS = (*(f"{gear}.lateral" for gear in GEARS), "track_end", "stop_speed")
 """Distances to the limits of a run."""
 Longitudinal = type[AdhesionSettings] | type[SlipSettings]
 """Which law gives the base torque."""
-_BASE_TORQUE = {AdhesionSettings: paper_adhesion.base_torque, SlipSettings: slip.base_torque}
 ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
 """Adhesion and slip of left and right wheel, in the memory of a law, per gear."""
 GUIDANCE_FADE = 1.0
@@ -178,6 +176,7 @@ def control_law(
         adhesion = AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
     gains |= adhesion.gains() | (estimate or EstimateSettings()).gains()
     gains |= {"fixed_share": fixed_share, "nominal_load": load}
+    gains["adhesion.torque_per_adhesion"] = load * vehicle.wheel.radius
     gains |= {
         "model.J_eff": vehicle.effective_yaw_inertia,
         "model.k_sz": vehicle.suspension.yaw_stiffness,
@@ -207,6 +206,7 @@ def gain_names(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = A
     return (
         *(f"lateral.{name}" for name in kind.gains),
         *along().gains(),
+        "adhesion.torque_per_adhesion",
         *EstimateSettings().gains(),
         *("fixed_share", "nominal_load"),
         *(f"model.{name}" for name in lateral.MODEL),
@@ -273,8 +273,10 @@ def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = Adh
             state, estimates = states[gear], _estimates(gear, g, y, old["ticks"], own, gain)
         f_star = cells[gear]["force"] / (2 * gain["nominal_load"])
         f, s = ([estimates[f"{kind_}_hat_{i}"] for i in range(2)] for kind_ in ("f", "s"))
-        v, ticks = state["xdot"], old["ticks"]
-        u_d, kept, segment = _BASE_TORQUE[along](f, s, f_star, v, ticks, own, gain, model)
+        if along is SlipSettings:
+            u_d, kept, segment = slip.base_torque(f, s, f_star, state["xdot"], old["ticks"], own, gain, model)
+        else:
+            u_d, kept, segment = base_torque(f, s, f_star, own, gain, model["tau_max"])
 
         state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
         wanted, following = _lateral(kind, state, road, own, gain, model)
