@@ -199,6 +199,18 @@ class Schedule:
         return self._nodes[key]
 
 
+_SHARED: dict[tuple, Schedule] = {}
+_MOST_SHARED = 8
+
+
+def schedule(vehicle: Vehicle, settings: CreepSettings, creep: Creep, delay: float = 0.0) -> Schedule:
+    """A `Schedule`, that of an earlier gear or run where it is the same."""
+    key = repr(vehicle), settings, creep, delay
+    if key not in _SHARED and len(_SHARED) >= _MOST_SHARED:
+        del _SHARED[next(iter(_SHARED))]
+    return _SHARED.setdefault(key, Schedule(vehicle, settings, creep, delay))
+
+
 def _kalman(model, settings: CreepSettings) -> np.ndarray:
     n, m = len(STATES), len(UNKNOWN)
     a = np.eye(n + m + 1)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.control.creep_gains import READ, CreepSettings, Schedule, delay_of
+from railrepro.control.creep_gains import READ, CreepSettings, delay_of, schedule
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
 from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at
@@ -101,7 +101,7 @@ class CreepGuide:
         """Plan for torques that act a delay (s) after what was read."""
         self._delay, self._late = delay, delay_of(delay, self._settings)
         self._behind = max(delay - EXCHANGE_PERIOD, 0.0)  # the position that is seen is that of an exchange before
-        self._schedule = Schedule(self._vehicle, self._settings, self._creep, delay)
+        self._schedule = schedule(self._vehicle, self._settings, self._creep, delay)
         self.sent = np.zeros(self._late.sent)
 
     def read(self, readings: np.ndarray, delay: float) -> None:

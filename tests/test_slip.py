@@ -1,0 +1,113 @@
+"""Slip control of our own on a wheel with inertia, drive lag and Polach's creep: hold, seek, mirror, let go."""
+
+from dataclasses import astuple
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.contact.creep import polach
+from railrepro.contact.table import cone_patch
+from railrepro.control.slip import SlipSettings, base_torque
+from railrepro.errors import InputError
+from railrepro.vehicle.parameters import load_vehicle
+
+V = load_vehicle()
+LOAD, RADIUS, INERTIA = V.contact.nominal_load, V.wheel.radius, V.wheel.spin_inertia
+MODEL = {"tau_max": V.drive.torque_limit, "r_0": RADIUS, "J_Wy": INERTIA}
+
+
+@lru_cache
+def law():
+    f, s, memory = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", len(SlipSettings.memory))
+    f_star, v, ticks, gains = ca.SX.sym("f_star"), ca.SX.sym("v"), ca.SX.sym("t"), ca.SX.sym("gains", 13)
+    known = dict(zip(SlipSettings.memory, ca.vertsplit(memory), strict=True))
+    named = dict(zip((*SlipSettings().gains(), "nominal_load"), ca.vertsplit(gains), strict=True))
+    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, v, ticks, known, named, MODEL)
+    kept = ca.vertcat(*(kept[name] for name in SlipSettings.memory))
+    return ca.Function("law", [f, s, f_star, v, ticks, gains, memory], [u, kept, segment])
+
+
+@lru_cache
+def curve(adhesion, speed):
+    """Slip, and adhesion over slip."""
+    slip, shear = np.linspace(0, 0.1, 2001), V.contact.shear_modulus
+    a, b, kalker = cone_patch(V)
+    found = [
+        polach(-x, 0.0, 0.0, LOAD, a, b, *kalker, shear, *astuple(V.adhesion[adhesion]), speed * x)[0] for x in slip
+    ]
+    return slip, np.array(found, dtype=float) / LOAD
+
+
+def ride(rail, speed, demand, settings=None, seconds=6.0, noise=0.0, uneven=0.0):
+    """A gear whose wheels slip alike, but for `uneven`, on rails by time: columns u, f, slip of the mean, segment."""
+    gains = [*(settings or SlipSettings()).gains().values(), LOAD]
+    memory, torque, slip, generator, rows = np.zeros(9), 0.0, 0.0, np.random.default_rng(1), []
+    for k in range(round(seconds / EXCHANGE_PERIOD)):
+        over, adhesion = curve(rail(k * EXCHANGE_PERIOD), speed)
+        used = np.sign(slip) * np.interp(abs(slip), over, adhesion)
+        seen = slip * np.array([1 + uneven, 1 - uneven]) + 0.25 * noise * generator.standard_normal(2)
+        f = used + noise * generator.standard_normal(2)
+        u, memory, segment = law()(f, -seen, demand, speed, k, gains, memory)
+        memory = np.array(memory).ravel()
+        rows.append((float(u), used, slip, float(segment)))
+        torque += EXCHANGE_PERIOD / V.drive.lag * (float(u) - torque)
+        slip += EXCHANGE_PERIOD * RADIUS / (INERTIA * speed) * (torque - RADIUS * LOAD * used)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("adhesion", ["poor", "very_poor"])
+@pytest.mark.parametrize("kmh", [100, 400])
+def test_it_finds_nearly_the_maximum_on_rails_and_speeds_that_it_does_not_know(adhesion, kmh):
+    most = curve(adhesion, kmh / 3.6)[1].max()
+    last = ride(lambda t: adhesion, kmh / 3.6, 0.2, seconds=10.0)[6000:]
+    assert 0.92 < last[:, 1].mean() / most < 0.99
+    assert last[:, 2].max() < 0.03 and set(last[:, 3]) <= {2.0, 3.0}
+
+
+def test_with_noise_it_finds_the_same():
+    quiet, loud = (ride(lambda t: "poor", 111.0, 0.2, noise=noise)[3000:, 1].mean() for noise in (0.0, 2e-3))
+    assert loud == pytest.approx(quiet, rel=0.02)
+
+
+def test_without_seeking_it_holds_the_limit():
+    settings = SlipSettings(start=0.008, seek=0.0, swing=0.0)
+    assert ride(lambda t: "poor", 111.0, 0.2, settings)[-1, 2] == pytest.approx(0.008, rel=0.01)
+
+
+def test_braking_is_the_mirror_image_of_traction():
+    drive, brake = (ride(lambda t: "poor", 50.0, sign * 0.2, seconds=2.0) for sign in (1, -1))
+    assert np.allclose(drive[:, :3], -brake[:, :3], atol=1e-9) and drive[-1, 0] > 1000
+
+
+def test_a_demand_below_the_limit_is_followed_with_its_ramp():
+    rows = ride(lambda t: "dry", 50.0, 0.05, seconds=1.5)
+    wanted = 0.05 * RADIUS * LOAD
+    assert rows[-1, 0] == pytest.approx(wanted) and (rows[:, 3] == 1).all()
+    assert np.diff(rows[:, 0]).max() == pytest.approx(2.0)
+
+
+def test_a_sudden_loss_of_adhesion_is_caught():
+    rows = ride(lambda t: "dry" if t < 3 else "very_poor", 50.0, 0.12, seconds=4.0)
+    assert rows[3000:, 2].max() < 0.03 and rows[-1, 2] < 0.02 and (rows[:, 0] >= 0).all()
+
+
+def test_a_single_wheel_that_slips_lowers_the_torque():
+    even, uneven = (ride(lambda t: "poor", 50.0, 0.2, SlipSettings(seek=0.0, swing=0.0), 2.0, uneven=u) for u in (0, 2))
+    assert uneven[-1, 2] < 0.8 * even[-1, 2]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: SlipSettings(rate=0.0), "SlipSettings: rate is 0.0, a number above 0"),
+        (lambda: SlipSettings(elasticity="low"), "SlipSettings: elasticity is 'low'"),
+        (lambda: SlipSettings(least=0.06), "SlipSettings: least = 0.06, a number from 0 to 0.05"),
+        (lambda: SlipSettings(start=0.001), "SlipSettings: start = 0.001, a number from 0.002 to 0.05"),
+    ],
+)
+def test_settings_that_contradict_are_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
