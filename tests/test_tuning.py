@@ -15,7 +15,7 @@ import pytest
 
 from railrepro import paths
 from railrepro.control.ndi import NDI
-from railrepro.control.registry import CONTROLLERS, INVERSIONS, guidance
+from railrepro.control.registry import INVERSIONS, OURS, REGISTERED, guidance
 from railrepro.errors import InputError
 from railrepro.simulation import simulate
 from railrepro.studies import swarm, tuning
@@ -32,8 +32,8 @@ def short_task(**budget):
 @pytest.mark.parametrize("terms", tuning.TERMS)
 def test_all_controllers_are_searched_with_the_same_task(terms):
     task = tuning.load_task(terms=terms)
-    assert set(task.dimensions) == set(CONTROLLERS)
-    assert set(task.designed) == (set(INVERSIONS) if terms == "paper" else set())
+    assert set(task.dimensions) == set(REGISTERED)
+    assert set(task.designed) == ({*INVERSIONS, OURS} if terms == "paper" else set())
     assert len({run.scenario.speed_kmh for run in task.runs}) >= 4
     assert len(task.budget["seeds"]) >= 3
 
@@ -56,7 +56,7 @@ def test_terms_differ_in_what_is_seen_and_in_nothing_else():
 @pytest.mark.parametrize("terms", tuning.TERMS)
 def test_tuned_sets_belong_to_the_model_and_carry_their_origin(terms):
     task = tuning.load_task(terms=terms)
-    for name in CONTROLLERS:
+    for name in REGISTERED:
         tuned = tuning.load(name, terms)
         if name in task.designed:
             assert tuned["parameters"] == task.designed[name]
