@@ -94,7 +94,7 @@ class SlipSettings:
         return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
 
 
-_LEAST_SPEED = 8.0
+_LEAST_SPEED = 12.0
 """Speed below which the gain of the limit stays (m/s)."""
 _PRIOR = 2e-8
 """Variance of slip at which what was measured counts as much as the wanted elasticity, which leaves the limit alone."""
@@ -145,8 +145,7 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     force = model["r_0"] * gain["nominal_load"]
     stiffness = gain["adhesion.rate"] * model["J_Wy"] * ca.fmax(v, _LEAST_SPEED) / model["r_0"]
     held = force * new["f"] + stiffness * (limit * (1 + swing) - new["s"])
-    for each_f, each_s in zip(along_f, along_s, strict=True):
-        held = ca.fmin(held, force * each_f + stiffness * (_SINGLE * limit - each_s))
+    held -= stiffness * sum(ca.fmax(each - _SINGLE * limit, 0) for each in along_s)
     wanted = ca.fmin(ca.fmax(force * f_star, -model["tau_max"]), model["tau_max"]) - old["demand"]
     new["demand"] = old["demand"] + ca.fmin(ca.fmax(wanted, -gain["adhesion.raise_step"]), gain["adhesion.raise_step"])
 
