@@ -2,7 +2,7 @@ r"""Slip control of our own: a base torque that holds a limit of slip, and a lim
 
 A wheel with moment of inertia J that is told
 
-    u = r_0 N f + J v/r_0 k (sigma_lim - sigma)
+    u = r_0 N f + J v'/r_0 + J v/r_0 k (sigma_lim - sigma)
 
 follows its limit as sigma' = k (sigma_lim - sigma), whatever the friction is. The base torque of a gear is the demand,
 or less where a wheel would slip more than its limit. Where the limit acts it swings a little, and the slope of adhesion
@@ -73,7 +73,7 @@ class SlipSettings:
     elasticity: float = 0.14
     seek: float = 5.0
     start: float = 0.012
-    least: float = 0.002
+    least: float = 0.004
     most: float = 0.05
     swing: float = 0.1
     swing_frequency: float = 4.0
@@ -100,6 +100,8 @@ _PRIOR = 2e-8
 """Variance of slip at which what was measured counts as much as the wanted elasticity, which leaves the limit alone."""
 _SINGLE = 2.0
 """A single wheel may slip this much more than the mean of both."""
+_UNSURE = 0.15
+"""Share by which the wheel load of a gear may differ from its nominal one."""
 _LEAST_ADHESION = 0.01
 """Adhesion below which there is no elasticity to speak of (-)."""
 
@@ -121,7 +123,7 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     gain : mapping
         `SlipSettings.gains` and nominal_load (N).
     model : mapping
-        Of the control model: tau_max (N m), r_0 (m), J_Wy (kg m2).
+        Of the control model: tau_max (N m), r_0 (m), J_Wy (kg m2), m_x_eff (kg).
 
     Returns
     -------
@@ -144,7 +146,9 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     swing = gain["adhesion.swing"] * ca.sin(2 * np.pi * gain["adhesion.swing_frequency"] * h * ticks)
     force = model["r_0"] * gain["nominal_load"]
     stiffness = gain["adhesion.rate"] * model["J_Wy"] * ca.fmax(v, _LEAST_SPEED) / model["r_0"]
-    held = force * new["f"] + stiffness * (limit * (1 + swing) - new["s"])
+    gaining = 2 * model["J_Wy"] / (model["r_0"] ** 2 * model["m_x_eff"]) * sign * old["u"]  # the wheel's own inertia
+    unsure = 1 + _UNSURE * ca.fmax(1 - new["s"] / limit, 0)  # far from the limit the load of a gear need not be known
+    held = force * new["f"] * unsure + gaining + stiffness * (limit * (1 + swing) - new["s"])
     held -= stiffness * sum(ca.fmax(each - _SINGLE * limit, 0) for each in along_s)
     wanted = ca.fmin(ca.fmax(force * f_star, -model["tau_max"]), model["tau_max"]) - old["demand"]
     new["demand"] = old["demand"] + ca.fmin(ca.fmax(wanted, -gain["adhesion.raise_step"]), gain["adhesion.raise_step"])
