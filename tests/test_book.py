@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 
 import pytest
 
@@ -149,3 +150,13 @@ def test_a_book_without_executed_notebooks_is_refused(monkeypatch, tmp_path):
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     with pytest.raises(InputError, match="there is no executed notebook; `make figures` makes it"):
         book.html()
+
+
+@pytest.mark.slow
+def test_the_whole_book_is_made_without_a_warning_and_without_a_network(monkeypatch, tmp_path):
+    pytest.importorskip("sphinx", reason="the packages of the book are installed by `make html`")
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    (tmp_path / "notebooks").mkdir()
+    for notebook in graph.chain():
+        shutil.copy(notebook.path, tmp_path / "notebooks")
+    assert weblinks.faults(book.html().parent) == []

@@ -1,11 +1,10 @@
 """Settings of the book; `make html` writes its source to build/book and calls Sphinx with this file."""
 
-import os
 import re
 from importlib.util import find_spec
 from pathlib import Path
 
-from railrepro import __version__, paths
+from railrepro import __version__
 from railrepro.chain import pages
 
 project = "railrepro"
@@ -51,8 +50,6 @@ autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
 autodoc_mock_imports = ["exudyn", "do_mpc", "distributed"]
 napoleon_google_docstring = False
-
-os.chdir(paths.ROOT)
 
 
 def _numbered(app, what, name, obj, options, lines):
