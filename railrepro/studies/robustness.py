@@ -33,7 +33,7 @@ from railrepro.studies.probe import PARTS, World, probe
 from railrepro.studies.swarm import run_cost
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
-SAMPLES, REPLICATES, SEED = 16, 4, 2026
+SAMPLES, REPLICATES, SEED = 8, 4, 2026
 """Samples per scrambled sequence, sequences, seed of the first."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, on the terms `loop`."""
