@@ -136,6 +136,15 @@ def test_seen_slip_saves_adhesion_on_a_poor_rail():
     assert saved > 0.085 > 0.06 > wasted
 
 
+@pytest.mark.parametrize("worn", [0.99, 1.01])
+def test_wheels_of_another_radius_are_not_taken_for_slipping_ones(worn):
+    plant, seen = load_vehicle(**{"wheel.radius": worn * V.wheel.radius}), readings(seed=1)
+    settings = CreepSettings(change=0.09, force_rate=1.3e5, y_noise=2.8e-4, psi_noise=2.9e-3, r_noise=4.3e-3)
+    scenario = load_scenario("adhesion_loss").but(end_m=350.0)
+    run = simulate.run(scenario, CreepMPC(settings), plant_vehicle=plant, sensors=seen)
+    assert not run.failed and metrics.rmse(run.series) < 2e-3
+
+
 def test_it_guides_until_standstill():
     scenario = load_scenario("braking").but(speed_kmh=20, end_m=400.0)
     run = simulate.run(scenario, CreepMPC())

@@ -29,6 +29,10 @@ from railrepro.vehicle.parameters import Vehicle
 
 _SLIP_LAG = 0.02
 """Time constant of the low-pass of measured adhesion and slip (s)."""
+_FREE, _RADIUS_LAG = 0.03, 0.1
+"""Used adhesion below which a wheel rolls (-), and time constant in which its radius is learnt then (s)."""
+_DOUBT = 1e-3
+"""Slip that is not taken for an error of the radius: creep is softer on a poor rail than on a dry one (-)."""
 _LOST = 5e-3
 """Distance between filter and reading of the displacement beyond which the filter begins anew (m)."""
 _GRID = 0.25
@@ -92,7 +96,8 @@ class CreepGuide:
         self._ahead, self._start = _table(route, partner), route.start
         self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
         weight = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity
-        self._bounds = weight / 2 * np.array([1.0, vehicle.gear.contact_base])
+        self._load, self._offset = weight / 2, 0.0
+        self._bounds = self._load * np.array([1.0, vehicle.gear.contact_base])
         self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros(2)
         self._read: np.ndarray | None = None
         self._wait(0.0)
@@ -113,9 +118,14 @@ class CreepGuide:
 
     def notice(self, adhesion: np.ndarray, slip: np.ndarray) -> None:
         """Used adhesion (traction positive) and slip of both wheels (-), see `SlowController`."""
-        found = np.array([adhesion.sum(), -slip.sum()]) / 2
-        if np.isfinite(found).all():
-            self._slip += self.period / (self.period + _SLIP_LAG) * (found - self._slip)
+        used, over = adhesion.sum() / 2, -slip.sum() / 2
+        if not (np.isfinite(used) and np.isfinite(over)):
+            return
+        if abs(used) < _FREE:  # such a wheel rolls: what it seems to slip more is an error of its radius
+            seeming = over - self._load * used / self._creep.across
+            self._offset += self.period / (self.period + _RADIUS_LAG) * (seeming - self._offset)
+        worn = self._offset - min(max(self._offset, -_DOUBT), _DOUBT)
+        self._slip += self.period / (self.period + _SLIP_LAG) * (np.array([used, over - worn]) - self._slip)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) from the measured states (6,) and the base torque per wheel (N m).
