@@ -111,7 +111,9 @@ def _display(formula: str, waiting: set[str]) -> str:
     targets = [f"({anchor(number)})=\n" for number in tags(formula) if number in waiting]
     waiting.difference_update(tags(formula))
     environment = "" if formula.lstrip().startswith(("\\begin{align", "\\begin{gather")) else "equation*"
-    body = f"\\begin{{{environment}}}\n{formula}\n\\end{{{environment}}}" if environment else formula
+    # Without the star Sphinx would count the formula as its own, too.
+    starred = re.sub(r"\{(align|gather)\}", r"{\1*}", formula)
+    body = f"\\begin{{{environment}}}\n{formula}\n\\end{{{environment}}}" if environment else starred
     return f"\n{''.join(targets)}{body}\n"
 
 
