@@ -167,3 +167,9 @@ def test_several_numbered_lines_are_not_counted_again():
     }
     made = pages.chapter(graph.Notebook("01_one", "one"), content, {"3": "01_one", "3b": "01_one"}, [])["cells"][0]
     assert made["source"].strip() == "(eq-3b)=\n(eq-3)=\n\\begin{align*} a \\tag{3a, b} \\end{align*}"
+
+
+def test_lines_aligned_under_one_number_stay_a_formula():
+    content = {"cells": [{"cell_type": "markdown", "source": "$$\\begin{aligned} a \\end{aligned}$$", "metadata": {}}]}
+    made = pages.chapter(graph.Notebook("01_one", "one"), content, {}, [])["cells"][0]["source"]
+    assert made.strip() == "\\begin{equation*}\n\\begin{aligned} a \\end{aligned}\n\\end{equation*}"
