@@ -160,3 +160,17 @@ def test_the_whole_book_is_made_without_a_warning_and_without_a_network(monkeypa
     for notebook in graph.chain():
         shutil.copy(notebook.path, tmp_path / "notebooks")
     assert weblinks.faults(book.html().parent) == []
+
+
+def test_several_numbered_lines_are_not_counted_again():
+    content = {
+        "cells": [{"cell_type": "markdown", "source": "$$\\begin{align} a \\tag{3a, b} \\end{align}$$", "metadata": {}}]
+    }
+    made = pages.chapter(graph.Notebook("01_one", "one"), content, {"3": "01_one", "3b": "01_one"}, [])["cells"][0]
+    assert made["source"].strip() == "(eq-3b)=\n(eq-3)=\n\\begin{align*} a \\tag{3a, b} \\end{align*}"
+
+
+def test_lines_aligned_under_one_number_stay_a_formula():
+    content = {"cells": [{"cell_type": "markdown", "source": "$$\\begin{aligned} a \\end{aligned}$$", "metadata": {}}]}
+    made = pages.chapter(graph.Notebook("01_one", "one"), content, {}, [])["cells"][0]["source"]
+    assert made.strip() == "\\begin{equation*}\n\\begin{aligned} a \\end{aligned}\n\\end{equation*}"

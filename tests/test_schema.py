@@ -111,7 +111,7 @@ def folder(tmp_path_factory):
     """Where broken files lie; tuned sets are taken for those of this model without deriving it."""
     with pytest.MonkeyPatch.context() as patch:
         stored = json.loads(TUNED_NDI.read_text())["origin"]["fingerprint"]
-        patch.setattr(tuning, "_origin_here", lambda _: stored)
+        patch.setattr(tuning, "_origin_here", lambda *_: stored)
         yield tmp_path_factory.mktemp("broken")
 
 
@@ -232,10 +232,10 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
 @pytest.mark.parametrize(
     ("name", "old", "new", "sentence"),
     [
-        ("data/tuning.toml", "particles = 24", "particles = 0", "budget.particles = 0, a number from 1"),
-        ("data/tuning.toml", "iterations = 20", "iterations = 2.5", "budget.iterations is 2.5, a whole number"),
-        ("data/tuning.toml", '"curve_entry_T1"', '"curve_entry_T9"', "scenario 1 has the scenario 'curve_entry_T9'"),
-        ("data/tuning.toml", "end_m = 100", "end_m = nan", "scenario 1: end_m = nan"),
+        ("data/tuning.toml", "particles = 14", "particles = 0", "budget.particles = 0, a number from 1"),
+        ("data/tuning.toml", "iterations = 10", "iterations = 2.5", "budget.iterations is 2.5, a whole number"),
+        ("data/tuning.toml", '"curve_entry_T1"', '"curve_entry_T9"', r"\[run.T1\] has the scenario 'curve_entry_T9'"),
+        ("data/tuning.toml", "end_m = 50", "end_m = nan", "run.T1.end_m = nan"),
         ("data/tuning.toml", "[controller.ndi]", "[controller.pid]", r"\[controller.pid\] is not known"),
         ("data/tuning.toml", 'same_as = "nmpc"', 'same_as = "pid"', "has no bounds"),
         ("data/tuning.toml", "pole = [3, 200,", "pole = [3, inf,", r"pole = \[3, inf, 'log'\], \[low, high, scale\]"),
@@ -248,11 +248,11 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
             r"\[C01\] has the evidence .*table9.csv', which does not exist",
         ),
         ("data/claims.toml", "[C01]", "[C99]", "has no function"),
-        ("data/tuned/equal/ndi.json", '"ndi"', '"nmpc"', "tuned set of 'nmpc', 'ndi' is needed"),
+        ("data/tuned/equal/ndi.json", '"ndi"', '"nmpc"', "tuned set of 'nmpc' on the terms 'equal', 'ndi' on 'equal'"),
         ("data/tuned/equal/ndi.json", '"pole": ', '"pole": NaN, "x": ', "parameters.pole = nan"),
         ("data/tuned/equal/ndi.json", '"pole"', '"colour"', r"parameters \['colour', 'damping', 'frequency'\]"),
-        ("notebooks/chain.toml", "title = ", "titel = ", "01_tracks has the unknown key 'titel'"),
-        ("notebooks/chain.toml", "minutes = 0.3", "minutes = true", "01_tracks: minutes is True, a number in min"),
+        ("notebooks/chain.toml", "title = ", "titel = ", "00_first_run has the unknown key 'titel'"),
+        ("notebooks/chain.toml", "minutes = 0.3", "minutes = true", "00_first_run: minutes is True, a number in min"),
         ("notebooks/chain.toml", "seconds = 2.0", "seconds = nan", "04_car: test_parameters.energy_seconds has nan"),
         ("notebooks/chain.toml", "[verify]", "[verfy]", r"unknown group \[verfy\]"),
         ("data/vehicle.toml", 'symbol = "m_CB", ', "", "lacks the key body.mass.symbol"),

@@ -38,11 +38,11 @@ def test_all_controllers_are_searched_with_the_same_task(terms):
     assert len(task.budget["seeds"]) >= 3
 
 
-def test_terms_differ_in_what_is_seen_and_in_nothing_else():
+def test_terms_differ_in_what_is_seen_and_in_the_stressed_run_only():
     paper, equal, loop = (tuning.load_task(terms=terms) for terms in tuning.TERMS)
     assert all(not run.scenario.poor_share and not run.sensors and not run.irregular for run in paper.runs)
-    assert [run.name for run in equal.runs] == [run.name for run in loop.runs]
-    for one, other in zip(equal.runs, loop.runs, strict=True):
+    assert [*(run.name for run in equal.runs), "poor_stressed"] == [run.name for run in loop.runs]
+    for one, other in zip(equal.runs, loop.runs[:-1], strict=True):
         assert (one.scenario, one.irregular, one.plant) == (other.scenario, other.irregular, other.plant)
         assert not one.sensors or one.sensors["perfect"]
         assert other.sensors and "perfect" not in other.sensors
@@ -85,7 +85,7 @@ def test_tuned_sets_of_another_model_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('"poor_stressed"]', '"poor_wet"]', r"\[terms.equal\] has the run 'poor_wet'"),
+        ('"poor_stressed"]', '"poor_wet"]', r"\[terms.loop\] has the run 'poor_wet'"),
         ("gain = 1.2 }", "gian = 1.2 }", r"\[run.poor_stressed\] has inverter.gian"),
         ("[terms.loop]", "[terms.laboratory]", "allowed are 'paper', 'equal' or 'loop'"),
         ("seeds = [1, 2, 3]", "seeds = []", "at least one entry is needed"),
@@ -154,7 +154,7 @@ def test_behind_sensors_the_error_counts_from_the_rails(driven):
 
 def test_an_evaluation_beyond_its_limit_stops():
     task = tuning.load_task()
-    curve, loss = (replace(task.runs[i], scenario=task.runs[i].scenario.but(end_m=60.0)) for i in (2, -2))
+    curve, loss = (replace(task.runs[i], scenario=task.runs[i].scenario.but(end_m=60.0)) for i in (2, -1))
     evaluation = swarm.Evaluation("ndi", replace(task, runs=(curve, loss)))
     poles = {"pole": 40.0, "frequency": 30.0, "damping": 1.0}
     whole, parts = evaluation(poles)

@@ -110,8 +110,10 @@ def _display(formula: str, waiting: set[str]) -> str:
     """A displayed formula as an environment of its own, with a target for each number that still waits for one."""
     targets = [f"({anchor(number)})=\n" for number in tags(formula) if number in waiting]
     waiting.difference_update(tags(formula))
-    environment = "" if formula.lstrip().startswith(("\\begin{align", "\\begin{gather")) else "equation*"
-    body = f"\\begin{{{environment}}}\n{formula}\n\\end{{{environment}}}" if environment else formula
+    environment = "" if formula.lstrip().startswith(("\\begin{align}", "\\begin{gather}")) else "equation*"
+    # Without the star Sphinx would count the formula as its own, too.
+    starred = re.sub(r"\{(align|gather)\}", r"{\1*}", formula)
+    body = f"\\begin{{{environment}}}\n{formula}\n\\end{{{environment}}}" if environment else starred
     return f"\n{''.join(targets)}{body}\n"
 
 
