@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 
@@ -151,7 +152,7 @@ def probe(world: World, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SP
 def nothing(scenario: Scenario) -> dict[str, float]:
     """What y = 0 gives: root mean square and largest value of the set point, and its shortest wavelength (m)."""
     reference = scenario._reference()
-    values = reference(np.arange(0.0, scenario.end_m, 0.1))
+    values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
     return found | {"shortest_wave": float(min(waves))}
