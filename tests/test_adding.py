@@ -186,6 +186,6 @@ def origin(tmp_path, monkeypatch):
         assert old in text
         (tmp_path / "data").mkdir(exist_ok=True)
         (tmp_path / file).write_text(text.replace(old, new, 1))
-        return tuning.origin("ndi", tuning.load_task(), load_vehicle())
+        return tuning.origin("ndi", tuning.load_task(terms="loop"), load_vehicle())
 
     return changed

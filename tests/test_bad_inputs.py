@@ -309,7 +309,7 @@ def test_a_stepped_car_that_leaves_the_rail_says_so_once():
         car.step(exchanges=10)
 
 
-CHAIN, TUNING = "railrepro.chain", "railrepro.studies.tuning"
+CHAIN, TUNING = "railrepro.chain", "railrepro.studies.swarm"
 COMMANDS = {
     "a notebook that there is not": ((CHAIN, "run", "99_none"), "is not in chain.toml"),
     "a variant that there is not": ((CHAIN, "variants", "v9"), "variant 'v9' is not known"),
