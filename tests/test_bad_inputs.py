@@ -313,7 +313,7 @@ CHAIN, TUNING = "railrepro.chain", "railrepro.studies.swarm"
 COMMANDS = {
     "a notebook that there is not": ((CHAIN, "run", "99_none"), "is not in chain.toml"),
     "a variant that there is not": ((CHAIN, "variants", "v9"), "variant 'v9' is not known"),
-    "a controller to tune that there is not": ((TUNING, "pid"), "'pid' is not in tuning.toml"),
+    "a controller to tune that there is not": ((TUNING, "pid"), "'pid' is neither terms"),
     "a study that there is not": (("railrepro.studies.robustness", "luck"), "study 'luck' is not known"),
     "a table that there is not": (("railrepro.studies.bench", "luck"), "table 'luck' is not known"),
 }

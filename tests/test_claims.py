@@ -65,7 +65,7 @@ def test_a_click_leads_from_statement_to_figure_cell_and_table(table, nominal):
         assert not cell or f'"id": "{cell}"' in (paths.ROOT / target).read_text(), (target, cell)
     judged = table.query("verdict != 'not testable'")
     numbers = judged[judged["measured_value"].abs() < float("inf")]  # none where nobody stayed on the rail
-    assert (numbers["data"] != "").all() and (judged["evidence"] != "").all() and len(numbers) > 0.9 * len(judged)
+    assert (numbers["data"] != "").all() and len(numbers) > 0.9 * len(judged)
     assert all(f"]({path})" in text for data in judged["data"] for path in data.split())
 
 
