@@ -103,7 +103,8 @@ class Experiment:
         law = guidance(self.controller, parameters, self.options, **self.changes)
         rough = None
         if self.irregular:
-            fit("irregular", self.irregular, rough_track)
+            if not isinstance(self.irregular, dict):
+                fit("irregular", self.irregular)
             rough = _laid_rough(self.scenario.end_m, json.dumps(self.irregular, sort_keys=True))
         if self.preview:
             fit("preview", self.preview, _line, preview.known)
