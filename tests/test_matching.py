@@ -142,9 +142,7 @@ def test_an_unknown_size_is_told():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    not os.environ.get("RAILREPRO_STUDY"), reason="takes a quarter of an hour; RAILREPRO_STUDY=1 runs it"
-)
+@pytest.mark.skipif(not os.environ.get("RAILREPRO_STUDY"), reason="a quarter of an hour; RAILREPRO_STUDY=1 runs it")
 def test_a_planted_car_is_found_by_its_runs():
     """Statements made from the runs of a hidden car are matched with the true simulator; the car stays inside."""
     space = tuple(d for d in matching.SETTINGS if d.name.startswith(("triple pole", "R of the MPC", "amplitude")))

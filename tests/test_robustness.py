@@ -63,9 +63,7 @@ def test_tables_of_an_older_form_tell_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    not os.environ.get("RAILREPRO_STUDY"), reason="takes a quarter of an hour; RAILREPRO_STUDY=1 runs it"
-)
+@pytest.mark.skipif(not os.environ.get("RAILREPRO_STUDY"), reason="a quarter of an hour; RAILREPRO_STUDY=1 runs it")
 def test_a_sample_answers_the_statements():
     samples = robustness.draw(2, 1, terms=("paper",))[:1]
     table = pd.DataFrame([robustness.evaluate(s) for s in samples])
