@@ -123,11 +123,10 @@ def _variables(unit: Unit) -> list[tuple[dict[str, str], dict[str, str]]]:
 
 def _root(version: str, unit: Unit, can: dict[str, str], **attributes: str) -> ElementTree.Element:
     """What both versions begin with."""
-    root = ElementTree.Element(
-        "fmiModelDescription", fmiVersion=version, modelName=unit.identifier, **attributes,
-        description=unit.description, generationTool="railrepro", variableNamingConvention="structured",
-    )  # fmt: skip
-    ElementTree.SubElement(root, "CoSimulation", modelIdentifier=unit.identifier, **can)
+    own = {"description": unit.description, "generationTool": "railrepro", "variableNamingConvention": "structured"}
+    named = {"fmiVersion": version, "modelName": unit.identifier}
+    root = ElementTree.Element("fmiModelDescription", named | attributes | own)
+    ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": unit.identifier} | can)
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusError", "logStatusWarning"):
         ElementTree.SubElement(categories, "Category", name=name)
