@@ -177,4 +177,6 @@ def test_numbers_in_the_prose_come_from_tables(nominal):
     text = reasons.filled("{equal: curve_entry_T3/nmpc/rmse_y mm}, {equal: nowhere/nmpc/rmse_y}", nominal)
     value = 1e3 * nominal.evidence("equal")("curve_entry_T3", "nmpc", "rmse_y")
     assert text == f"{value:.3g} mm, n/a"
-    assert all(re.match(r"^[\d.e+-]+( \w+| %| \(.*\))?$|^n/a$", found(nominal)) for found in reasons.NAMED.values())
+    assert all(
+        re.match(r"^[\d.e+-]+( \w+| %| \(.*\)|( mm, .* m))?$|^n/a$", found(nominal)) for found in reasons.NAMED.values()
+    )
