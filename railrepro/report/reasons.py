@@ -296,3 +296,12 @@ NAMED |= {
     "sine_on_t5": _set_point("sine_tracking"),
     "sine_on_poor": _set_point("adhesion_loss"),
 }
+
+
+@named
+def _car_checks(nominal: Nominal) -> str:
+    """Checks of the car that are within their limits; InputError when one is not."""
+    table = nominal.results("car_checks")
+    if (table["value"].abs() > table["limit"]).any():
+        raise InputError("car_checks.csv: a check of the car is beyond its limit")
+    return f"{len(table)}"

@@ -91,7 +91,8 @@ def _number(value: float, unit: str = "") -> str:
     return "a run failed" if np.isinf(value) else f"{value:.3g}{'' if unit in ('', '-') else ' ' + unit}"
 
 
-def _overall(table: pd.DataFrame) -> dict[str, str]:
+def overall(table: pd.DataFrame) -> dict[str, str]:
+    """Verdict over all terms by statement."""
     from railrepro.report.claims import verdicts
 
     return verdicts(table)
@@ -106,7 +107,7 @@ def kinds(table: pd.DataFrame) -> dict[str, list[str]]:
     from railrepro.report.claims import NO_VERDICT
 
     found: dict[str, list[str]] = {kind: [] for kind in ORDER}
-    for identity, verdict in _overall(table).items():
+    for identity, verdict in overall(table).items():
         if verdict != NO_VERDICT:
             found[re.sub(r" on terms .*", " on some terms only", verdict)].append(identity)
     return {kind: ids for kind, ids in found.items() if ids}
@@ -121,7 +122,7 @@ def counted(table: pd.DataFrame) -> str:
 
 def without(table: pd.DataFrame) -> str:
     """How many statements have no verdict."""
-    number = len(_overall(table)) - sum(map(len, kinds(table).values()))
+    number = len(overall(table)) - sum(map(len, kinds(table).values()))
     return f"{number} numbers of the paper set choices of ours and get no verdict."
 
 
@@ -156,13 +157,13 @@ def headline(nominal: Nominal, widths: Sequence[int] = ()) -> list[str]:
         ]
         rows.append([f"{what} ({unit})", paper, *own])
     note = "Ours as NMPC / LTV-MPC as printed / NDI; the paper brakes without LTV-MPC."
-    heads = ["result", "paper", *(f"`{terms}`" for terms in tuning.TERMS)]
+    heads = ["result", "the paper", *(f"`{terms}`" for terms in tuning.TERMS)]
     return [*rows_of(rows, heads, widths), "", note]
 
 
 def _tied(table: pd.DataFrame) -> list[str]:
     """Where the paper's orders hold, from the verdicts themselves."""
-    found = _overall(table)
+    found = overall(table)
     orders = {"C05": "MPC before NDI on T3", "C16": "the ranking on T1 to T4", "C20": "MPC before NDI over speed"}
     return ["Orders: " + "; ".join(f"{what} ({i}): {found[i]}" for i, what in orders.items()) + "."]
 
@@ -217,7 +218,7 @@ def _source(notebook: str, product: str) -> str:
 
 
 def _statements(table: pd.DataFrame, nominal: Nominal) -> list[str]:
-    known, overall, lines = statements.load(), _overall(table), []
+    known, found, lines = statements.load(), overall(table), []
     for section in _SECTIONS:
         here = table[table["paper_ref"].str.startswith(section)]
         if here.empty:
@@ -230,13 +231,18 @@ def _statements(table: pd.DataFrame, nominal: Nominal) -> list[str]:
             rule = f"{_rule(statement)}: {statement.reason}"
             rows.append(
                 [
-                    str(identity), statement.statement, "<br>".join(shown), f"**{overall[str(identity)]}**", rule,
+                    str(identity), statement.statement, "<br>".join(shown), f"**{found[str(identity)]}**", rule,
                     _evidence(statement, data),
                 ]
             )  # fmt: skip
             reasons += _reasons(str(identity), statement, own, nominal)
         lines += [*rows_of(rows, ["id", "statement", "found", "verdict", "holds when", "evidence"]), "", *reasons]
     return lines[:-1]
+
+
+def marked(row) -> str:
+    """Mark of the verdict on some terms, and the share of the samples when they tell."""
+    return _MARK[row.verdict] + (f" {100 * row.share:.0f} %" if np.isfinite(row.share) else "")
 
 
 def _shown(row) -> str:
@@ -420,7 +426,7 @@ def _effect(own: pd.DataFrame) -> str:
 
 def _rules(table: pd.DataFrame) -> list[str]:
     """Rules that were changed, with the verdict under the old rule when it was replaced and under the new one today."""
-    found = _overall(table)
+    found = overall(table)
     log = pd.read_csv(paths.source("data/rule_changes.csv"), dtype=str)
     rows = [[r.id, r.old, r.old_verdict, r.new, found.get(r.id, "none"), r.why] for r in log.itertuples()]
     return rows_of(rows, ["id", "old rule", "verdict then", "new rule", "verdict now", "why"])
