@@ -139,15 +139,15 @@ class _Article:
         return text.rows_of(rows, heads, (5, 65, 10, 10, 10, 10))
 
     def _conditions(self) -> list[str]:
-        """Why statements do not hold, and what would have to be true; one row per cause and condition."""
-        found: dict[tuple[str, str], list[str]] = {}
+        """Why statements do not hold, and what would have to be true; what was said before is not said again."""
+        known, rows, causes, conditions = statements.load(), [], _Said("As"), _Said("as")
         for identity, own in self._table.groupby("id", sort=False):
-            statement = statements.load()[str(identity)]
+            statement = known[str(identity)]
             if statement.kind == "statement" and (own["verdict"] != statements.REPRODUCED).any():
                 cause = filled(statement.why, self._nominal, linked=True)
                 condition = text.would_hold(str(identity), statement, own, self._nominal)
-                found.setdefault((cause, condition), []).append(_claim(str(identity)))
-        rows = [[", ".join(ids), cause, condition] for (cause, condition), ids in found.items()]
+                claim = _claim(str(identity))
+                rows.append([claim, causes(claim, cause), conditions(claim, condition)])
         return text.rows_of(rows, ["", "why not", "would hold if"], (6, 54, 40))
 
     def _robustness(self) -> list[str]:
@@ -191,6 +191,21 @@ class _Article:
         links += [""] * (-len(links) % 3)
         rows = [links[i : i + 3] for i in range(0, len(links), 3)]
         return text.rows_of(rows, ["numbers were read from", "", ""], (30, 30, 30))
+
+
+class _Said:
+    """Sentences that are said once, afterwards by whom they were said."""
+
+    def __init__(self, word: str):
+        self._word = word
+        self._known: dict[str, str] = {}
+
+    def __call__(self, claim: str, words: str) -> str:
+        sentences = re.split(r"(?<=\.) (?=[A-Z])", words)
+        before = dict.fromkeys(self._known[sentence] for sentence in sentences if sentence in self._known)
+        fresh = [sentence for sentence in sentences if sentence not in self._known]
+        self._known |= dict.fromkeys(fresh, claim)
+        return " ".join([*([f"{self._word} {', '.join(before)}."] if before else []), *fresh])
 
 
 def _claim(identity: str) -> str:

@@ -301,10 +301,11 @@ def matched(nominal: Nominal) -> list[str]:
     if waves is None:
         return ["Not run yet: `python -m railrepro.studies.matching` (part of `make study`)."]
     last, where = waves.iloc[-1], _MATCHING.format("waves")
-    share, probes, most = (
+    share, number, probes, most = (
         link(text, [where])
         for text in (
             quantity(last["surviving_share"], "%"),
+            f"{len(waves)}",
             f"{int(waves['points'].sum())}",
             f"{int(last['most_statements'])} of {int(last['statements'])}",
         )
@@ -313,7 +314,7 @@ def matched(nominal: Nominal) -> list[str]:
     there = f"no more than {link(f'{allowed}', [where])} statements are" if allowed else "no statement is"
     lines = [
         f"Of the prior (vehicle data, poles, weights, sampling, delay, profile and experiments over their ranges) "
-        f"{share} survive {len(waves)} waves and {probes} probes: there {there} implausible. "
+        f"{share} survive {number} waves and {probes} probes: there {there} implausible. "
         f"At best {most} statements hold in one probe.{_closest(nominal)}",
         "",
     ]
@@ -325,7 +326,10 @@ def matched(nominal: Nominal) -> list[str]:
             [row.what, f"{row.prior_low:.3g} to {row.prior_high:.3g}", f"{row.low:.3g} to {row.high:.3g}"]
             for row in region.sort_values("narrowing", ascending=False).head(6).itertuples()
         ]
-        lines += [f"Where the region is narrowest ([all]({_MATCHING.format('region')}), 90 % of what is left):", ""]
+        lines += [
+            f"Where the region is narrowest ([all]({_MATCHING.format('region')})), nine tenths of what is left:",
+            "",
+        ]
         lines += [*rows_of(rows, ["what", "prior", "left"]), ""]
     return [*lines, *conflicting(nominal)]
 
