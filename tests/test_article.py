@@ -36,7 +36,7 @@ def shown(table, nominal):
 
 def test_nothing_is_left_unfilled(shown):
     bare = re.sub(r"\$\$?[^$]+\$\$?", "", shown)
-    assert not re.search(r"[{}]|\[\[|\bn/a\b|@\w", bare)
+    assert not re.search(r"[{}]|(?<!\\)\[\[|\bn/a\b|@\w", bare)
 
 
 def test_each_link_leads_somewhere(shown):
@@ -125,6 +125,7 @@ def rendered(line, table, nominal, monkeypatch, tmp_path):
         ("[[statement]]", r"line 1: \[\[statement\]\] is no block; there are conditions, headline"),
         ("[@Nobody1999]", "line 1: .*references.bib has no such work"),
         ("the error is 2.26 mm", "line 1: has the number '2.26', typed"),
+        ("the error is `2.26 mm`", "line 1: has the number '`2.26', typed"),
         ("half of $3 \\cdot e$", r"line 1: has the number '\$3', typed"),
     ],
 )
@@ -181,7 +182,7 @@ def studied(table):
 
 
 def test_the_article_shows_shares_and_the_matching_when_they_are_there(table, monkeypatch):
-    monkeypatch.setattr(text, "region_figure", lambda: "fig30_terms")
+    monkeypatch.setattr(text, "region_figure", lambda: "fig31_margins")
     made = article.render(studied(table), Nominal(Studied()))
     assert "◐ 25 %" in made and "✓ 90 %" in made
     assert "[1](data/results/robustness_claims.csv) of [3]" in made and "Fragile, by rule, are [C05]" in made
@@ -277,7 +278,7 @@ def test_matching_keeps_points_of_the_region_and_the_figure_reads_them():
     matched = matching.match(problem, waves=2, count=32, candidates=2**9)
     made = matching.tables(problem, matched)
     assert len(made["survivors"]) == min(len(matched.survivors), matching.SHOWN)
-    assert made["survivors"]["delay"].max() < 3.5e-3
+    assert made["survivors"]["delay"].max() < 4.2e-3
     figure, _ = region.draw(
         made["survivors"], made["region"], DIMENSIONS, {"best run": matching.best(problem, matched)["values"]}
     )

@@ -26,7 +26,7 @@ _FIGURE = re.compile(r"!\[(fig\d\d_\w+)\] (.*)")
 _SHOWN = re.compile(r"!\[Figure \d+\]\(figures/(\w+)\.png\)\n\n\*\*Figure \d+\.\*\* ([^\n]*)")
 _MATH = re.compile(r"(\$\$?[^$]+\$\$?)")
 _ALLOWED = re.compile(
-    r"\{[^{}]*\}|\[@[^\]]*\]|\[\[\w+\]\]|`[^`]*[a-zA-Z_][^`]*`|\bFigs?\. \d|\bT\d\b|\bS1002\b|\bCC-BY-4\.0\b|\by = 0\b"
+    r"\{[^{}]*\}|\[@[^\]]*\]|\[\[\w+\]\]|`[a-z][\w .]*`|\bFigs?\. \d|\bT\d\b|\bS1002\b|\bCC-BY-4\.0\b|\by = 0\b"
 )
 """What may have digits in the template: placeholders, code, names of figures, tracks and profiles."""
 
@@ -60,6 +60,14 @@ class _Article:
         self._table, self._nominal, self._references = table, nominal, References()
         template = paths.source(TEMPLATE).read_text(encoding="utf-8")
         self._figures = [match[1] for match in _FIGURE.finditer(template)]
+        self._verdicts = text.overall(table)
+        judged = sum(map(len, text.kinds(table).values()))
+        self._own = {
+            "counted": f"[{text.counted(table)}](data/results/claims.csv)",
+            "without": f"[{text.without(table)}](data/results/claims.csv)",
+            "judged": f"[{judged}](data/claims.toml)",
+            "calibrated": f"[{(table['kind'] == 'calibrated').sum()}](data/claims.toml)",
+        }
         self._tables = 0
         self._lines: list[str] = []
 
@@ -98,22 +106,15 @@ class _Article:
         return "".join(part if part.startswith("$") else self._words(part) for part in parts)
 
     def _words(self, words: str) -> str:
-        own = {
-            "counted": f"[{text.counted(self._table)}](data/results/claims.csv)",
-            "without": f"[{text.without(self._table)}](data/results/claims.csv)",
-            "judged": f"[{sum(map(len, text.kinds(self._table).values()))}](data/claims.toml)",
-            "calibrated": f"[{(self._table['kind'] == 'calibrated').sum()}](data/claims.toml)",
-        }
-        words = re.sub(r"\{(\w+)\}", lambda m: own.get(m[1], m[0]), words)
+        words = re.sub(r"\{(\w+)\}", lambda m: self._own.get(m[1], m[0]), words)
         words = re.sub(r"\{(C\d\d)\}", lambda m: self._verdict(m[1]), words)
         words = re.sub(r"\{(fig\d\d_\w+)\}", lambda m: self._mention(m[1]), words)
         return self._references.numbered(filled(words, self._nominal, linked=True, strict=True))
 
     def _verdict(self, identity: str) -> str:
-        rows = self._table[self._table["id"] == identity]
-        if rows.empty:
+        if identity not in self._verdicts:
             raise InputError(f"{{{identity}}}: claims.toml has no such statement")
-        return f"{_claim(identity)}: {text.overall(self._table)[identity]}"
+        return f"{_claim(identity)}: {self._verdicts[identity]}"
 
     def _figure(self, name: str, caption: str) -> str:
         if not (paths.source(f"figures/{name}.png")).exists():
