@@ -323,7 +323,7 @@ def matched(nominal: Nominal) -> list[str]:
     region = nominal.results.optional("matching_region")
     if region is not None:
         rows = [
-            [row.what, f"{row.prior_low:.3g} to {row.prior_high:.3g}", f"{row.low:.3g} to {row.high:.3g}"]
+            [row.what, *(f"{_rounded(low)} to {_rounded(high)}" for low, high in _ranges(row))]
             for row in region.sort_values("narrowing", ascending=False).head(6).itertuples()
         ]
         lines += [
@@ -332,6 +332,15 @@ def matched(nominal: Nominal) -> list[str]:
         ]
         lines += [*rows_of(rows, ["what", "prior", "left"]), ""]
     return [*lines, *conflicting(nominal)]
+
+
+def _ranges(row) -> tuple[tuple[float, float], ...]:
+    return (row.prior_low, row.prior_high), (row.low, row.high)
+
+
+def _rounded(value: float) -> str:
+    """Three digits, without an exponent below a million."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def _closest(nominal: Nominal) -> str:

@@ -382,9 +382,10 @@ def best(problem: Problem, matched: Matched) -> dict:
 
 
 def _sentence(row) -> str:
+    low, high, least, most = (f"{float(f'{x:.3g}'):g}" for x in (row.low, row.high, row.prior_low, row.prior_high))
     return (
         f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; plausible are "
-        f"{row.low:.3g} to {row.high:.3g} of {row.prior_low:.3g} to {row.prior_high:.3g}"
+        f"{low} to {high} of {least} to {most}"
     )
 
 
