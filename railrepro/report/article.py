@@ -244,7 +244,6 @@ def pdf(article: str) -> bytes:
             root=str(paths.ROOT),
             ignore_system_fonts=True,
             sys_inputs=inputs,
-            timestamp=0,
         )
     except RuntimeError as error:
         raise InputError(f"the article cannot be typeset: {error}") from error
