@@ -192,7 +192,7 @@ def studied(table):
         if share is not None:
             row |= {"share": share, "share_low": 0.1, "share_high": 0.95}
         if share == 0.25:
-            row |= {"verdict": "partly", "why": "Fragile: holds in 25 % of the samples. " + row["why"]}
+            row |= {"verdict": "partly", "why": "Fragile: holds in 25 % of the samples."}
         rows.append(row)
     return pd.DataFrame(rows)
 

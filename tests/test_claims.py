@@ -82,11 +82,13 @@ def test_a_run_that_failed_leads_to_the_table_that_says_so(nominal):
 @needs_results
 def test_whoever_is_not_reproduced_or_fragile_says_why_and_when_it_would_hold(table, nominal):
     text = render(table, nominal)
+    known = statements.load()
     for identity, verdict in claims.verdicts(table).items():
         rows = table[table["id"] == identity]
         if verdict in (statements.REPRODUCED, claims.NO_VERDICT):
             continue
         reasons_given = text.partition(f"- **{identity}**, why: ")[2].split("\n- **")[0]
+        assert reasons.filled(known[identity].why, nominal, linked=True) in reasons_given, identity
         assert len(reasons_given) > 40 and "\n  Would hold if " in reasons_given, identity
         sentences = re.split(r"(?<=\.) (?=[A-Z`])", reasons_given.partition("\n")[0])
         assert len(sentences) == len(set(sentences)), f"{identity} says something twice"

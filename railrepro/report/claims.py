@@ -98,7 +98,7 @@ def _why(statement: Statement, finding: Finding | None, verdict: str, share, nom
         return "The tables do not have it yet; `make study` writes them."
     words = [f"Fragile: holds in {100 * share['share']:.0f} % of the samples."] if share is not None else []
     words += ["A tie: seeds differ as much."] if statement.tied(finding) else []
-    words += [filled(statement.why, nominal)] if verdict in (NOT, PARTLY) else []
+    words += [filled(statement.why, nominal)] if verdict in (NOT, PARTLY) or share is not None else []
     return " ".join(filter(None, words))
 
 
