@@ -35,7 +35,7 @@ LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | sha256sum | cu
 VENV := .venv/ready-$(LOCK_HASH)
 # Sphinx, Typst and what they need come on top, and only for book and article; they share the pins of environment.lock.
 BOOK_LOCK := notebooks/book/book.lock
-BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell sha256sum < $(BOOK_LOCK) | cut -c1-16)
+BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell cat $(BOOK_LOCK) 2>&1 | sha256sum | cut -c1-16)
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
