@@ -89,8 +89,8 @@ AXES = {
     ),
     "noise": Axis("over the sensors'", (0.0, 0.25, 0.5, 1.0, 2.0, 4.0), _noisy),
 }
-"""Everything is nominal but the axis. Delay and noise come behind the filter of the realistic loop, so that their zero is
-the choice "cone, filter"."""
+"""Everything is nominal but the axis. Delay and noise come behind the filter of the realistic loop: their zero is the
+choice "cone, filter"."""
 
 
 @dataclass(frozen=True)
