@@ -58,7 +58,7 @@ def _canvas(height: float) -> tuple[Figure, Axes]:
 
 def _text(axes: Axes, point, text: str, color=BLACK, size=SIZE, **look) -> None:
     look = {"ha": "center", "va": "center", "zorder": 6} | look
-    axes.text(*point, text, color=color, fontsize=size, **look)
+    axes.text(point[0], point[1], text, color=color, fontsize=size, **look)
 
 
 def _line(axes: Axes, *points, color=BLACK, width=0.8, style="-", zorder=2) -> None:
@@ -237,7 +237,7 @@ def _gear_from_above(axes: Axes) -> None:
     _frame(axes, track, ("$x_{Tr}$", "$y_{Tr}$"), (1.8, 0.34), shift=((0.06, 0.0), (-0.2, 0.17)))
     _angle(axes, track(0, 0), 1.0, 0.0, track.angle, r"$\psi_{Tr}$", GREEN, 0.15)
     _angle(axes, axle(0, 0), 1.25, track.angle, axle.angle, r"$\psi_{TrAx}$", GREEN, 0.2)
-    _text(axes, (3.4, 1.72), r"$\psi_{Ax} = \psi_{Tr} + \psi_{TrAx}$", GREEN)
+    _text(axes, (3.42, 1.75), r"$\psi_{Ax} = \psi_{Tr} + \psi_{TrAx}$", GREEN)
     for a in (0.0, shift):
         _line(axes, track(-0.1, a), track(-0.72, a), color=GREEN, width=0.5)
     _arrow(axes, track(-0.62, -0.2), track(-0.62, 0.0), GREEN, 0.8, head=5)
@@ -265,7 +265,7 @@ def _gear_from_behind(axes: Axes) -> None:
         _text(axes, plane(0, -0.55) if side < 0 else plane(0.2, -0.4), rf"$F_{{N,{name}}}$", RED)
         _text(axes, plane(0.42, 0.13) if side < 0 else plane(0.56, -0.02), rf"$F_{{y,{name}}}$", RED)
         _text(axes, touch + np.array([-0.25, -0.19]), rf"$F_{{x,{name}}}$", RED)
-        _text(axes, axle(side * (view.half + 0.36), -0.3), rf"$\tau_{{{name}}},\ \omega_{{{name}}}$", BLUE)
+        _text(axes, axle(side * (view.half + 0.41), -0.3), rf"$\tau_{{{name}}},\ \omega_{{{name}}}$", BLUE)
     _frame(axes, track, ("$y_{Tr}$", "$z_{Tr}$"), (0.36, 0.2), shift=((0.0, -0.08), (0.0, 0.0)))
     _span(axes, track(-0.38), track(-0.38, axle_height(view)), "$z_{TrAx}$", GREEN, (0.18, -0.05))
     _text(axes, (5.12, 0.36), r"$\boldsymbol{r}_{TrAx}^{\top} = [0,\ y_{TrAx},\ z_{TrAx}]$", GREEN)
@@ -344,7 +344,7 @@ def _model_from_behind(axes: Axes) -> None:
         _shape(axes, [touch, track(side * view.half - 0.05, 0.2), track(side * view.half + 0.05, 0.2)], STEEL, GREY)
         _text(axes, axle(side * (view.half - 0.02), -0.25), r"$\boldsymbol{J}_W$")
         _span(axes, axle(across, 0), touch, f"$r_{{{name}}}$", shift=(0.12 * side, 0.05))
-        _span(axes, axle(0, 0.2), axle(across, 0.2), f"$y_{{{name}}}$", shift=(0.0, -0.1))
+        _span(axes, axle(0, 0.2), axle(across, 0.2), f"$y_{{{name}}}$", shift=(-0.14 * side, -0.1))
     for a in (0.0, view.displacement):
         _line(axes, track(a, 0.02), track(a, 0.22), color=GREEN, width=0.5)
     _arrow(axes, track(-0.2, 0.14), track(0, 0.14), GREEN, 0.8, head=5)

@@ -77,7 +77,7 @@ AXES = {
     "bandwidth": Axis("over the tuned", (1 / 3, 0.5, 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0), controllers=CONTROLLERS[1:]),
     "unbalanced acceleration": Axis("m/s2", (0.0, 0.15, 0.3, 0.4333, 0.65, 0.85, 1.0)),
     "creep stiffness": Axis(
-        "over Kalker's",
+        "over ours",
         (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0),
         lambda value: {"plant": {"contact.shear_modulus": value * load_vehicle().contact.shear_modulus}},
     ),
@@ -106,6 +106,8 @@ class Case:
     parameters : tuple
         (name, value) of the tuned set.
     seed : int
+    scenario : str
+        Entry of data/scenarios.toml.
     """
 
     axis: str
@@ -114,6 +116,7 @@ class Case:
     controller: str
     parameters: tuple[tuple[str, float], ...]
     seed: int = 0
+    scenario: str = SCENARIO
 
     def experiment(self, scenario: Scenario) -> Experiment:
         """The run, on a scenario whose track is laid."""
@@ -129,10 +132,10 @@ class Case:
     def __call__(self) -> dict:
         """Numbers of the run; of one that left the rail only how it ended."""
         with tempfile.TemporaryDirectory() as folder:
-            scenario = load_scenario(SCENARIO)
+            scenario = load_scenario(self.scenario)
             if self.axis == "unbalanced acceleration":
-                file = Path(folder) / "T3.csv"
-                write_table(build_table(canted(alignments()["T3"], self.value)), file)
+                file = Path(folder) / "canted.csv"
+                write_table(build_table(canted(alignments()[scenario.track], self.value)), file)
                 scenario = scenario.but(track=str(file))
             row, _ = self.experiment(scenario)()
         own = {"axis": self.axis, "value": self.value, "unit": AXES[self.axis].unit, "terms": self.terms}
@@ -156,21 +159,26 @@ def canted(track: Alignment, acceleration: float) -> Alignment:
     return replace(track, segments=(start, replace(ramp, phi=(0.0, angle)), replace(arc, phi=(angle, angle))))
 
 
+def case(axis: str, value: float | str, terms: str, controller: str, seed: int = 0, scenario: str = SCENARIO) -> Case:
+    """A run with a tuned set."""
+    tuned = tuple(tuning.load(controller, terms)["parameters"].items())
+    return Case(axis, value, terms, controller, tuned, seed, scenario)
+
+
 def cases(axes: Sequence[str] = tuple(AXES), terms: Sequence[str] = TERMS) -> list[Case]:
     """All runs of some axes."""
     found = []
     for axis in axes:
         for each in terms:
             for name in AXES[axis].controllers:
-                tuned = tuple(tuning.load(name, each)["parameters"].items())
                 for value in AXES[axis].values:
                     seeds = SEEDS if noisy(AXES[axis].change(value)) else (0,)
-                    found += [Case(axis, value, each, name, tuned, seed) for seed in seeds]
+                    found += [case(axis, value, each, name, seed) for seed in seeds]
     return found
 
 
-def _call(case: Case) -> dict:
-    return case()
+def _call(one: Case) -> dict:
+    return one()
 
 
 def main() -> None:
