@@ -125,7 +125,7 @@ class Case:
             changed["sensors"] = changed["sensors"] | {"seed": self.seed}
         parameters = dict(self.parameters)
         if self.axis == "bandwidth":
-            parameters |= {name: self.value * parameters[name] for name in ("pole", "frequency")}
+            parameters |= {name: self.value * parameters[name] for name in ("pole", "frequency") if name in parameters}
         quick = REGISTERED[self.controller].quick
         return Experiment(scenario, self.controller, parameters=parameters, options=quick, **changed)
 
