@@ -217,7 +217,7 @@ def _gear_from_above(axes: Axes) -> None:
     half, shift, yaw = 0.66, 0.12, np.radians(9)
     track = Place((1.75, 1.62), np.radians(10))
     axle, world = track.placed(0.0, shift, yaw), Place((0.2, 3.08))
-    _rails_from_above(axes, track, half, 13.0, (-1.65, 2.2))
+    _rails_from_above(axes, track, half, 13.0, (-1.65, 1.85))
     _shape(axes, [axle(a, c) for a, c in ((0.08, -half), (0.08, half), (-0.08, half), (-0.08, -half))])
     for side, name in ((-1, "le"), (1, "ri")):
         _wheel_from_above(axes, axle, side * half, 0.72, 0.22)
@@ -237,7 +237,7 @@ def _gear_from_above(axes: Axes) -> None:
     _frame(axes, track, ("$x_{Tr}$", "$y_{Tr}$"), (1.8, 0.34), shift=((0.06, 0.0), (-0.2, 0.17)))
     _angle(axes, track(0, 0), 1.0, 0.0, track.angle, r"$\psi_{Tr}$", GREEN, 0.15)
     _angle(axes, axle(0, 0), 1.25, track.angle, axle.angle, r"$\psi_{TrAx}$", GREEN, 0.2)
-    _text(axes, (3.42, 1.75), r"$\psi_{Ax} = \psi_{Tr} + \psi_{TrAx}$", GREEN)
+    _text(axes, (3.28, 1.74), r"$\psi_{Ax} = \psi_{Tr} + \psi_{TrAx}$", GREEN)
     for a in (0.0, shift):
         _line(axes, track(-0.1, a), track(-0.72, a), color=GREEN, width=0.5)
     _arrow(axes, track(-0.62, -0.2), track(-0.62, 0.0), GREEN, 0.8, head=5)
@@ -250,7 +250,7 @@ def _gear_from_above(axes: Axes) -> None:
 def _gear_from_behind(axes: Axes) -> None:
     view = RearView((5.1, 0.95))
     track, axle = view.track, view.axle
-    _line(axes, track(-1.35), track(1.5), color=GREY, style="-.", width=0.6)
+    _line(axes, track(-1.3), track(1.4), color=GREY, style="-.", width=0.6)
     view.suspended(axes, Place(axle(0.0, -0.95), track.angle / 2), "car body")
     _arrow(axes, axle(0.0, -0.88), axle(0.0, -0.45), BLUE, 1.6)
     _text(axes, axle(0.0, -0.33), r"$\mathcal{F}_{Train}$", BLUE)
@@ -280,7 +280,7 @@ def _roll(axes: Axes, place: Place, name: str, away=1.05) -> None:
     start = place(away)
     _line(axes, start, place(away + 0.36), color=GREY, style="-.", width=0.6)
     _line(axes, start, start + np.array([0.36, 0]), color=GREY, style=":")
-    _angle(axes, start, 0.31, 0.0, place.angle, rf"$\varphi_{{{name}}}$", GREEN, 0.18 if name == "Tr" else 0.22)
+    _angle(axes, start, 0.31, 0.0, place.angle, rf"$\varphi_{{{name}}}$", GREEN, 0.22)
 
 
 def simplified_model() -> Figure:
