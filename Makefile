@@ -116,11 +116,12 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.studies.second_opinion; \
 	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
 
-study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins (long, resumes)
+study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, where the order turns (long, resumes)
 	$(PY) -m railrepro.studies.probe
 	$(PY) -m railrepro.studies.robustness
 	$(PY) -m railrepro.studies.matching
 	$(PY) -m railrepro.studies.margins
+	$(PY) -m railrepro.studies.order
 
 html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
 	$(PY) -m railrepro.chain html
