@@ -19,10 +19,19 @@ import casadi as ca
 import numpy as np
 
 from railrepro.compile import codegen
-from railrepro.control.problem import TUNING, Tuning, dynamics, effort_cost, slack_on, stage_cost, terminal_cost
+from railrepro.control.problem import (
+    TUNING,
+    Tuning,
+    dynamics,
+    effort_cost,
+    slack_cost,
+    slack_on,
+    stage_cost,
+    terminal_cost,
+)
 from railrepro.control.solvers import condensed
 from railrepro.model import forecast
-from railrepro.model.control_model import STATES, THETA
+from railrepro.model.control_model import STATES, THETA, Y
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 
 _N = len(STATES)
@@ -31,6 +40,8 @@ MOST_SETS = 30
 """Active sets tried per quadratic problem before it is handed to a general QP solver."""
 _FIELDS = ("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector")
 _FIELDS += ("feedback", "feedforward", "dx", "du", "slope", "fixed", "side")
+_FIELDS += ("inner", "room", "force", "target", "stands", "passes")
+_CALLS = ("place", "preview", "terminal", "backward", "forward", "soft", "barrier_end", "barrier")
 
 
 class _Horizon(ctypes.Structure):
@@ -38,7 +49,7 @@ class _Horizon(ctypes.Structure):
         *((name, ctypes.c_longlong) for name in ("steps", "n_cells", "most_sets")),
         *((name, ctypes.c_double) for name in ("cell_start", "cell_step")),
         ("cells", ctypes.c_void_p),
-        *((name, codegen.Call) for name in ("place", "preview", "terminal", "backward", "forward")),
+        *((name, codegen.Call) for name in _CALLS),
         *((name, ctypes.c_void_p) for name in ("x_hat", "nominal", "par", "tuning")),
         *((name, ctypes.c_double) for name in ("u_d", "bound", "affine")),
         *((name, ctypes.c_void_p) for name in _FIELDS),
@@ -88,9 +99,42 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
 
 
 @lru_cache
+def barrier(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Weight of the slack; last stage and one stage backward of a recursion in which weights and slopes stand for bounds."""
+    n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
+    v = {name: ca.SX.sym(name, n) for name in ("p", "x_plus", "x_next", "b", "x", "x_d")}
+    u, matrix, a = ca.SX.sym("u"), ca.SX.sym("P", n, n), ca.SX.sym("A", sparsity)
+    stands, tuning, slack = ca.SX.sym("stands", 4), ca.SX.sym("tuning", len(TUNING)), ca.SX.sym("slack")
+    t = Tuning.of(tuning)
+    soft = ca.Function("barrier_soft", [tuning], [_halved(slack_cost(slack, t), slack)[0]])
+
+    def with_bound(cost):
+        hessian, gradient = _halved(cost(v["x"], v["x_d"], 0, t), v["x"])
+        hessian[Y, Y] += stands[2]
+        gradient[Y] += stands[3]
+        return hessian, gradient
+
+    last = with_bound(terminal_cost)
+    end = ca.Function("barrier_end", [v["x"], v["x_d"], stands, tuning], last, {"cse": True})
+    hessian, gradient = with_bound(stage_cost)
+    effort, effort_slope = _halved(effort_cost(u, t), u)
+    effort, effort_slope = effort + stands[0], effort_slope + stands[1]
+    pb, ahead = ca.mtimes(matrix, v["b"]), ca.mtimes(matrix, v["x_next"] - v["x_plus"]) + v["p"]
+    curvature, coupling = effort + ca.dot(v["b"], pb), ca.mtimes(a.T, pb)
+    feedback = -coupling / curvature
+    feedforward = -(effort_slope + ca.dot(v["b"], ahead)) / curvature
+    cost = hessian + ca.mtimes(a.T, ca.mtimes(matrix, a)) + ca.mtimes(coupling, feedback.T)
+    cost = ca.densify(ca.triu2symm(ca.triu(cost)))
+    vector = ca.densify(gradient + ca.mtimes(a.T, ahead + pb * feedforward))
+    inputs = [matrix, v["p"], v["x_plus"], v["x_next"], a, v["b"], u, stands, v["x"], v["x_d"], tuning]
+    stage = ca.Function("barrier_stage", inputs, [cost, vector, ca.densify(feedback), feedforward], {"cse": True})
+    return soft, end, stage
+
+
+@lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """The functions behind a horizon: place, stage, terminal, backward, forward."""
-    return *forecast.functions(), *recursion(variant, discretisation)
+    """The functions behind a horizon, in the order of `_CALLS`."""
+    return *forecast.functions(), *recursion(variant, discretisation), *barrier(variant, discretisation)
 
 
 def _enum(names: Iterable[str]) -> str:
@@ -214,7 +258,8 @@ class Horizon(PlainHorizon):
         shapes |= {"x_next": (steps, _N), "a": (steps, n_a), "b": (steps, _N), "du": (steps,)}
         shapes |= {"cost_matrix": (steps + 1, _N**2), "cost_vector": (steps + 1, _N)}
         shapes |= {"feedback": (steps, _N), "feedforward": (steps,), "dx": (steps + 1, _N)}
-        shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,)}
+        shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,), "passes": (1,)}
+        shapes |= dict.fromkeys(("room", "force", "target", "stands"), (steps + 1, 4)) | {"inner": (steps + 1, 2)}
         self.x_hat, self.cells = np.zeros(_N), np.ascontiguousarray(cells)
         self._inputs = nominal.astype(float), parameters.astype(float), settings.tuning()
         for name in _FIELDS:
