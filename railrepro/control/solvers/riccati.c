@@ -7,6 +7,8 @@
 #include <stdio.h>
 #ifndef DEBUG
 #define DEBUG 0
+#define CROSS 1e-5
+#define TRIES 2
 #endif
 enum { FREE = 0, LOW = -1, HIGH = 1 };
 
@@ -14,7 +16,7 @@ typedef struct {
   casadi_int steps, n_cells, most_sets;
   double cell_start, cell_step;
   const double *cells;
-  call_t place, preview, terminal, backward, forward, soft, barrier_end, barrier;
+  call_t place, preview, terminal, backward, forward, soft, barrier_end, barrier, corrector;
   /* inputs: measured state, nominal vehicle of the forecast and of the model, tuning; base torque, bound of the
      differential torque, printed switch */
   const double *x_hat, *nominal, *par, *tuning;
@@ -147,7 +149,7 @@ static double room(const horizon_t *h, const double *at, casadi_int k, int i) {
 }
 
 /* One Newton step of the interior point method: torques and states that follow from the targets, in dx, du. */
-static int aim(const horizon_t *h, const double *soft) {
+static int aim(const horizon_t *h, const double *soft, int corrects) {
   for (casadi_int k = 0; k <= h->steps; ++k) {
     double *stands = h->stands + k * BOUNDS;
     memset(stands, 0, BOUNDS * sizeof(double));
@@ -170,7 +172,7 @@ static int aim(const horizon_t *h, const double *soft) {
                           h->x_next + k * N, h->a + k * N_A, h->b + k * N, h->u + k, h->stands + k * BOUNDS, h->x + k * N,
                           h->x_d + k * N, h->tuning};
     double *out[] = {h->cost_matrix + k * N * N, h->cost_vector + k * N, h->feedback + k * N, h->feedforward + k};
-    if (call(&h->barrier, in, 11, out, 4)) return 1;
+    if (corrects ? call(&h->corrector, in, 11, (double *[]){out[1], out[3]}, 2) : call(&h->barrier, in, 11, out, 4)) return 1;
   }
   ++*h->passes;
   return forward(h);
@@ -221,7 +223,7 @@ static int interior(const horizon_t *h) {
   double gap = scale;
   for (int count = 0; count < 40; ++count) {
     EACH_BOUND h->target[k * BOUNDS + i] = 0;
-    if (aim(h, soft)) return 1;
+    if (aim(h, soft, 0)) return 1;
     double share = farthest(h, soft), reached = 0;
     EACH_BOUND {
       steps_of(h, soft, k, i, &d_room, &d_force);
@@ -233,7 +235,7 @@ static int interior(const horizon_t *h) {
       steps_of(h, soft, k, i, &d_room, &d_force);
       h->target[k * BOUNDS + i] = ratio * ratio * ratio * gap - d_room * d_force;
     }
-    if (aim(h, soft)) return 1;
+    if (aim(h, soft, 1)) return 1;
     share = fmin(1, 0.995 * farthest(h, soft));
     double all = 0;
     EACH_BOUND {
@@ -255,8 +257,8 @@ static int interior(const horizon_t *h) {
       if (k) h->side[k] = y > b ? 1 : y < -b ? -1 : 0;
     }
     if (DEBUG) printf("%d gap %.2e share %.3f aff %.2e\n", count, gap / scale, share, ratio);
-    if (gap < 1e-3 * scale) {
-      int code = settle(h, 2);
+    if (gap < CROSS * scale) {
+      int code = settle(h, TRIES);
       if (code != 2) return code;
     }
     if (!(gap > 1e-13 * scale)) break;

@@ -41,7 +41,7 @@ MOST_SETS = 30
 _FIELDS = ("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector")
 _FIELDS += ("feedback", "feedforward", "dx", "du", "slope", "fixed", "side")
 _FIELDS += ("inner", "room", "force", "target", "stands", "passes")
-_CALLS = ("place", "preview", "terminal", "backward", "forward", "soft", "barrier_end", "barrier")
+_CALLS = ("place", "preview", "terminal", "backward", "forward", "soft", "barrier_end", "barrier", "corrector")
 
 
 class _Horizon(ctypes.Structure):
@@ -128,7 +128,7 @@ def barrier(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function
     vector = ca.densify(gradient + ca.mtimes(a.T, ahead + pb * feedforward))
     inputs = [matrix, v["p"], v["x_plus"], v["x_next"], a, v["b"], u, stands, v["x"], v["x_d"], tuning]
     stage = ca.Function("barrier_stage", inputs, [cost, vector, ca.densify(feedback), feedforward], {"cse": True})
-    return soft, end, stage
+    return soft, end, stage, ca.Function("barrier_corrector", inputs, [vector, feedforward], {"cse": True})
 
 
 @lru_cache
