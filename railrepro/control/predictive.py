@@ -23,12 +23,12 @@ class Solve:
     Attributes
     ----------
     seconds : float
-        Wall time from measured state to torque, forecast included (s).
+        Time of the processor from measured state to torque, forecast included (s): others on the machine do not count.
     iterations : int
     fallback : bool
         Whether a shifted old plan had to serve.
     preparation : float
-        Wall time spent after the torque was out, for the next sample (s).
+        The same after the torque was out, for the next sample (s).
     """
 
     seconds: float

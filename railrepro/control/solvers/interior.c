@@ -134,5 +134,5 @@ static int interior(const horizon_t *h) {
     const int code = gap < 1e-5 * begin ? settle(h, 2) : 2;
     if (code != 2) return code;
   }
-  return isfinite(gap) ? 2 : 1;
+  return 2;
 }
