@@ -2,8 +2,8 @@
 
 One optimal control problem needs one call. The time grows linearly with the horizon; torque limits and the soft lateral
 bound are active sets around the recursion. Where these do not settle, an interior point method on the same recursion
-finds them, so that a sample has a largest time. `riccati.c` and `interior.c` drive the functions of `recursion`; without
-a C compiler the condensed problem of `condensed` gives the same minimisers.
+finds them, so that a sample has a largest time. `riccati.c` and `interior.c` drive the functions of `recursion`; where
+there is no C compiler the condensed problem of `condensed` gives the same minimisers.
 
 Source: Rao, Wright and Rawlings 1998 (recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and
 Kunisch 2002 (primal-dual active sets).
