@@ -1,8 +1,8 @@
 """Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
 
 `python -m railrepro.studies.bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv, executor_speed.csv,
-peer_times.csv and solver_operations.csv of data/results and prints them. Times of different machines are never compared;
-the machine's name stands in each table.
+peer_times.csv and solver_operations.csv of data/results and prints them. Times of different machines are never
+compared; the machine's name stands in each table.
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 

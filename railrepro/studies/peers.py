@@ -1,7 +1,7 @@
-"""The peers of our recursion: Ipopt, fatrop, and SQP with HPIPM, DAQP, OSQP and qrqp, on the same problem, compiled alike.
+"""The peers of our recursion: Ipopt, fatrop, and SQP with HPIPM, DAQP, OSQP and qrqp, on the same problem.
 
-All get the optimal control problem stage by stage with its functions as compiled C, the same Hessian (that of the costs),
-the same start (the solution before, one sample later) and tolerances that lead to the same optimum, which `compare`
+All get the optimal control problem stage by stage with its functions as compiled C, the Hessian of the costs, the same
+start (the solution before, one sample later) and tolerances that lead to the same optimum, which `compare`
 measures. What is timed is one call without Python objects in between, of the processor, each problem several times in
 turn with the others; the least counts. Serves the paper's section Evaluation of Lateral Control (computation times).
 """
@@ -89,14 +89,15 @@ def _model(settings: MPCSettings) -> ca.Function:
 def _places(steps: int) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
     """Sizes of the pieces of x, and where states, torques and slacks stand.
 
-    The slack of the last state is a state of the last stage, for HPIPM has no controls there: it follows from one before.
+    The slack of the last state is a state of the last stage, for HPIPM has no controls there; it follows from the one
+    before.
     """
     sizes: list[int] = []
     states, torques, slacks = [], [], []
     for k in range(steps + 1):
         begin = sum(sizes)
         states.append(np.arange(begin, begin + _N))
-        controls = (k < steps) + (0 < k) + (k == steps - 1)
+        controls = (k < steps) + (k > 0) + (k == steps - 1)
         sizes += [_N] + [1] * controls
         own = list(range(begin + _N, begin + _N + controls))
         if k < steps:
@@ -255,8 +256,8 @@ def compare(recording, vehicle: Vehicle, names=tuple(PEERS), rounds: int = 3) ->
     Returns
     -------
     DataFrame
-        Times, ratio of the medians to ours, and `error_du`, the largest difference from the torques of Ipopt or, without
-        it, from ours, relative to the torque limit; `missed` counts problems where it is above `SAME`.
+        Times, ratio of the medians to ours, and `error_du`, the largest difference from the torques of Ipopt or,
+        without it, from ours, relative to the torque limit; `missed` counts problems where it is above `SAME`.
     """
     settings, everybody = recording.problems[0].settings, (OURS, *names)
     seconds = np.empty((len(everybody), rounds, len(recording.problems)))
