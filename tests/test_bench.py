@@ -106,3 +106,10 @@ def test_operations_are_counted_against_the_processor(short):
         assert 0 < table["share_of_limit"][part] < 1.5
     x = ca.SX.sym("x")
     assert bench._arithmetic(ca.Function("f", [x], [ca.sin(x) * x + 2])) == 3
+
+
+def test_samples_are_timed_in_closed_loop():
+    table = bench.sample_times(("paper", "loop"), ("curve_entry_T3",), drives=2, end_m=15.0)
+    assert len(table) == 12 and not table["failed"].any() and not table["fallbacks"].any()
+    assert (table["median_ms"] <= table["p99_ms"]).all() and (table["p99_ms"] <= table["max_ms"]).all()
+    assert set(table["solver"]) == {"gauss_newton", "rti", "one QP"} and table["median_ms"].min() > 0

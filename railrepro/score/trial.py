@@ -26,8 +26,7 @@ from railrepro.control.registry import REGISTERED, guidance
 from railrepro.score import suite
 from railrepro.score.entry import NOT_FINITE, Entry, fault
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.simulation.simulate import Run
-from railrepro.studies.experiment import Experiment, tidy
+from railrepro.studies.experiment import Experiment, sample_times, tidy
 from railrepro.studies.margins import QUANTITIES, RAILS, survived
 
 PROCESSOR, WALL = 20.0, 60.0
@@ -94,7 +93,7 @@ class Trial:
             row.pop("stopping_distance")
         row["comfort"] = max((row[k] for k in row if k.startswith("n_mv_")), default=float("nan"))
         again = DRIVES - 1 if spent < 1 / (2 * DRIVES) else 0
-        seconds = _sample_times(run, experiment, again) if run.controllers else _call_times(law)
+        seconds = sample_times(run, experiment, again) if run.controllers else _call_times(law)
         row |= {"sample_median": float(np.median(seconds)), "sample_p99": float(np.quantile(seconds, 0.99))}
         row["sample_max"] = float(np.max(seconds))
         kept = tidy(run.series, STRIDE)[["p_m", "y_m", "y_ref_m", "du_Nm"]]
@@ -119,13 +118,6 @@ class Trial:
             return self._experiment(scenario, self.case, plant=change.get("plant", {}), sensors=sensors).run().failed
 
         return fails
-
-
-def _sample_times(run: Run, experiment: Experiment, again: int) -> np.ndarray:
-    """Time of each sample of a run (s), the least of this and of some more drives that go like it."""
-    runs = [run, *(experiment.run() for _ in range(again))]
-    found = [[solve.seconds for controller in each.controllers for solve in controller.stats] for each in runs]
-    return np.min([seconds for seconds in found if len(seconds) == len(found[0])], axis=0)
 
 
 def call(trial: Trial) -> dict:

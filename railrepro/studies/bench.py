@@ -1,8 +1,8 @@
 """Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
 
 `python -m railrepro.studies.bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv, executor_speed.csv,
-peer_times.csv and solver_operations.csv of data/results and prints them. Times of different machines are never
-compared; the machine's name stands in each table.
+sample_times.csv, peer_times.csv and solver_operations.csv of data/results and prints them. Times of different machines
+are never compared; the machine's name stands in each table.
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import itertools
 import os
 import platform
 import sys
@@ -33,7 +34,7 @@ from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings, Problem, Tuning
-from railrepro.control.registry import mpc_settings
+from railrepro.control.registry import WITH_OBSERVER, mpc_settings
 from railrepro.control.solvers import condensed, riccati
 from railrepro.control.solvers.riccati import PlainHorizon
 from railrepro.errors import InputError, told
@@ -43,6 +44,8 @@ from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.exchange import Exchange
 from railrepro.studies import peers, pso, swarm, tuning
 from railrepro.studies.executor import executor, ordered_map
+from railrepro.studies.experiment import Experiment
+from railrepro.studies.experiment import sample_times as sample_times_of
 from railrepro.track.rough import rough_track
 from railrepro.track.route import CELL, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -286,6 +289,29 @@ def peer_times(vehicle: Vehicle, settings: MPCSettings, names=("curve_entry_T3",
     return pd.concat(tables, ignore_index=True)
 
 
+def sample_times(terms=tuning.TERMS, names=SCENARIOS, drives: int = 3, end_m: float = 500.0) -> pd.DataFrame:
+    """Time of the samples of predictive controllers in closed loop, the least of some drives at each sample.
+
+    Contract of data/results/sample_times.csv: the first `end_m` of each scenario, on all terms.
+    """
+    kinds = [(name, {"solver": solver}) for name in ("nmpc", WITH_OBSERVER) for solver in ("gauss_newton", "rti")]
+    kinds += [("ltv_mpc", {}), ("ltv_mpc_printed", {})]
+    rows = []
+    for each, (controller, options), name in tqdm(list(itertools.product(terms, kinds, names)), desc="samples"):
+        scenario = scenarios.load_scenario(name)
+        scenario = scenario.but(end_m=min(scenario.end_m, end_m))
+        sensors = {"seed": 1} if each == tuning.LOOP else {}
+        experiment = Experiment(scenario, controller, options=options, terms=each, sensors=sensors)
+        run = experiment.run()
+        times = 1e3 * sample_times_of(run, experiment, drives - 1)
+        row = {"terms": each, "controller": controller, "solver": options.get("solver", "one QP"), "scenario": name}
+        row |= {"steps": run.controllers[0].settings.steps, "n": len(times), "median_ms": np.median(times)}
+        row |= {"p99_ms": np.quantile(times, 0.99), "max_ms": times.max()}
+        fallbacks = sum(solve.fallback for guided in run.controllers for solve in guided.stats)
+        rows.append(row | {"fallbacks": fallbacks, "failed": run.failed})
+    return pd.DataFrame(rows)
+
+
 def _arithmetic(function: ca.Function) -> int:
     """Floating-point operations of one call; a sine counts as one."""
     no = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
@@ -423,6 +449,7 @@ def main(names: list[str]) -> None:
         "horizon_times": lambda: horizon_times(vehicle, settings),
         "executor_speed": executor_speed,
         "peer_times": lambda: peer_times(vehicle, settings),
+        "sample_times": sample_times,
         "solver_operations": lambda: solver_operations(vehicle, settings),
     }
     if importlib.util.find_spec("do_mpc"):
