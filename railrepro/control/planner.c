@@ -1,7 +1,7 @@
 /* A predictive controller of one gear without allocation: real-time iteration of the nonlinear problem, or the linear
-   time-variant one, as railrepro.control.nmpc and ltv_mpc do it. When the active sets do not settle within their number, or a
-   value is not finite, the plan of before serves, one sample later, so that a sample has a largest time. Starts after
-   riccati.c and the constants of the settings. */
+   time-variant one, as railrepro.control.nmpc and ltv_mpc do it. A sample has a largest time: active sets that do not settle
+   are found by a limited number of interior points; when these fail, or a value is not finite, the plan of before serves,
+   one sample later. Starts after riccati.c, interior.c and the constants of the settings. */
 
 enum { FUNCTIONS = 9 };
 

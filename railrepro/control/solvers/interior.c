@@ -35,7 +35,7 @@ static void stand_for_bounds(const horizon_t *h, const double *softness) {
 }
 
 /* One Newton step: dx, du, and how room and force change on the way. `again` after a step with other targets. */
-static int newton_step(const horizon_t *h, const double *softness, int again) {
+static int interior_step(const horizon_t *h, const double *softness, int again) {
   casadi_int last = h->steps;
   stand_for_bounds(h, softness);
   const double *end[] = {h->x + last * N, h->x_d + last * N, h->stands + last * BOUNDS, h->tuning};
@@ -60,7 +60,7 @@ static int newton_step(const horizon_t *h, const double *softness, int again) {
 }
 
 /* Largest part of the step on which rooms and forces stay positive, at most the whole. */
-static double farthest(const horizon_t *h) {
+static double interior_share(const horizon_t *h) {
   double share = 1;
   for (casadi_int at = 0; at < BOUNDS * h->steps; ++at) {
     if (h->room[at] + share * h->room_step[at] < 0) share = -h->room[at] / h->room_step[at];
@@ -78,7 +78,7 @@ static double gap_after(const horizon_t *h, double share) {
 }
 
 /* Take part of the step. Torques whose room shrinks faster than their force are taken to be at the bound. */
-static void advance(const horizon_t *h, double share) {
+static void interior_advance(const horizon_t *h, double share) {
   memset(h->fixed, 0, h->steps * sizeof(double)), memset(h->side, 0, (h->steps + 1) * sizeof(double));
   EACH_BOUND {
     const double room = h->room[at] + share * h->room_step[at], force = h->force[at] + share * h->force_step[at];
@@ -92,7 +92,7 @@ static void advance(const horizon_t *h, double share) {
 }
 
 /* Begin without torque, every product of room and force the same; returns it, or 0 where there is no interior. */
-static double enter(const horizon_t *h, double stiffness) {
+static double interior_enter(const horizon_t *h, double stiffness) {
   double gap = 0;
   for (casadi_int k = 0; k < h->steps; ++k) gap += fabs(h->slope[k]) * h->bound;
   memset(h->feedback, 0, h->steps * N * sizeof(double));
@@ -120,17 +120,17 @@ static int interior(const horizon_t *h) {
   double *to[] = {&stiffness};
   if (call(&h->barrier_stiffness, of, 1, to, 1)) return 1;
   if (!(h->bound > 0 && stiffness > 0)) return 2;
-  const double softness[BOUNDS] = {0, 0, 1 / stiffness, 1 / stiffness}, begin = enter(h, stiffness);
+  const double softness[BOUNDS] = {0, 0, 1 / stiffness, 1 / stiffness}, begin = interior_enter(h, stiffness);
   double gap = begin;
   for (int count = 0; count < MOST_STEPS && gap > 1e-14 * begin; ++count) {
     memset(h->target, 0, BOUNDS * h->steps * sizeof(double));
-    if (newton_step(h, softness, 0)) return 1;
-    const double left = gap_after(h, farthest(h)) / gap, target = left * left * left * gap;
+    if (interior_step(h, softness, 0)) return 1;
+    const double left = gap_after(h, interior_share(h)) / gap, target = left * left * left * gap;
     for (casadi_int at = 0; at < BOUNDS * h->steps; ++at) h->target[at] = target - h->room_step[at] * h->force_step[at];
-    if (newton_step(h, softness, 1)) return 1;
-    const double share = fmin(1, 0.995 * farthest(h));
+    if (interior_step(h, softness, 1)) return 1;
+    const double share = fmin(1, 0.995 * interior_share(h));
     gap = gap_after(h, share);
-    advance(h, share);
+    interior_advance(h, share);
     const int code = gap < 1e-5 * begin ? settle(h, 2) : 2;
     if (code != 2) return code;
   }
