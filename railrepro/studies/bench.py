@@ -277,7 +277,7 @@ def _seconds(call: Callable[[], object], least: float = 0.2) -> float:
     return best
 
 
-def peer_times(vehicle: Vehicle, settings: MPCSettings, names=("curve_entry_T3", "braking"), count: int = 16):
+def peer_times(vehicle: Vehicle, settings: MPCSettings, names=("curve_entry_T3",), count: int = 6):
     """Our recursion against compiled peers (contract of data/results/peer_times.csv).
 
     Our tuned set, and the one tuned on the paper's terms with the paper's discretisation, with bounds far and near.

@@ -33,9 +33,9 @@ _REGULAR = 1e-6
 """Curvature that is added to what has none, which some plugins need; the optimum is not moved by it."""
 _QUIET = {"print_time": False, "error_on_fail": False, "calc_lam_p": False}
 _SQP = {"print_header": False, "print_iteration": False, "print_status": False}
-_SQP |= {"tol_pr": 1e-8, "tol_du": 1e-6, "max_iter": 50}
+_SQP |= {"tol_pr": 1e-8, "tol_du": 1e-6, "max_iter": 20}
 _HPIPM = {"mode": "speed", "iter_max": 100} | dict.fromkeys(("res_g_max", "res_b_max", "res_d_max", "res_m_max"), 1e-8)
-_OSQP = {"osqp.verbose": False, "osqp.eps_abs": 1e-9, "osqp.eps_rel": 1e-9, "osqp.max_iter": 20000, "osqp.polish": True}
+_OSQP = {"osqp.verbose": False, "osqp.eps_abs": 1e-9, "osqp.eps_rel": 1e-9, "osqp.max_iter": 1000, "osqp.polish": True}
 _QRQP = {"print_iter": False, "print_header": False, "print_info": False}
 _N = len(STATES)
 
