@@ -10,7 +10,7 @@ from railrepro import paths
 from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
 from railrepro.score import __main__ as command
-from railrepro.score import card, leaderboard, page, run, suite
+from railrepro.score import card, leaderboard, page, run, suite, trial
 from railrepro.score.entry import Entry, entry
 from railrepro.score.trial import Trial
 from railrepro.simulation.scenarios import load_scenario
@@ -86,6 +86,7 @@ def test_the_template_is_driven_with_the_numbers_of_its_terms(pid):
     assert (pid["failure"], loop["failure"]) == ("", "")
     assert loop["rmse_y"] > 1.2 * pid["rmse_y"]
     assert 0 < pid["sample_median"] < 1e-3
+    assert pid["sample_median"] <= pid["sample_p99"] <= pid["sample_max"]
     assert not [name for name in CONTROLLERS if name.startswith("own")]  # it was entered in the copy only
 
 
@@ -270,3 +271,25 @@ def test_the_readme_shows_the_committed_leaderboard():
         assert f"{leaderboard.BEGIN}\n{leaderboard.END}\n" in text  # `make leaderboard` fills it
     else:
         assert leaderboard.in_readme(text, pd.read_csv(file)) == text
+
+
+@pytest.mark.parametrize("name", ["nmpc", "creep_mpc"])
+def test_the_times_of_a_slower_controller_are_the_least_of_all_drives(name, monkeypatch):
+    drives = []
+    monkeypatch.setattr(trial.time, "process_time", lambda: 0.0)
+    original = trial.Experiment.run
+
+    def run(experiment):
+        found = original(experiment)
+        drives.append(len(drives))
+        for number, solve in enumerate(solve for controller in found.controllers for solve in controller.stats):
+            object.__setattr__(solve, "seconds", 1.0 + (number % 3 != drives[-1] % 3))
+        return found
+
+    monkeypatch.setattr(trial.Experiment, "run", run)
+    short = suite.Case("short", "equal", CASE.scenario.but(end_m=10.0))
+    row = Trial(entry(name), short, processor=1e3, wall=1e4)._run()
+    assert len(drives) == trial.DRIVES and row["failure"] == ""
+    assert row["sample_median"] == row["sample_max"] == 1.0
+    monkeypatch.setattr(trial.time, "process_time", lambda: 500.0)
+    assert Trial(entry(name), short, processor=1e3, wall=1e4)._run()["sample_max"] == 2.0
