@@ -16,18 +16,20 @@ from railrepro.studies import tuning
 
 DEFAULT = ("curve_entry_T3", "sine_tracking", "adhesion_loss", "braking")
 """Scenarios that are filmed when none is named."""
+ALL = "all"
+"""Stands for them."""
 CONTROLLERS = ("nmpc", "ndi")
 
 
 def main(arguments: list[str]) -> None:
     """Film one scenario or the usual ones; each page and movie is told where it is."""
     parser = argparse.ArgumentParser("python -m railrepro.film", description="Two controllers side by side.")
-    parser.add_argument("scenario", nargs="?", default="", help=f"key of scenarios.toml; default {', '.join(DEFAULT)}")
+    parser.add_argument("scenario", nargs="?", default=ALL, help=f"key of scenarios.toml; default {', '.join(DEFAULT)}")
     parser.add_argument("controllers", nargs="*", help=f"two registered names; default {' '.join(CONTROLLERS)}")
     parser.add_argument("--terms", default=tuning.EQUAL, help=f"one of {', '.join(tuning.TERMS)}; default equal")
     parser.add_argument("--no-movie", action="store_true", help="only the page")
     given = parser.parse_args(arguments)
-    names, controllers = (given.scenario,) if given.scenario else DEFAULT, tuple(given.controllers or CONTROLLERS)
+    names, controllers = DEFAULT if given.scenario == ALL else (given.scenario,), tuple(given.controllers or CONTROLLERS)
     _check(names, controllers, given.terms)
     folder = paths.BUILD / "film"
     for name in names:
