@@ -29,7 +29,8 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--terms", default=tuning.EQUAL, help=f"one of {', '.join(tuning.TERMS)}; default equal")
     parser.add_argument("--no-movie", action="store_true", help="only the page")
     given = parser.parse_args(arguments)
-    names, controllers = DEFAULT if given.scenario == ALL else (given.scenario,), tuple(given.controllers or CONTROLLERS)
+    names = DEFAULT if given.scenario == ALL else (given.scenario,)
+    controllers = tuple(given.controllers or CONTROLLERS)
     _check(names, controllers, given.terms)
     folder = paths.BUILD / "film"
     for name in names:

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib import animation
 
 from railrepro.errors import InputError
+from railrepro.files import written
 from railrepro.film.picture import Picture
 from railrepro.film.scene import Film
-from railrepro.files import written
 
 RATE = 10
 """Frames per second."""

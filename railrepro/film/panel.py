@@ -51,8 +51,8 @@ def panel(scenario: Scenario, terms: str, draw: Callable[[dict[str, Run]], Figur
         except InputError as error:
             told.value = str(error)
             return
-        took = time.perf_counter() - begin
-        told.value = "; ".join(f"<b>{name}</b>: {run.ended}" for name, run in runs.items()) + f" ({took:.1f} s for both)"
+        ended = "; ".join(f"<b>{name}</b>: {run.ended}" for name, run in runs.items())
+        told.value = f"{ended} ({time.perf_counter() - begin:.1f} s for both)"
         figure = draw(runs)
         with shown:
             clear_output(wait=True)
