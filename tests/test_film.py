@@ -81,10 +81,10 @@ def test_a_creep_force_never_leaves_its_circle(film):
 
 def test_a_spinning_wheel_is_at_its_bound_on_each_rail():
     vehicle = load_vehicle(**{"drive.torque_limit": 2e4})
-    scenario = load_scenario("sine_tracking").but(poor_share_left=[[0, 1]], poor_share_right=[[0, 0.6]], speed_kmh=100)
+    scenario = load_scenario("sine_tracking").but(poor_share_left=[[0, 1]], poor_share_right=[[0, 0.9]], speed_kmh=100)
     route = scenario.route()
     car, rows = SteppedCar(route, scenario.speed, vehicle), []
-    for _ in range(15):
+    for _ in range(10):
         car.step([2e4] * 4, exchanges=20)
         rows.append(car.outputs)
     spinning = pd.DataFrame(rows[5:])
