@@ -39,7 +39,8 @@ def html(film: Film) -> str:
 def frame(film: Film, height: int = 900) -> str:
     """The page inside another one, a notebook's output or a chapter of the book; `height` in pixels."""
     look = f"width:100%;height:{height}px;border:0"
-    return f'<iframe title="film: {escape(film.title)}" style="{look}" srcdoc="{escape(html(film))}"></iframe>'
+    inner = f'title="film: {escape(film.title)}" style="{look}" srcdoc="{escape(html(film))}"'
+    return f"<div><iframe {inner}></iframe></div>"
 
 
 def _columns(table: pd.DataFrame) -> dict[str, list]:

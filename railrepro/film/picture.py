@@ -113,7 +113,7 @@ class _Dial:
         axis.add_patch(self._torque)
         name = f"{gear} {'left' if side == 'le' else 'right'}"
         axis.text(self._x, self._y - 1.08, name, fontsize=6, ha="center", va="bottom")
-        self._used = axis.text(self._x + 1.4, self._y + 1, "", fontsize=6)
+        self._used = axis.text(self._x + 1.42, self._y + 0.95, "", fontsize=6)
         self._told = axis.text(self._x + 1.1, self._y + 1.2, "", fontsize=6, va="center")
 
     def show(self, k: int, values: dict[str, np.ndarray]) -> None:
