@@ -69,7 +69,7 @@ def _sliders(scenario: Scenario) -> dict[str, widgets.Widget]:
     """One slider per knob, where the scenario has it; they answer when they are let go."""
     adhesion = load_vehicle().adhesion
     low, high = adhesion[scenario.poor].mu0, adhesion[scenario.good].mu0
-    look = {"continuous_update": False, "style": {"description_width": "10em"}, "layout": {"width": "27em"}}
+    look = {"continuous_update": False, "style": {"description_width": "12em"}, "layout": {"width": "29em"}}
     factor = {"min": -2, "max": 2, "step": 0.1, "readout_format": ".3g"} | look
     return {
         "r": widgets.FloatLogSlider(1.0, description="NMPC: R, times", **factor | {"max": 4}),
