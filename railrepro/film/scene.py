@@ -177,10 +177,12 @@ def friction_bound(series: pd.DataFrame, wheel: str, scenario: Scenario, way: Ro
     """
     share, speed = _poor(series, wheel, way), series[f"{wheel.split('_')[0]}.v"].to_numpy()
     sets = vehicle.adhesion[scenario.good], vehicle.adhesion[scenario.poor]
-    law = [(1 - share) * getattr(sets[0], key) + share * getattr(sets[1], key) for key in ("mu0", "a_ratio", "b_decay")]
+    mu0, a_ratio, b_decay = (
+        (1 - share) * getattr(sets[0], key) + share * getattr(sets[1], key) for key in ("mu0", "a_ratio", "b_decay")
+    )
     rolling = np.hypot(speed, vehicle.contact.rest_speed)
     sliding = rolling * np.hypot(series[f"{wheel}.nu_x"], series[f"{wheel}.nu_y"]).to_numpy()
-    return falling_friction(np, *law, sliding) * series[f"{wheel}.N"].to_numpy()
+    return falling_friction(np, mu0, a_ratio, b_decay, sliding) * series[f"{wheel}.N"].to_numpy()
 
 
 def _way(route: Route) -> pd.DataFrame:
