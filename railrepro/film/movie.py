@@ -13,9 +13,9 @@ from railrepro.files import written
 from railrepro.film.picture import Picture
 from railrepro.film.scene import Film
 
-RATE = 10
+RATE = 8
 """Frames per second."""
-PICTURES = 100
+PICTURES = 80
 """Pictures of a movie, spread over the film."""
 
 
