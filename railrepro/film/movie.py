@@ -38,7 +38,7 @@ def save(film: Film, folder: Path, name: str) -> Path:
             picture.show(0)
             picture.figure.draw_without_rendering()
             picture.figure.set_layout_engine("none")  # laid out once; later frames have the same axes
-            with animation.writers[writer](fps=RATE).saving(picture.figure, str(part), dpi=90) as movie:
+            with animation.writers[writer](fps=RATE).saving(picture.figure, str(part), dpi=110) as movie:
                 for frame in np.linspace(0, film.times.size - 1, min(PICTURES, film.times.size)).astype(int):
                     picture.show(int(frame))
                     movie.grab_frame()
