@@ -54,7 +54,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-slow test-all faults lab score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -92,6 +92,9 @@ lab: $(VENV)  ## open the notebooks in JupyterLab
 
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
 	$(PY) -m railrepro.score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
+
+film: $(VENV)  ## page and movie of runs side by side: FILM=scenario CONTROLLERS="nmpc ndi" TERMS=equal, in build/film
+	$(PY) -m railrepro.film $(if $(FILM)$(CONTROLLERS),"$(or $(FILM),all)") $(CONTROLLERS) $(if $(TERMS),--terms $(TERMS))
 
 leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
 	$(PY) -m railrepro.score.leaderboard
