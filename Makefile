@@ -33,9 +33,9 @@ endif
 # The folder is part of it: a moved or copied clone installs itself again.
 LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | sha256sum | cut -c1-16)
 VENV := .venv/ready-$(LOCK_HASH)
-# Sphinx and what it needs come on top, and only for the book; they share the pins of environment.lock.
+# Sphinx, Typst and what they need come on top, and only for book and article; they share the pins of environment.lock.
 BOOK_LOCK := notebooks/book/book.lock
-BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell sha256sum < $(BOOK_LOCK) | cut -c1-16)
+BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell cat $(BOOK_LOCK) 2>&1 | sha256sum | cut -c1-16)
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
@@ -54,7 +54,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-slow test-all faults lab score leaderboard tune report verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all faults lab score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -101,6 +101,9 @@ tune: $(VENV)  ## tune all controllers on all terms by particle swarm (long, res
 
 report: figures  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro.report.claims
+
+article: figures $(BOOK)  ## the report as an article for a journal, build/article.pdf
+	$(PY) -m railrepro.report.article
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro.chain verify

@@ -32,13 +32,13 @@ def alive(process: int) -> bool:
 
 
 def follow(leader: int, end: Callable[[], None] = lambda: os._exit(1)) -> None:
-    """End when another process does: from a thread call `end` then, and `os._exit` when it has not helped for 3 s."""
+    """End when another process does: from a thread call `end` then, and `os._exit` when it has not helped for 2 s."""
 
     def watch() -> None:
         while alive(leader):
             time.sleep(_LOOK)
         end()
-        time.sleep(3.0)
+        time.sleep(2.0)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="leash").start()

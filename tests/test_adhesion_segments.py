@@ -17,37 +17,38 @@ from railrepro.control.adhesion import AdhesionSettings, base_torque
 LAW = AdhesionSettings(raise_step=2.0, lower_step=5.0, drop_step=15.0, corridor=3e-3, filter_time=4e-3, dead_zone=1e-3)
 LIMIT, PER_ADHESION = 4000.0, 36e3
 SET_POINT, SLIP = 0.05, 0.01
+SPEED = 50.0
 POLE = 1 / 5  # of the filter: 1 ms / (4 ms + 1 ms)
 MEMORY = ("u", "f_0", "f_1", "s_0", "s_1")
 
 
 def law_function():
-    f, s, memory = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", 5)
+    f, s, memory, v = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", 5), ca.SX.sym("v")
     f_star, gains = ca.SX.sym("f_star"), ca.SX.sym("gains", len(LAW.gains()) + 1)
     named = dict(zip((*LAW.gains(), "adhesion.torque_per_adhesion"), ca.vertsplit(gains), strict=True))
     known = dict(zip(MEMORY, ca.vertsplit(memory), strict=True))
-    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, known, named, LIMIT)
+    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, v, known, named, LIMIT)
     kept = ca.vertcat(*(kept[name] for name in MEMORY))
-    return ca.Function("law", [f, s, f_star, memory, gains], [u, kept, segment])
+    return ca.Function("law", [f, s, f_star, v, memory, gains], [u, kept, segment])
 
 
 FUNCTION = law_function()
 
 
-def call(f, s, f_star, memory, settings=LAW):
+def call(f, s, f_star, memory, settings=LAW, v=SPEED):
     """Next torque, memory and segment; all as the controller sees them, slip as printed."""
-    u, kept, segment = FUNCTION(f, s, f_star, memory, [*settings.gains().values(), PER_ADHESION])
+    u, kept, segment = FUNCTION(f, s, f_star, v, memory, [*settings.gains().values(), PER_ADHESION])
     return float(u), np.array(kept).ravel(), int(segment)
 
 
-def change(adhesion, slip=(0.0, 0.0), rise=(0.0, 0.0), u=1000.0, sign=1, settings=LAW, level=SLIP):
+def change(adhesion, slip=(0.0, 0.0), rise=(0.0, 0.0), u=1000.0, sign=1, settings=LAW, level=SLIP, v=SPEED):
     """Change of torque and segment in the demanded direction (sign -1: braking, third quadrant).
 
     Adhesions of both wheels (-), their `rise` since the last call and that of their slip, `slip`, from `level`.
     """
     f, slipped = np.array(adhesion), np.full(2, level)
     memory = sign * np.array([u, *(f - rise), *-(slipped - slip)])
-    found, _, segment = call(sign * f, -sign * slipped, sign * SET_POINT, memory, settings)
+    found, _, segment = call(sign * f, -sign * slipped, sign * SET_POINT, memory, settings, v)
     return sign * found - u, segment
 
 
@@ -117,6 +118,16 @@ def test_dead_zone_is_a_rate_of_the_filtered_slip(share, step, sign):
     rise = -1e-4 * np.sign(share)
     found, _ = change(BELOW, (moved, moved), (rise, rise), sign=sign)
     assert found == pytest.approx(step)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("v", "growth"), [(200.0, 1.0), (100.0, 1.0), (25.0, 4.0), (1.0, 100.0), (0.0, 100.0)])
+def test_dead_zone_grows_as_the_noise_of_slip_does(v, growth, sign):
+    settings = replace(LAW, noise_speed=100.0)
+    for share, step in ((0.99, 2.0), (1.01, -15.0)):
+        moved = share * growth * LAW.dead_zone * EXCHANGE_PERIOD / POLE
+        found, _ = change(BELOW, (moved, moved), BACK, sign=sign, settings=settings, v=v)
+        assert found == pytest.approx(step)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -46,7 +46,7 @@ def drive(law, adhesion, demand, milliseconds, speed=100.0, load=78e3, inertia=6
     names = ("u", "f_0", "f_1", "s_0", "s_1")
     memory = ca.SX.sym("memory", 5)
     old = dict(zip(names, ca.vertsplit(memory), strict=True))
-    u, new, segment = base_torque([f, f], [s, s], f_star, old, gain_, 1e5)
+    u, new, segment = base_torque([f, f], [s, s], f_star, speed, old, gain_, 1e5)
     step = ca.Function("law", [f, s, f_star, memory], [u, ca.vertcat(*(new[n] for n in names)), segment])
     state, slip, rows = np.zeros(5), 0.0, []
     for _ in range(milliseconds):

@@ -132,3 +132,13 @@ def test_behind_noise_the_adhesion_law_still_holds_its_set_point():
     assert demand == pytest.approx(0.05, abs=0.005)
     assert held[None] == pytest.approx(demand, rel=0.15)
     assert held[AdhesionSettings()] < 0.2 * demand
+
+
+def test_behind_noise_the_brake_is_not_let_go_as_the_car_slows_down():
+    """The noise of slip grows as one over the speed; taken for the falling branch it would release the wheels."""
+    run = drive(load_loop(), name="braking", law=MODERATE, speed_kmh=80)
+    still = drive(load_loop(**{"adhesion.noise_speed": 0.0}), name="braking", law=MODERATE, speed_kmh=80)
+    assert run.ended.startswith("stop speed reached")
+    assert still.ended.startswith("end of the run")
+    free = simulate.run(load_scenario("braking").but(speed_kmh=80), MODERATE)
+    assert run.series["front.p"].iloc[-1] == pytest.approx(free.series["front.p"].iloc[-1], rel=0.05)

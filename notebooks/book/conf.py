@@ -48,8 +48,10 @@ html_show_search_summary = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
-autodoc_mock_imports = ["exudyn", "do_mpc", "distributed"]
+autodoc_mock_imports = ["exudyn", "do_mpc", "distributed", "gymnasium"]
 napoleon_google_docstring = False
+# Attributes as fields: one that is also a property is described once.
+napoleon_use_ivar = True
 
 
 def _numbered(app, what, name, obj, options, lines):

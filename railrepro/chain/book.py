@@ -36,7 +36,8 @@ def html() -> Path:
 
 def _source(folder: Path) -> Path:
     """Write the source of the book; returns its folder."""
-    from railrepro.report import notation
+    from railrepro.report import article, claims, notation
+    from railrepro.report.evidence import Nominal
     from railrepro.studies import statements
 
     notebooks = chain()
@@ -58,6 +59,10 @@ def _source(folder: Path) -> Path:
         chapter = pages.chapter(notebook, contents[notebook.name], home, rows)
         write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
     write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
+    nominal = Nominal()
+    text = article.render(claims.evaluate(nominal), nominal)
+    write(folder / "article.md", article.for_the_book(text))
+    write(folder / "article.pdf", article.pdf(text))
     write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
     for name, text in pages.reference().items():
         write(folder / "reference" / f"{name}.md", text)

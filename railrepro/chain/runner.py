@@ -160,14 +160,16 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
         try:
             bar = {"desc": notebook.name, "leave": False} if sys.stderr.isatty() and not _beside_others() else False
             options = {"parameters": parameters, "kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": bar}
-            own = {"allow_errors": keep_going, "kernel_manager_class": Kernel}
+            # a busy machine may let a kernel wait: without these nbclient gives up after 4 s and loses outputs
+            patience = {"start_timeout": 300, "iopub_timeout": 300}
+            own = {"allow_errors": keep_going, "kernel_manager_class": Kernel} | patience
             papermill.execute_notebook(str(notebook.path), str(output), **options, **own)
         except papermill.PapermillExecutionError:
             deterministic(output)
             move(output, failed)
             where, message = _first_failure(failed)
             raise InputError(f"{notebook.name}: {where} failed with {message} (kept {_short(failed)})") from None
-        except RuntimeError as error:
+        except (RuntimeError, TimeoutError) as error:
             reason = str(error).partition("\n")[0]
             raise InputError(f"{notebook.name}: the kernel did not start or ended before its time ({reason})") from None
         finally:

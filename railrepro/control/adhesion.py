@@ -22,8 +22,13 @@ _RANGES = {
     "corridor": between(0.0, 1.0),
     "filter_time": between(0.0, 10.0, "s"),
     "dead_zone": between(0.0, 1e9, "1/s"),
+    "noise_speed": between(0.0, 1e3, "m/s"),
     "active": bool,
 }
+
+
+SLOWEST = 1.0
+"""Speed below which the dead zone grows no more (m/s)."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,8 @@ class AdhesionSettings:
         Time constant of the derivative filters (s).
     dead_zone : float
         Slip rate below which the switching function is ignored (1/s).
+    noise_speed : float
+        Speed below which the dead zone grows as 1/v, as the noise of a slip made of speeds does (m/s); 0: constant.
     active : bool
         False gives the baseline without slip control: the torque follows the demand with `raise_step`.
 
@@ -59,6 +66,7 @@ class AdhesionSettings:
     corridor: float = 0.003
     filter_time: float = 5e-3
     dead_zone: float = 1e-3
+    noise_speed: float = 0.0
     active: bool = True
     memory: ClassVar[tuple[str, ...]] = ("u", "f_0", "f_1", "s_0", "s_1")
     """Names of the states of the law, see `base_torque`."""
@@ -72,7 +80,7 @@ class AdhesionSettings:
         return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
 
 
-def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
+def base_torque(f, s, f_star, v, memory: dict, gain, tau_max) -> tuple:
     """Next base torque of one running gear.
 
     Parameters
@@ -81,6 +89,8 @@ def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
         Estimated adhesion (traction-positive) and slip s = (v - w r)/v of the left and right wheel (-).
     f_star : SX
         Adhesion set point, traction-positive (-).
+    v : SX
+        Speed (m/s).
     memory : dict of SX
         u (N m), f_0, f_1, s_0, s_1: base torque and filtered estimates of the previous call.
     gain : mapping
@@ -102,13 +112,14 @@ def base_torque(f, s, f_star, memory: dict, gain, tau_max) -> tuple:
     """
     sign = ca.if_else(f_star < 0, -1, 1)
     pole = EXCHANGE_PERIOD / (gain["adhesion.filter_time"] + EXCHANGE_PERIOD)
+    dead_zone = gain["adhesion.dead_zone"] * ca.fmax(1, gain["adhesion.noise_speed"] / ca.fmax(v, SLOWEST))
     filtered, unstable = {}, 0
     for i in range(2):
         filtered[f"f_{i}"] = memory[f"f_{i}"] + pole * (f[i] - memory[f"f_{i}"])
         filtered[f"s_{i}"] = memory[f"s_{i}"] + pole * (s[i] - memory[f"s_{i}"])
         f_rate = sign * (filtered[f"f_{i}"] - memory[f"f_{i}"]) / EXCHANGE_PERIOD
         s_rate = -sign * (filtered[f"s_{i}"] - memory[f"s_{i}"]) / EXCHANGE_PERIOD
-        falling = ca.logic_and(f_rate * s_rate < 0, ca.fabs(s_rate) > gain["adhesion.dead_zone"])
+        falling = ca.logic_and(f_rate * s_rate < 0, ca.fabs(s_rate) > dead_zone)
         unstable = ca.logic_or(unstable, ca.logic_and(falling, sign * s[i] < 0))
     error = sign * (f_star - (f[0] + f[1]) / 2)
     above, below = error < -gain["adhesion.corridor"], error > gain["adhesion.corridor"]

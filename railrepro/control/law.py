@@ -276,7 +276,7 @@ def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = Adh
         if along is SlipSettings:
             u_d, kept, segment = slip.base_torque(f, s, f_star, state["xdot"], old["ticks"], own, gain, model)
         else:
-            u_d, kept, segment = base_torque(f, s, f_star, own, gain, model["tau_max"])
+            u_d, kept, segment = base_torque(f, s, f_star, state["xdot"], own, gain, model["tau_max"])
 
         state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
         wanted, following = _lateral(kind, state, road, own, gain, model)

@@ -119,6 +119,7 @@ class Adhesion:
 
     filter_time: _upto(1.0, "s")
     dead_zone: _upto(10.0, "1/s")
+    noise_speed: _upto(200.0, "m/s")
 
 
 @schema.table
@@ -155,7 +156,7 @@ class Loop:
             )
             for group in dict.fromkeys(_GROUP.values())
         }
-        return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3))
+        return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:

@@ -76,7 +76,7 @@ def _row(identity: str, statement: Statement, terms: str, nominal: Nominal, robu
         "why": _why(statement, finding, verdict, share if fragile else None, nominal),
         "evidence": statement.evidence,
         "nominal": verdict,
-        "data": " ".join(f"data/results/{name}.csv" for name in used),
+        "data": " ".join(used),
     }
 
 
@@ -84,13 +84,10 @@ def _found(identity: str, statement: Statement, terms: str, nominal: Nominal) ->
     """What the predicate finds on some terms and in which tables; None when nothing can tell."""
     if statement.kind == "calibrated":
         return None, []
-    evidence = nominal.evidence(terms or tuning.EQUAL, tables=not terms)
-    nominal.results.used.clear()
     try:
-        finding = statements.find(identity, evidence)
+        return nominal.traced(lambda: statements.find(identity, nominal.evidence(terms or tuning.EQUAL, not terms)))
     except MissingEvidence:
         return None, []
-    return finding, nominal.sources(terms, evidence.metrics.keys_asked) if terms else sorted(nominal.results.used)
 
 
 def _why(statement: Statement, finding: Finding | None, verdict: str, share, nominal: Nominal) -> str:
@@ -101,7 +98,7 @@ def _why(statement: Statement, finding: Finding | None, verdict: str, share, nom
         return "The tables do not have it yet; `make study` writes them."
     words = [f"Fragile: holds in {100 * share['share']:.0f} % of the samples."] if share is not None else []
     words += ["A tie: seeds differ as much."] if statement.tied(finding) else []
-    words += [filled(statement.why, nominal)] if verdict in (NOT, PARTLY) else []
+    words += [filled(statement.why, nominal)] if verdict in (NOT, PARTLY) or share is not None else []
     return " ".join(filter(None, words))
 
 

@@ -7,9 +7,10 @@ terms_metrics.csv (notebook 14_terms) and nominal_metrics.csv (`make study`).
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -22,24 +23,30 @@ from railrepro.studies import probe, tuning
 from railrepro.studies.statements import BRAKE, LOSS, NDI, NOTHING, REGULAR, SOFT, SOFTEST, T3, Evidence
 
 Key = tuple[str, str, str]
+Found = TypeVar("Found")
 _CASES = {"NMPC, tuned": "nmpc", r_times(EMPHASIS, "NMPC"): SOFT, "NDI": NDI, "no slip control": "no slip control"}
 _SHARED = ("nominal_metrics", "terms_metrics")
 """Tables for all terms; the later one counts."""
 
 
 class Results:
-    """Tables of data/results; `used` lists those that were asked for."""
+    """Tables of data/results; `used` lists the files that were asked for, relative to the checkout."""
 
     def __init__(self) -> None:
         self.used: set[str] = set()
 
     def __call__(self, name: str) -> pd.DataFrame:
         """A table, or InputError when it is missing."""
-        file = paths.source(f"data/results/{name}.csv")
+        file = self.file(f"data/results/{name}.csv")
+        return _read(file, file.stat().st_mtime_ns).copy()
+
+    def file(self, relative: str) -> Path:
+        """A file that numbers come from, or InputError when it is missing."""
+        file = paths.source(relative)
         if not file.exists():
             raise InputError(f"{file.name}: is missing; `make figures` makes it")
-        self.used |= {name}
-        return _read(file, file.stat().st_mtime_ns).copy()
+        self.used |= {relative}
+        return file
 
     def optional(self, name: str) -> pd.DataFrame | None:
         """A table, or None when it is missing."""
@@ -52,15 +59,22 @@ def _read(file: Path, _changed: int) -> pd.DataFrame:
 
 
 class Asked(dict):
-    """Metrics that remember which of them were asked for."""
+    """Metrics on some terms that remember in `asked` which of them were asked for, and where a run had failed."""
 
-    def __init__(self, metrics: Mapping[Key, float]):
+    def __init__(self, metrics: Mapping[Key, float], terms: str, asked: set[tuple[str, Key]]):
         super().__init__(metrics)
-        self.keys_asked: set[Key] = set()
+        self._terms, self._asked = terms, asked
 
     def __getitem__(self, key: Key) -> float:
         value = super().__getitem__(key)
-        self.keys_asked.add(key)
+        self._asked.add((self._terms, key))
+        return value
+
+    def get(self, key: Key, default=None):
+        """A metric; that a run had failed is the answer, that it had not is none."""
+        value = super().get(key, default)
+        if key in self and value:
+            self._asked.add((self._terms, key))
         return value
 
 
@@ -75,6 +89,7 @@ class Nominal:
 
     def __init__(self, results: Results | None = None):
         self.results = results or Results()
+        self._asked: set[tuple[str, Key]] = set()
         self._known: dict[str, tuple[dict[Key, float], dict[Key, float]]] = {}
 
     @cached_property
@@ -99,22 +114,29 @@ class Nominal:
             metrics |= self._figures if terms == tuning.EQUAL else {}
             self._known[terms] = idle(metrics) | metrics, spread
         metrics, spread = self._known[terms]
-        return Evidence(Asked(metrics), spread, self.results if tables else None)
+        return Evidence(Asked(metrics, terms, self._asked), spread, self.results if tables else None)
 
-    def sources(self, terms: str, keys: Iterable[Key]) -> list[str]:
-        """Tables that some metrics come from."""
-        found = set()
-        for scenario, controller, metric in keys:
-            if controller == NOTHING and metric != "slip_at_maximum":
-                continue
-            if terms == tuning.EQUAL and (scenario, controller, metric) in self._figures:
-                found |= {_figure_table(scenario, metric)}
-                continue
-            for name, table in reversed(self._shared.items()):
-                if ((table["scenario"] == scenario) & (table["metric"] == metric)).any():
-                    found |= {name}
-                    break
-        return sorted(found)
+    def traced(self, found: Callable[[], Found]) -> tuple[Found, list[str]]:
+        """What a function finds, and the files that it comes from, relative to the checkout."""
+        for terms in self.terms():
+            self.evidence(terms)  # so that what making it reads does not count
+        self._asked.clear()
+        self.results.used.clear()
+        value = found()
+        metrics = {file for terms, key in self._asked for file in self._source(terms, *key)}
+        files = {file for file in (metrics | self.results.used) if not file.endswith("scenarios.toml")}
+        return value, sorted(files or metrics | self.results.used)
+
+    def _source(self, terms: str, scenario: str, controller: str, metric: str) -> list[str]:
+        """The file that a metric comes from."""
+        if controller == NOTHING and metric != "slip_at_maximum":
+            return ["data/scenarios.toml"]
+        if terms == tuning.EQUAL and (scenario, controller, metric) in self._figures:
+            return [f"data/results/{_figure_table(scenario, metric)}.csv"]
+        for name, table in reversed(self._shared.items()):
+            if ((table["scenario"] == scenario) & (table["metric"] == metric)).any():
+                return [f"data/results/{name}.csv"]
+        return []
 
     @cached_property
     def _figures(self) -> dict[Key, float]:

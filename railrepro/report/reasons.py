@@ -1,6 +1,7 @@
-"""Numbers in the report's prose: placeholders of data/claims.toml and of the page, filled in from the results.
+"""Numbers in prose: placeholders of data/claims.toml, of the page and of the article, filled in from the results.
 
-{equal: scenario/controller/metric unit} is a metric on some terms, {name} an entry of `NAMED`.
+{equal: scenario/controller/metric unit} is a metric on some terms, {printed: what} a number of data/paper_numbers.csv,
+{name} an entry of `NAMED`.
 """
 
 from __future__ import annotations
@@ -10,15 +11,21 @@ import re
 from collections.abc import Callable
 
 import numpy as np
+import pandas as pd
 
 from railrepro import paths
+from railrepro.car.equations import BODIES, COORDINATES, WHEELS
+from railrepro.errors import InputError
 from railrepro.report.evidence import Nominal
+from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies import statements, tuning
 from railrepro.studies.statements import MissingEvidence
+from railrepro.vehicle.parameters import sample_ranges
 
 UNKNOWN = "n/a"
 NAMED: dict[str, Callable[[Nominal], str]] = {}
-_PLACE = re.compile(r"\{(?:(\w+): ([^{}/]+)/([^{}/]+)/(\w+)(?: (mm|m|%))?|(\w+))\}")
+_PLACE = re.compile(r"\{(?:(\w+): ([^{}/]+)/([^{}/]+)/(\w+)(?: (mm|m|%))?|printed: ([^{}]+)|(\w+))\}")
+_PRINTED = "data/paper_numbers.csv"
 
 
 def named(function: Callable[[Nominal], str]) -> Callable:
@@ -27,19 +34,63 @@ def named(function: Callable[[Nominal], str]) -> Callable:
     return function
 
 
-def filled(text: str, nominal: Nominal) -> str:
-    """A text with its placeholders filled in; what the results do not have reads n/a."""
+def filled(text: str, nominal: Nominal, linked: bool = False, strict: bool = False) -> str:
+    """A text with its placeholders filled in.
+
+    Parameters
+    ----------
+    text : str
+    nominal : Nominal
+    linked : bool
+        Whether each number is a Markdown link to the file that it comes from.
+    strict : bool
+        Whether what the results do not have is refused; else it reads n/a.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        When a placeholder names no number; with `strict` also when the results do not have it.
+    """
 
     def number(match: re.Match) -> str:
-        terms, scenario, controller, metric, unit, name = match.groups()
-        if name:
-            return NAMED[name](nominal)
+        terms, scenario, controller, metric, unit, printed, name = match.groups()
+        if terms and terms not in tuning.TERMS:
+            raise InputError(f"{match[0]}: {terms!r} are no terms; there are {', '.join(tuning.TERMS)}")
+        if name and name not in NAMED:
+            raise InputError(f"{match[0]}: is no number of the prose; there are {', '.join(sorted(NAMED))}")
         try:
-            return quantity(nominal.evidence(terms)(scenario, controller, metric), unit or "")
+            if printed:
+                value, files = _printed(printed), [_PRINTED]
+            elif name:
+                value, files = nominal.traced(lambda: NAMED[name](nominal))
+            else:
+                value, files = nominal.traced(
+                    lambda: quantity(nominal.evidence(terms)(scenario, controller, metric), unit or "")
+                )
         except MissingEvidence:
-            return UNKNOWN
+            value, files = UNKNOWN, []
+        if strict and value == UNKNOWN:
+            raise InputError(f"{match[0]}: the results do not have it")
+        return link(value, files) if linked else value
 
     return _PLACE.sub(number, text)
+
+
+def link(value: str, files: list[str]) -> str:
+    """A number as a Markdown link to the first of the files that it comes from; bare when there is none."""
+    return f"[{value}]({files[0]})" if files and value != UNKNOWN else value
+
+
+def _printed(what: str) -> str:
+    """A number that the paper prints, with its unit."""
+    table = pd.read_csv(paths.source(_PRINTED), dtype=str).set_index("what")
+    if what not in table.index:
+        raise InputError(f"{{printed: {what}}}: paper_numbers.csv has no such number")
+    return f"{table.loc[what, 'paper']} {table.loc[what, 'unit']}".removesuffix(" -")
 
 
 def quantity(value: float, unit: str = "") -> str:
@@ -137,7 +188,7 @@ def _error_2m(nominal: Nominal) -> str:
 
 @named
 def _nmpc_period(nominal: Nominal) -> str:
-    file = paths.source(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
+    file = nominal.results.file(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
     return f"{json.loads(file.read_text(encoding='utf-8'))['parameters']['period_ms']:g} ms"
 
 
@@ -176,3 +227,81 @@ def _front_range(nominal: Nominal) -> str:
 def _front_share(nominal: Nominal) -> str:
     saved, longest = _front(nominal)
     return quantity(saved / longest, "%")
+
+
+@named
+def _degrees_of_freedom(nominal: Nominal) -> str:
+    """Those of the bodies, and one per wheel."""
+    nominal.results.file("railrepro/car/equations.py")
+    return f"{len(BODIES) * len(COORDINATES) // 2 + len(WHEELS)}"
+
+
+@named
+def _errata(nominal: Nominal) -> str:
+    return f"{len(pd.read_csv(nominal.results.file('data/discrepancies.csv')))}"
+
+
+@named
+def _designed_pole(nominal: Nominal) -> str:
+    nominal.results.file("data/tuning.toml")
+    return quantity(tuning.load("ndi", "paper")["parameters"]["pole"])
+
+
+@named
+def _swarms(nominal: Nominal) -> str:
+    nominal.results.file("data/tuning.toml")
+    return f"{len(tuning.load_task().budget['seeds'])}"
+
+
+@named
+def _unpublished(nominal: Nominal) -> str:
+    """Parameters of the car that the robustness study varies."""
+    nominal.results.file("data/vehicle.toml")
+    return f"{sum(not key.startswith('adhesion.') for key in sample_ranges())}"
+
+
+@named
+def _delay_survived(nominal: Nominal) -> str:
+    """Largest delay (ms) that NMPC of the terms `paper` survives at 400 km/h on dry rail."""
+    return _survived(nominal, "paper", "dry")
+
+
+@named
+def _delay_survived_equal(nominal: Nominal) -> str:
+    """The same of NMPC of equal terms."""
+    return _survived(nominal, "equal", "dry")
+
+
+def _survived(nominal: Nominal, terms: str, rail: str) -> str:
+    table = nominal.results("margins").query(
+        "terms == @terms and rail == @rail and controller == 'nmpc' and quantity == 'delay'"
+    )
+    return quantity(1e3 * float(table["largest"].iloc[0]))
+
+
+def _set_point(scenario: str) -> Callable[[Nominal], str]:
+    """Amplitude and wavelengths of a scenario's set point."""
+
+    def found(nominal: Nominal) -> str:
+        nominal.results.file("data/scenarios.toml")
+        point = load_scenario(scenario).set_point
+        waves = [f"{value:g}" for key, value in point.items() if key.startswith("period")]
+        return f"{point['amplitude_mm']:g} mm, {' to '.join(waves)} m"
+
+    return found
+
+
+NAMED |= {
+    "sweep_on_t3": _set_point("curve_entry_T3"),
+    "sine_on_t5": _set_point("sine_tracking"),
+    "sine_on_poor": _set_point("adhesion_loss"),
+}
+
+
+@named
+def _car_checks(nominal: Nominal) -> str:
+    """Checks of the car that are within their limits; InputError when one is not."""
+    table = nominal.results("car_checks")
+    if (table["value"].abs() > table["limit"]).any():
+        raise InputError("car_checks.csv: a check of the car is beyond its limit")
+    return f"{len(table)}"

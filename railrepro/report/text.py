@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,9 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.control.registry import PAPER_TRIO
+from railrepro.errors import InputError
 from railrepro.report.evidence import Nominal
-from railrepro.report.reasons import UNKNOWN, filled, quantity
+from railrepro.report.reasons import filled, link, quantity
 from railrepro.studies import statements, tuning
 from railrepro.studies.statements import MissingEvidence
 
@@ -40,66 +41,104 @@ def render(table: pd.DataFrame, nominal: Nominal) -> str:
     -------
     str
     """
-    page = paths.source("data/replication_page.md").read_text(encoding="utf-8")
     blocks: dict[str, Callable[[], list[str]]] = {
-        "counts": lambda: _counts(table),
-        "headline": lambda: _headline(nominal),
+        "counts": lambda: [f"**{counted(table)}** {without(table)}"],
+        "headline": lambda: headline(nominal),
         "tied": lambda: _tied(table),
         "numbers": lambda: _numbers(nominal),
-        "questions": lambda: _questions(nominal),
+        "questions": lambda: questions(nominal),
         "statements": lambda: _statements(table, nominal),
-        "matching": lambda: _matching(nominal),
+        "matching": lambda: matched(nominal),
         "robustness": lambda: _how_sure(nominal),
         "errata": lambda: _register(nominal),
         "rules": lambda: _rules(table),
     }
-    lines = []
-    for line in page.splitlines():
+    return page("data/replication_page.md", blocks, lambda line: filled(line, nominal, linked=True))
+
+
+def page(relative: str, blocks: Mapping[str, Callable[[], list[str]]], fill: Callable[[str], str]) -> str:
+    """A page with its blocks, lines like [[counts]], and the placeholders of its prose filled in.
+
+    Raises
+    ------
+    InputError
+        With file and line, when there is no such block or number.
+    """
+    file, lines = paths.source(relative), []
+    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
         block = re.fullmatch(r"\[\[(\w+)\]\]", line)
-        lines += blocks[block[1]]() if block else [filled(line, nominal)]
+        if block and block[1] not in blocks:
+            raise InputError(f"{file.name} line {number}: {line} is no block; there are {', '.join(sorted(blocks))}")
+        try:
+            lines += blocks[block[1]]() if block else [fill(line)]
+        except InputError as error:
+            raise InputError(f"{file.name} line {number}: {error}") from error
     return "\n".join(lines) + "\n"
 
 
-def _rows(rows: list[list[str]], heads: list[str]) -> list[str]:
+def rows_of(rows: list[list[str]], heads: list[str], widths: Sequence[int] = ()) -> list[str]:
+    """A table in Markdown; `widths` are relative, for a page that has a width."""
     return [
         "| " + " | ".join(heads) + " |",
-        "|" + "---|" * len(heads),
+        "|" + "".join("-" * width + "|" for width in widths or [3] * len(heads)),
         *("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows),
     ]
 
 
 def _number(value: float, unit: str = "") -> str:
-    if np.isinf(value):
-        return "infinite"
-    return "" if not np.isfinite(value) else f"{value:.3g}{'' if unit in ('', '-') else ' ' + unit}"
+    if np.isnan(value):
+        return "no value"
+    return "a run failed" if np.isinf(value) else f"{value:.3g}{'' if unit in ('', '-') else ' ' + unit}"
 
 
-def _overall(table: pd.DataFrame) -> dict[str, str]:
+def overall(table: pd.DataFrame) -> dict[str, str]:
+    """Verdict over all terms by statement."""
     from railrepro.report.claims import verdicts
 
     return verdicts(table)
 
 
-def _counts(table: pd.DataFrame) -> list[str]:
+ORDER = ("reproduced", "reproduced on some terms only", "fragile", "partly", "not reproduced", "not testable")
+"""Kinds of verdict over all terms."""
+
+
+def kinds(table: pd.DataFrame) -> dict[str, list[str]]:
+    """Ids of the judged statements by kind of verdict, in the order of `ORDER`."""
     from railrepro.report.claims import NO_VERDICT
 
-    found = pd.Series(_overall(table))
-    judged = found[found != NO_VERDICT]
-    kinds = judged.str.replace(r" on terms .*", " on some terms only", regex=True).value_counts()
-    order = ["reproduced", "reproduced on some terms only", "fragile", "partly", "not reproduced", "not testable"]
-    parts = [f"{kinds[kind]} {kind}" for kind in order if kind in kinds]
-    other = f" {len(found) - len(judged)} numbers of the paper set choices of ours and get no verdict."
-    return ["**" + ", ".join(parts) + f", of {len(judged)} statements.**" + other]
+    found: dict[str, list[str]] = {kind: [] for kind in ORDER}
+    for identity, verdict in overall(table).items():
+        if verdict != NO_VERDICT:
+            found[re.sub(r" on terms .*", " on some terms only", verdict)].append(identity)
+    return {kind: ids for kind, ids in found.items() if ids}
+
+
+def counted(table: pd.DataFrame) -> str:
+    """How many statements have which verdict."""
+    found = kinds(table)
+    parts = [f"{len(ids)} {kind}" for kind, ids in found.items()]
+    return ", ".join(parts) + f", of {sum(map(len, found.values()))} statements."
+
+
+def without(table: pd.DataFrame) -> str:
+    """How many statements have no verdict."""
+    number = len(overall(table)) - sum(map(len, kinds(table).values()))
+    return f"{number} numbers of the paper set choices of ours and get no verdict."
 
 
 def _cell(nominal: Nominal, terms: str, scenario: str, controller: str, metric: str, unit: str) -> str:
+    """A linked number of the headline table, without its unit."""
+
+    def found() -> str:
+        return quantity(nominal.evidence(terms)(scenario, controller, metric), unit).removesuffix(" mm")
+
     try:
-        return quantity(nominal.evidence(terms)(scenario, controller, metric), unit)
+        return link(*nominal.traced(found))
     except MissingEvidence:
-        return UNKNOWN
+        return "–"
 
 
-def _headline(nominal: Nominal) -> list[str]:
+def headline(nominal: Nominal, widths: Sequence[int] = ()) -> list[str]:
     """The paper's headline results and ours, on the three terms."""
     ranking = "NMPC < LTV-MPC < NDI"
     results = [
@@ -111,25 +150,20 @@ def _headline(nominal: Nominal) -> list[str]:
     ]  # fmt: skip
     rows = []
     for what, paper, scenario, metric, unit in results:
-        own = []
-        for terms in tuning.TERMS:
-            found = {name: _cell(nominal, terms, scenario, name, metric, "") for name in PAPER_TRIO}
-            if unit == "mm":
-                found = {name: _in_mm(nominal, terms, scenario, name, metric) for name in PAPER_TRIO}
-            known = [value for value in found.values() if value != UNKNOWN]
-            own.append(" / ".join(found.values()) if known else UNKNOWN)
+        shown = "mm" if unit == "mm" else ""
+        own = [
+            " / ".join(_cell(nominal, terms, scenario, name, metric, shown) for name in PAPER_TRIO)
+            for terms in tuning.TERMS
+        ]
         rows.append([f"{what} ({unit})", paper, *own])
-    note = "Ours as NMPC / LTV-MPC as printed / NDI."
-    return [*_rows(rows, ["result", "paper", *(f"`{terms}`" for terms in tuning.TERMS)]), "", note]
-
-
-def _in_mm(nominal: Nominal, terms: str, scenario: str, controller: str, metric: str) -> str:
-    return _cell(nominal, terms, scenario, controller, metric, "mm").removesuffix(" mm")
+    note = "Ours as NMPC / LTV-MPC as printed / NDI; the paper brakes without LTV-MPC."
+    heads = ["result", "the paper", *(f"`{terms}`" for terms in tuning.TERMS)]
+    return [*rows_of(rows, heads, widths), "", note]
 
 
 def _tied(table: pd.DataFrame) -> list[str]:
     """Where the paper's orders hold, from the verdicts themselves."""
-    found = _overall(table)
+    found = overall(table)
     orders = {"C05": "MPC before NDI on T3", "C16": "the ranking on T1 to T4", "C20": "MPC before NDI over speed"}
     return ["Orders: " + "; ".join(f"{what} ({i}): {found[i]}" for i, what in orders.items()) + "."]
 
@@ -137,17 +171,21 @@ def _tied(table: pd.DataFrame) -> list[str]:
 def _numbers(nominal: Nominal) -> list[str]:
     table = pd.read_csv(paths.source("data/paper_numbers.csv"), dtype=str)
     rows = [
-        [row.what, f"{row.paper} {row.unit}".removesuffix(" -"), row.role, filled(row.here, nominal), _file(row.where)]
+        [
+            row.what, f"{row.paper} {row.unit}".removesuffix(" -"), row.role, filled(row.here, nominal, linked=True),
+            file_link(row.where),
+        ]
         for row in table.itertuples()
-    ]
-    return _rows(rows, ["number", "paper", "role", "here", "table"])
+    ]  # fmt: skip
+    return rows_of(rows, ["number", "paper", "role", "here", "table"])
 
 
-def _file(name: str) -> str:
+def file_link(name: str) -> str:
+    """A link to a file of the checkout, under its bare name."""
     return f"[{Path(name).name}]({name})"
 
 
-def _questions(nominal: Nominal) -> list[str]:
+def questions(nominal: Nominal) -> list[str]:
     """Unpublished numbers, by how much knowing them would narrow the region in which the statements hold together."""
     general = [
         "Poles (or gains) of the NDI, its sampling, and whether it has integral action or set-point rates.",
@@ -169,7 +207,7 @@ def _evidence(statement: statements.Statement, data: str) -> str:
     title, anchor = (f", cell {cell}", f"#cell-id={cell}") if cell else ("", "")
     links.append(f"[{statement.notebook}{title}](notebooks/{statement.notebook}.ipynb{anchor})")
     tables = dict.fromkeys([*data.split(), *([name] if "/" in name else [])])
-    return ", ".join([*links, *map(_file, tables)])
+    return ", ".join([*links, *map(file_link, tables)])
 
 
 def _source(notebook: str, product: str) -> str:
@@ -180,7 +218,7 @@ def _source(notebook: str, product: str) -> str:
 
 
 def _statements(table: pd.DataFrame, nominal: Nominal) -> list[str]:
-    known, overall, lines = statements.load(), _overall(table), []
+    known, found, lines = statements.load(), overall(table), []
     for section in _SECTIONS:
         here = table[table["paper_ref"].str.startswith(section)]
         if here.empty:
@@ -193,13 +231,18 @@ def _statements(table: pd.DataFrame, nominal: Nominal) -> list[str]:
             rule = f"{_rule(statement)}: {statement.reason}"
             rows.append(
                 [
-                    str(identity), statement.statement, "<br>".join(shown), f"**{overall[str(identity)]}**", rule,
+                    str(identity), statement.statement, "<br>".join(shown), f"**{found[str(identity)]}**", rule,
                     _evidence(statement, data),
                 ]
             )  # fmt: skip
             reasons += _reasons(str(identity), statement, own, nominal)
-        lines += [*_rows(rows, ["id", "statement", "found", "verdict", "holds when", "evidence"]), "", *reasons]
-    return lines
+        lines += [*rows_of(rows, ["id", "statement", "found", "verdict", "holds when", "evidence"]), "", *reasons]
+    return lines[:-1]
+
+
+def marked(row) -> str:
+    """Mark of the verdict on some terms, and the share of the samples when they tell."""
+    return _MARK[row.verdict] + (f" {100 * row.share:.0f} %" if np.isfinite(row.share) else "")
 
 
 def _shown(row) -> str:
@@ -223,45 +266,108 @@ def _reasons(identity: str, statement: statements.Statement, own: pd.DataFrame, 
     """Why a statement is not reproduced and what would have to be true; nothing for one that is."""
     if (own["verdict"] == "reproduced").all():
         return []
-    words = dict.fromkeys(word for word in own["why"] if word)
-    if len(words) > 1:
-        shown = [
-            f"`{row.terms}`: {row.why}"
-            for row in own.itertuples()
-            if row.why and row.why != filled(statement.why, nominal)
-        ]
-        common = filled(statement.why, nominal)
-        words = dict.fromkeys([*([common] if common in words else []), *shown])
-    if not words:
-        return []
-    lines = [f"- **{identity}**, why: {' '.join(words)}"]
-    if statement.holds_if:
-        lines.append(f"  Would hold if {filled(statement.holds_if, nominal)}")
-    return [*lines, ""]
+    common, special = filled(statement.why, nominal), {}
+    for row in own.itertuples():
+        words = row.why.replace(common, "").strip() if common else row.why
+        special.setdefault(words, []).append(f"`{row.terms}`" if row.terms else "")
+    said = [", ".join(filter(None, terms)) + (": " if any(terms) else "") + w for w, terms in special.items() if w]
+    if common and own["why"].str.contains(common, regex=False).any():
+        said = [filled(statement.why, nominal, linked=True), *said]
+    lines = [f"- **{identity}**, why: {' '.join(said)}"]
+    condition = would_hold(identity, statement, own, nominal)
+    return [*lines, f"  Would hold if {condition}", ""] if condition else [*lines, ""]
 
 
-def _matching(nominal: Nominal) -> list[str]:
+def would_hold(identity: str, statement: statements.Statement, own: pd.DataFrame, nominal: Nominal) -> str:
+    """What would have to be true for a statement to hold; for a fragile one also what decides over the samples."""
+    said = [filled(statement.holds_if, nominal, linked=True)] if statement.holds_if else []
+    shaky = own[(own["nominal"] == statements.REPRODUCED) & (own["verdict"] != statements.REPRODUCED)]
+    study = nominal.results.optional("robustness_claims")
+    if shaky.empty or study is None:
+        return " ".join(said)
+    rows = study[(study["id"] == identity) & study["terms"].isin(shaky["terms"])]
+    decided = [f"`{row.terms}`: {row.decided_by}" for row in rows.itertuples() if isinstance(row.decided_by, str)]
+    found = "; ".join(decided) if decided else "no single parameter"
+    samples = f"over the samples [decides](data/results/robustness_claims.csv) (rank correlation) {found}."
+    return " ".join([*said, samples if not said else samples[0].upper() + samples[1:]])
+
+
+_MATCHING = "data/results/matching_{}.csv"
+
+
+def matched(nominal: Nominal) -> list[str]:
     """What the history matching found; what to run when it was not run yet."""
     waves = nominal.results.optional("matching_waves")
     if waves is None:
         return ["Not run yet: `python -m railrepro.studies.matching` (part of `make study`)."]
-    last = waves.iloc[-1]
+    last, where = waves.iloc[-1], _MATCHING.format("waves")
+    share, number, probes, most = (
+        link(text, [where])
+        for text in (
+            quantity(last["surviving_share"], "%"),
+            f"{len(waves)}",
+            f"{int(waves['points'].sum())}",
+            f"{int(last['most_statements'])} of {int(last['statements'])}",
+        )
+    )
+    allowed = int(last["allowed"])
+    there = f"no more than {link(f'{allowed}', [where])} statements are" if allowed else "no statement is"
     lines = [
         f"Of the prior (vehicle data, poles, weights, sampling, delay, profile and experiments over their ranges) "
-        f"{quantity(last['surviving_share'], '%')} survive {len(waves)} waves and {int(waves['points'].sum())} probes: "
-        f"there no statement is implausible. At best {int(last['most_statements'])} of {int(last['statements'])} "
-        f"statements hold in one probe.",
-        "",
-        "Tables: "
-        + ", ".join(_file(f"data/results/matching_{n}.csv") for n in ("waves", "region", "best", "questions")),
+        f"{share} survive {number} waves and {probes} probes: there {there} implausible. "
+        f"At best {most} statements hold in one probe.{_closest(nominal)}",
         "",
     ]
+    if region_figure():
+        lines += [f"![region](figures/{region_figure()}.png)", ""]
+    region = nominal.results.optional("matching_region")
+    if region is not None:
+        rows = [
+            [row.what, *(f"{_rounded(low)} to {_rounded(high)}" for low, high in _ranges(row))]
+            for row in region.sort_values("narrowing", ascending=False).head(6).itertuples()
+        ]
+        lines += [
+            f"Where the region is narrowest ([all]({_MATCHING.format('region')})), nine tenths of what is left:",
+            "",
+        ]
+        lines += [*rows_of(rows, ["what", "prior", "left"]), ""]
+    return [*lines, *conflicting(nominal)]
+
+
+def _ranges(row) -> tuple[tuple[float, float], ...]:
+    return (row.prior_low, row.prior_high), (row.low, row.high)
+
+
+def _rounded(value: float) -> str:
+    """Three digits, without an exponent below a million."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def _closest(nominal: Nominal) -> str:
+    """Which statements fail in the best probe, the named set `paper_like`."""
+    if not paths.source("data/results/paper_like.json").exists():
+        return ""
+    closest = json.loads(nominal.results.file("data/results/paper_like.json").read_text(encoding="utf-8"))
+    failing = ", ".join(closest["fails"]) or "none"
+    return f" That probe is the named set [paper_like](data/results/paper_like.json); there fail: {failing}."
+
+
+def region_figure() -> str:
+    """Name of the figure of the region that is left, when a notebook has drawn it."""
+    return next((file.stem for file in sorted(paths.source("figures").glob("fig*_region.png"))), "")
+
+
+def conflicting(nominal: Nominal) -> list[str]:
+    """Smallest sets of statements that contradict each other on this plant."""
     conflicts = nominal.results.optional("matching_conflicts")
-    if conflicts is not None and len(conflicts):
-        rows = [[row.statements, f"{row.probes}"] for row in conflicts.itertuples()]
-        lines += ["Smallest sets of statements that no probe has together:", ""]
-        lines += [*_rows(rows, ["statements", "probes in which all others of the set hold"]), ""]
-    return lines
+    if conflicts is None:
+        return []
+    if conflicts.empty:
+        return ["No small set of statements contradicts itself: each was seen together in some probe.", ""]
+    rows = [[row.statements, f"{row.probes}"] for row in conflicts.itertuples()]
+    where = _MATCHING.format("conflicts")
+    lines = [f"Smallest sets of statements that no probe has together ([table]({where})), on this plant:", ""]
+    return [*lines, *rows_of(rows, ["statements", "probes in which all others of the set hold"]), ""]
 
 
 def _how_sure(nominal: Nominal) -> list[str]:
@@ -298,7 +404,8 @@ def _how_sure(nominal: Nominal) -> list[str]:
         "printed",
         "decided by (rank correlation)",
     ]
-    return [text, "", *_rows(rows, heads)]
+    table = file_link("data/results/robustness_claims.csv")
+    return [text, "", f"Table: {table}.", "", *rows_of(rows, heads)]
 
 
 def _register(nominal: Nominal) -> list[str]:
@@ -310,8 +417,9 @@ def _register(nominal: Nominal) -> list[str]:
     for row in register.itertuples():
         own = pd.DataFrame() if effects is None else effects[effects["id"] == row.id]
         rows.append([str(row.id), row.printed, row.wrong_or_open, row.decision, _effect(own)])
+    effects_link = "Table: " + file_link("data/results/discrepancy_effects.csv") + "."
     heads = ["", "printed", "wrong or open", "decision", "largest effect of the printed form on NMPC (D6: LTV-MPC)"]
-    return [*_rows(rows, heads), "", "![effects](figures/fig22_discrepancies.png)"]
+    return [*rows_of(rows, heads), "", effects_link, "", "![effects](figures/fig22_discrepancies.png)"]
 
 
 def _effect(own: pd.DataFrame) -> str:
@@ -331,7 +439,7 @@ def _effect(own: pd.DataFrame) -> str:
 
 def _rules(table: pd.DataFrame) -> list[str]:
     """Rules that were changed, with the verdict under the old rule when it was replaced and under the new one today."""
-    found = _overall(table)
+    found = overall(table)
     log = pd.read_csv(paths.source("data/rule_changes.csv"), dtype=str)
     rows = [[r.id, r.old, r.old_verdict, r.new, found.get(r.id, "none"), r.why] for r in log.itertuples()]
-    return _rows(rows, ["id", "old rule", "verdict then", "new rule", "verdict now", "why"])
+    return rows_of(rows, ["id", "old rule", "verdict then", "new rule", "verdict now", "why"])

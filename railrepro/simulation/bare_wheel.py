@@ -91,7 +91,7 @@ def _exchange() -> ca.Function:
         seen[name] = x[f"{name}_hat"] + pole * (measured - x[f"{name}_hat"])
     gain = case | {"adhesion.torque_per_adhesion": case["load"] * case["radius"]}
     f_hat, s_hat = ([seen[name]] * 2 for name in ("f", "s"))
-    u, kept, segment = base_torque(f_hat, s_hat, f_star, x, gain, case["tau_max"])
+    u, kept, segment = base_torque(f_hat, s_hat, f_star, x["v"], x, gain, case["tau_max"])
 
     w_, v_, u_ = ca.SX.sym("w"), ca.SX.sym("v"), ca.SX.sym("u")
     f_, _ = _grip(w_, v_, case, factor)

@@ -60,6 +60,8 @@ DISCREPANCY = 0.1
 CLIP = 2.0
 """Largest margin that is told apart; a run that failed has this one, negative."""
 CANDIDATES = 2**14
+SHOWN = 500
+"""Points of the region that are kept for figures, at most."""
 LEAST = 1e-3
 """Share of the prior that is to survive at least; else one more statement is allowed to be implausible."""
 
@@ -380,23 +382,28 @@ def best(problem: Problem, matched: Matched) -> dict:
 
 
 def _sentence(row) -> str:
+    low, high, least, most = (f"{float(f'{x:.3g}'):g}" for x in (row.low, row.high, row.prior_low, row.prior_high))
     return (
         f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; plausible are "
-        f"{row.low:.3g} to {row.high:.3g} of {row.prior_low:.3g} to {row.prior_high:.3g}"
+        f"{low} to {high} of {least} to {most}"
     )
 
 
 def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
-    """Tables by name: waves, region, questions, conflicts, best (margins of all runs with their points)."""
+    """Tables by name: waves, region, questions, conflicts, best (margins of all runs with their points), survivors."""
     projection = region(problem, matched)
     asked = projection.assign(sentence=[_sentence(row) for row in projection.itertuples()])
-    values = pd.DataFrame([dict(problem.values(point)) for point in matched.points])
+    values, left = (
+        pd.DataFrame([dict(problem.values(point)) for point in points])
+        for points in (matched.points, np.random.default_rng(0).permutation(matched.survivors)[:SHOWN])
+    )
     return {
         "waves": matched.waves,
         "region": projection,
         "questions": asked[["what", "reduction", "sentence"]],
         "conflicts": conflicts(matched.margins > 0),
         "best": pd.concat([matched.margins, values], axis=1),
+        "survivors": left,
     }
 
 

@@ -1,0 +1,314 @@
+"""The article: no number of its own, no placeholder left, the report's verdicts; the figure of what matching leaves."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from railrepro import paths
+from railrepro.errors import InputError
+from railrepro.report import article, claims, region, text
+from railrepro.report.evidence import Nominal, Results
+from railrepro.report.references import References
+from railrepro.studies import matching, statements
+from railrepro.studies.pso import Dimension
+
+pytestmark = pytest.mark.skipif(
+    not (paths.ROOT / "data/results/braking_front.csv").exists(), reason="data/results is not made yet (make figures)"
+)
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return Nominal()
+
+
+@pytest.fixture(scope="module")
+def table(nominal):
+    return claims.evaluate(nominal)
+
+
+@pytest.fixture(scope="module")
+def shown(table, nominal):
+    return article.render(table, nominal)
+
+
+def test_nothing_is_left_unfilled(shown):
+    bare = re.sub(r"\$\$?[^$]+\$\$?", "", shown)
+    assert not re.search(r"[{}]|(?<!\\)\[\[|\bn/a\b|@\w", bare)
+
+
+def test_each_link_leads_somewhere(shown):
+    targets = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", shown)
+    assert len(targets) > 200
+    assert [target for target in targets if not (paths.ROOT / target).exists()] == []
+    inside = set(re.findall(r"\]\(#([^)]+)\)", shown))
+    assert inside == {"references", *(f"article-{name}" for name in re.findall(r"\(figures/(\w+)\.png\)", shown))}
+
+
+def test_each_number_of_the_prose_is_a_link_to_a_table(shown):
+    prose = "\n".join(line for line in shown.splitlines() if not line.startswith(("|", "**Table")))
+    prose = prose[: prose.index("## References")]
+    prose = re.sub(r"\[[^\]]*\]\([^)]*\)", "", re.sub(r"\\\[.*?\\\]", "", prose))
+    prose = re.sub(
+        r"\$\$?[^$]+\$\$?|\*\*Figure \d\.\*\*|^\d\. |\bFigs?\. \d|\bT\d\b|S1002|y = 0", "", prose, flags=re.M
+    )
+    assert re.findall(r"\S*\d\S*", prose) == []
+
+
+def test_the_counts_are_those_of_the_table(shown):
+    stored = pd.read_csv(paths.ROOT / "data/results/claims.csv", keep_default_na=False)
+    found = {"reproduced": 0, "fragile": 0, "partly": 0, "not reproduced": 0}
+    for _, own in stored[stored["kind"] == "statement"].groupby("id"):
+        verdicts = set(own["verdict"])
+        if verdicts == {"reproduced"} or "reproduced" not in verdicts:
+            kind = next(verdict for verdict in ("partly", "not reproduced", "reproduced") if verdict in verdicts)
+            found["fragile" if own["why"].str.contains("Fragile: ").any() else kind] += 1
+    for kind, number in found.items():
+        assert not number or re.search(rf"\b{number} {kind}[,.]", shown), kind
+    assert f", of {stored[stored['kind'] == 'statement']['id'].nunique()} statements" in shown
+    assert shown.count("✓") - 1 == sum(stored["verdict"] == "reproduced")
+
+
+SAID = {
+    "reproduced": "C11 C13 C18 C26 C25 C34 C39",
+    "reproduced on terms paper": "C05 C20 C42",
+    "reproduced on terms paper, equal": "C10",
+    "reproduced on terms equal": "C21",
+    "reproduced on terms equal, loop": "C24",
+    "fragile": "C46",
+    "partly": "C06 C07 C17 C14 C30",
+    "not reproduced": "C36 C28 C50 C41",
+}
+"""Verdicts that sentences of the article rest on: who changes one reads the sentence again."""
+
+
+def test_sentences_say_what_the_verdicts_say(table, shown):
+    found = claims.verdicts(table)
+    assert {i: found[i] for ids in SAID.values() for i in ids.split()} == {
+        i: verdict for verdict, ids in SAID.items() for i in ids.split()
+    }
+    said = set(re.findall(r"\[(C\d\d)\]\(\S+\): ", shown))
+    assert said == {i for ids in SAID.values() for i in ids.split()}
+
+
+def test_sentences_say_what_the_numbers_say(nominal):
+    errors = {
+        t: {c: nominal.evidence(t)("curve_entry_T3", c, "rmse_y") for c in ("nmpc", "ndi")} for t in nominal.terms()
+    }
+    assert errors["paper"]["nmpc"] < errors["paper"]["ndi"]
+    assert errors["equal"]["ndi"] < errors["equal"]["nmpc"]
+    assert 0.8 < errors["loop"]["ndi"] / errors["loop"]["nmpc"] < 1.25
+    equal = nominal.evidence("equal")
+    assert equal("curve_entry_T3", "ltv_mpc_printed", "rmse_y") < equal("curve_entry_T3", "nmpc", "rmse_y")
+    assert equal("curve_entry_T3", "ltv_mpc", "rmse_y") == pytest.approx(errors["equal"]["nmpc"], rel=0.02)
+    assert equal("adhesion_loss", "ndi", "rmse_y") < equal("adhesion_loss", "nmpc", "rmse_y")
+    assert nominal.evidence("paper")("adhesion_loss", "nmpc", "rmse_y") == float("inf")
+
+
+def rendered(line, table, nominal, monkeypatch, tmp_path):
+    """A template of one line."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/article_page.md").write_text(line)
+    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+    return article.render(table, nominal)
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("{poll_cross}", r"line 1: \{poll_cross\}: is no number of the prose; there are .*pole_cross"),
+        ("{fair: curve_entry_T3/nmpc/rmse_y mm}", r"line 1: .*'fair' are no terms; there are paper, equal, loop$"),
+        ("{equal: curve_entry_T3/nmcp/rmse_y mm}", r"line 1: .*nmcp/rmse_y mm\}: the results do not have it$"),
+        ("{printed: speed in Fig. 66}", "line 1: .*paper_numbers.csv has no such number$"),
+        ("{C99}", "line 1: .*claims.toml has no such statement$"),
+        ("{fig06_curve_entry}", "line 1: .*the article does not show this figure$"),
+        ("![fig99_nothing] Caption", "line 1: figures has no fig99_nothing"),
+        ("[[statement]]", r"line 1: \[\[statement\]\] is no block; there are conditions, headline"),
+        ("[@Nobody1999]", "line 1: .*references.bib has no such work"),
+        ("the error is 2.26 mm", "line 1: has the number '2.26', typed"),
+        ("the error is `2.26 mm`", "line 1: has the number '`2.26', typed"),
+        ("half of $3 \\cdot e$", r"line 1: has the number '\$3', typed"),
+    ],
+)
+def test_what_is_wrong_in_the_template_is_told_in_a_sentence(line, sentence, table, nominal, monkeypatch, tmp_path):
+    with pytest.raises(InputError, match=f"^article_page.md {sentence}"):
+        rendered(line, table, nominal, monkeypatch, tmp_path)
+
+
+def test_a_number_is_a_link_to_its_table(table, nominal, monkeypatch, tmp_path):
+    found = rendered("{equal: curve_entry_T3/nmpc/rmse_y mm} $k_1$ {C05}", table, nominal, monkeypatch, tmp_path)
+    value = 1e3 * nominal.evidence("equal")("curve_entry_T3", "nmpc", "rmse_y")
+    link = f"[{value:.3g} mm](data/results/curve_entry_metrics.csv)"
+    assert found == f"{link} $k_1$ [C05](REPLICATION.md#C05): {claims.verdicts(table)['C05']}\n"
+
+
+class Studied(Results):
+    """Results beside those of robustness and matching that were made up."""
+
+    TABLES = {
+        "robustness_claims": pd.DataFrame(
+            {
+                "id": ["C05", "C05", "C10"], "terms": ["paper", "loop", "equal"], "share": [0.25, 0.1, 0.9],
+                "low": 0.1, "high": 0.95, "samples": 32, "cone": 0.5, "s1002": 0.5, "printed": np.nan,
+                "decided_by": ["wheel.radius -0.61", "", ""],
+            }
+        ),
+        "matching_waves": pd.DataFrame(
+            {"points": [128, 128], "surviving_share": [0.5, 0.021], "allowed": [0, 1], "most_statements": [9, 11],
+             "statements": [20, 20]}
+        ),
+        "matching_region": pd.DataFrame(
+            {"what": ["triple pole of NDI (rad/s)"], "prior_low": 10, "prior_high": 120, "low": 11, "high": 37.5,
+             "narrowing": 0.7}
+        ),
+        "matching_conflicts": pd.DataFrame({"statements": ["C05 C36"], "probes": [17]}),
+        "matching_questions": pd.DataFrame({"what": ["triple pole of NDI (rad/s)"], "sentence": ["41 % would go"]}),
+    }  # fmt: skip
+
+    def optional(self, name):
+        return self.TABLES[name].copy() if name in self.TABLES else super().optional(name)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """Verdicts on the nominal case alone."""
+    return claims.evaluate(Nominal(Unstudied()))
+
+
+class Unstudied(Results):
+    """Results without those of robustness and matching."""
+
+    def optional(self, name):
+        return None if name.startswith(("robustness", "matching")) else super().optional(name)
+
+
+def studied(table):
+    """Verdicts with shares: C05 on terms paper becomes fragile."""
+    rows = []
+    for row in table.to_dict("records"):
+        share = {("C05", "paper"): 0.25, ("C10", "equal"): 0.9}.get((row["id"], row["terms"]))
+        if share is not None:
+            row |= {"share": share, "share_low": 0.1, "share_high": 0.95}
+        if share == 0.25:
+            row |= {"verdict": "partly", "why": "Fragile: holds in 25 % of the samples."}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def test_the_article_shows_shares_and_the_matching_when_they_are_there(plain, monkeypatch):
+    monkeypatch.setattr(text, "region_figure", lambda: "fig31_margins")
+    made = article.render(studied(plain), Nominal(Studied()))
+    assert "◐ 25 %" in made and "✓ 90 %" in made
+    assert "[1](data/results/robustness_claims.csv) of [3]" in made and "Fragile, by rule, are [C05]" in made
+    assert "[C05](REPLICATION.md#C05): fragile" in made and "1 fragile" in made
+    assert "`paper`: wheel.radius -0.61" in made
+    assert "[2.1 %](data/results/matching_waves.csv) survive" in made and "no more than [1]" in made
+    assert "| triple pole of NDI (rad/s) | 10 to 120 | 11 to 37.5 |" in made
+    assert "| C05 C36 | 17 |" in made and "1. triple pole of NDI (rad/s): 41 % would go" in made
+    assert "**Figure 5.** What is left of the prior" in made and "Vernon" in made
+
+
+def test_the_report_shows_shares_and_the_matching_when_they_are_there(plain):
+    nominal = Nominal(Studied())
+    made = text.render(studied(plain), nominal)
+    assert "`paper` ◐ 0.282, in 25 % (10 to 95)" in made and "| **fragile** |" in made
+    assert "`paper`: Fragile: holds in 25 % of the samples." in made
+    assert "Over the samples [decides](data/results/robustness_claims.csv) (rank correlation) `paper`: wheel.r" in made
+    assert "no more than [1](data/results/matching_waves.csv) statements are implausible" in made
+
+
+def test_without_the_studies_both_read_well(plain):
+    nominal = Nominal(Unstudied())
+    made, report = article.render(plain, nominal), text.render(plain, nominal)
+    assert "has not been judged with these rules yet" in made and " fragile" not in made
+    assert "has not been matched yet" in made
+    assert "Not run yet: `python -m railrepro.studies.matching`" in report
+    assert "Not run yet with these predicates." in report
+
+
+def test_citations_are_numbered_by_their_first_mention():
+    references = References()
+    assert references.numbered("a [@Polach2005] b [@Waechter2006; @Polach2005]") == (
+        "a \\[[1](#references)\\] b \\[[2](#references), [1](#references)\\]"
+    )
+    assert references.listed()[1].startswith("2. A. Wächter, L. T. Biegler. On the implementation")
+
+
+def test_the_book_has_the_article_with_its_pdf(shown):
+    page = article.for_the_book(shown)
+    assert "{download}`As a PDF <article.pdf>`" in page
+    assert page.count("```{figure} figures/") == shown.count("![Figure")
+    assert '<a href="REPLICATION.html#C05">C05</a>' in page and "REPLICATION.md" not in page
+
+
+def test_the_pdf_has_equal_bytes_and_few_pages(shown):
+    pytest.importorskip("typst", reason="the packages of the book are installed by `make article`")
+    pytest.importorskip("pypandoc")
+    made = article.pdf(shown)
+    assert made.startswith(b"%PDF") and made == article.pdf(shown)
+    pages = int(re.search(rb"/Count (\d+)", made)[1])
+    assert 4 <= pages <= 7
+
+
+def test_without_the_packages_of_the_book_the_pdf_is_refused(shown, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "typst", None)
+    with pytest.raises(InputError, match="needs the packages of book.lock; `make article` installs them"):
+        article.pdf(shown)
+
+
+DIMENSIONS = (Dimension("pole", 10, 100, "log"), Dimension("delay", 0.0, 5e-3), Dimension("profile", 0, 1, "integer"))
+
+
+def left(count=40):
+    u = np.random.default_rng(1).random((count, 3))
+    return pd.DataFrame({d.name: [d.value(0.5 * x) for x in u[:, i]] for i, d in enumerate(DIMENSIONS)})
+
+
+def narrowing(*names):
+    return pd.DataFrame({"what": names, "narrowing": np.linspace(0.9, 0.1, len(names))})
+
+
+def test_the_region_is_drawn_against_the_whole_prior():
+    figure, data = region.draw(
+        left(400), narrowing("pole", "profile", "delay"), DIMENSIONS, {"best": {"pole": 20.0}}, 2
+    )
+    assert list(data) == ["pole", "profile"]
+    axes = [axis for axis in figure.axes if axis.get_visible()]
+    assert len(axes) == 3
+    pair = next(axis for axis in axes if len(axis.lines) == 1 and axis.get_ylabel() == "profile")
+    assert pair.get_xlim() == (10, 100) and pair.get_ylim() == (0, 1) and pair.get_xscale() == "log"
+    density = next(axis for axis in axes if axis.patches)
+    values = density.patches[0].get_data().values
+    assert values.mean() == pytest.approx(1.0) and values[-5:].sum() == 0
+    assert values[:5] == pytest.approx(2.0, abs=0.6), "uniform in the dimension's own scale"
+
+
+def test_a_region_without_points_or_with_a_strange_direction_is_told():
+    with pytest.raises(InputError, match="nothing of the prior is left"):
+        region.draw(left().iloc[:0], narrowing("pole"), DIMENSIONS)
+    with pytest.raises(InputError, match="direction 'mass', which prior or survivors do not have"):
+        region.draw(left(), narrowing("pole", "mass"), DIMENSIONS)
+
+
+def test_matching_keeps_points_of_the_region_and_the_figure_reads_them():
+    def run(points):
+        return [{"C05": 0.5 - dict(point)["delay"] / 5e-3} for point in points]
+
+    problem = matching.Problem(DIMENSIONS, run)
+    matched = matching.match(problem, waves=2, count=32, candidates=2**9)
+    made = matching.tables(problem, matched)
+    assert len(made["survivors"]) == min(len(matched.survivors), matching.SHOWN)
+    assert made["survivors"]["delay"].max() < 4.2e-3
+    figure, _ = region.draw(
+        made["survivors"], made["region"], DIMENSIONS, {"best run": matching.best(problem, matched)["values"]}
+    )
+    assert figure.legends[0].texts[-1].get_text() == "best run"
+
+
+def test_no_statement_hides_from_the_article(shown):
+    for identity, statement in statements.load().items():
+        assert (f"[{identity}](REPLICATION.md#{identity}) | {statement.statement} |" in shown) == (
+            statement.kind == "statement"
+        )
