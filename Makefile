@@ -54,7 +54,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-slow test-all faults lab score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -93,6 +93,9 @@ lab: $(VENV)  ## open the notebooks in JupyterLab
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
 	$(PY) -m railrepro.score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
 
+film: $(VENV)  ## page and movie of runs side by side: FILM=scenario CONTROLLERS="nmpc ndi" TERMS=equal, in build/film
+	$(PY) -m railrepro.film $(if $(FILM)$(CONTROLLERS),"$(or $(FILM),all)") $(CONTROLLERS) $(if $(TERMS),--terms $(TERMS))
+
 leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
 	$(PY) -m railrepro.score.leaderboard
 
@@ -116,11 +119,12 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.studies.second_opinion; \
 	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
 
-study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins (long, resumes)
+study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, where the order turns (long, resumes)
 	$(PY) -m railrepro.studies.probe
 	$(PY) -m railrepro.studies.robustness
 	$(PY) -m railrepro.studies.matching
 	$(PY) -m railrepro.studies.margins
+	$(PY) -m railrepro.studies.order
 
 html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
 	$(PY) -m railrepro.chain html

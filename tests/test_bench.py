@@ -1,14 +1,20 @@
 """All solver paths find the optimum of Ipopt on recorded problems of all scenarios, with and without active bounds."""
 
+from dataclasses import replace
+
+import casadi as ca
 import numpy as np
 import pytest
 
+from railrepro.compile import codegen
+from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import mpc_settings
-from railrepro.studies import bench, tuning
+from railrepro.studies import bench, peers, tuning
 from railrepro.vehicle.parameters import load_vehicle
 
 FEW, MANY = 3, 15
 """Successive problems per scenario: Ipopt takes a second for one whose bounds are active."""
+needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="peers are compiled")
 
 
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
@@ -51,3 +57,59 @@ def test_real_time_iteration_meets_the_bounds(problem_set):
         assert failures == 0
         bound = recording.problems[0].bound
         assert np.abs(found).max() <= bound + 1e-9
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Two problems with a short horizon in the paper's discretisation, and the same with bounds that act."""
+    vehicle, settings = load_vehicle(), MPCSettings(r=1e-11, steps=5, discretisation="euler")
+    plain = bench.record("curve_entry_T3", settings, vehicle, 2)
+    return vehicle, [plain, bench.tightened(plain)]
+
+
+@needs_compiler
+@pytest.mark.parametrize("which", [0, 1])
+def test_compiled_peers_and_our_recursion_find_the_same_optimum(short, which):
+    vehicle, recordings = short
+    table = peers.compare(recordings[which], vehicle, rounds=1).set_index("solver")
+    assert list(table.index) == [peers.OURS, *peers.PEERS]
+    assert (table["missed"] == 0).all() and table["error_du"].max() < peers.SAME
+    assert table["ratio_to_ours"][peers.OURS] == 1 and (table["ratio_to_ours"] > 0).all()
+    plan, _ = peers.Peer("sqp_qrqp", recordings[which].problems[0].settings).solve(recordings[which].problems[0])
+    bound = recordings[which].problems[0].bound
+    assert np.abs(plan).max() > 10 and (np.abs(plan).max() > 0.999 * bound) == bool(which)
+
+
+@needs_compiler
+def test_a_peer_that_solves_another_problem_is_found_out(short, monkeypatch):
+    vehicle, (recording, _) = short
+    honest = peers.Peer._prepare
+
+    def lazy(peer, problem):
+        honest(peer, problem)
+        peer._argument("x0")[:] = peer._argument("p")[:1] * 0
+        peer._argument("ubx")[peer._stated.torques] = 0.0
+
+    monkeypatch.setattr(peers.Peer, "_prepare", lazy)
+    table = peers.compare(recording, vehicle, ("sqp_qrqp",), rounds=1).set_index("solver")
+    assert table["missed"]["sqp_qrqp"] == 2 and table["error_du"]["sqp_qrqp"] > 1e-3
+
+
+@needs_compiler
+def test_operations_are_counted_against_the_processor(short):
+    vehicle, (recording, _) = short
+    settings = recording.problems[0].settings
+    table = bench.solver_operations(vehicle, settings, least=1e-4).set_index("part")
+    longer = bench.solver_operations(vehicle, replace(settings, steps=10), least=1e-4).set_index("part")
+    for part in ("linearisation", "recursion"):
+        assert longer["operations"][part] / table["operations"][part] == pytest.approx(2, rel=0.01)
+        assert 0 < table["share_of_limit"][part] < 1.5
+    x = ca.SX.sym("x")
+    assert bench._arithmetic(ca.Function("f", [x], [ca.sin(x) * x + 2])) == 3
+
+
+def test_samples_are_timed_in_closed_loop():
+    table = bench.sample_times(("paper", "loop"), ("curve_entry_T3",), drives=2, end_m=15.0)
+    assert len(table) == 12 and not table["failed"].any() and not table["fallbacks"].any()
+    assert (table["median_ms"] <= table["p99_ms"]).all() and (table["p99_ms"] <= table["max_ms"]).all()
+    assert set(table["solver"]) == {"gauss_newton", "rti", "one QP"} and table["median_ms"].min() > 0

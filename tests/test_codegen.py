@@ -62,10 +62,13 @@ static void prediction_lanes(const lanes_t *x, const lanes_t *du, const double *
 """
 
 
+SOLVERS = ["control/solvers/riccati.c", "control/solvers/interior.c"]
+
+
 @pytest.mark.parametrize("command", ["gcc", "clang"])
 @pytest.mark.parametrize(
     "parts",
-    [["car/car.c"], ["simulation/loop.c"], ["compile/lanes.h", GENERATED, "control/solvers/riccati.c"]],
+    [["car/car.c"], ["simulation/loop.c"], ["compile/lanes.h", GENERATED, *SOLVERS]],
     ids=lambda parts: parts[-1],
 )
 def test_hand_written_c_compiles_without_warning(tmp_path, command, parts):

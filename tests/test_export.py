@@ -33,50 +33,29 @@ def quickly_compiled(monkeypatch):
     monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
 
 
-class Unit:
-    """A unit in FMPy."""
-
-    def __init__(self, file):
-        fmpy = pytest.importorskip("fmpy")
-        from fmpy.fmi2 import FMU2Slave
-        from fmpy.validation import validate_fmu
-
-        assert validate_fmu(str(file)) == []
-        description = fmpy.read_model_description(str(file))
-        self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.slave = FMU2Slave(
-            guid=description.guid, unzipDirectory=fmpy.extract(str(file)), instanceName="unit",
-            modelIdentifier=description.coSimulation.modelIdentifier,
-        )  # fmt: skip
-        self.slave.instantiate()
-        self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
-
-    def get(self, names):
-        return self.slave.getReal([self.references[name] for name in names])
-
-    def set(self, names, values):
-        self.slave.setReal([self.references[name] for name in names], values)
-
-
 def coupled(car, controller, exchanges):
     """Lateral positions of both gears under a master that steps the controller before the car."""
     found = []
-    for k in range(exchanges):
+    for _ in range(exchanges):
         found.append(car.get(["front.y", "rear.y"]))
         controller.set(law.MEASURED, car.get(law.MEASURED))
-        controller.slave.doStep(1e-3 * k, 1e-3)
+        controller.step()
         car.set(TORQUES, controller.get(TORQUES))
-        car.slave.doStep(1e-3 * k, 1e-3)
+        car.step()
     return np.array(found)
 
 
-@pytest.mark.parametrize("name", GUIDANCE)
-def test_car_and_controller_coupled_in_fmpy_drive_as_in_a_run(name, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "fmi"), [*((name, "2.0") for name in GUIDANCE), ("ndi", "3.0"), ("nmpc_observer", "3.0")]
+)
+def test_car_and_controller_coupled_in_fmpy_drive_as_in_a_run(name, fmi, tmp_path):
+    from units import Instance
+
     run = simulate.run(SCENARIO, GUIDANCE[name])
     route = SCENARIO.route()
-    car = Unit(export_fmu(tmp_path / "car.fmu", route, SCENARIO.speed))
-    controller = Unit(Export(GUIDANCE[name], route).write_fmu(tmp_path / "controller.fmu"))
+    car = Instance(export_fmu(tmp_path / "car.fmu", route, SCENARIO.speed, fmi=fmi))
+    controller = Instance(Export(GUIDANCE[name], route).write_fmu(tmp_path / "controller.fmu", fmi))
+    assert (car.version, controller.version) == (fmi, fmi)
     expected = run.series[["front.y", "rear.y"]].to_numpy()[:-1]
     found = coupled(car, controller, len(expected))
     assert np.abs(expected).max() > 1e-4

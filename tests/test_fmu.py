@@ -8,56 +8,34 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from units import Instance, fmpy
 
 from railrepro.car import fmu
 from railrepro.car.fmu import export_fmu
 from railrepro.compile import codegen
+from railrepro.compile.unit import VERSIONS
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import load_vehicle
 
-fmpy = pytest.importorskip("fmpy")
-fmi2 = pytest.importorskip("fmpy.fmi2")
 pytestmark = pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
-OK, WARNING = 0, 1
+TORQUE, Y = ["tau_front_le"], ["front.y"]
 
 
-@pytest.fixture(scope="module")
-def unit(tmp_path_factory):
+@pytest.fixture(scope="module", params=VERSIONS)
+def unit(tmp_path_factory, request):
     """A unit on T5, compiled without optimisation."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
-        return export_fmu(tmp_path_factory.mktemp("unit") / "car.fmu", "T5", 60.0)
+        return export_fmu(tmp_path_factory.mktemp("unit") / "car.fmu", "T5", 60.0, fmi=request.param)
 
 
-class Instance:
-    """One instance with what it logs."""
+def description(unit):
+    return ElementTree.fromstring(zipfile.ZipFile(unit).read("modelDescription.xml"))
 
-    def __init__(self, file, name, guid=None):
-        description = fmpy.read_model_description(str(file))
-        self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.said = []
-        callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda *a: self.said.append(a[4].decode()))
-        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
-        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
-        self.slave = fmi2.FMU2Slave(
-            guid=guid or description.guid, unzipDirectory=fmpy.extract(str(file)),
-            modelIdentifier=description.coSimulation.modelIdentifier, instanceName=name,
-        )  # fmt: skip
-        self.slave.instantiate(callbacks=callbacks)
-        self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
-        self.time = 0.0
 
-    def set(self, value):
-        self.slave.setReal([self.references["tau_front_le"]], [value])
-
-    def step(self, length=0.001):
-        self.slave.doStep(currentCommunicationPoint=self.time, communicationStepSize=length)
-        self.time += length
-
-    def get(self, name):
-        return self.slave.getReal([self.references[name]])[0]
+def token(unit):
+    """What an importer must give to get an instance."""
+    return description(unit).get("guid") or description(unit).get("instantiationToken")
 
 
 def test_the_unit_is_valid(unit):
@@ -67,16 +45,16 @@ def test_the_unit_is_valid(unit):
 
 
 def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):
-    guids = set()
+    guids, version = set(), description(unit).get("fmiVersion")
     monkeypatch.setattr(codegen, "build", lambda text, portable: unit)
     softer = {"suspension.c_y": 30001.0}
     for route, speed, changes in (
         *(("T5", 60.0, {}), ("T5", 60.0, {}), ("T3", 60.0, {}), ("T5", 61.0, {}), ("T5", 60.0, softer)),
     ):
-        file = export_fmu(tmp_path / "car.fmu", route, speed, load_vehicle(**changes))
-        guids.add(ElementTree.fromstring(zipfile.ZipFile(file).read("modelDescription.xml")).get("guid"))
+        file = export_fmu(tmp_path / "car.fmu", route, speed, load_vehicle(**changes), version)
+        guids.add(token(file))
     assert len(guids) == 4
-    assert ElementTree.fromstring(zipfile.ZipFile(unit).read("modelDescription.xml")).get("guid") in guids
+    assert token(unit) in guids
 
 
 def test_no_flag_asks_for_more_than_any_processor_has(monkeypatch):
@@ -90,10 +68,10 @@ def test_no_flag_asks_for_more_than_any_processor_has(monkeypatch):
 def test_a_torque_out_of_range_is_refused_with_a_sentence(value, unit):
     car = Instance(unit, "car")
     with pytest.raises(fmpy.fmi1.FMICallException):
-        car.set(value)
+        car.set(TORQUE, [value])
     assert car.said == ["a torque must be a number of at most 100000 N m"]
     car.step()
-    assert math.isfinite(car.get("front.y"))
+    assert math.isfinite(*car.get(Y))
 
 
 @pytest.mark.parametrize("length", [math.nan, math.inf, 0.0, -0.001, 0.0015])
@@ -111,31 +89,51 @@ def test_a_unit_with_another_guid_is_refused(unit):
 
 def test_a_car_that_leaves_the_rail_says_so_once(unit):
     car = Instance(unit, "car")
-    car.set(8000.0)
+    car.set(TORQUE, [8000.0])
     for _ in range(40):
         car.step(0.05)
         if car.said:
             break
-    assert abs(car.get("front.y")) > fmu.DERAILED or abs(car.get("rear.y")) > fmu.DERAILED
+    assert max(map(abs, car.get(["front.y", "rear.y"]))) > fmu.DERAILED
     car.step()
     assert car.said == ["a gear left the rail, what follows means nothing"]
 
 
 def test_two_instances_do_not_know_each_other(unit):
     one, other, alone = (Instance(unit, name) for name in ("one", "other", "alone"))
-    one.set(500.0)
+    one.set(TORQUE, [500.0])
     for _ in range(20):
         one.step()
         other.step()
         alone.step()
-    assert other.get("front.y") == alone.get("front.y")
-    assert one.get("front.y") != other.get("front.y")
+    assert other.get(Y) == alone.get(Y)
+    assert one.get(Y) != other.get(Y)
 
 
 def test_it_runs_from_another_directory_in_another_process(unit, tmp_path):
     script = "import fmpy, sys; print(fmpy.simulate_fmu(sys.argv[1], stop_time=0.1, output_interval=0.05)[-1][0])"
     done = subprocess.run([sys.executable, "-c", script, str(unit)], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0 and float(done.stdout) == pytest.approx(0.1), done.stderr
+
+
+def test_a_unit_of_fmi_3_has_every_function_of_the_standard_and_tells_the_time(unit):
+    car = Instance(unit)
+    if car.version == "2.0":
+        pytest.skip("FMI 2.0 has no time among the variables")
+    functions = {name for name in dir(car.slave) if name.startswith("fmi3")}
+    assert len(functions) > 70 and not [name for name in functions if not hasattr(car.slave.dll, name)]
+    car.step(0.02)
+    assert car.get(["time"]) == [0.02]
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        car.set(["time"], [0.0])
+    car.slave.reset()
+    assert car.get(["time"]) == [0.0]
+
+
+@pytest.mark.parametrize("fmi", ["1.0", "3", 3.0, None])
+def test_another_version_is_refused(fmi, tmp_path):
+    with pytest.raises(InputError, match=r"FMI .* is not known; there are \['2.0', '3.0'\]"):
+        export_fmu(tmp_path / "car.fmu", "T5", 60.0, fmi=fmi)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, 1e3, True, "fast"])

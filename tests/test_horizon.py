@@ -10,12 +10,14 @@ from railrepro.compile import codegen
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings, dynamics
+from railrepro.control.registry import guidance
 from railrepro.control.solvers import condensed, ipopt
-from railrepro.control.solvers.riccati import Horizon, PlainHorizon
+from railrepro.control.solvers.riccati import MOST_SETS, Horizon, PlainHorizon
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES, control_model, discretise
 from railrepro.model.forecast import forecast, nominal_values
-from railrepro.simulation import scenarios
+from railrepro.simulation import scenarios, simulate
+from railrepro.studies import tuning
 from railrepro.vehicle.parameters import load_vehicle
 
 Q = (2e-3, 3e2, 5e-3, 7e1, 1.0, 1.1e2)
@@ -146,14 +148,56 @@ def test_one_iteration_is_one_newton_step(vehicle, way):
 
 
 @needs_compiler
-def test_active_sets_that_do_not_settle_are_solved_densely(vehicle, way):
-    compiled, plain = horizons(vehicle, way)
+@pytest.mark.parametrize("bound", [4000.0, 150.0, 20.0])
+@pytest.mark.parametrize("lateral_bound", [5e-4, 1.0])
+def test_active_sets_that_do_not_settle_are_found_by_interior_points(vehicle, way, bound, lateral_bound, monkeypatch):
+    compiled, plain = horizons(vehicle, way, replace(SETTINGS, steps=40, lateral_bound=lateral_bound))
+    compiled.c.most_sets, compiled.fixed[::3] = 1, -1.0
     for horizon in (compiled, plain):
+        horizon.sample(horizon.x_hat.copy(), BASE, bound)
+        horizon.u[:] = horizon.u.clip(-bound, bound)
         horizon.linearise()
-    compiled.c.most_sets = 0
-    compiled.solve()
     plain.solve()
+    monkeypatch.setattr(condensed, "solve", None)
+    compiled.solve()
+    assert compiled.du == pytest.approx(plain.du, rel=1e-7, abs=1e-6 * bound)
+    assert compiled.dx == pytest.approx(plain.dx, rel=1e-6, abs=1e-9)
+    at_bound = np.isclose(np.abs(plain.u + plain.du), bound, rtol=1e-9)
+    assert np.array_equal(compiled.fixed != 0, at_bound) and at_bound.any() == (bound < 4000.0)
+    assert 4 < compiled.passes[0] <= 40
+
+
+@needs_compiler
+@pytest.mark.parametrize(("name", "solver"), [("nmpc", "gauss_newton"), ("nmpc_observer", "rti")])
+def test_no_sample_on_poor_rail_needs_more_than_compiled_code(name, solver, monkeypatch):
+    """With tuning for dry rail the gear leaves the poor one, nearly all torques and positions at their bounds."""
+    most, solve = [], Horizon.solve
+
+    def counted(horizon):
+        solve(horizon)
+        most.append(horizon.passes[0])
+
+    monkeypatch.setattr(condensed, "solve", None)
+    monkeypatch.setattr(Horizon, "solve", counted)
+    if solver == "gauss_newton":
+        monkeypatch.setattr(Horizon, "iterate", PlainHorizon.iterate)
+    controller = guidance(name, tuning.load(name, "paper")["parameters"], {"solver": solver})
+    run = simulate.run(scenarios.load_scenario("adhesion_loss"), controller)
+    assert run.failed and not any(record.fallback for guided in run.controllers for record in guided.stats)
+    assert np.mean(np.array(most) > MOST_SETS) > 0.02
+    assert max(most) < 60
+
+
+@needs_compiler
+def test_a_problem_without_interior_is_solved_densely(vehicle, way):
+    compiled, plain = horizons(vehicle, way)
+    compiled.c.most_sets = 0
+    for horizon in (compiled, plain):
+        horizon.sample(horizon.x_hat.copy(), BASE, 0.0)
+        horizon.linearise()
+        horizon.solve()
     assert compiled.du == pytest.approx(plain.du, rel=1e-9)
+    assert compiled.du == pytest.approx(-compiled.u)
     assert compiled.dx == pytest.approx(plain.dx, rel=1e-9, abs=1e-12)
     assert compiled.iterate(20, 1e-4) == plain.iterate(20, 1e-4) > 1
     assert compiled.u == pytest.approx(plain.u, rel=1e-9)

@@ -129,7 +129,7 @@ def test_values_become_a_world():
     world = matching.world(changed)
     assert world.vehicle == {"wheel.radius": 0.45} and world.profile == "s1002"
     assert world.parameters["ndi"]["pole"] == world.parameters["ndi"]["frequency"] == 40.0
-    assert world.sensors == {"perfect": True, "inverter.delay": 2e-3}
+    assert world.sensors == {"perfect": True, "inverter.delay": 2e-3, "filter.creep_lag": 10.0}
     nominal = matching.world({})
     assert nominal.sensors == {} and nominal.profile == "cone" and nominal.vehicle == {}
     halved = matching.world({"R of the MPC, over the tuned": 0.5})

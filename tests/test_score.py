@@ -10,7 +10,7 @@ from railrepro import paths
 from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
 from railrepro.score import __main__ as command
-from railrepro.score import card, leaderboard, page, run, suite
+from railrepro.score import card, leaderboard, page, run, suite, trial
 from railrepro.score.entry import Entry, entry
 from railrepro.score.trial import Trial
 from railrepro.simulation.scenarios import load_scenario
@@ -86,6 +86,7 @@ def test_the_template_is_driven_with_the_numbers_of_its_terms(pid):
     assert (pid["failure"], loop["failure"]) == ("", "")
     assert loop["rmse_y"] > 1.2 * pid["rmse_y"]
     assert 0 < pid["sample_median"] < 1e-3
+    assert pid["sample_median"] <= pid["sample_p99"] <= pid["sample_max"]
     assert not [name for name in CONTROLLERS if name.startswith("own")]  # it was entered in the copy only
 
 
@@ -170,12 +171,16 @@ def test_the_leaderboard_ranks_all_that_are_asked(monkeypatch, tmp_path):
         ]
         return pd.DataFrame(rows)
 
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
     monkeypatch.setattr(leaderboard, "score", scored)
     table = leaderboard.table([Entry("bad"), Entry("good")])
     assert list(table.columns) == ["scenario", "controller", "metric", "value", "unit", "terms", "seed"]
     ranked = card.ranking(table)
     assert list(ranked.index) == ["good", "bad"] and ranked["all"].tolist() == [80.0, 10.0]
     assert not table["metric"].str.startswith("sample").any()
+    assert leaderboard.markdown(table).split("\n")[2:] == [
+        "| `good` | 80.0 | 80.0 | 80.0 | 0 | – | – | – |", "| `bad` | 10.0 | 10.0 | 10.0 | 0 | – | – | – |"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("wrong", ["nobody", "examples", "examples/nobody.py"])
@@ -200,3 +205,91 @@ def test_a_small_score_writes_card_and_page(tmp_path, monkeypatch, capsys):
 def test_names_of_no_run_are_refused():
     with pytest.raises(InputError, match="there is no run of the names"):
         run.score(entry(PID), names=("nowhere",))
+
+
+@pytest.fixture
+def board(monkeypatch, tmp_path):
+    """The leaderboard in a folder of its own, with a list of those that were really scored."""
+    asked = []
+
+    def scored(entry, seed, names, quiet=False):
+        asked.append(entry.name)
+        rows = [
+            {"scenario": "a", "terms": t, "controller": entry.name, "failure": "", "points": 50.0, "error": 1.25e-3}
+            for t in ("equal", "loop")
+        ]
+        return pd.DataFrame(rows)
+
+    monkeypatch.setattr(paths, "BUILD", tmp_path / "build")
+    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+    monkeypatch.setattr(leaderboard, "score", scored)
+    monkeypatch.setattr(leaderboard, "_library", lambda: "this one")
+    (tmp_path / "README.md").write_text(f"before\n\n{leaderboard.BEGIN}\nold\n{leaderboard.END}\n\nafter\n")
+    (tmp_path / "mine.py").write_text(LAW.format("return 0, {}"))
+    return asked
+
+
+def test_a_finished_controller_of_the_leaderboard_is_not_scored_again(board, tmp_path, monkeypatch):
+    mine = str(tmp_path / "mine.py")
+    leaderboard.main(["ndi", mine])
+    whole = (tmp_path / "data/results/leaderboard.csv").read_bytes()
+    leaderboard.main(["ndi", mine])
+    assert board == ["ndi", "mine"] and (tmp_path / "data/results/leaderboard.csv").read_bytes() == whole
+    (tmp_path / "mine.py").write_text(LAW.format("return 1, {}"))
+    leaderboard.main(["ndi", mine])
+    assert board == ["ndi", "mine", "mine"]
+    kept = tmp_path / "build/score/leaderboard/ndi.csv"
+    kept.write_text(kept.read_text().replace("50", "90"))
+    leaderboard.main(["ndi"])
+    assert board[3:] == ["ndi"]
+    monkeypatch.setattr(leaderboard, "_library", lambda: "another one")
+    leaderboard.main(["ndi"])
+    assert board[4:] == ["ndi"]
+
+
+def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_path):
+    leaderboard.main(["ndi"])
+    leaderboard.main([str(tmp_path / "mine.py")])
+    table = pd.read_csv(tmp_path / "data/results/leaderboard.csv")
+    assert list(dict.fromkeys(table["controller"])) == ["ndi", "mine"]
+    assert not table.duplicated(["scenario", "controller", "metric", "terms"]).any()
+    text = (tmp_path / "README.md").read_text()
+    assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
+    assert "| `mine` | 50.0 | 50.0 | 50.0 | 0 | 1.25 | – | – |" in text
+
+
+def test_a_readme_without_a_place_for_the_leaderboard_is_told_and_nothing_is_written(board, tmp_path):
+    (tmp_path / "README.md").write_text("nothing\n")
+    with pytest.raises(InputError, match=r"README.md: the lines .* are missing"):
+        leaderboard.main(["ndi"])
+    assert not (tmp_path / "data/results/leaderboard.csv").exists()
+
+
+def test_the_readme_shows_the_committed_leaderboard():
+    text, file = (paths.ROOT / "README.md").read_text(), paths.ROOT / page.LEADERBOARD
+    if not file.exists():
+        assert f"{leaderboard.BEGIN}\n{leaderboard.END}\n" in text  # `make leaderboard` fills it
+    else:
+        assert leaderboard.in_readme(text, pd.read_csv(file)) == text
+
+
+@pytest.mark.parametrize("name", ["nmpc", "creep_mpc"])
+def test_the_times_of_a_slower_controller_are_the_least_of_all_drives(name, monkeypatch):
+    drives = []
+    monkeypatch.setattr(trial.time, "process_time", lambda: 0.0)
+    original = trial.Experiment.run
+
+    def run(experiment):
+        found = original(experiment)
+        drives.append(len(drives))
+        for number, solve in enumerate(solve for controller in found.controllers for solve in controller.stats):
+            object.__setattr__(solve, "seconds", 1.0 + (number % 3 != drives[-1] % 3))
+        return found
+
+    monkeypatch.setattr(trial.Experiment, "run", run)
+    short = suite.Case("short", "equal", CASE.scenario.but(end_m=10.0))
+    row = Trial(entry(name), short, processor=1e3, wall=1e4)._run()
+    assert len(drives) == trial.DRIVES and row["failure"] == ""
+    assert row["sample_median"] == row["sample_max"] == 1.0
+    monkeypatch.setattr(trial.time, "process_time", lambda: 500.0)
+    assert Trial(entry(name), short, processor=1e3, wall=1e4)._run()["sample_max"] == 2.0

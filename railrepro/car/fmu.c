@@ -1,5 +1,5 @@
-/* The car as a unit of FMI. Starts after car.c, fmi2.h and the constants of the exported route, contact table and vehicle;
-   fmi2.c follows. */
+/* The car as a unit of FMI. Starts after car.c, fmi.h and the constants of the exported route, contact table and vehicle;
+   fmi.c follows. */
 
 enum { LOOKUPS = BODIES + WHEELS, POINTERS = 16, INTEGERS = 256, WORK = 65536 };
 
@@ -13,7 +13,7 @@ typedef struct {
   double work[WORK];
   car_t car;
   int told;
-  const fmi2CallbackFunctions *callbacks;
+  const host_t *host;
 } unit_t;
 
 static call_t bind(unit_t *u, int function, casadi_fn evaluate) {
@@ -48,11 +48,11 @@ static void reset(unit_t *u) {
 /* Outputs before the first step. */
 static void begin(unit_t *u) { car_measure(&u->car); }
 
-static fmi2Status advance(unit_t *u, casadi_int steps) {
+static status_t advance(unit_t *u, casadi_int steps) {
   if (car_run(&u->car, steps, LARGEST_STATE) < steps)
-    return report(u->callbacks, fmi2Error, "a state of the car left all bounds");
+    return report(u->host, STATUS_ERROR, "a state of the car left all bounds");
   car_measure(&u->car);
   if (!(fabs(u->y[FRONT_Y]) < DERAILED && fabs(u->y[REAR_Y]) < DERAILED) && !u->told)
-    return u->told = 1, report(u->callbacks, fmi2Warning, "a gear left the rail, what follows means nothing");
-  return fmi2OK;
+    return u->told = 1, report(u->host, STATUS_WARNING, "a gear left the rail, what follows means nothing");
+  return STATUS_OK;
 }

@@ -1,4 +1,4 @@
-"""The car as an FMI 2.0 co-simulation unit. Serves the paper's section Simulation Environment."""
+"""The car as a co-simulation unit of FMI 2.0 or 3.0. Serves the paper's section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ _LARGEST_STATE = 1e7
 """Beyond it no state is meaningful (SI)."""
 
 
-def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
-    """Write the car on a route as an FMI 2.0 co-simulation unit for this platform.
+def export_fmu(
+    path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None, fmi: str = "2.0"
+) -> Path:
+    """Write the car on a route as a co-simulation unit of FMI for this platform.
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
     communication step must be a whole number of ms; route, contact table and vehicle are built in. A torque that is no
-    number or beyond `LARGEST_TORQUE` is refused with fmi2Error, a car that leaves the rail is told with fmi2Warning.
+    number or beyond `LARGEST_TORQUE` is refused with status Error, a car that leaves the rail is told with Warning.
     The code runs on any processor of this kind, unless RAILREPRO_CFLAGS asks for more.
 
     Parameters
@@ -35,6 +37,8 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     speed : float
         Initial speed (m/s).
     vehicle : Vehicle, optional
+    fmi : str
+        Version of FMI, "2.0" or "3.0".
 
     Returns
     -------
@@ -43,7 +47,7 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     Raises
     ------
     InputError
-        Without C compiler, with an impossible speed, or where the file cannot be written.
+        Without C compiler, with an impossible speed or another version, or where the file cannot be written.
     """
     if codegen.compiler() is None:
         raise InputError("an FMU holds compiled code: a C compiler is needed")
@@ -52,7 +56,7 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     unit = Unit(
         "car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE
     )
-    return write_unit(path, unit, text, Path(__file__).with_name("fmu.c").read_text())
+    return write_unit(path, unit, text, Path(__file__).with_name("fmu.c").read_text(), fmi)
 
 
 def _constants(car: SteppedCar) -> str:

@@ -59,6 +59,7 @@ def _source(folder: Path) -> Path:
         chapter = pages.chapter(notebook, contents[notebook.name], home, rows)
         write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
     write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
+    write(folder / "leaderboard.md", pages.leaderboard(_leaderboard()))
     nominal = Nominal()
     text = article.render(claims.evaluate(nominal), nominal)
     write(folder / "article.md", article.for_the_book(text))
@@ -67,6 +68,16 @@ def _source(folder: Path) -> Path:
     for name, text in pages.reference().items():
         write(folder / "reference" / f"{name}.md", text)
     return folder
+
+
+def _leaderboard() -> str:
+    """Table of the leaderboard in Markdown; empty where there is none."""
+    import pandas as pd
+
+    from railrepro.score import leaderboard, page
+
+    file = paths.source(page.LEADERBOARD)
+    return leaderboard.markdown(pd.read_csv(file)) if file.exists() else ""
 
 
 def _claims_table() -> list[dict]:

@@ -200,6 +200,22 @@ def report(text: str) -> str:
     return re.sub(r"^\| (C\d\d) \|", r'| <span id="\1"></span>\1 |', text, flags=re.MULTILINE)
 
 
+def leaderboard(table: str) -> str:
+    """Page of the open benchmark, with its table in Markdown or without one."""
+    lines = [
+        "# Leaderboard",
+        "",
+        "The open benchmark: 28 runs and two searches for margins, on the terms `equal` (perfect measurements) and "
+        "`loop` (behind sensors), at most 100 points. How to enter a controller of your own: "
+        "{doc}`notebooks/16_own_controller`.",
+        "",
+        table or "There is no table yet: `make leaderboard` makes it, and the next book shows it.",
+        "",
+        "Every line of every run, with its unit: [leaderboard.csv](data/results/leaderboard.csv)." if table else "",
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def notation(rows: Iterable[dict]) -> str:
     """Page of the symbols; rows as in `railrepro.report.notation.table`."""
     lines = [

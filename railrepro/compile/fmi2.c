@@ -1,7 +1,24 @@
-/* FMI 2.0 co-simulation interface around a unit: unit_t with `inputs`, outputs `y` and `callbacks`; connect, reset, begin and
-   advance. Value references: outputs first, then inputs. */
+/* FMI 2.0 co-simulation around fmi.c. Names, types and signatures are those of the standard's header files, (c) MODELISAR
+   consortium and Modelica Association Project "FMI", 2-clause BSD licence; the declarations are written anew. */
 
-static fmi2Status complain(unit_t *u, const char *text) { return report(u->callbacks, fmi2Error, text); }
+typedef void *fmi2Component;
+typedef unsigned int fmi2ValueReference;
+typedef int fmi2Boolean;
+typedef double fmi2Real;
+typedef int fmi2Integer;
+typedef const char *fmi2String;
+typedef enum { fmi2OK, fmi2Warning, fmi2Discard, fmi2Error, fmi2Fatal, fmi2Pending } fmi2Status;
+typedef void (*fmi2Logger)(void *, fmi2String, fmi2Status, fmi2String, fmi2String, ...);
+typedef struct {
+  fmi2Logger logger;
+  void *(*allocate)(size_t, size_t);
+  void (*release)(void *);
+  void *finished, *environment;
+} fmi2CallbackFunctions;
+
+static void tell(const host_t *host, status_t status, const char *category, const char *text) {
+  ((fmi2Logger)host->logger)(host->environment, UNIT, (fmi2Status)status, category, text);
+}
 
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 const char *fmi2GetVersion(void) { return "2.0"; }
@@ -9,46 +26,26 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 
 fmi2Component fmi2Instantiate(fmi2String name, int type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
-  if (type != 1) return report(callbacks, fmi2Error, "this unit is for co-simulation only"), NULL;
-  if (!guid || strcmp(guid, GUID)) return report(callbacks, fmi2Error, "the GUID is not that of this unit"), NULL;
-  unit_t *u = calloc(1, sizeof(unit_t));
-  if (u) u->callbacks = callbacks, connect(u), reset(u);
-  return u;
+  const host_t host = {tell, callbacks ? (void (*)(void))callbacks->logger : NULL, callbacks ? callbacks->environment : NULL};
+  if (type != 1) return report(&host, STATUS_ERROR, "this unit is for co-simulation only"), NULL;
+  return instantiate(guid, host);
 }
 void fmi2FreeInstance(fmi2Component c) { free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean t, fmi2Real tol, fmi2Real start, fmi2Boolean s, fmi2Real stop) {
-  return fmi2OK;
+  return ((instance_t *)c)->time = start, fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return begin(c), fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return begin(&((instance_t *)c)->unit), fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { return reset(c), fmi2OK; }
-
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real values[]) {
-  unit_t *u = c;
-  for (size_t i = 0; i < n; ++i) {
-    if (r[i] >= N_OUTPUT + N_INPUT) return complain(u, "unknown value reference");
-    values[i] = r[i] < N_OUTPUT ? u->y[r[i]] : u->inputs[r[i] - N_OUTPUT];
-  }
-  return fmi2OK;
+fmi2Status fmi2Reset(fmi2Component c) { return restart(c), fmi2OK; }
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]) {
+  return (fmi2Status)get_numbers(c, r, n, v);
 }
-
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real values[]) {
-  unit_t *u = c;
-  for (size_t i = 0; i < n; ++i) {
-    if (r[i] < N_OUTPUT || r[i] >= N_OUTPUT + N_INPUT) return complain(u, "only " INPUTS_TEXT " can be set");
-    if (!(fabs(values[i]) <= LARGEST_INPUT)) return complain(u, INPUT_TEXT);
-    u->inputs[r[i] - N_OUTPUT] = values[i];
-  }
-  return fmi2OK;
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[]) {
+  return (fmi2Status)set_numbers(c, r, n, v);
 }
-
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean keep) {
-  unit_t *u = c;
-  const double count = step / PERIOD, steps = floor(count + 0.5);
-  if (!(steps >= 1 && steps <= 1e9 && fabs(count - steps) <= 1e-6))
-    return complain(u, "the communication step must be a whole number of ms");
-  return advance(u, (casadi_int)steps);
+  return (fmi2Status)do_step(c, time, step);
 }
 
 #define UNUSED_GET(name, type) \

@@ -109,7 +109,7 @@ def polach(
     Source: Polach 2005, eqs. (2) and (3) (resultant), Polach 1999 (spin).
     """
     m = elementary(nu_x, nu_y, spin, load)
-    friction = _friction(m, mu0, a_ratio, b_decay, slip_speed)
+    friction = falling_friction(m, mu0, a_ratio, b_decay, slip_speed)
     carried, nu_yc = load + 1.0, _with_spin(m, nu_y, spin * a)
     nu = m.sqrt(nu_x**2 + nu_yc**2 + 1e-14)
     resultant, _ = _resultant(m, nu_x, nu_yc, load, a, b, c11, c22, shear_modulus, k_a, k_s, friction)
@@ -135,14 +135,14 @@ def spin_moment(
     Source: Kalker 1990 (linear moment), Polach 2005, eqs. (2) and (3) (reduction).
     """
     m = elementary(nu_x, nu_y, spin, load)
-    friction = _friction(m, mu0, a_ratio, b_decay, slip_speed)
+    friction = falling_friction(m, mu0, a_ratio, b_decay, slip_speed)
     nu_yc = _with_spin(m, nu_y, spin * a)
     resultant, linear = _resultant(m, nu_x, nu_yc, load, a, b, c11, c22, shear_modulus, k_a, k_s, friction)
     root = m.sqrt(a * b)
     return resultant / linear * root * (c23 * nu_y - root * c33 * spin)
 
 
-def _friction(m, mu0, a_ratio, b_decay, slip_speed):
+def falling_friction(m, mu0, a_ratio, b_decay, slip_speed):
     """Coefficient of friction that falls with the slip speed (-)."""
     return mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio)
 

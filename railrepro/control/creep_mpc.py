@@ -13,12 +13,14 @@ No counterpart in the paper.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control.creep_gains import READ, CreepSettings, delay_of, schedule
+from railrepro.control.predictive import Solve
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
 from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at
@@ -86,10 +88,13 @@ class CreepGuide:
         Samples whose measurement was not finite, so that the filter went on without it.
     restarts : int
         How often the filter was so far off that it began anew.
+    stats : list of Solve
+        One record per sample.
     """
 
     def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings, creep: Creep):
         self.period, self.missed, self.restarts = settings.period, 0, 0
+        self.stats: list[Solve] = []
         self.state = np.zeros(len(STATES) + len(UNKNOWN) + 1)
         self._vehicle, self._settings, self._creep, self._started = vehicle, settings, creep, False
         self._acceleration, partner, _ = nominal_values(vehicle, gear)
@@ -132,6 +137,7 @@ class CreepGuide:
 
         Below the slowest speed of the model the torque is held.
         """
+        begin = time.thread_time()
         measured = bool(np.isfinite(x_hat).all() and (self._read is None or np.isfinite(self._read).all()))
         if measured:
             self._seen[:] = x_hat
@@ -152,6 +158,7 @@ class CreepGuide:
             self._begin(v, read)
         if v >= LEAST_SPEED:
             self._follow(read if measured else None, ahead, v)
+        self.stats.append(Solve(time.thread_time() - begin, 0, False))
         return float(self.sent[0])
 
     def _follow(self, read: np.ndarray | None, ahead: np.ndarray, v: float) -> None:

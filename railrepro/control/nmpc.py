@@ -50,7 +50,7 @@ class NMPC(PredictiveController):
         """See `PredictiveController.plan`; real-time iteration does all but the last quadratic problem beforehand."""
         if self.solver != "rti" or self.recorded is not None:
             return super().plan(x_hat, u_d)
-        begin = time.perf_counter()
+        begin = time.thread_time()
         x_hat, u_d = self.observed(x_hat), self.known_base_torque(u_d)
         if not self._started:
             self._prepare(x_hat, u_d)
@@ -65,13 +65,13 @@ class NMPC(PredictiveController):
             horizon.u[:] = horizon.u.clip(-bound, bound)
             self._started = False
         self.plan_du = horizon.u.copy()
-        ready = time.perf_counter()
+        ready = time.thread_time()
         self._expected_y = None
         if self._started:
             expected = self.expected_state().copy()
             self._expected_y = float(expected[Y])
             self._prepare(expected, u_d)
-        self.stats.append(Solve(ready - begin, 1, not self._started, time.perf_counter() - ready))
+        self.stats.append(Solve(ready - begin, 1, not self._started, time.thread_time() - ready))
         return float(self.plan_du[0])
 
     def _prepare(self, x_expected: np.ndarray, u_d: float) -> None:

@@ -1,9 +1,9 @@
 /* A predictive controller of one gear without allocation: real-time iteration of the nonlinear problem, or the linear
-   time-variant one, as railrepro.control.nmpc and ltv_mpc do it. When the active sets do not settle within their number, or a
-   value is not finite, the plan of before serves, one sample later, so that a sample has a largest time. Starts after
-   riccati.c and the constants of the settings. */
+   time-variant one, as railrepro.control.nmpc and ltv_mpc do it. A sample has a largest time: active sets that do not settle
+   are found by a limited number of interior points; when these fail, or a value is not finite, the plan of before serves,
+   one sample later. Starts after riccati.c, interior.c and the constants of the settings. */
 
-enum { FUNCTIONS = 5 };
+enum { FUNCTIONS = 9 };
 
 typedef struct {
   horizon_t h;
@@ -13,7 +13,8 @@ typedef struct {
   double x_d[(STEPS + 1) * N], theta[(STEPS + 1) * N_THETA], x[(STEPS + 1) * N], u[STEPS], plan[STEPS];
   double x_next[STEPS * N], a[STEPS * N_A], b[STEPS * N], cost_matrix[(STEPS + 1) * N * N], cost_vector[(STEPS + 1) * N];
   double feedback[STEPS * N], feedforward[STEPS], dx[(STEPS + 1) * N], du[STEPS], slope[STEPS], fixed[STEPS];
-  double side[STEPS + 1];
+  double side[STEPS + 1], inner[BOUNDS * STEPS], room[BOUNDS * STEPS], force[BOUNDS * STEPS], room_step[BOUNDS * STEPS];
+  double force_step[BOUNDS * STEPS], target[BOUNDS * STEPS], stands[BOUNDS * (STEPS + 1)], passes;
   const double *arg[FUNCTIONS][PLAN_ARG];
   double *res[FUNCTIONS][PLAN_RES];
   casadi_int iw[FUNCTIONS][PLAN_IW + 1];
@@ -21,16 +22,18 @@ typedef struct {
 } planner_t;
 
 static void planner_reset(planner_t *p, int gear) {
-  static const casadi_fn functions[FUNCTIONS] = {preview_place, preview_stage, riccati_terminal, riccati_backward,
-                                                 riccati_forward};
+  static const casadi_fn functions[FUNCTIONS] = {preview_place,   preview_stage,     riccati_terminal, riccati_backward,
+                                                 riccati_forward, barrier_stiffness, barrier_terminal, barrier_backward,
+                                                 barrier_again};
   memset(p, 0, sizeof *p);
   call_t calls[FUNCTIONS];
   for (int i = 0; i < FUNCTIONS; ++i) calls[i] = (call_t){functions[i], p->arg[i], p->res[i], p->iw[i], p->w[i]};
   p->h = (horizon_t){STEPS, N_CELLS, MOST_SETS, CELL_START, CELL_STEP, CELLS,
-                     calls[0], calls[1], calls[2], calls[3], calls[4],
+                     calls[0], calls[1], calls[2], calls[3], calls[4], calls[5], calls[6], calls[7], calls[8],
                      p->x_hat, NOMINAL + gear * N_NOMINAL, MODEL, TUNING, 0, 0, AFFINE,
                      p->x_d, p->theta, p->x, p->u, p->x_next, p->a, p->b, p->cost_matrix, p->cost_vector,
-                     p->feedback, p->feedforward, p->dx, p->du, p->slope, p->fixed, p->side};
+                     p->feedback, p->feedforward, p->dx, p->du, p->slope, p->fixed, p->side,
+                     p->inner, p->room, p->force, p->room_step, p->force_step, p->target, p->stands, &p->passes};
 }
 
 static double torque_bound(double u_d) { return YIELDING ? TORQUE_LIMIT : fmax(TORQUE_LIMIT - fabs(u_d), 0); }

@@ -23,12 +23,12 @@ class Solve:
     Attributes
     ----------
     seconds : float
-        Wall time from measured state to torque, forecast included (s).
+        Time of the processor from measured state to torque, forecast included (s): others on the machine do not count.
     iterations : int
     fallback : bool
         Whether a shifted old plan had to serve.
     preparation : float
-        Wall time spent after the torque was out, for the next sample (s).
+        The same after the torque was out, for the next sample (s).
     """
 
     seconds: float
@@ -92,7 +92,7 @@ class PredictiveController:
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now; a failing solver falls back on the shifted previous plan, counted."""
-        begin = time.perf_counter()
+        begin = time.thread_time()
         self.look_ahead(self.observed(x_hat), self.known_base_torque(u_d))
         if self.recorded is not None:
             self.recorded.append(self._problem_ahead())
@@ -106,7 +106,7 @@ class PredictiveController:
             iterations, fallback = 0, True
         self.plan_du = start if fallback else du.clip(-bound, bound)
         self._expected_y = None if fallback else float(self.expected_state()[Y])
-        self.stats.append(Solve(time.perf_counter() - begin, iterations, fallback))
+        self.stats.append(Solve(time.thread_time() - begin, iterations, fallback))
         return float(self.plan_du[0])
 
     def observed(self, x_hat: np.ndarray) -> np.ndarray:

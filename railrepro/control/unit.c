@@ -1,9 +1,9 @@
-/* A controller as a unit of FMI. Starts after controller.c, fmi2.h; fmi2.c follows. */
+/* A controller as a unit of FMI. Starts after controller.c, fmi.h; fmi.c follows. */
 
 typedef struct {
   double inputs[N_INPUT], y[N_OUTPUT];
   controller_t controller;
-  const fmi2CallbackFunctions *callbacks;
+  const host_t *host;
 } unit_t;
 
 static void connect(unit_t *u) {}
@@ -17,10 +17,10 @@ static void reset(unit_t *u) {
 static void begin(unit_t *u) {}
 
 /* What is measured is held for all exchanges of a step. */
-static fmi2Status advance(unit_t *u, casadi_int steps) {
+static status_t advance(unit_t *u, casadi_int steps) {
   memcpy(u->controller.measured, u->inputs, sizeof u->controller.measured);
   for (casadi_int k = 0; k < steps; ++k)
-    if (controller_step(&u->controller)) return report(u->callbacks, fmi2Error, "the control law failed");
+    if (controller_step(&u->controller)) return report(u->host, STATUS_ERROR, "the control law failed");
   memcpy(u->y, u->controller.torque, sizeof u->y);
-  return fmi2OK;
+  return STATUS_OK;
 }

@@ -101,5 +101,5 @@ def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
             if i == 0:
                 place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
                 box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
-                look = {"fontsize": 6, "color": "0.3", "rotation": 90, "va": "bottom", "bbox": box}
+                look = {"fontsize": 7, "color": "0.3", "rotation": 90, "va": "bottom", "bbox": box}
                 axis.annotate(name, (x, 0.0), (2, 3), **place, **look)

@@ -1,13 +1,16 @@
 """Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
 
-`python -m railrepro.studies.bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv and executor_speed.csv of
-data/results and prints them. Times of different machines are never compared; the machine's name stands in each table.
+`python -m railrepro.studies.bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv, executor_speed.csv,
+sample_times.csv, peer_times.csv and solver_operations.csv of data/results and prints them. Times of different machines
+are never compared; the machine's name stands in each table.
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
+import itertools
 import os
 import platform
 import sys
@@ -31,16 +34,18 @@ from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings, Problem, Tuning
-from railrepro.control.registry import mpc_settings
-from railrepro.control.solvers import condensed
+from railrepro.control.registry import WITH_OBSERVER, mpc_settings
+from railrepro.control.solvers import condensed, riccati
 from railrepro.control.solvers.riccati import PlainHorizon
 from railrepro.errors import InputError, told
 from railrepro.files import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.exchange import Exchange
-from railrepro.studies import pso, swarm, tuning
+from railrepro.studies import peers, pso, swarm, tuning
 from railrepro.studies.executor import executor, ordered_map
+from railrepro.studies.experiment import Experiment
+from railrepro.studies.experiment import sample_times as sample_times_of
 from railrepro.track.rough import rough_track
 from railrepro.track.route import CELL, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -58,6 +63,7 @@ KINDS = ("ipopt", "dense", "gauss_newton", "rti", "ltv_mpc")
 WINDOW = 32
 """Successive samples recorded per scenario."""
 HORIZONS = (10, 20, 40, 80, 160)
+_LANES = Path(codegen.__file__).with_name("lanes.h")
 _PARTS = {"coordinates": "places", "output": "outputs", "law": "law", "step": "step"}
 
 
@@ -252,23 +258,91 @@ def phases(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     return pd.DataFrame(rows).assign(unit="ms")
 
 
-def _seconds(call: Callable[[], None], least: float = 0.2) -> float:
-    """Time of one call (s): best of three batches."""
+def _seconds(call: Callable[[], object], least: float = 0.2) -> float:
+    """Time of the processor for one call (s): best of three batches."""
     count, best = 1, np.inf
     while True:
-        begin = time.perf_counter()
+        begin = time.thread_time()
         for _ in range(count):
             call()
-        spent = time.perf_counter() - begin
+        spent = time.thread_time() - begin
         if spent > least:
             break
         count *= 4
     for _ in range(3):
-        begin = time.perf_counter()
+        begin = time.thread_time()
         for _ in range(count):
             call()
-        best = min(best, (time.perf_counter() - begin) / count)
+        best = min(best, (time.thread_time() - begin) / count)
     return best
+
+
+def peer_times(vehicle: Vehicle, settings: MPCSettings, names=("curve_entry_T3",), count: int = 6):
+    """Our recursion against compiled peers (contract of data/results/peer_times.csv).
+
+    Our tuned set, and the one tuned on the paper's terms with the paper's discretisation, with bounds far and near.
+    """
+    paper = replace(mpc_settings(tuning.load("nmpc", "paper")["parameters"]), discretisation="euler")
+    plain = [record(name, each, vehicle, count) for each in (settings, paper) for name in names]
+    recordings = [recording for one in plain for recording in (one, tightened(one))]
+    tables = [peers.compare(recording, vehicle) for recording in tqdm(recordings, desc="peers", unit="scenario")]
+    return pd.concat(tables, ignore_index=True)
+
+
+def sample_times(terms=tuning.TERMS, names=SCENARIOS, drives: int = 3, end_m: float = 500.0) -> pd.DataFrame:
+    """Time of the samples of predictive controllers in closed loop, the least of some drives at each sample.
+
+    Contract of data/results/sample_times.csv: the first `end_m` of each scenario, on all terms.
+    """
+    kinds = [(name, {"solver": solver}) for name in ("nmpc", WITH_OBSERVER) for solver in ("gauss_newton", "rti")]
+    kinds += [("ltv_mpc", {}), ("ltv_mpc_printed", {})]
+    rows = []
+    for each, (controller, options), name in tqdm(list(itertools.product(terms, kinds, names)), desc="samples"):
+        scenario = scenarios.load_scenario(name)
+        scenario = scenario.but(end_m=min(scenario.end_m, end_m))
+        sensors = {"seed": 1} if each == tuning.LOOP else {}
+        experiment = Experiment(scenario, controller, options=options, terms=each, sensors=sensors)
+        run = experiment.run()
+        times = 1e3 * sample_times_of(run, experiment, drives - 1)
+        row = {"terms": each, "controller": controller, "solver": options.get("solver", "one QP"), "scenario": name}
+        row |= {"steps": run.controllers[0].settings.steps, "n": len(times), "median_ms": np.median(times)}
+        row |= {"p99_ms": np.quantile(times, 0.99), "max_ms": times.max()}
+        fallbacks = sum(solve.fallback for guided in run.controllers for solve in guided.stats)
+        rows.append(row | {"fallbacks": fallbacks, "failed": run.failed})
+    return pd.DataFrame(rows)
+
+
+def _arithmetic(function: ca.Function) -> int:
+    """Floating-point operations of one call; a sine counts as one."""
+    no = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+    return sum(function.instruction_id(i) not in no for i in range(function.n_instructions()))
+
+
+def solver_operations(vehicle: Vehicle, settings: MPCSettings, least: float = 0.2) -> pd.DataFrame:
+    """Operations and time of one iteration, and what the processor can at most.
+
+    Columns: part, operations, microseconds, gigaflops, share_of_limit (of what the processor can in the same kind of
+    code: several numbers side by side for the linearisation, one by one for the recursion).
+    """
+    recording = record("curve_entry_T3", settings, vehicle, 1)
+    controller = NMPC(vehicle, recording.route, 0, settings)
+    controller.optimise(recording.problems[0], np.zeros(settings.steps))
+    horizon, steps = controller.horizon, settings.steps
+    model = ocp.dynamics(settings.variant, settings.discretisation)
+    terminal, backward, forward = riccati.recursion(settings.variant, settings.discretisation)
+    recursion = _arithmetic(terminal) + steps * (_arithmetic(backward) + _arithmetic(forward))
+    text = "".join(file.read_text() for file in (_LANES, Path(__file__).with_name("peak.c")))
+    kernel, rounds = ctypes.CDLL(str(codegen.build(text))), 10_000
+    limits = {name: 24.0 * rounds * wide for name, wide in (("peak_lanes", 4), ("peak_single", 1))}
+    rates = {name: n / _seconds(lambda name=name: getattr(kernel, name)(rounds), least) for name, n in limits.items()}
+    parts = {
+        "linearisation": (steps * _arithmetic(model), _seconds(horizon.linearise, least), "peak_lanes"),
+        "recursion": (recursion, _seconds(horizon.solve, least), "peak_single"),
+    }
+    rows = [{"part": name, "operations": n, "microseconds": 1e6 * t, "gigaflops": 1e-9 * n / t,
+             "share_of_limit": n / t / rates[of]} for name, (n, t, of) in parts.items()]  # fmt: skip
+    words = {"peak_lanes": "limit, four side by side", "peak_single": "limit, one by one"}
+    return pd.DataFrame(rows + [{"part": words[name], "gigaflops": 1e-9 * rate} for name, rate in rates.items()])
 
 
 _S1002, _TWO_STAGE = {"contact.profile": "s1002"}, {"primary.two_stage": True}
@@ -374,6 +448,9 @@ def main(names: list[str]) -> None:
         "solve_times": lambda: solve_times(vehicle, settings),
         "horizon_times": lambda: horizon_times(vehicle, settings),
         "executor_speed": executor_speed,
+        "peer_times": lambda: peer_times(vehicle, settings),
+        "sample_times": sample_times,
+        "solver_operations": lambda: solver_operations(vehicle, settings),
     }
     if importlib.util.find_spec("do_mpc"):
         measures["peer"] = lambda: peer(vehicle, settings)

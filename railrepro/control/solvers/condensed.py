@@ -1,7 +1,7 @@
 """The quadratic problem of a horizon with the states eliminated: dense, cubic in its length, solved by a QP code.
 
-The second method beside the Riccati recursion: it judges the recursion in the tests, takes over when its active sets do
-not settle, and serves machines without a C compiler.
+The second method beside the Riccati recursion: it judges the recursion in the tests, takes over where neither active
+sets nor interior points find the minimiser, and serves machines without a C compiler.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ typedef struct {
   casadi_int steps, n_cells, most_sets;
   double cell_start, cell_step;
   const double *cells;
-  call_t place, preview, terminal, backward, forward;
+  call_t place, preview, terminal, backward, forward, barrier_stiffness, barrier_terminal, barrier_backward, barrier_again;
   /* inputs: measured state, nominal vehicle of the forecast and of the model, tuning; base torque, bound of the
      differential torque, printed switch */
   const double *x_hat, *nominal, *par, *tuning;
@@ -21,7 +21,14 @@ typedef struct {
   double *x_next, *a, *b;
   /* recursion: cost-to-go matrix and vector, feedback, feed-forward, steps, slope of the cost in the torque, active sets */
   double *cost_matrix, *cost_vector, *feedback, *feedforward, *dx, *du, *slope, *fixed, *side;
+  /* interior.c: of every bound step of what it bounds, room and force, their steps, and what their product shall become; weights
+     and slopes that stand for the bounds in the recursion */
+  double *inner, *room, *force, *room_step, *force_step, *target, *stands;
+  /* recursions that the last problem took */
+  double *passes;
 } horizon_t;
+
+static int interior(const horizon_t *h);
 
 static int call(const call_t *f, const double *const *arguments, int n_arguments, double *const *results, int n_results) {
   for (int i = 0; i < n_arguments; ++i) f->arg[i] = arguments[i];
@@ -117,14 +124,23 @@ static int all_finite(const double *values, casadi_int n) {
   return 1;
 }
 
-/* Minimiser of the quadratic problem about the trajectory: steps dx, du. Starts from the active sets it finds.
-   Returns 0, or 1 when a value is not finite, or 2 when the active sets did not settle. */
-int horizon_solve(const horizon_t *h) {
-  for (casadi_int i = 0; i < h->most_sets; ++i) {
+/* Try `most` active sets, from those found; returns like horizon_solve. */
+static int settle(const horizon_t *h, casadi_int most) {
+  for (casadi_int i = 0; i < most; ++i) {
+    ++*h->passes;
     if (backward(h) || forward(h)) return 1;
     if (!revise(h)) return all_finite(h->dx, (h->steps + 1) * N) && all_finite(h->du, h->steps) ? 0 : 1;
   }
   return 2;
+}
+
+/* Minimiser of the quadratic problem about the trajectory: steps dx, du. Starts from the active sets it finds; when a few
+   more do not settle, the interior point method finds those of the minimiser.
+   Returns 0, or 1 when a value is not finite, or 2 when no minimiser was found. */
+int horizon_solve(const horizon_t *h) {
+  *h->passes = 0;
+  const int code = settle(h, h->most_sets);
+  return code == 2 ? interior(h) : code;
 }
 
 /* Take the steps dx, du; torques stay within their bound. */

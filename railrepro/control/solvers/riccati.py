@@ -1,11 +1,12 @@
 """The compiled horizon: forecast, linearisation and Riccati recursion of one sample, without Python between stages.
 
-Hessians and gradients are CasADi's derivatives of the costs stated in `railrepro.control.problem`. One optimal control
-problem needs one call. The time grows linearly with the horizon; torque limits and the soft lateral
-bound are active sets around the recursion. `riccati.c` drives the functions generated here; without a C compiler the
-condensed problem of `condensed` gives the same minimisers.
+One optimal control problem needs one call. The time grows linearly with the horizon; torque limits and the soft lateral
+bound are active sets around the recursion. Where these do not settle, an interior point method on the same recursion
+finds them, so that a sample has a largest time. `riccati.c` and `interior.c` drive the functions of `recursion`; where
+there is no C compiler the condensed problem of `condensed` gives the same minimisers.
 
-Source: Rao, Wright and Rawlings 1998 (recursion); Hintermueller, Ito and Kunisch 2002 (primal-dual active sets).
+Source: Rao, Wright and Rawlings 1998 (recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and
+Kunisch 2002 (primal-dual active sets).
 """
 
 from __future__ import annotations
@@ -19,18 +20,23 @@ import casadi as ca
 import numpy as np
 
 from railrepro.compile import codegen
-from railrepro.control.problem import TUNING, Tuning, dynamics, effort_cost, slack_on, stage_cost, terminal_cost
+from railrepro.control.problem import TUNING, dynamics
 from railrepro.control.solvers import condensed
+from railrepro.control.solvers.recursion import barrier, recursion
 from railrepro.model import forecast
 from railrepro.model.control_model import STATES, THETA
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 
 _N = len(STATES)
 _UNSETTLED, _DIVERGED = 2, 3
-MOST_SETS = 30
-"""Active sets tried per quadratic problem before it is handed to a general QP solver."""
+MOST_SETS = 8
+"""Active sets tried per quadratic problem before the interior point method takes over."""
 _FIELDS = ("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector")
 _FIELDS += ("feedback", "feedforward", "dx", "du", "slope", "fixed", "side")
+_OF_BOUNDS = ("inner", "room", "force", "room_step", "force_step", "target")
+_FIELDS += (*_OF_BOUNDS, "stands", "passes")
+_CALLS = ("place", "preview", "terminal", "backward", "forward")
+_CALLS += ("barrier_stiffness", "barrier_terminal", "barrier_backward", "barrier_again")
 
 
 class _Horizon(ctypes.Structure):
@@ -38,59 +44,17 @@ class _Horizon(ctypes.Structure):
         *((name, ctypes.c_longlong) for name in ("steps", "n_cells", "most_sets")),
         *((name, ctypes.c_double) for name in ("cell_start", "cell_step")),
         ("cells", ctypes.c_void_p),
-        *((name, codegen.Call) for name in ("place", "preview", "terminal", "backward", "forward")),
+        *((name, codegen.Call) for name in _CALLS),
         *((name, ctypes.c_void_p) for name in ("x_hat", "nominal", "par", "tuning")),
         *((name, ctypes.c_double) for name in ("u_d", "bound", "affine")),
         *((name, ctypes.c_void_p) for name in _FIELDS),
     ]
 
 
-def _halved(cost: ca.SX, by: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Hessian and gradient of a cost, both halved, dense."""
-    hessian, gradient = ca.hessian(cost, by)
-    return ca.densify(hessian / 2), ca.densify(gradient / 2)
-
-
-@lru_cache
-def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Last stage, one stage backward and one stage forward of the Riccati recursion about a trajectory."""
-    n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
-    names = ("p", "x_plus", "x_next", "b", "x", "x_d", "dx", "feedback")
-    v = {name: ca.SX.sym(name, n) for name in names}
-    s = {name: ca.SX.sym(name) for name in ("u", "fixed", "to_bound", "side", "ff")}
-    matrix, a, tuning = ca.SX.sym("P", n, n), ca.SX.sym("A", sparsity), ca.SX.sym("tuning", len(TUNING))
-    t = Tuning.of(tuning)
-    state, slack = [v["x"], v["x_d"], s["side"], tuning], slack_on(s["side"], v["x"], t)
-    last = _halved(terminal_cost(v["x"], v["x_d"], slack, t), v["x"])
-    terminal = ca.Function("riccati_terminal", state, last, {"cse": True})
-
-    hessian, gradient = _halved(stage_cost(v["x"], v["x_d"], slack, t), v["x"])
-    effort, effort_slope = _halved(effort_cost(s["u"], t), s["u"])
-    gap = v["x_next"] - v["x_plus"]
-    free = 1 - s["fixed"] ** 2
-    pb, ahead = ca.mtimes(matrix, v["b"]), ca.mtimes(matrix, gap) + v["p"]
-    curvature = effort + ca.dot(v["b"], pb)
-    coupling = ca.mtimes(a.T, pb)
-    feedback = -free * coupling / curvature
-    feedforward = -free * (effort_slope + ca.dot(v["b"], ahead)) / curvature + (1 - free) * s["to_bound"]
-    cost = hessian + ca.mtimes(a.T, ca.mtimes(matrix, a)) + ca.mtimes(coupling, feedback.T)
-    cost = ca.densify(ca.triu2symm(ca.triu(cost)))
-    vector = ca.densify(gradient + ca.mtimes(a.T, ahead + pb * feedforward))
-    inputs = [matrix, v["p"], v["x_plus"], v["x_next"], a, v["b"], s["u"], s["fixed"], s["to_bound"], *state]
-    backward = ca.Function("riccati_backward", inputs, [cost, vector, ca.densify(feedback), feedforward], {"cse": True})
-
-    du = ca.dot(v["feedback"], v["dx"]) + s["ff"]
-    dx_next = ca.densify(ca.mtimes(a, v["dx"]) + v["b"] * du + gap)
-    slope = ca.substitute(effort_slope, s["u"], s["u"] + du) + ca.dot(v["b"], ca.mtimes(matrix, dx_next) + v["p"])
-    inputs = [v["dx"], v["feedback"], s["ff"], v["x_next"], v["x_plus"], a, v["b"], matrix, v["p"], s["u"], tuning]
-    forward = ca.Function("riccati_forward", inputs, [dx_next, du, slope], {"cse": True})
-    return terminal, backward, forward
-
-
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """The functions behind a horizon: place, stage, terminal, backward, forward."""
-    return *forecast.functions(), *recursion(variant, discretisation)
+    """The functions behind a horizon, in the order of `_CALLS`."""
+    return *forecast.functions(), *recursion(variant, discretisation), *barrier(variant, discretisation)
 
 
 def _enum(names: Iterable[str]) -> str:
@@ -105,7 +69,7 @@ def c_text(variant: str, discretisation: str) -> str:
     extra += _enum(f"STATE_{name}" for name in STATES) + _enum(f"TUNING_{name}" for name in TUNING)
     extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
     extra += codegen.lanes_text(model, common=("u_d", "par", "T", "affine"))
-    return extra + Path(__file__).with_name("riccati.c").read_text()
+    return extra + "".join(Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c"))
 
 
 @lru_cache
@@ -214,7 +178,8 @@ class Horizon(PlainHorizon):
         shapes |= {"x_next": (steps, _N), "a": (steps, n_a), "b": (steps, _N), "du": (steps,)}
         shapes |= {"cost_matrix": (steps + 1, _N**2), "cost_vector": (steps + 1, _N)}
         shapes |= {"feedback": (steps, _N), "feedforward": (steps,), "dx": (steps + 1, _N)}
-        shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,)}
+        shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,), "passes": (1,)}
+        shapes |= dict.fromkeys(_OF_BOUNDS, (4, steps)) | {"stands": (steps + 1, 4)}
         self.x_hat, self.cells = np.zeros(_N), np.ascontiguousarray(cells)
         self._inputs = nominal.astype(float), parameters.astype(float), settings.tuning()
         for name in _FIELDS:

@@ -1,0 +1,18 @@
+/* What all units share before their own C: where a unit speaks to its importer, whatever the version of FMI. Starts after
+   call.h and the constants of a unit, UNIT its name. */
+
+#include <stdlib.h>
+
+typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } status_t;  /* the same numbers in FMI 2.0 and 3.0 */
+
+/* The importer: `tell` is that of the version and knows what its logger takes. */
+typedef struct host_t {
+  void (*tell)(const struct host_t *, status_t, const char *category, const char *text);
+  void (*logger)(void);
+  void *environment;
+} host_t;
+
+static status_t report(const host_t *host, status_t status, const char *text) {
+  if (host->logger) host->tell(host, status, status == STATUS_WARNING ? "logStatusWarning" : "logStatusError", text);
+  return status;
+}

@@ -1,0 +1,59 @@
+"""`python -m railrepro.film curve_entry_T3 nmpc ndi`: page and movie of a scenario in build/film, for `make film`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from railrepro import paths
+from railrepro.control.registry import REGISTERED
+from railrepro.errors import InputError, told
+from railrepro.files import write
+from railrepro.film import movie, page
+from railrepro.film.scene import film
+from railrepro.simulation.scenarios import load_scenarios
+from railrepro.studies import tuning
+
+DEFAULT = ("curve_entry_T3", "sine_tracking", "adhesion_loss", "braking")
+"""Scenarios that are filmed when none is named."""
+ALL = "all"
+"""Stands for them."""
+CONTROLLERS = ("nmpc", "ndi")
+
+
+def main(arguments: list[str]) -> None:
+    """Film one scenario or the usual ones; each page and movie is told where it is."""
+    parser = argparse.ArgumentParser("python -m railrepro.film", description="Two controllers side by side.")
+    parser.add_argument("scenario", nargs="?", default=ALL, help=f"key of scenarios.toml; default {', '.join(DEFAULT)}")
+    parser.add_argument("controllers", nargs="*", help=f"two registered names; default {' '.join(CONTROLLERS)}")
+    parser.add_argument("--terms", default=tuning.EQUAL, help=f"one of {', '.join(tuning.TERMS)}; default equal")
+    parser.add_argument("--no-movie", action="store_true", help="only the page")
+    given = parser.parse_args(arguments)
+    names = DEFAULT if given.scenario == ALL else (given.scenario,)
+    controllers = tuple(given.controllers or CONTROLLERS)
+    _check(names, controllers, given.terms)
+    folder = paths.BUILD / "film"
+    for name in names:
+        shown = film(name, controllers, given.terms)
+        stem = "-".join((name, *controllers, *((given.terms,) if given.terms != tuning.EQUAL else ())))
+        write(folder / f"{stem}.html", page.html(shown))
+        print(f"written: {folder / stem}.html", flush=True)
+        if not given.no_movie:
+            print(f"written: {movie.save(shown, folder, stem)}", flush=True)
+
+
+def _check(names: tuple[str, ...], controllers: tuple[str, ...], terms: str) -> None:
+    """Refuse unknown names before the first run (InputError)."""
+    known = load_scenarios()
+    for name in names:
+        if name not in known:
+            raise InputError(f"scenario {name!r} is not known; there are {sorted(known)}")
+    for controller in controllers:
+        if controller not in tuple(REGISTERED):
+            raise InputError(f"controller {controller!r} is not known; there are {sorted(REGISTERED)}")
+    if terms not in tuning.TERMS:
+        raise InputError(f"terms {terms!r} are not known; there are {list(tuning.TERMS)}")
+
+
+if __name__ == "__main__":
+    sys.exit(told(lambda: main(sys.argv[1:])))

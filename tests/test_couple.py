@@ -1,0 +1,72 @@
+"""The page on coupling: its programs run as they stand and drive the trajectory of a run."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from railrepro import paths
+from railrepro.compile import codegen
+from railrepro.compile.unit import VERSIONS
+from railrepro.control import law
+from railrepro.control.export import TORQUES, Export
+from railrepro.control.ndi import NDI
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import load_scenario
+
+pytest.importorskip("fmpy")
+pytestmark = pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
+PAGE = (paths.NOTEBOOKS / "book/couple.md").read_text()
+
+
+def block(language):
+    (found,) = re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    return found
+
+
+@pytest.fixture(autouse=True)
+def quickly_compiled_elsewhere(monkeypatch, tmp_path):
+    monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_program_of_the_page_drives_the_trajectory_of_a_run(version):
+    names, text = {}, block("python").replace('fmi = "3.0"', f'fmi = "{version}"')
+    assert f'"{version}"' in text
+    exec(compile(text, "couple.md", "exec"), names)
+    series = simulate.run(names["scenario"], NDI(30.0, 20.0, 0.8)).series
+    expected = series[["front.p", "front.y"]].to_numpy()[1:]
+    assert np.abs(expected[:, 1]).max() > 1e-4
+    n = min(len(expected), len(names["path"]))
+    assert n > 850
+    assert np.array(names["path"][:n]) == pytest.approx(expected[:n], abs=1e-9)
+
+    car, controller, moved = names["Unit"]("car.fmu"), names["Unit"]("controller.fmu"), []
+    for k in range(n):  # both at once: what the page says of a Jacobi master
+        measured, torques = car.get(law.MEASURED), controller.get(TORQUES)
+        controller.set(law.MEASURED, measured)
+        car.set(TORQUES, torques)
+        for unit in (controller, car):
+            unit.unit.doStep(1e-3 * k, 1e-3)
+        moved.append(car.get(["front.y"])[0])
+    assert 1e-6 < np.abs(np.array(moved) - expected[:n, 1]).max() < 1e-5
+
+
+def test_the_c_of_the_page_compiles_and_steers_back():
+    route = load_scenario("sine_tracking").but(set_point={"kind": "none"}, end_m=50.0).route()
+    Export(NDI(30.0, 20.0, 0.8), route).write_source("controller.c")
+    Path("main.c").write_text(block("c"))
+    subprocess.run(["cc", "-O0", "-w", "main.c", "-o", "main", "-lm"], check=True)
+    done = subprocess.run(["./main"], capture_output=True, text=True, check=True)
+    front_le, front_ri, rear_le, rear_ri = map(float, done.stdout.split())
+    assert front_le < 0 < front_ri  # 1 mm to the right of the set point, so to the left
+    assert rear_le == pytest.approx(0, abs=1e-3) and rear_ri == pytest.approx(0, abs=1e-3)
+
+
+def test_every_name_of_the_page_is_one_of_the_units():
+    parts = {"front", "rear", "front_le", "front_ri", "rear_le", "rear_ri"}
+    named = set(re.findall(r"`((?:front|rear|tau)[\w.]*)`", PAGE)) - parts
+    assert len(named) > 10 and named <= {*law.MEASURED, *TORQUES}

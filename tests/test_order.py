@@ -1,0 +1,88 @@
+"""Where the order turns: each axis moves one thing, its nominal value moves nothing, and a lost run has no error."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from railrepro import paths
+from railrepro.errors import InputError
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies import order, tuning
+from railrepro.track.alignment import Alignment, Segment, alignments
+from railrepro.vehicle.parameters import load_vehicle
+
+SCENARIO = load_scenario(order.SCENARIO)
+
+
+def built(axis, value, controller="ndi", seed=0):
+    return order.case(axis, value, "equal", controller, seed).experiment(SCENARIO)
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 0.4333, 1.0])
+def test_cant_leaves_the_unbalanced_acceleration_and_moves_nothing_else(acceleration):
+    before = alignments()["T3"]
+    start, ramp, arc = order.canted(before, acceleration).segments
+    assert before.design_speed**2 * arc.kappa[0] - 9.81 * np.sin(arc.phi[0]) == pytest.approx(acceleration)
+    assert ramp.phi == (0.0, arc.phi[0]) and arc.phi[0] == arc.phi[1] and start == before.segments[0]
+    assert [s.length for s in (start, ramp, arc)] == [s.length for s in before.segments]
+    assert ramp.kappa == before.segments[1].kappa
+    if acceleration == 0.4333:
+        assert arc.phi == pytest.approx(before.segments[2].phi)
+
+
+def test_a_track_without_design_speed_is_refused():
+    level = (0.0, 0.0)
+    with pytest.raises(InputError, match="has no design speed"):
+        order.canted(Alignment("mine", (Segment(1.0, level, level, level),) * 3), 0.2)
+
+
+def test_bandwidth_moves_all_poles_of_an_inversion_by_one_factor():
+    tuned, moved = tuning.load("ndi")["parameters"], built("bandwidth", 2.0).parameters
+    assert moved["pole"] == 2 * tuned["pole"] and moved["frequency"] == 2 * tuned["frequency"]
+    assert moved["damping"] == tuned["damping"]
+    assert built("bandwidth", 2.0, "nmpc").parameters == tuning.load("nmpc")["parameters"]
+
+
+@pytest.mark.parametrize(
+    ("axis", "value"),
+    [("bandwidth", 1.0), ("unbalanced acceleration", 0.4333), ("creep stiffness", 1.0), ("car", "cone")],
+)
+def test_a_nominal_value_moves_nothing(axis, value):
+    assert value in order.AXES[axis].values
+    one = built(axis, value)
+    assert one.parameters == tuning.load("ndi")["parameters"]
+    assert one.car() == load_vehicle() and not one.sensors and not one.vehicle and one.scenario is SCENARIO
+
+
+def test_stiffness_is_that_of_the_car_alone_and_profiles_too():
+    one = built("creep stiffness", 4.0)
+    assert one.car().contact.shear_modulus == 4 * load_vehicle().contact.shear_modulus and not one.vehicle
+    assert built("car", "S1002").plant == {"contact.profile": "s1002"}
+
+
+def test_delay_and_noise_begin_where_the_filter_ends():
+    assert built("delay", 2.0).sensors == {"perfect": True, "inverter.delay": pytest.approx(2e-3)}
+    assert built("car", "cone, filter").sensors == {"perfect": True}
+    noise = built("noise", 2.0, seed=102).sensors
+    assert noise["seed"] == 102 and noise["gyro.noise"] == pytest.approx(2 * 0.004)
+    silent = {key for key, value in noise.items() if value == 0.0}
+    assert {"lateral.bias", "gyro.bias", "position.bias", "latency.measurement", "latency.command"} <= silent
+
+
+def test_only_noise_is_driven_with_several_seeds():
+    seeds = pd.DataFrame([vars(one) for one in order.cases()]).groupby(["axis", "value"])["seed"].unique()
+    assert set(seeds["noise", 1.0]) == set(seeds["car", "cone, loop"]) == set(order.SEEDS)
+    assert set(seeds["delay", 1.0]) == set(seeds["car", "cone, filter"]) == {0}
+
+
+def test_a_run_that_leaves_the_rail_has_no_error():
+    row = order.case("bandwidth", 4.0, "paper", "ndi")()
+    assert row["failed"] and "left the rail" in row["ended"] and "rmse_mm" not in row
+
+
+def test_the_stored_table_has_all_cases():
+    stored = pd.read_csv(paths.ROOT / "data/results/order_turns.csv")
+    keys = ["axis", "value", "terms", "controller", "seed"]
+    wanted = {(one.axis, str(one.value), one.terms, one.controller, one.seed) for one in order.cases()}
+    assert set(stored[keys].itertuples(index=False, name=None)) == wanted
+    assert stored["rmse_mm"].isna().eq(stored["failed"]).all()
