@@ -231,7 +231,7 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     rows = []
     for steps in tqdm(HORIZONS, desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
-        for kind in ("gauss_newton", "rti", "dense", "ipopt"):
+        for kind in ("gauss_newton", "rti", "ltv_mpc", "dense", "ipopt"):
             _, seconds, iterations, _ = solve_all(kind, recording, vehicle)
             row = {"solver": kind, "steps": steps, "median_ms": 1e3 * np.median(seconds)}
             rows.append(row | {"iterations_median": np.median(iterations)})
