@@ -222,6 +222,7 @@ def board(monkeypatch, tmp_path):
 
     monkeypatch.setattr(paths, "BUILD", tmp_path / "build")
     monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+    monkeypatch.setattr(leaderboard, "LEADERBOARD", "data/results/board.csv")
     monkeypatch.setattr(leaderboard, "score", scored)
     monkeypatch.setattr(leaderboard, "_library", lambda: "this one")
     (tmp_path / "README.md").write_text(f"before\n\n{leaderboard.BEGIN}\nold\n{leaderboard.END}\n\nafter\n")
@@ -232,9 +233,9 @@ def board(monkeypatch, tmp_path):
 def test_a_finished_controller_of_the_leaderboard_is_not_scored_again(board, tmp_path, monkeypatch):
     mine = str(tmp_path / "mine.py")
     leaderboard.main(["ndi", mine])
-    whole = (tmp_path / "data/results/leaderboard.csv").read_bytes()
+    whole = (tmp_path / "data/results/board.csv").read_bytes()
     leaderboard.main(["ndi", mine])
-    assert board == ["ndi", "mine"] and (tmp_path / "data/results/leaderboard.csv").read_bytes() == whole
+    assert board == ["ndi", "mine"] and (tmp_path / "data/results/board.csv").read_bytes() == whole
     (tmp_path / "mine.py").write_text(LAW.format("return 1, {}"))
     leaderboard.main(["ndi", mine])
     assert board == ["ndi", "mine", "mine"]
@@ -250,7 +251,7 @@ def test_a_finished_controller_of_the_leaderboard_is_not_scored_again(board, tmp
 def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_path):
     leaderboard.main(["ndi"])
     leaderboard.main([str(tmp_path / "mine.py")])
-    table = pd.read_csv(tmp_path / "data/results/leaderboard.csv")
+    table = pd.read_csv(tmp_path / "data/results/board.csv")
     assert list(dict.fromkeys(table["controller"])) == ["ndi", "mine"]
     assert not table.duplicated(["scenario", "controller", "metric", "terms"]).any()
     text = (tmp_path / "README.md").read_text()
@@ -262,7 +263,7 @@ def test_a_readme_without_a_place_for_the_leaderboard_is_told_and_nothing_is_wri
     (tmp_path / "README.md").write_text("nothing\n")
     with pytest.raises(InputError, match=r"README.md: the lines .* are missing"):
         leaderboard.main(["ndi"])
-    assert not (tmp_path / "data/results/leaderboard.csv").exists()
+    assert not (tmp_path / "data/results/board.csv").exists()
 
 
 def test_the_readme_shows_the_committed_leaderboard():
