@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pandas as pd
+from IPython import get_ipython
+from IPython.display import display
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -69,11 +71,15 @@ _STYLE = {
 def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: float = WIDTH, **options):
     """Figure and axes in the common style; `height` is that of one row (in)."""
     mpl.rcParams.update(_STYLE)
-    return plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
+    figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
+    plt.close(figure)  # a notebook would show it at the end of the cell that begins it
+    return figure, axes
 
 
 def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
-    """Write figures/NAME as pdf, svg and png, and the plotted data as csv; equal content gives equal bytes.
+    """Write figures/NAME as pdf, svg and png, and the plotted data as csv, and show it in a notebook.
+
+    Equal content gives equal bytes.
 
     Parameters
     ----------
@@ -91,6 +97,9 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     for suffix, entries in metadata.items():
         figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=250, metadata=entries)
     data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")
+    plt.close(figure)
+    if get_ipython() is not None:
+        display(figure)
 
 
 def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
