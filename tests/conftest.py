@@ -11,6 +11,22 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("RAILREPRO_WORKERS", "1")
 
 
+@pytest.fixture(scope="module")
+def nominal():
+    """Where the numbers of report and article come from."""
+    from railrepro.report.evidence import Nominal
+
+    return Nominal()
+
+
+@pytest.fixture(scope="module")
+def table(nominal):
+    """All statements as they are judged on the committed results."""
+    from railrepro.report import claims
+
+    return claims.evaluate(nominal)
+
+
 LONG = ("test_notebooks", "test_bench", "test_tuning", "test_claims", "test_adding", "test_bad_inputs")
 """Files whose tests start first, so that what comes last is short and all workers end together."""
 

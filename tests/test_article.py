@@ -20,16 +20,6 @@ pytestmark = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def nominal():
-    return Nominal()
-
-
-@pytest.fixture(scope="module")
-def table(nominal):
-    return claims.evaluate(nominal)
-
-
-@pytest.fixture(scope="module")
 def shown(table, nominal):
     return article.render(table, nominal)
 

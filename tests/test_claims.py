@@ -19,16 +19,6 @@ needs_results = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(scope="module")
-def nominal():
-    return Nominal()
-
-
-@pytest.fixture(scope="module")
-def table(nominal):
-    return claims.evaluate(nominal)
-
-
 def test_every_statement_has_a_predicate_and_every_predicate_a_statement():
     known = statements.load()
     assert {i for i, s in known.items() if s.kind == "statement"} == set(statements.VALUES)

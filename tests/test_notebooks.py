@@ -6,18 +6,14 @@ from railrepro import paths
 from railrepro.chain import compare, graph, runner
 
 
-@pytest.fixture(scope="module")
-def root(tmp_path_factory):
-    return tmp_path_factory.mktemp("products")
-
-
 @pytest.mark.parametrize("notebook", graph.chain(), ids=lambda notebook: notebook.name)
-def test_notebook(notebook, root):
+def test_notebook(notebook, tmp_path):
+    """In a folder of its own: what a chapter reads is committed, not what another one wrote with small parameters."""
     parameters = notebook.parameters | notebook.test_parameters
-    runner.run_notebook(notebook, parameters, root, root / "executed")
-    assert all((root / product).stat().st_size > 0 for product in notebook.products)
+    runner.run_notebook(notebook, parameters, tmp_path, tmp_path / "executed")
+    assert all((tmp_path / product).stat().st_size > 0 for product in notebook.products)
     if not notebook.test_parameters:  # the real run, so numbers and images must be the committed ones
-        different = differing(notebook, root)
+        different = differing(notebook, tmp_path)
         assert not different, "\n".join(
             [f"{notebook.name} gives other products than the committed ones:", *different, LOOK]
         )

@@ -11,7 +11,7 @@ from railrepro.errors import InputError, told
 from railrepro.files import write
 from railrepro.film import movie, page
 from railrepro.film.scene import film
-from railrepro.simulation.scenarios import load_scenarios
+from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies import tuning
 
 DEFAULT = ("curve_entry_T3", "sine_tracking", "adhesion_loss", "braking")
@@ -44,10 +44,8 @@ def main(arguments: list[str]) -> None:
 
 def _check(names: tuple[str, ...], controllers: tuple[str, ...], terms: str) -> None:
     """Refuse unknown names before the first run (InputError)."""
-    known = load_scenarios()
     for name in names:
-        if name not in known:
-            raise InputError(f"scenario {name!r} is not known; there are {sorted(known)}")
+        load_scenario(name)
     for controller in controllers:
         if controller not in tuple(REGISTERED):
             raise InputError(f"controller {controller!r} is not known; there are {sorted(REGISTERED)}")

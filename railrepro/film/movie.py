@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import animation
 
@@ -44,6 +43,5 @@ def save(film: Film, folder: Path, name: str) -> Path:
                     movie.grab_frame()
             part.replace(target)
     finally:
-        plt.close(picture.figure)
         part.unlink(missing_ok=True)
     return target

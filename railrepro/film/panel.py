@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 
 import ipywidgets as widgets
-import matplotlib.pyplot as plt
 from IPython.display import clear_output, display
 from matplotlib.figure import Figure
 
@@ -57,7 +56,6 @@ def panel(scenario: Scenario, terms: str, draw: Callable[[dict[str, Run]], Figur
         with shown:
             clear_output(wait=True)
             display(figure)
-        plt.close(figure)
 
     for slider in sliders.values():
         slider.observe(follow, "value")

@@ -171,10 +171,8 @@ class _Article:
         if self._nominal.results.optional("matching_waves") is None:
             return ["Which cars and settings let most statements hold together has not been matched yet."]
         lines = text.matched(self._nominal)
-        lines[0] = (
-            "**Matching.** By history matching [@Vernon2010] we sought cars and settings at which the statements "
-        )
-        lines[0] += "hold together. " + text.matched(self._nominal)[0]
+        sought = "By history matching [@Vernon2010] we sought cars and settings at which the statements hold together."
+        lines[0] = f"**Matching.** {sought} {lines[0]}"
         name = text.region_figure()
         if name:
             self._figures.append(name)

@@ -263,18 +263,18 @@ def _unpublished(nominal: Nominal) -> str:
 @named
 def _delay_survived(nominal: Nominal) -> str:
     """Largest delay (ms) that NMPC of the terms `paper` survives at 400 km/h on dry rail."""
-    return _survived(nominal, "paper", "dry")
+    return _survived(nominal, "paper")
 
 
 @named
 def _delay_survived_equal(nominal: Nominal) -> str:
     """The same of NMPC of equal terms."""
-    return _survived(nominal, "equal", "dry")
+    return _survived(nominal, "equal")
 
 
-def _survived(nominal: Nominal, terms: str, rail: str) -> str:
+def _survived(nominal: Nominal, terms: str) -> str:
     table = nominal.results("margins").query(
-        "terms == @terms and rail == @rail and controller == 'nmpc' and quantity == 'delay'"
+        "terms == @terms and rail == 'dry' and controller == 'nmpc' and quantity == 'delay'"
     )
     return quantity(1e3 * float(table["largest"].iloc[0]))
 

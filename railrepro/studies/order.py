@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from operator import call
 from pathlib import Path
 
 import pandas as pd
@@ -177,13 +178,9 @@ def cases(axes: Sequence[str] = tuple(AXES), terms: Sequence[str] = TERMS) -> li
     return found
 
 
-def _call(one: Case) -> dict:
-    return one()
-
-
 def main() -> None:
     """Drive all of them and write the table."""
-    rows = kept(_call, cases(), paths.BUILD / "study" / "order", "where the order turns", terms=TERMS)
+    rows = kept(call, cases(), paths.BUILD / "study" / "order", "where the order turns", terms=TERMS)
     write(paths.product("data/results/order_turns.csv"), pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
 
 
