@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from railrepro.errors import InputError
-from railrepro.studies import emulator, matching, statements
+from railrepro.studies import emulator, matching, statements, tuning
 from railrepro.studies.matching import Problem
 from railrepro.studies.pso import Dimension
 from railrepro.studies.statements import Finding, Statement
@@ -134,6 +134,9 @@ def test_values_become_a_world():
     assert nominal.sensors == {} and nominal.profile == "cone" and nominal.vehicle == {}
     halved = matching.world({"R of the MPC, over the tuned": 0.5})
     assert halved.parameters["nmpc"]["r"] == 0.5 * nominal.parameters["nmpc"]["r"]
+    elsewhere = matching.world({"tuned on terms (paper, equal)": 1})
+    assert elsewhere.parameters["nmpc"] == tuning.load("nmpc", "equal")["parameters"] != nominal.parameters["nmpc"]
+    assert nominal.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"]
 
 
 def test_an_unknown_size_is_told():

@@ -509,7 +509,7 @@ def _safety_and_comfort(e: Evidence) -> Finding:
 
 @value("C42")
 def _less_delay(e: Evidence) -> Finding:
-    ratios = [abs(e(T3, name, "delay")) / abs(e(T3, NDI, "delay")) for name in MPC]
+    ratios = [abs(e(T3, name, "delay")) / max(abs(e(T3, NDI, "delay")), 1e-9) for name in MPC]
     return Finding(max(ratios), min(ratios))
 
 
