@@ -139,6 +139,15 @@ def test_values_become_a_world():
     assert nominal.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"]
 
 
+def test_what_one_run_cannot_tell_counts_as_missed():
+    def run(points):
+        return [{"A": 1.0} | ({"B": dict(point)["x0"]} if dict(point)["x0"] > 0.2 else {}) for point in points]
+
+    matched = matching.match(Problem(SPACE, run), waves=1, count=32, candidates=2**9)
+    silent = matched.points[:, 0] <= 0.2
+    assert silent.any() and (matched.margins["B"][silent] == -matching.CLIP).all()
+
+
 def test_an_unknown_size_is_told():
     with pytest.raises(InputError, match="sizes"):
         matching.main(["huge"])

@@ -65,6 +65,7 @@ def test_deviation_in_regular_operation():
     p = np.array([10.0, 90.0, 100.0, 140.0])
     rows = pd.DataFrame({"p_m": p, "fx_ri": [9.0, 0.05, 0.06, 9.0], "fx_le": [9.0, 0.04, 0.07, 9.0], "f_star": 0.05})
     assert probe.regular_deviation(rows) == pytest.approx((0.1 + 0.3) / 2)
+    assert probe.regular_deviation(rows[rows["p_m"] < 80]) == np.inf
 
 
 def test_what_doing_nothing_gives():

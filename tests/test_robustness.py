@@ -57,6 +57,21 @@ def test_the_interval_comes_from_the_replicates():
     assert np.isnan(shares(sample()).loc["equal", "low"])
 
 
+def test_what_decides_is_told_without_what_only_moves_with_it_and_without_chance():
+    generator = np.random.default_rng(5)
+    factors = pd.DataFrame(generator.random((64, 60)), columns=[f"x{i}" for i in range(60)])
+    factors["profile"] = np.arange(64) % 2
+    factors["alias"] = factors["profile"] + 0.5 * generator.random(64)
+    held = pd.Series((factors["profile"] > 0.5).astype(float))
+    assert robustness._deciding(factors, held) == "profile +1.00"
+    both = held * (factors["x3"] > 0.5)
+    first, second = robustness._deciding(factors, both).split(", ")[:2]
+    assert first.startswith("profile +") and second.startswith("x3 +")
+    for seed in range(10):
+        chance = pd.Series(np.random.default_rng(seed).permutation(held))
+        assert robustness._deciding(factors, chance) == ""
+
+
 def test_tables_of_an_older_form_tell_nothing():
     assert robustness.shares(pd.DataFrame({"number": [0], "nmpc.curve": [1.0]})).empty
     assert robustness.shares(None).empty

@@ -48,6 +48,11 @@ psi_Tr, kappa, phi_Tr, dphi, eps_Tr, deps, psi_CB, kappa_CB, m_CB = theta = sp.s
     "psi_Tr kappa phi_Tr phi_Tr' epsilon_Tr epsilon_Tr' psi_CB kappa_CB m_CB"
 )
 tau_ri, tau_le = torques = sp.symbols("tau_ri tau_le")
+LATEX = {psid: r"\dot{\psi}", psidd: r"\ddot{\psi}", dphi: r"\phi_{Tr}'", deps: r"\epsilon_{Tr}'"} | {
+    thd_ri: r"\dot{\theta}_{ri}",
+    thd_le: r"\dot{\theta}_{le}",
+}
+"""TeX of the symbols whose name gives none: `sympy.init_printing(symbol_names=LATEX)`."""
 
 psi_r = psi - psi_Tr
 gamma = sp.tan(delta_0) / (b / 2 - r_0 * sp.tan(delta_0))

@@ -10,8 +10,6 @@ from collections.abc import Iterable, Mapping
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pandas as pd
-from IPython import get_ipython
-from IPython.display import display
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -89,6 +87,9 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     data : DataFrame
         What is plotted, tidy, units in the column names.
     """
+    from IPython import get_ipython  # the library does without it
+    from IPython.display import display
+
     metadata = {
         "pdf": {"CreationDate": None, "ModDate": None},
         "svg": {"Date": None},
@@ -97,7 +98,6 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     for suffix, entries in metadata.items():
         figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=250, metadata=entries)
     data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")
-    plt.close(figure)
     if get_ipython() is not None:
         display(figure)
 

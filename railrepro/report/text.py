@@ -374,8 +374,11 @@ def _how_sure(nominal: Nominal) -> list[str]:
     text = (
         "The paper publishes almost no vehicle data. `make study` draws the unpublished parameters and choices over "
         "their ranges, tunes each controller again from a small common set, and asks the same predicates; a failed run "
-        "counts as a failure. Intervals come from scrambled replicates of the sequence. The printed control model is a "
-        "study of its own on equal terms."
+        "counts as a failure. Intervals come from scrambled replicates of the sequence; one of no width says that all "
+        "replicates agree, not that the share is known to less than a sample. A parameter is named as deciding where "
+        "chance among all of them gives its rank correlation in less than one of twenty studies, a further one by what "
+        "the ones before it leave. Few samples cannot tell parameters apart that happen to move together. "
+        "The printed control model is a study of its own on equal terms."
     )
     found = nominal.results.optional("robustness_claims")
     if found is None or "terms" not in found:

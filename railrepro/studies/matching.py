@@ -98,7 +98,8 @@ class Problem:
     dimensions : tuple of Dimension
         The prior: uniform in each (in the logarithm, where its scale says so).
     run : callable
-        List of `Values` -> margin by statement (`margin`) of each, in order.
+        List of `Values` -> margin by statement (`margin`) of each, in order. What a run cannot tell, though others
+        can, counts as missed by far.
     """
 
     dimensions: tuple[Dimension, ...]
@@ -176,7 +177,7 @@ def match(problem: Problem, waves: int, count: int, seed: int = 2027, candidates
     for wave in range(1, waves + 1):
         points = np.vstack([points, chosen])
         rows += problem.run([problem.values(point) for point in chosen])
-        margins = pd.DataFrame(rows)
+        margins = pd.DataFrame(rows).fillna(-CLIP)
         x = problem.encoded(points)
         emulators = {name: emulator.fit(x, margins[name].to_numpy()) for name in margins}
         implausible = implausibility(emulators, problem.encoded(prior))

@@ -303,9 +303,11 @@ def error_at_crests(series: pd.DataFrame) -> float:
 def regular_deviation(series: pd.DataFrame) -> float:
     """Mean deviation of the adhesion from its set point, over the latter, before the demand exceeds the maximum.
 
-    Columns p_m, fx_ri, fx_le, f_star of Fig. 8.
+    Columns p_m, fx_ri, fx_le, f_star of Fig. 8. Infinite for a run that ended before.
     """
     rows = series[series["p_m"].between(80, 125)]
+    if rows.empty:
+        return float("inf")
     f = (rows["fx_ri"] + rows["fx_le"]) / 2
     return float(((f - rows["f_star"]).abs() / rows["f_star"].abs()).mean())
 
