@@ -178,6 +178,8 @@ class _Article:
             self._figures.append(name)
             place = lines.index(f"![region](figures/{name}.png)")
             lines[place] = self._figure(name, "What is left of the prior, in pairs of the narrowest directions.")
+            lines[0] += f" {self._mention(name)} draws what is left."
+        lines = [line if line.startswith("|") else re.sub(r"\bC\d\d\b", lambda m: _claim(m[0]), line) for line in lines]
         lines = [self._references.numbered(line) for line in lines]
         self._lines += lines
         return lines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from zlib import crc32
 
 import numpy as np
 import pandas as pd
@@ -67,35 +68,67 @@ def draw(
                 _density(axis, survivors[row], prior[row])
             else:
                 _pair(axis, survivors, prior[column], prior[row], marked or {})
-            axis.set_xlabel(textwrap.fill(column, 18) if i == len(names) - 1 else "")
-            axis.set_ylabel(textwrap.fill(row, 18) if j == 0 and i > 0 else "")
+            axis.set_xlabel(_label(prior[column]) if i == len(names) - 1 else "")
+            axis.set_ylabel(_label(prior[row]) if j == 0 and i > 0 else "")
             axis.tick_params(labelbottom=i == len(names) - 1, labelleft=j == 0 and i > 0)
     if marked and len(names) > 1:
         figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="upper right")
     return figure, survivors[names]
 
 
+def _label(dimension: Dimension) -> str:
+    """Name of a direction in short lines; the names of a choice stand at the axis."""
+    name = dimension.name.rpartition(" (")[0] if _choices(dimension) else dimension.name
+    return textwrap.fill((name or dimension.name).replace(".", ": ").replace("_", " "), 16)
+
+
 def _pair(axis: Axes, survivors: pd.DataFrame, x: Dimension, y: Dimension, marked: Mapping[str, Mapping]) -> None:
     look = {"markersize": 1.8, "markeredgewidth": 0, "alpha": 0.5, "color": figures.BLUE, "label": "what is left"}
-    axis.plot(survivors[x.name], survivors[y.name], "o", **look)
+    axis.plot(_spread(survivors, x), _spread(survivors, y), "o", **look)
     for (name, point), marker in zip(marked.items(), "*Ds", strict=False):
         if x.name in point and y.name in point:
-            axis.plot(point[x.name], point[y.name], marker, color=figures.RED, markersize=6, label=name)
-    _span(axis, x)
-    axis.set(ylim=(y.low, y.high), yscale="log" if y.scale == "log" else "linear")
+            look = {"color": figures.RED, "markersize": 7, "markeredgecolor": "white", "markeredgewidth": 0.5}
+            axis.plot(point[x.name], point[y.name], marker, label=name, clip_on=False, **look)
+    _span(axis, x, "x")
+    _span(axis, y, "y")
+
+
+def _choices(dimension: Dimension) -> list[str]:
+    """Names of a choice of two, which end the name of its dimension; nothing for a range."""
+    two = dimension.scale == "integer" and dimension.high - dimension.low == 1
+    found = dimension.name.rpartition("(")[2].rstrip(")").split(", ")
+    return (found if len(found) == 2 else [f"{dimension.low:g}", f"{dimension.high:g}"]) if two else []
+
+
+def _spread(survivors: pd.DataFrame, dimension: Dimension) -> np.ndarray:
+    """Values; those of a choice lie side by side, not on top of each other."""
+    values = survivors[dimension.name].to_numpy(dtype=float)
+    generator = np.random.default_rng(crc32(dimension.name.encode()))
+    return values + generator.uniform(-0.3, 0.3, len(values)) if _choices(dimension) else values
 
 
 def _density(axis: Axes, values: pd.Series, dimension: Dimension) -> None:
     """Density over that of the prior, which is uniform in the dimension's own scale."""
     scaled = np.log if dimension.scale == "log" else np.asarray
-    edges = np.linspace(scaled(dimension.low), scaled(dimension.high), _BINS + 1)
-    share = np.histogram(scaled(values), edges)[0] * _BINS / len(values)
+    low, high, bins = dimension.low, dimension.high, _BINS
+    if _choices(dimension):
+        low, high, bins = low - 0.5, high + 0.5, 2
+    edges = np.linspace(scaled(low), scaled(high), bins + 1)
+    share = np.histogram(scaled(values), edges)[0] * bins / len(values)
     shown = np.exp(edges) if dimension.scale == "log" else edges
     axis.stairs(share, shown, fill=True, color=figures.SKY)
     axis.axhline(1.0, color=figures.BLACK, linestyle="--", linewidth=0.7)
     axis.set_ylim(0, max(2.0, 1.1 * share.max()))
-    _span(axis, dimension)
+    _span(axis, dimension, "x")
 
 
-def _span(axis: Axes, dimension: Dimension) -> None:
-    axis.set(xlim=(dimension.low, dimension.high), xscale="log" if dimension.scale == "log" else "linear")
+def _span(axis: Axes, dimension: Dimension, of: str) -> None:
+    """Scale and limits of an axis: the whole prior; names at the places of a choice."""
+    names = _choices(dimension)
+    margin = 0.5 if names else 0.0
+    axis.set(
+        **{f"{of}scale": "log" if dimension.scale == "log" else "linear"},
+        **{f"{of}lim": (dimension.low - margin, dimension.high + margin)},
+    )
+    if names:
+        axis.set(**{f"{of}ticks": [dimension.low, dimension.high], f"{of}ticklabels": names})

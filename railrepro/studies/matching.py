@@ -15,10 +15,11 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import comb
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special, stats
 
 from railrepro import paths, schema
 from railrepro.control.registry import PAPER_TRIO
@@ -52,7 +53,7 @@ SETTINGS = (
     Dimension("rail (dry, wet)", 0, 1, "integer"),
 )
 """What the paper leaves open besides the car."""
-SIZES = {"committed": (5, 64), "small": (4, 32)}
+SIZES = {"committed": (4, 64), "small": (4, 32)}
 """Waves and runs per wave."""
 PARTS, SPEEDS = ("curve", "sine", "loss", "brake"), (160, 400)
 CUT = 3.0
@@ -111,8 +112,12 @@ class Problem:
 
     def encoded(self, points: np.ndarray) -> np.ndarray:
         """Points as the emulator sees them: a choice of two is 0 or 1."""
-        choice = [d.scale == "integer" and d.high - d.low == 1 for d in self.dimensions]
-        return np.where(choice, np.round(points), points)
+        return np.where([_choice(d) for d in self.dimensions], np.round(points), points)
+
+
+def _choice(dimension: Dimension) -> bool:
+    """Whether a dimension is a choice of two."""
+    return dimension.scale == "integer" and dimension.high - dimension.low == 1
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,8 @@ class Matched:
         All that were run, in the unit cube, wave by wave.
     margins : DataFrame, shape (n, statements)
     waves : DataFrame
-        One row per wave: points, surviving share, statements allowed to be implausible, error of the emulators.
+        One row per wave: points, surviving share, statements allowed to be implausible, error of the emulators, which
+        statements are implausible in most of what is left.
     survivors : ndarray, shape (m, d)
         Points of the prior that are not ruled out.
     emulators : dict
@@ -183,7 +189,8 @@ def match(problem: Problem, waves: int, count: int, seed: int = 2027, candidates
         implausible = implausibility(emulators, problem.encoded(prior))
         while survives(implausible, allowed).mean() < LEAST and allowed < len(emulators):
             allowed += 1
-        kept_points = prior[survives(implausible, allowed)]
+        alive = survives(implausible, allowed)
+        kept_points, mostly = prior[alive], (implausible[alive] > CUT).mean(axis=0) > 0.5
         errors = [emulate.error for emulate in emulators.values()]
         table.append(
             {
@@ -194,6 +201,7 @@ def match(problem: Problem, waves: int, count: int, seed: int = 2027, candidates
                 "emulator_error": float(np.median(errors)),
                 "most_statements": int((margins > 0).sum(axis=1).max()),
                 "statements": len(emulators),
+                "given_up": " ".join(margins.columns[mostly]),
             }
         )
         chosen = _within(problem, emulators, allowed, kept_points, count, generator)
@@ -220,8 +228,9 @@ def region(problem: Problem, matched: Matched) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), narrowing (1 - width over that
-        of the prior), reduction (share of the variance of how many statements hold which goes when it is known).
+        what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), second (share of them with the
+        second of two choices), narrowing (share of the prior that is lost: 1 - exp(-information), which is 1 - width
+        for a range), reduction (share of the variance of how many statements hold which goes when it is known).
     """
     x = problem.encoded(matched.survivors)
     expected = np.zeros(len(x))
@@ -230,18 +239,27 @@ def region(problem: Problem, matched: Matched) -> pd.DataFrame:
         expected += stats.norm.cdf(mean / deviation)
     rows = []
     for i, dimension in enumerate(problem.dimensions):
-        low, middle, high = np.quantile(matched.survivors[:, i], (0.05, 0.5, 0.95))
+        column, choice = matched.survivors[:, i], _choice(dimension)
+        low, middle, high = np.quantile(column, (0.05, 0.5, 0.95))
         rows.append(
             {
                 "what": dimension.name,
                 "prior_low": dimension.low,
                 "prior_high": dimension.high,
                 **{k: dimension.value(float(u)) for k, u in (("low", low), ("median", middle), ("high", high))},
-                "narrowing": 1 - (high - low) / 0.9,
-                "reduction": _explained(matched.survivors[:, i], expected),
+                "second": float(x[:, i].mean()) if choice else np.nan,
+                "narrowing": _narrowing(column, 2 if choice else 10),
+                "reduction": _explained(column, expected),
             }
         )
     return pd.DataFrame(rows).sort_values("reduction", ascending=False, ignore_index=True)
+
+
+def _narrowing(x: np.ndarray, bins: int) -> float:
+    """Share of a uniform prior that is lost: 1 - exp(-information gained), less what chance gives."""
+    share = np.histogram(x, bins, (0, 1))[0] / len(x)
+    information = float(special.entr(share).sum() * -1 + np.log(bins)) - (bins - 1) / (2 * len(x))
+    return float(1 - np.exp(-max(information, 0.0)))
 
 
 def _explained(x: np.ndarray, y: np.ndarray, bins: int = 10) -> float:
@@ -255,33 +273,34 @@ def _explained(x: np.ndarray, y: np.ndarray, bins: int = 10) -> float:
     return max(0.0, between / total - (groups.ngroups - 1) / len(y))
 
 
-def conflicts(held: pd.DataFrame, largest: int = 3, expected: float = 5.0) -> pd.DataFrame:
-    """Smallest sets of statements that no run has together, though so many runs would if they were independent.
+def conflicts(held: pd.DataFrame, largest: int = 3, chance: float = 0.05) -> pd.DataFrame:
+    """Smallest sets of statements that no run has together, though some would if statements were independent.
 
     Parameters
     ----------
     held : DataFrame of bool, shape (runs, statements)
     largest : int
         Size of a set, at most.
-    expected : float
-        Runs that would have the set by chance, at least; with fewer nothing is said.
+    chance : float
+        Most probable number of sets of a size that are found although independence explains them.
 
     Returns
     -------
     DataFrame
-        statements, size, expected, probes (runs that have all but one of the set).
+        statements, size, expected (runs that would have the set by chance), probes (runs that have all but one of it).
     """
     share, rows, known = held.mean(), [], []
-    for size in range(1, largest + 1):
+    for size in range(1, min(largest, held.shape[1]) + 1):
+        least = np.log(comb(held.shape[1], size) / chance)
         for chosen in itertools.combinations(held.columns, size):
             if any(set(old) <= set(chosen) for old in known) or held[list(chosen)].all(axis=1).any():
                 continue
-            chance = len(held) * float(np.prod(share[list(chosen)])) if size > 1 else float(len(held))
-            if chance < expected:
+            expected = len(held) * float(np.prod(share[list(chosen)])) if size > 1 else float(len(held))
+            if expected < least:
                 continue
             known.append(chosen)
             nearly = int((held[list(chosen)].sum(axis=1) == size - 1).sum())
-            rows.append({"statements": " ".join(chosen), "size": size, "expected": chance, "probes": nearly})
+            rows.append({"statements": " ".join(chosen), "size": size, "expected": expected, "probes": nearly})
     return pd.DataFrame(rows, columns=["statements", "size", "expected", "probes"])
 
 
@@ -372,10 +391,12 @@ def paper_like() -> World:
 
 
 def best(problem: Problem, matched: Matched) -> dict:
-    """The run with most statements; among equals that with the largest sum of margins."""
-    held = (matched.margins > 0).sum(axis=1)
-    score = held + 1e-3 * matched.margins.clip(upper=0).sum(axis=1)
-    row = int(score.to_numpy().argmax())
+    """The closest run: least sum of the squares of the margins that are missed.
+
+    How many statements hold is no measure: where all controllers are worse than none, one that is worst of all fulfils
+    every order.
+    """
+    row = int((matched.margins.clip(upper=0) ** 2).sum(axis=1).to_numpy().argmin())
     told_apart = matched.margins.iloc[row] > 0
     names = list(matched.margins.columns)
     return asdict(
@@ -388,11 +409,29 @@ def best(problem: Problem, matched: Matched) -> dict:
 
 
 def _sentence(row) -> str:
+    told = f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; "
+    if np.isfinite(row.second):
+        return told + f"{row.what.rpartition(', ')[2].rstrip(')')} in {100 * row.second:.0f} % of what is left"
     low, high, least, most = (f"{float(f'{x:.3g}'):g}" for x in (row.low, row.high, row.prior_low, row.prior_high))
-    return (
-        f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; plausible are "
-        f"{low} to {high} of {least} to {most}"
-    )
+    return told + f"plausible are {low} to {high} of {least} to {most}"
+
+
+def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFrame:
+    """The nominal car with choices of two thrown by hand: a look at what the emulators say that needs none of them.
+
+    Returns
+    -------
+    DataFrame
+        One column per choice, missed (sum of the squares of the missed margins), and the margins.
+    """
+    choices = [d for d in SETTINGS if _choice(d)]
+    places = [
+        {d.name: value for d, value in zip(choices, values, strict=True)}
+        for values in itertools.product((0, 1), repeat=len(choices))
+    ]
+    found = pd.DataFrame(run([tuple((k, v) for k, v in place.items() if v) for place in places])).fillna(-CLIP)
+    missed = (found.clip(upper=0) ** 2).sum(axis=1).rename("missed")
+    return pd.concat([pd.DataFrame(places), missed, found], axis=1)
 
 
 def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
@@ -426,7 +465,7 @@ def main(names: list[str]) -> None:
 
     problem = Problem(dimensions(), run)
     matched = match(problem, waves, count)
-    for name, table in tables(problem, matched).items():
+    for name, table in (tables(problem, matched) | {"switched": switched(run)}).items():
         write(paths.product(f"data/results/matching_{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
     write(paths.product("data/results/paper_like.json"), json.dumps(best(problem, matched), indent=2) + "\n")
     print(matched.waves.to_string(index=False))
