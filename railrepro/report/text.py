@@ -379,10 +379,7 @@ def _by_hand(nominal: Nominal) -> str:
         for place in ([0] * len(choices), ["S1002" in name for name in choices])
     )
     first, second = (link(_rounded(value), [_MATCHING.format("switched")]) for value in (ours, worn))
-    return (
-        f" On our nominal car, sets of `paper`, that sum falls from {first} to {second} when the wheels alone become "
-        "S1002."
-    )
+    return f" Our car on S1002 wheels misses them by {second} (sum of squares, sets of `paper`), on cones by {first}."
 
 
 def condition(nominal: Nominal) -> list[str]:
@@ -390,15 +387,9 @@ def condition(nominal: Nominal) -> list[str]:
     region = nominal.results.optional("matching_region")
     if region is None:
         return []
-    narrowest = region.sort_values("narrowing", ascending=False).head(3)
-    directions = link(", ".join(narrowest["what"]), [_MATCHING.format("region")])
-    questions = nominal.results("matching_questions")
-    first = link(str(questions["what"].iloc[0]), [_MATCHING.format("questions")])
-    return [
-        "**What would have to be true.** Where all statements but a few are plausible, what is left of the prior is "
-        f"narrowest in {directions}; the first question to the authors is: {first}. The measure of closeness is the "
-        f"sum of squared misses.{_by_hand(nominal)}"
-    ]
+    narrowest = region.sort_values("narrowing", ascending=False)["what"].head(2)
+    directions = link(" and ".join(narrowest), [_MATCHING.format("region")])
+    return [f"**What would have to be true.** They narrow the unpublished most in {directions}.{_by_hand(nominal)}"]
 
 
 def region_figure() -> str:
