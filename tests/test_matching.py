@@ -169,6 +169,6 @@ def test_a_planted_car_is_found_by_its_runs():
         return [matching.margins(drive(point), made) for point in points]
 
     problem = Problem(space, run)
-    matched = matching.match(problem, waves=2, count=16, candidates=2**12)
+    matched = matching.match(problem, waves=3, count=32, candidates=2**12)
     assert still_there(problem, matched, hidden)
     assert matched.waves["surviving_share"].iloc[-1] < 0.6
