@@ -112,10 +112,10 @@ class Problem:
 
     def encoded(self, points: np.ndarray) -> np.ndarray:
         """Points as the emulator sees them: a choice of two is 0 or 1."""
-        return np.where([_choice(d) for d in self.dimensions], np.round(points), points)
+        return np.where([choice(d) for d in self.dimensions], np.round(points), points)
 
 
-def _choice(dimension: Dimension) -> bool:
+def choice(dimension: Dimension) -> bool:
     """Whether a dimension is a choice of two."""
     return dimension.scale == "integer" and dimension.high - dimension.low == 1
 
@@ -239,7 +239,7 @@ def region(problem: Problem, matched: Matched) -> pd.DataFrame:
         expected += stats.norm.cdf(mean / deviation)
     rows = []
     for i, dimension in enumerate(problem.dimensions):
-        column, choice = matched.survivors[:, i], _choice(dimension)
+        column, of_two = matched.survivors[:, i], choice(dimension)
         low, middle, high = np.quantile(column, (0.05, 0.5, 0.95))
         rows.append(
             {
@@ -247,8 +247,8 @@ def region(problem: Problem, matched: Matched) -> pd.DataFrame:
                 "prior_low": dimension.low,
                 "prior_high": dimension.high,
                 **{k: dimension.value(float(u)) for k, u in (("low", low), ("median", middle), ("high", high))},
-                "second": float(x[:, i].mean()) if choice else np.nan,
-                "narrowing": _narrowing(column, 2 if choice else 10),
+                "second": float(x[:, i].mean()) if of_two else np.nan,
+                "narrowing": _narrowing(column, 2 if of_two else 10),
                 "reduction": _explained(column, expected),
             }
         )
@@ -383,11 +383,16 @@ class PaperLike:
 
 
 def paper_like() -> World:
-    """Car, controllers and experiments at which most of the paper's statements hold, as found by the matching."""
+    """Car, controllers and experiments that come closest to the paper's statements, see `best`."""
     file = paths.source("data/results/paper_like.json")
     if not file.exists():
         raise InputError(f"{file.name}: is missing; `python -m railrepro.studies.matching` makes it")
     return world(schema.build(PaperLike, schema.read(file), file.name).values)
+
+
+def missed(margins: pd.DataFrame) -> pd.Series:
+    """Sum of the squares of the margins that each run misses: how close it comes to all statements."""
+    return (margins.clip(upper=0) ** 2).sum(axis=1).rename("missed")
 
 
 def best(problem: Problem, matched: Matched) -> dict:
@@ -396,7 +401,7 @@ def best(problem: Problem, matched: Matched) -> dict:
     How many statements hold is no measure: where all controllers are worse than none, one that is worst of all fulfils
     every order.
     """
-    row = int((matched.margins.clip(upper=0) ** 2).sum(axis=1).to_numpy().argmin())
+    row = int(missed(matched.margins).to_numpy().argmin())
     told_apart = matched.margins.iloc[row] > 0
     names = list(matched.margins.columns)
     return asdict(
@@ -424,14 +429,13 @@ def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFr
     DataFrame
         One column per choice, missed (sum of the squares of the missed margins), and the margins.
     """
-    choices = [d for d in SETTINGS if _choice(d)]
+    choices = [d for d in SETTINGS if choice(d)]
     places = [
         {d.name: value for d, value in zip(choices, values, strict=True)}
         for values in itertools.product((0, 1), repeat=len(choices))
     ]
     found = pd.DataFrame(run([tuple((k, v) for k, v in place.items() if v) for place in places])).fillna(-CLIP)
-    missed = (found.clip(upper=0) ** 2).sum(axis=1).rename("missed")
-    return pd.concat([pd.DataFrame(places), missed, found], axis=1)
+    return pd.concat([pd.DataFrame(places), missed(found), found], axis=1)
 
 
 def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
