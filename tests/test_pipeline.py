@@ -1,5 +1,6 @@
 """The chain: staleness, atomic products, refused parameters, failing cells, determinism, stripped notebooks."""
 
+import ast
 import json
 import os
 import re
@@ -150,3 +151,37 @@ def test_committed_notebooks_are_clean():
 
 def test_every_notebook_is_in_the_chain():
     assert [n.name for n in graph.chain()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))
+
+
+SORTS = ("sort_values", "argsort")
+
+
+def unstable_sorts(code):
+    """Calls that sort by one key and leave the order of equal values to the processor."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in SORTS:
+            several = node.args and isinstance(node.args[0], ast.List) and len(node.args[0].elts) > 1
+            kinds = [word.value for word in node.keywords if word.arg == "kind"]
+            if not several and [ast.literal_eval(kind) for kind in kinds] != ["stable"]:
+                yield ast.unparse(node)
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("t.sort_values('a')", 1),
+        ("t.sort_values(['a', 'b'])", 0),
+        ("np.argsort(x, kind='stable')", 0),
+        ("x.argsort()", 1),
+    ],
+)
+def test_an_unstable_sort_is_found(code, found):
+    assert len(list(unstable_sorts(code))) == found
+
+
+def test_equal_values_keep_their_order_on_every_processor():
+    code = {path.name: path.read_text() for path in sorted((paths.ROOT / "railrepro").rglob("*.py"))}
+    for chapter in graph.chain():
+        code[chapter.name] = "\n".join(c["source"] for c in manifest.cells(chapter) if c["cell_type"] == "code")
+    found = {name: list(unstable_sorts(text)) for name, text in code.items()}
+    assert {name: calls for name, calls in found.items() if calls} == {}

@@ -1,5 +1,7 @@
 /* Several numbers side by side in vector registers, for functions of `codegen.lanes_text`. */
 
+#include <math.h>
+
 enum { LANES = 4 };
 typedef double lanes_t __attribute__((vector_size(LANES * sizeof(double))));
 

@@ -106,7 +106,7 @@ def quantity(value: float, unit: str = "") -> str:
 @named
 def _pole_cross(nominal: Nominal) -> str:
     """Triple pole of NDI with which it draws level with NMPC on T3 (rad/s)."""
-    table = nominal.results("ndi_poles").sort_values("pole_radps")
+    table = nominal.results("ndi_poles").sort_values("pole_radps", kind="stable")
     ahead = np.log(table["rmse_mm"] / table["nmpc_mm"]).to_numpy()
     if (ahead > 0).all() or (ahead < 0).all():
         return UNKNOWN

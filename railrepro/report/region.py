@@ -51,7 +51,7 @@ def draw(
         When nothing is left, or a table knows another dimension.
     """
     prior = {dimension.name: dimension for dimension in dimensions}
-    names = [str(name) for name in region.sort_values("narrowing", ascending=False)["what"].head(count)]
+    names = [str(name) for name in region.sort_values("narrowing", ascending=False, kind="stable")["what"].head(count)]
     missing = [name for name in names if name not in prior or name not in survivors]
     if missing or survivors.empty:
         raise InputError(

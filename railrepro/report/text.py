@@ -329,9 +329,8 @@ def matched(nominal: Nominal) -> list[str]:
         lines += [f"![region](figures/{region_figure()}.png)", ""]
     region = nominal.results.optional("matching_region")
     if region is not None:
-        rows = [
-            [row.what, *_ranges(row)] for row in region.sort_values("narrowing", ascending=False).head(6).itertuples()
-        ]
+        narrowest = region.sort_values("narrowing", ascending=False, kind="stable").head(6)
+        rows = [[row.what, *_ranges(row)] for row in narrowest.itertuples()]
         lines += [
             f"Where the region is narrowest ([all]({_MATCHING.format('region')})), nine tenths of what is left:",
             "",
@@ -387,7 +386,7 @@ def condition(nominal: Nominal) -> list[str]:
     region = nominal.results.optional("matching_region")
     if region is None:
         return []
-    narrowest = region.sort_values("narrowing", ascending=False)["what"].head(2)
+    narrowest = region.sort_values("narrowing", ascending=False, kind="stable")["what"].head(2)
     directions = link(" and ".join(narrowest), [_MATCHING.format("region")])
     return [f"**What would have to be true.** They narrow the unpublished most in {directions}.{_by_hand(nominal)}"]
 
@@ -469,15 +468,15 @@ def _register(nominal: Nominal) -> list[str]:
 def _effect(own: pd.DataFrame) -> str:
     if own.empty:
         return "no run depends on it"
-    failed = own["failed"].fillna(False).astype(bool)
-    kept, parts = own[~failed], []
+    lost = own["lost"].fillna(False).astype(bool)
+    kept, parts = own[~lost], []
     if len(kept):
         worst = kept.loc[kept["rmse_change"].abs().idxmax()]
         effort = kept.loc[kept["effort_change"].abs().idxmax()]
         parts.append(f"RMSE {100 * worst['rmse_change']:+.1f} % ({worst['scenario']})")
         parts.append(f"torque {100 * effort['effort_change']:+.1f} % ({effort['scenario']})")
-    if failed.any():
-        parts.append("leaves the rail on " + ", ".join(own[failed]["scenario"]))
+    if lost.any():
+        parts.append("leaves the rail or triples the error on " + ", ".join(own[lost]["scenario"]))
     return "; ".join(parts)
 
 

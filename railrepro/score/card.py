@@ -115,7 +115,7 @@ def ranking(scores: pd.DataFrame) -> pd.DataFrame:
     failures = (
         scores[(scores["scenario"] == ALL) & (scores["metric"] == "failures")].groupby("controller")["value"].sum()
     )
-    return wide.assign(failures=failures.astype(int)).sort_values(ALL, ascending=False)
+    return wide.assign(failures=failures.astype(int)).sort_values(ALL, ascending=False, kind="stable")
 
 
 def text(long: pd.DataFrame) -> str:

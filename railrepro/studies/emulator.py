@@ -136,7 +136,7 @@ def _active(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = np.sqrt((centred**2).sum(axis=0) * ((ranks - ranks.mean()) ** 2).sum())
     strength = np.abs((ranks - ranks.mean()) @ centred) / np.maximum(size, 1e-12)
     strength = np.maximum(*np.split(strength, 2))
-    order = np.argsort(-strength)[:MOST_ACTIVE]
+    order = np.argsort(-strength, kind="stable")[:MOST_ACTIVE]
     kept = order[strength[order] > CHANCE / np.sqrt(len(y))]
     active = kept if kept.size else order[:1]
     return active, strength[active] / strength[active].max()

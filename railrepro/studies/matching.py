@@ -252,7 +252,7 @@ def region(problem: Problem, matched: Matched) -> pd.DataFrame:
                 "reduction": _explained(column, expected),
             }
         )
-    return pd.DataFrame(rows).sort_values("reduction", ascending=False, ignore_index=True)
+    return pd.DataFrame(rows).sort_values("reduction", ascending=False, kind="stable", ignore_index=True)
 
 
 def _narrowing(x: np.ndarray, bins: int) -> float:

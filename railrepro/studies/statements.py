@@ -372,7 +372,7 @@ def _no_knowledge(e: Evidence) -> float:
 @value("C27")
 def _step_bound(e: Evidence) -> float:
     """Smallest step over its bound with which the adhesion follows the set point."""
-    table = e.table("adhesion_law").sort_values("p2_over_bound")
+    table = e.table("adhesion_law").sort_values("p2_over_bound", kind="stable")
     follows = table["rms_error"] < 1.5 * table["rms_error"].min()
     return float(table.loc[follows, "p2_over_bound"].min())
 
@@ -449,7 +449,8 @@ def _both_stop_earlier(e: Evidence) -> Finding:
 def _fixed(e: Evidence) -> tuple[pd.DataFrame, pd.Series]:
     """Braking with fixed shares, and with the variable allocation."""
     table = e.table("braking_front").query("stopped")
-    return table.query("kind == 'fixed'").sort_values("factor"), table.query("kind == 'nmpc' and factor == 1").iloc[0]
+    fixed = table.query("kind == 'fixed'").sort_values("factor", kind="stable")
+    return fixed, table.query("kind == 'nmpc' and factor == 1").iloc[0]
 
 
 @value("C34")

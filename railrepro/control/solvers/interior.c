@@ -98,10 +98,11 @@ static double interior_enter(const horizon_t *h, double stiffness) {
   memset(h->feedback, 0, h->steps * N * sizeof(double));
   for (casadi_int k = 0; k < h->steps; ++k) h->feedforward[k] = -h->u[k];
   if (forward(h)) return 0;
-  EACH_BOUND {
-    const double beyond = fmax(-rigid_room(h, i, k), 0);
-    if (i >= LATERAL) gap += stiffness * beyond * beyond;
-  }
+  for (casadi_int i = LATERAL; i < BOUNDS; ++i)
+    for (casadi_int k = 0; k < h->steps; ++k) {
+      const double beyond = fmax(-rigid_room(h, i, k), 0);
+      gap += stiffness * beyond * beyond;
+    }
   gap /= (double)h->steps;
   EACH_BOUND {
     const double room = rigid_room(h, i, k);
