@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from railrepro.errors import InputError
 from railrepro.report import figures
-from railrepro.studies.matching import choice
+from railrepro.studies.matching import choice, names_of_choice
 from railrepro.studies.pso import Dimension
 
 _BINS = 10
@@ -95,9 +95,10 @@ def _pair(axis: Axes, survivors: pd.DataFrame, x: Dimension, y: Dimension, marke
 
 
 def _choices(dimension: Dimension) -> list[str]:
-    """Names of a choice of two, which end the name of its dimension; nothing for a range."""
-    found = dimension.name.rpartition("(")[2].rstrip(")").split(", ")
-    return (found if len(found) == 2 else [f"{dimension.low:g}", f"{dimension.high:g}"]) if choice(dimension) else []
+    """Names of a choice of two, or its values where it has no names; nothing for a range."""
+    if not choice(dimension):
+        return []
+    return names_of_choice(dimension.name) or [f"{dimension.low:g}", f"{dimension.high:g}"]
 
 
 def _spread(survivors: pd.DataFrame, dimension: Dimension) -> np.ndarray:

@@ -16,6 +16,7 @@ from railrepro.errors import InputError
 from railrepro.report.evidence import Nominal
 from railrepro.report.reasons import filled, link, quantity
 from railrepro.studies import statements, tuning
+from railrepro.studies.matching import names_of_choice
 from railrepro.studies.statements import MissingEvidence
 
 _MARK = {"reproduced": "✓", "partly": "◐", "not reproduced": "✗", "not testable": "–"}
@@ -372,7 +373,7 @@ def _by_hand(nominal: Nominal) -> str:
     switched = nominal.results.optional("matching_switched")
     if switched is None:
         return ""
-    choices = [name for name in switched if "(" in name]
+    choices = [name for name in switched if names_of_choice(name)]
     ours, worn = (
         switched[(switched[choices] == place).all(axis=1)]["missed"].item()
         for place in ([0] * len(choices), ["S1002" in name for name in choices])

@@ -120,6 +120,12 @@ def choice(dimension: Dimension) -> bool:
     return dimension.scale == "integer" and dimension.high - dimension.low == 1
 
 
+def names_of_choice(name: str) -> list[str]:
+    """Names of both values, which end the name of a choice: of "rail (dry, wet)" dry and wet; else nothing."""
+    found = name.rpartition("(")[2].rstrip(")").split(", ")
+    return found if len(found) == 2 else []
+
+
 @dataclass(frozen=True)
 class Matched:
     """What a matching found.
@@ -416,7 +422,7 @@ def best(problem: Problem, matched: Matched) -> dict:
 def _sentence(row) -> str:
     told = f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; "
     if np.isfinite(row.second):
-        return told + f"{row.what.rpartition(', ')[2].rstrip(')')} in {100 * row.second:.0f} % of what is left"
+        return told + f"{names_of_choice(row.what)[1]} in {100 * row.second:.0f} % of what is left"
     low, high, least, most = (f"{float(f'{x:.3g}'):g}" for x in (row.low, row.high, row.prior_low, row.prior_high))
     return told + f"plausible are {low} to {high} of {least} to {most}"
 
