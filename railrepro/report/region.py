@@ -95,10 +95,8 @@ def _pair(axis: Axes, survivors: pd.DataFrame, x: Dimension, y: Dimension, marke
 
 
 def _choices(dimension: Dimension) -> list[str]:
-    """Names of a choice of two, or its values where it has no names; nothing for a range."""
-    if not choice(dimension):
-        return []
-    return names_of_choice(dimension.name) or [f"{dimension.low:g}", f"{dimension.high:g}"]
+    """Names of a choice of two; nothing for a range."""
+    return names_of_choice(dimension.name) if choice(dimension) else []
 
 
 def _spread(survivors: pd.DataFrame, dimension: Dimension) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from railrepro.errors import InputError
 from railrepro.report.evidence import Nominal
 from railrepro.report.reasons import filled, link, quantity
 from railrepro.studies import statements, tuning
-from railrepro.studies.matching import names_of_choice
 from railrepro.studies.statements import MissingEvidence
 
 _MARK = {"reproduced": "✓", "partly": "◐", "not reproduced": "✗", "not testable": "–"}
@@ -54,6 +54,7 @@ def render(table: pd.DataFrame, nominal: Nominal) -> str:
         "robustness": lambda: _how_sure(nominal),
         "errata": lambda: _register(nominal),
         "rules": lambda: _rules(table),
+        "elsewhere": _elsewhere,
     }
     return page("data/replication_page.md", blocks, lambda line: filled(line, nominal, linked=True))
 
@@ -373,7 +374,7 @@ def _by_hand(nominal: Nominal) -> str:
     switched = nominal.results.optional("matching_switched")
     if switched is None:
         return ""
-    choices = [name for name in switched if names_of_choice(name)]
+    choices = list(switched)[: list(switched).index("missed")]
     ours, worn = (
         switched[(switched[choices] == place).all(axis=1)]["missed"].item()
         for place in ([0] * len(choices), ["S1002" in name for name in choices])
@@ -479,6 +480,24 @@ def _effect(own: pd.DataFrame) -> str:
     if lost.any():
         parts.append("leaves the rail or triples the error on " + ", ".join(own[lost]["scenario"]))
     return "; ".join(parts)
+
+
+def _elsewhere() -> list[str]:
+    """What another computer may differ by."""
+    file = "notebooks/chain.toml"
+    tolerance = tomllib.loads(paths.source(file).read_text(encoding="utf-8"))["verify"]
+    relative, grey = (link(f"{tolerance[name]:g}", [file]) for name in ("relative", "image_rms"))
+    own = ", ".join(
+        f"{link(f'{value:g}', [file])} for `{column}` of {table}"
+        for table, columns in tolerance["columns"].items()
+        for column, value in columns.items()
+    )
+    return [
+        "On one machine with the locked packages tables and figures are bit-identical. Another processor or "
+        "mathematical library rounds differently; `make verify` reruns everything and compares. Numbers may be apart "
+        f"by {relative} of the largest value of their column ({own}, which amplify rounding), images by {grey} of 255 "
+        "grey levels in the root mean square. Which computers and compilers were tried is told in the README."
+    ]
 
 
 def _rules(table: pd.DataFrame) -> list[str]:

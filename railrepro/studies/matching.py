@@ -121,9 +121,9 @@ def choice(dimension: Dimension) -> bool:
 
 
 def names_of_choice(name: str) -> list[str]:
-    """Names of both values, which end the name of a choice: of "rail (dry, wet)" dry and wet; else nothing."""
+    """Names of both values, which end the name of a choice: of "rail (dry, wet)" dry and wet; else 0 and 1."""
     found = name.rpartition("(")[2].rstrip(")").split(", ")
-    return found if len(found) == 2 else []
+    return found if len(found) == 2 else ["0", "1"]
 
 
 @dataclass(frozen=True)
