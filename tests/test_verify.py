@@ -5,10 +5,11 @@ import os
 import subprocess
 import sys
 
+import pandas as pd
 import pytest
 
 from railrepro import paths
-from railrepro.chain import graph, verify
+from railrepro.chain import compare, graph, verify
 from railrepro.chain.compare import Comparison
 from railrepro.compile import codegen
 from railrepro.errors import InputError
@@ -18,8 +19,12 @@ CHAIN = """
 relative = 1e-5
 image_rms = 2.0
 not_compared = ["seconds"]
-[verify.columns]
-"one.csv" = { loose = 1e-2 }
+[[verify.own]]
+table = "one.csv"
+column = "loose"
+rows = "a > 2"
+relative = 1e-2
+why = "it is loose"
 [[notebook]]
 name = "01_one"
 title = "one"
@@ -70,6 +75,28 @@ def test_one_failing_notebook_hides_nothing(checkout):
     assert (total.different, total.near) == (1, 1)
     assert total.largest == pytest.approx(0.25)
     assert (checkout / "data/two.csv").read_text() == "a\n1\n2\n"
+
+
+@pytest.mark.parametrize(("header", "different"), [("metric", 1), ("quantity", 1), ("name", 0)])
+def test_each_metric_of_a_tidy_table_has_its_own_scale(tmp_path, header, different):
+    tolerance = {"relative": 1e-3, "image_rms": 2.0, "not_compared": []}
+    for name, small in (("old", 0.001), ("new", 0.0011)):
+        (tmp_path / f"{name}.csv").write_text(f"{header},value\nrmse_y,0.002\nrmse_y,{small}\neffort_du,1000\n")
+    found = compare.compare(tmp_path / "old.csv", tmp_path / "new.csv", tolerance)
+    assert found.different == different
+    assert not different or found.where == "value of rmse_y" and found.largest == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("own", graph.verify_tolerance()["own"], ids=lambda own: f"{own['table']} {own['column']}")
+def test_an_own_tolerance_is_for_some_rows_of_a_product(own):
+    tables = [paths.ROOT / name for notebook in graph.chain() for name in notebook.products if name.endswith(".csv")]
+    file = next(file for file in tables if file.name == own["table"])
+    table, tolerance = pd.read_csv(file), graph.verify_tolerance()
+    limits = compare.limits(table, file.name, own["column"], tolerance)
+    wide = limits == own["relative"]
+    assert own["relative"] > tolerance["relative"] and wide.any() and ("rows" not in own) == wide.all()
+    assert (limits[~wide] == tolerance["relative"]).all()
+    assert (compare.limits(table, "another.csv", own["column"], tolerance) == tolerance["relative"]).all()
 
 
 def test_sums_keep_the_largest_difference():

@@ -11,6 +11,8 @@ import pandas as pd
 
 SUFFIXES = (".csv", ".png")
 """Kinds of products that are compared; the other formats of a figure hold the same."""
+VALUE, KINDS = "value", ("metric", "quantity")
+"""The column of a tidy table that holds metrics of different size, and the columns that may name them."""
 
 
 @dataclass(frozen=True)
@@ -21,9 +23,9 @@ class Comparison:
     ----------
     same, near, different : int
     largest : float
-        Largest difference of numbers relative to the largest of their column (-).
+        Largest difference of numbers relative to the largest of their column, or of their metric in it (-).
     where : str
-        Column of it, or what else differs.
+        Column and metric of it, or what else differs.
     """
 
     same: int = 0
@@ -55,16 +57,36 @@ def _tables(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
     old, new = pd.read_csv(committed), pd.read_csv(rerun)
     if list(old.columns) != list(new.columns) or len(old) != len(new):
         return Comparison(different=max(old.size, new.size), where="its rows or columns")
-    limits = {"": tolerance["relative"]} | tolerance.get("columns", {}).get(committed.name, {})
     total = Comparison()
     for column in old.columns:
-        limit = limits.get(column, limits[""])
-        ignored = column in tolerance["not_compared"]
-        total += Comparison(same=len(old)) if ignored else _columns(old[column], new[column], limit, column)
+        limit = limits(old, committed.name, column, tolerance)
+        if column in tolerance["not_compared"]:
+            total += Comparison(same=len(old))
+            continue
+        for name, rows in _scales(old, column).items():
+            total += _columns(old[column].iloc[rows], new[column].iloc[rows], limit[rows], name)
     return total
 
 
-def _columns(a: pd.Series, b: pd.Series, limit: float, name: str) -> Comparison:
+def limits(table: pd.DataFrame, name: str, column: str, tolerance: dict) -> np.ndarray:
+    """What each row of a column may be off by, over the size of the column (-), shape (n,)."""
+    found = np.full(len(table), tolerance["relative"])
+    for own in tolerance.get("own", ()):
+        if (own["table"], own["column"]) == (name, column):
+            chosen = table.eval(own["rows"], engine="python").to_numpy() if "rows" in own else slice(None)
+            found[chosen] = own["relative"]
+    return found
+
+
+def _scales(table: pd.DataFrame, column: str) -> dict[str, np.ndarray]:
+    """Rows of a column that are of one size: those of one metric where the column holds several, else all."""
+    kind = next((name for name in KINDS if column == VALUE and name in table), None)
+    if kind is None:
+        return {column: np.arange(len(table))}
+    return {f"{column} of {name}": rows for name, rows in table.groupby(kind).indices.items()}
+
+
+def _columns(a: pd.Series, b: pd.Series, limit: np.ndarray, name: str) -> Comparison:
     same = (a == b) | (a.isna() & b.isna())
     numeric = pd.api.types.is_numeric_dtype(a) and pd.api.types.is_numeric_dtype(b)
     if same.all() or not numeric:

@@ -44,13 +44,24 @@ class Notebook:
 
 
 @schema.table
+class Own:
+    """Entry [[verify.own]] of notebooks/chain.toml: tolerance of a column of a table, in the rows of a query or all."""
+
+    table: str
+    column: str
+    relative: _SHARE
+    why: str
+    rows: str = ""
+
+
+@schema.table
 class Tolerance:
     """Table [verify] of notebooks/chain.toml, see there."""
 
     relative: _SHARE
     image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")]
     not_compared: tuple[str, ...]
-    columns: dict[str, dict[str, _SHARE]] = field(default_factory=dict)
+    own: tuple[Own, ...] = ()
 
 
 @schema.table

@@ -487,16 +487,19 @@ def _elsewhere() -> list[str]:
     file = "notebooks/chain.toml"
     tolerance = tomllib.loads(paths.source(file).read_text(encoding="utf-8"))["verify"]
     relative, grey = (link(f"{tolerance[name]:g}", [file]) for name in ("relative", "image_rms"))
-    own = ", ".join(
-        f"{link(f'{value:g}', [file])} for `{column}` of {table}"
-        for table, columns in tolerance["columns"].items()
-        for column, value in columns.items()
-    )
+    rows = [
+        [own["table"], f"`{own['column']}`" + (f" where {own['rows']}" if "rows" in own else ""),
+         link(f"{own['relative']:g}", [file]), own["why"]] for own in tolerance["own"]
+    ]  # fmt: skip
     return [
         "On one machine with the locked packages tables and figures are bit-identical. Another processor or "
         "mathematical library rounds differently; `make verify` reruns everything and compares. Numbers may be apart "
-        f"by {relative} of the largest value of their column ({own}, which amplify rounding), images by {grey} of 255 "
-        "grey levels in the root mean square. Which computers and compilers were tried is told in the README."
+        f"by {relative} of the largest value of their column or metric, images by {grey} of 255 grey levels in the "
+        "root mean square. Some numbers amplify rounding and may be apart by more; do not read them to more digits:",
+        "",
+        *rows_of(rows, ["table", "numbers", "apart by at most", "because"]),
+        "",
+        "Which computers and compilers were tried is told in the README.",
     ]
 
 
