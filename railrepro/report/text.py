@@ -486,16 +486,16 @@ def _elsewhere() -> list[str]:
     """What another computer may differ by."""
     file = "notebooks/chain.toml"
     tolerance = tomllib.loads(paths.source(file).read_text(encoding="utf-8"))["verify"]
-    relative, grey = (link(f"{tolerance[name]:g}", [file]) for name in ("relative", "image_rms"))
     rows = [
         [own["table"], f"`{own['column']}`" + (f" where {own['rows']}" if "rows" in own else ""),
-         link(f"{own['relative']:g}", [file]), own["why"]] for own in tolerance["own"]
+         f"{own['relative']:g}", own["why"]] for own in tolerance["own"]
     ]  # fmt: skip
     return [
         "On one machine with the locked packages tables and figures are bit-identical. Another processor or "
         "mathematical library rounds differently; `make verify` reruns everything and compares. Numbers may be apart "
-        f"by {relative} of the largest value of their column or metric, images by {grey} of 255 grey levels in the "
-        "root mean square. Some numbers amplify rounding and may be apart by more; do not read them to more digits:",
+        f"by {tolerance['relative']:g} of the largest value of their column or metric, images by "
+        f"{tolerance['image_rms']:g} of 255 grey levels in the root mean square (`{file}`). Some numbers amplify "
+        "rounding and may be apart by more; do not read them to more digits:",
         "",
         *rows_of(rows, ["table", "numbers", "apart by at most", "because"]),
         "",
