@@ -54,6 +54,9 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
+# Where there is no C compiler one comes as a Python package, with a pin of its own.
+COMPILER_LOCK := railrepro/compile/compiler.lock
+
 .PHONY: help figures chain check test test-slow test-all faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
@@ -138,7 +141,8 @@ lock:  ## renew environment.lock from pyproject.toml
 	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --no-extra learn --format requirements-txt --no-emit-project --no-header \
 	    > $(CURDIR)/environment.lock; cd $(CURDIR); \
 	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
-	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); rm -rf $$d
+	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); \
+	  echo ziglang | $$uv pip compile -q --universal --no-annotate --no-header --generate-hashes - -o $(COMPILER_LOCK); rm -rf $$d
 
 clean:  ## remove executed notebooks, stamps and reports of runs
 	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify build/chain.mk
@@ -162,6 +166,10 @@ $(VENV): environment.lock pyproject.toml
 	@.venv/bin/python -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .venv/uv.txt
 	@.venv/bin/uv pip sync -q --python $(PY) --require-hashes environment.lock
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
+	@rm -f .venv/bin/cc
+	@command -v "$${CC:-cc}" >/dev/null || command -v gcc >/dev/null || { echo "there is no C compiler (CC, cc, gcc): installing one into .venv, 100 MB"; \
+	  .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(COMPILER_LOCK) && cp railrepro/compile/packaged-cc .venv/bin/cc; } \
+	  || echo "it cannot be had; everything is interpreted, some twenty times slower"
 	@touch $@
 
 $(BOOK): $(BOOK_LOCK) | $(VENV)

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -217,6 +218,38 @@ def test_a_compiler_that_fails_is_done_without(how, tmp_path):
     assert (done.returncode, done.stdout) == (0, "InterpretedFunction 6.0 None\n"), done.stderr
     assert len(done.stderr.splitlines()) == 1 and "everything is interpreted" in done.stderr
     assert not list((tmp_path / "build/compiled").glob("*.so"))
+
+
+@needs_compiler
+def test_where_there_is_no_compiler_the_packaged_one_is_taken(tmp_path, monkeypatch):
+    """A compiler in the path comes first. The package is played by a script that hands over to the real one."""
+    zig, packaged = tmp_path / "lib/python3.11/site-packages/ziglang/zig", tmp_path / "bin/cc"
+    zig.parent.mkdir(parents=True)
+    told = 'cc)\nshift; for a; do shift; case "$a" in -mcpu=baseline) ;; *) set -- "$@" "$a";; esac; done'
+    zig.write_text(f'#!/bin/sh\ncase $1 in {told}\nexec {codegen.compiler()} "$@";; esac\nexit 3\n')
+    zig.chmod(0o755)
+    packaged.parent.mkdir()
+    shutil.copy(paths.ROOT / "railrepro/compile/packaged-cc", packaged)
+    assert str(Path(sys.executable).with_name("cc")) == cache.PACKAGED
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    monkeypatch.setattr(cache, "PACKAGED", str(packaged))
+    monkeypatch.delenv("CC", raising=False)
+    cache.compiler.cache_clear()
+    first = cache.compiler()
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name in ("sh", "dirname", "as", "ld"):
+        (tools / name).symlink_to(shutil.which(name))
+    monkeypatch.setenv("PATH", str(tools))
+    cache.compiler.cache_clear()
+    try:
+        assert cache.compiler() == str(packaged) != first
+        assert ctypes.CDLL(str(cache.build("int number(void) { return 5; }"))).number() == 5
+        packaged.unlink()
+        cache.compiler.cache_clear()
+        assert cache.compiler() is None
+    finally:
+        cache.compiler.cache_clear()
 
 
 @needs_compiler

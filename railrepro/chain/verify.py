@@ -24,6 +24,7 @@ VARIANTS = {
     "native": {"RAILREPRO_CFLAGS": "-O2 -march=native -ffp-contract=fast"},
     "clang": {"CC": "clang"},
     "clang-v3": {"CC": "clang", "RAILREPRO_CFLAGS": "-O2 -march=x86-64-v3 -ffp-contract=fast"},
+    "packaged": {"CC": cache.PACKAGED},
     "O0": {"RAILREPRO_CFLAGS": "-O0"},
     "old-processor": {
         "RAILREPRO_CFLAGS": "-O2 -march=x86-64",

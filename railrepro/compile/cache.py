@@ -34,6 +34,8 @@ _LONG = 1_500_000
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 _SECONDS, _PROBE_SECONDS = 600.0, 30.0
 """Time limits of a compilation and of the try whether a compiler works (s)."""
+PACKAGED = str(Path(sys.executable).with_name("cc"))
+"""A compiler from a Python package, beside Python: `make` installs it on machines without another one."""
 _OTHERS = 0o022
 """Write permission of group and others."""
 
@@ -46,11 +48,11 @@ class CompilerError(InputError):
 def compiler() -> str | None:
     """Path of a C compiler that works; None when there is none, or when `RAILREPRO_NO_COMPILER` is set.
 
-    One that is there and does not work is told on stderr, once.
+    Looked for are `CC`, cc, gcc, and the `PACKAGED` one. One that is there and does not work is told on stderr, once.
     """
     if os.environ.get("RAILREPRO_NO_COMPILER"):
         return None
-    command = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc")
+    command = next(filter(None, map(shutil.which, (os.environ.get("CC", "cc"), "gcc", PACKAGED))), None)
     if command is not None:
         try:
             _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
@@ -161,7 +163,7 @@ def build(text: str, portable: bool = False) -> Path:
     """
     command = compiler()
     if command is None:
-        raise InputError("a C compiler is needed, and none was found (CC, cc, gcc)")
+        raise InputError("no C compiler was found (CC, cc, gcc); `make distclean check` installs one")
     return _object(command, text, _SECONDS, flags(portable, len(text)))
 
 
