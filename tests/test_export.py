@@ -67,7 +67,18 @@ def driven(source, folder, series):
     file = folder / "controller.c"
     file.write_text(source + "\nunsigned long size(void) { return sizeof(controller_t); }\n")
     subprocess.run(
-        ["cc", "-O1", "-ffp-contract=off", "-shared", "-fPIC", "-w", file, "-o", file.with_suffix(".so"), "-lm"],
+        [
+            codegen.compiler(),
+            "-O1",
+            "-ffp-contract=off",
+            "-shared",
+            "-fPIC",
+            "-w",
+            file,
+            "-o",
+            file.with_suffix(".so"),
+            "-lm",
+        ],
         check=True,
     )
     library = ctypes.CDLL(str(file.with_suffix(".so")))
