@@ -1,6 +1,7 @@
 """A controller taken away: coupled with the unit of the car it drives as in a run; its C needs nothing from outside."""
 
 import ctypes
+import shutil
 import subprocess
 
 import numpy as np
@@ -69,14 +70,9 @@ def driven(source, folder, series):
     subprocess.run(
         [
             codegen.compiler(),
-            "-O1",
-            "-ffp-contract=off",
-            "-shared",
-            "-fPIC",
-            "-w",
-            file,
-            "-o",
+            *["-O1", "-ffp-contract=off", "-shared", "-fPIC", "-w", "-o"],
             file.with_suffix(".so"),
+            file,
             "-lm",
         ],
         check=True,
@@ -90,6 +86,8 @@ def driven(source, folder, series):
         numbers[: len(law.MEASURED)] = row
         assert library.controller_step(memory) == 0
         torques.append(numbers[len(law.MEASURED) :].copy())
+    if shutil.which("nm") is None:
+        return np.array(torques), None
     wanted = subprocess.run(
         ["nm", "-D", "--undefined-only", file.with_suffix(".so")], capture_output=True, text=True
     ).stdout
@@ -107,6 +105,8 @@ def test_the_c_behind_sensors_gives_the_torques_of_a_run_and_needs_nothing(name,
     recorded = series["front.du"].to_numpy()
     assert np.abs(recorded).max() > 10
     assert du[late:] == pytest.approx(recorded[: len(recorded) - late], abs=1e-6)
+    if wanted is None:
+        pytest.skip("the torques are right; there is no nm to tell what the object needs")
     mathematics = {
         "sin",
         "cos",
