@@ -67,16 +67,8 @@ def driven(source, folder, series):
     """Torques of the C of a controller that measures what a run measured, and the names that it wants from outside."""
     file = folder / "controller.c"
     file.write_text(source + "\nunsigned long size(void) { return sizeof(controller_t); }\n")
-    subprocess.run(
-        [
-            codegen.compiler(),
-            *["-O1", "-ffp-contract=off", "-shared", "-fPIC", "-w", "-o"],
-            file.with_suffix(".so"),
-            file,
-            "-lm",
-        ],
-        check=True,
-    )
+    options = ["-O1", "-ffp-contract=off", "-shared", "-fPIC", "-w", file, "-o", file.with_suffix(".so"), "-lm"]
+    subprocess.run([codegen.compiler(), *options], check=True)
     library = ctypes.CDLL(str(file.with_suffix(".so")))
     memory = ctypes.create_string_buffer(library.size())
     numbers = np.frombuffer(memory, dtype=float, count=len(law.MEASURED) + len(TORQUES))
