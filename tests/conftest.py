@@ -14,7 +14,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 @pytest.fixture(scope="module")
 def nominal():
     """Where the numbers of report and article come from."""
-    from railrepro.report.evidence import Nominal
+    from railrepro.evidence.report.evidence import Nominal
 
     return Nominal()
 
@@ -22,7 +22,7 @@ def nominal():
 @pytest.fixture(scope="module")
 def table(nominal):
     """All statements as they are judged on the committed results."""
-    from railrepro.report import claims
+    from railrepro.evidence.report import claims
 
     return claims.evaluate(nominal)
 

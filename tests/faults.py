@@ -175,7 +175,9 @@ def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int
         elif victim == "everything at once":
             os.killpg(started.pid, signal.SIGKILL)
         else:
-            pattern = {"the notebook's process": b"railrepro.chain\0run", "the kernel": b"ipykernel_launcher"}[victim]
+            pattern = {"the notebook's process": b"railrepro.evidence.chain\0run", "the kernel": b"ipykernel_launcher"}[
+                victim
+            ]
             for process in processes(folder):
                 try:
                     if pattern in Path(f"/proc/{process}/cmdline").read_bytes():
@@ -197,8 +199,8 @@ def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int
 RENAMES = """
 import os, signal, sys
 from pathlib import Path
-from railrepro.chain import runner
-from railrepro.chain.graph import find
+from railrepro.evidence.chain import runner
+from railrepro.evidence.chain.graph import find
 count, limit, after = 0, int(sys.argv[1]), sys.argv[2] == "after"
 replace = os.replace
 def counted(source, target):
@@ -371,7 +373,7 @@ def only_shown(folder: Path, whole: dict[str, str]) -> None:
 def book_without_notebooks(folder: Path, whole: dict[str, str]) -> None:
     """The book without executed notebooks: one sentence."""
     shutil.rmtree(folder / "build/notebooks")
-    command = [sys.executable, "-m", "railrepro.chain", "html"]
+    command = [sys.executable, "-m", "railrepro.evidence.chain", "html"]
     done = subprocess.run(command, cwd=folder, env=clean({}), capture_output=True, text=True)
     if done.returncode != 1 or len(done.stderr.splitlines()) != 1:
         raise Lost(done.stderr[-800:])

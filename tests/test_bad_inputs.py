@@ -20,9 +20,9 @@ from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings, load_loop
+from railrepro.evidence.runs import experiment, pso, tuning
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import experiment, pso, tuning
 from railrepro.track import table as tables
 from railrepro.track.alignment import Alignment, Segment
 from railrepro.track.irregularity import irregularities
@@ -309,13 +309,13 @@ def test_a_stepped_car_that_leaves_the_rail_says_so_once():
         car.step(exchanges=10)
 
 
-CHAIN, TUNING = "railrepro.chain", "railrepro.studies.swarm"
+CHAIN, TUNING = "railrepro.evidence.chain", "railrepro.evidence.runs.swarm"
 COMMANDS = {
     "a notebook that there is not": ((CHAIN, "run", "99_none"), "is not in chain.toml"),
     "a variant that there is not": ((CHAIN, "variants", "v9"), "variant 'v9' is not known"),
-    "a controller to tune that there is not": ((TUNING, "pid"), "'pid' is neither terms"),
-    "a study that there is not": (("railrepro.studies.robustness", "luck"), "study 'luck' is not known"),
-    "a table that there is not": (("railrepro.studies.bench", "luck"), "table 'luck' is not known"),
+    "a controller to tune that there is not": ((TUNING, "pid"), "'pid' is neither setting"),
+    "a study that there is not": (("railrepro.evidence.uncertainty.robustness", "luck"), "study 'luck' is not known"),
+    "a table that there is not": (("railrepro.evidence.bench.speed", "luck"), "table 'luck' is not known"),
 }
 
 

@@ -11,7 +11,7 @@ from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 
 gymnasium = pytest.importorskip("gymnasium")
-NAME = "railrepro.env.guidance:railrepro/Guidance-v0"
+NAME = "railrepro.evidence.env.guidance:railrepro/Guidance-v0"
 SHORT = load_scenario("curve_entry_T3").but(end_m=160.0)
 
 

@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
-from railrepro.chain import compare, graph
-from railrepro.report import figures
+from railrepro.evidence.chain import compare, graph
+from railrepro.evidence.report import figures
 
 
 def test_equal_figures_give_equal_bytes(tmp_path, monkeypatch):

@@ -9,14 +9,14 @@ import pytest
 from matplotlib import animation
 
 from railrepro.car.component import SteppedCar
-from railrepro.chain import weblinks
 from railrepro.errors import InputError
-from railrepro.film import __main__ as command
-from railrepro.film import knobs, movie, page, scene
-from railrepro.film.knobs import Knobs
+from railrepro.evidence.chain import weblinks
+from railrepro.evidence.film import __main__ as command
+from railrepro.evidence.film import knobs, movie, page, scene
+from railrepro.evidence.film.knobs import Knobs
+from railrepro.evidence.runs.tuning import tuned
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies.tuning import tuned
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -125,7 +125,7 @@ def test_a_run_that_ends_early_stays_where_it_ended():
         (["braking", "nmpc", "pid"], "controller 'pid' is not known; there are"),
         (["braking", "nmpc"], "two different controllers, found ['nmpc']"),
         (["braking", "ndi", "ndi"], "two different controllers, found ['ndi', 'ndi']"),
-        (["braking", "ndi", "nmpc", "--terms", "fair"], "terms 'fair' are not known; there are"),
+        (["braking", "ndi", "nmpc", "--setting", "fair"], "setting 'fair' is not known; there are"),
     ],
 )
 def test_wrong_names_are_one_sentence(arguments, sentence):
@@ -191,7 +191,7 @@ def test_a_knob_beyond_its_range_is_refused(wrong, sentence):
 
 
 def test_a_slider_drives_both_again_and_tells_what_is_wrong():
-    from railrepro.film.panel import curves, panel
+    from railrepro.evidence.film.panel import curves, panel
 
     drawn = []
 

@@ -14,10 +14,10 @@ from railrepro.control.registry import guidance
 from railrepro.control.solvers import condensed, ipopt
 from railrepro.control.solvers.riccati import MOST_SETS, Horizon, PlainHorizon
 from railrepro.errors import InputError
+from railrepro.evidence.runs import tuning
 from railrepro.model.control_model import STATES, control_model, discretise
 from railrepro.model.forecast import forecast, nominal_values
 from railrepro.simulation import scenarios, simulate
-from railrepro.studies import tuning
 from railrepro.vehicle.parameters import load_vehicle
 
 Q = (2e-3, 3e2, 5e-3, 7e1, 1.0, 1.1e2)

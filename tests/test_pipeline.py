@@ -8,8 +8,8 @@ import re
 import pytest
 
 from railrepro import paths
-from railrepro.chain import cleaning, graph, manifest, runner
 from railrepro.errors import InputError
+from railrepro.evidence.chain import cleaning, graph, manifest, runner
 
 CELLS = [
     "from railrepro import paths",

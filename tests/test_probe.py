@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 
 from railrepro.control.registry import PAPER_TRIO
+from railrepro.evidence.claims import probe, statements
+from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import probe, statements, tuning
 from railrepro.vehicle.parameters import load_vehicle
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from railrepro.errors import InputError
-from railrepro.studies.pso import Dimension, Swarm, minimise
+from railrepro.evidence.runs.pso import Dimension, Swarm, minimise
 
 
 def sphere(sets, limits=()):

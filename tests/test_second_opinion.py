@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from railrepro.studies import exudyn_car, second_opinion
+from railrepro.evidence.bench import exudyn_car, second_opinion
 from railrepro.track import route
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle

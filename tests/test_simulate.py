@@ -13,8 +13,8 @@ from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
+from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import metrics, scenarios, simulate
-from railrepro.studies.experiment import Experiment
 from railrepro.vehicle.parameters import load_vehicle
 
 

@@ -17,9 +17,9 @@ from railrepro import paths
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import INVERSIONS, OURS, REGISTERED, guidance
 from railrepro.errors import InputError
+from railrepro.evidence.runs import swarm, tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.simulation import simulate
-from railrepro.studies import swarm, tuning
-from railrepro.studies.executor import executor, ordered_map
 
 
 def short_task(**budget):
@@ -29,17 +29,17 @@ def short_task(**budget):
     return replace(task, runs=(run,), budget=task.budget | {"seeds": [1]} | budget)
 
 
-@pytest.mark.parametrize("terms", tuning.TERMS)
-def test_all_controllers_are_searched_with_the_same_task(terms):
-    task = tuning.load_task(terms=terms)
+@pytest.mark.parametrize("setting", tuning.SETTINGS)
+def test_all_controllers_are_searched_with_the_same_task(setting):
+    task = tuning.load_task(setting=setting)
     assert set(task.dimensions) == set(REGISTERED)
-    assert set(task.designed) == ({*INVERSIONS, OURS} if terms == "paper" else set())
+    assert set(task.designed) == ({*INVERSIONS, OURS} if setting == "paper" else set())
     assert len({run.scenario.speed_kmh for run in task.runs}) >= 4
     assert len(task.budget["seeds"]) >= 3
 
 
 def test_terms_differ_in_what_is_seen_and_in_the_stressed_run_only():
-    paper, equal, loop = (tuning.load_task(terms=terms) for terms in tuning.TERMS)
+    paper, equal, loop = (tuning.load_task(setting=setting) for setting in tuning.SETTINGS)
     assert all(not run.scenario.poor_share and not run.sensors and not run.irregular for run in paper.runs)
     assert [*(run.name for run in equal.runs), "poor_stressed"] == [run.name for run in loop.runs]
     for one, other in zip(equal.runs, loop.runs[:-1], strict=True):
@@ -53,18 +53,18 @@ def test_terms_differ_in_what_is_seen_and_in_the_stressed_run_only():
     assert equal.budget == loop.budget and equal.cost == loop.cost and equal.dimensions == loop.dimensions
 
 
-@pytest.mark.parametrize("terms", tuning.TERMS)
-def test_tuned_sets_belong_to_the_model_and_carry_their_origin(terms):
-    task = tuning.load_task(terms=terms)
+@pytest.mark.parametrize("setting", tuning.SETTINGS)
+def test_tuned_sets_belong_to_the_model_and_carry_their_origin(setting):
+    task = tuning.load_task(setting=setting)
     for name in REGISTERED:
-        tuned = tuning.load(name, terms)
+        tuned = tuning.load(name, setting)
         if name in task.designed:
             assert tuned["parameters"] == task.designed[name]
             continue
         assert [swarm["seed"] for swarm in tuned["swarms"]] == list(task.budget["seeds"])
         assert tuned["cost"] == min(swarm["cost"] for swarm in tuned["swarms"])
         assert set(tuned["parameters"]) == {d.name for d in task.dimensions[name]}
-        found = tuning.particles(name, terms)
+        found = tuning.particles(name, setting)
         assert found.groupby("seed")["cost"].min().to_numpy() == pytest.approx(
             [swarm["cost"] for swarm in tuned["swarms"]], rel=1e-5
         )
@@ -78,20 +78,20 @@ def test_tuned_sets_of_another_model_are_refused(tmp_path):
         tuning.load("ndi", folder=tmp_path)
     with pytest.raises(InputError, match="make tune"):
         tuning.load("nmpc", folder=tmp_path)
-    with pytest.raises(InputError, match="holds a tuned set of 'ndi' on the terms 'equal'"):
+    with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'equal'"):
         tuning.load("ndi", "loop", folder=tmp_path)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('"poor_stressed"]', '"poor_wet"]', r"\[terms.loop\] has the run 'poor_wet'"),
+        ('"poor_stressed"]', '"poor_wet"]', r"\[setting.loop\] has the run 'poor_wet'"),
         ("gain = 1.2 }", "gian = 1.2 }", r"\[run.poor_stressed\] has inverter.gian"),
-        ("[terms.loop]", "[terms.laboratory]", "allowed are 'paper', 'equal' or 'loop'"),
+        ("[setting.loop]", "[setting.laboratory]", "allowed are 'paper', 'equal' or 'loop'"),
         ("seeds = [1, 2, 3]", "seeds = []", "at least one entry is needed"),
         ("seeds = [1, 2, 3]", "seeds = [1, -2]", "budget.seed 2 = -2"),
         ("sensors = true", 'sensors = "yes"', "sensors is 'yes', true or false is needed"),
-        ("ndi = { pole = 30.0", "pid = { pole = 30.0", r"\[terms.paper.designed\] has 'pid'"),
+        ("ndi = { pole = 30.0", "pid = { pole = 30.0", r"\[setting.paper.designed\] has 'pid'"),
     ],
 )
 def test_a_wrong_task_is_told_in_one_sentence(tmp_path, old, new, sentence):
@@ -99,13 +99,13 @@ def test_a_wrong_task_is_told_in_one_sentence(tmp_path, old, new, sentence):
     assert old in text
     (tmp_path / "tuning.toml").write_text(text.replace(old, new))
     with pytest.raises(InputError, match=sentence):
-        for terms in tuning.TERMS:
-            tuning.load_task(tmp_path / "tuning.toml", terms)
+        for setting in tuning.SETTINGS:
+            tuning.load_task(tmp_path / "tuning.toml", setting)
 
 
 def test_unknown_terms_are_refused():
-    with pytest.raises(InputError, match=r"terms 'dry' are not known; there are \['equal', 'loop', 'paper'\]"):
-        tuning.load_task(terms="dry")
+    with pytest.raises(InputError, match=r"setting 'dry' is not known; there are \['equal', 'loop', 'paper'\]"):
+        tuning.load_task(setting="dry")
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +201,7 @@ def test_a_dask_cluster_gives_the_same(monkeypatch):
 
 WORKERS = """
 import fcntl, sys, time
-from railrepro.studies.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import executor, ordered_map
 def hold(path):
     with open(path, "w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -244,7 +244,7 @@ def test_workers_end_with_a_killed_parent(tmp_path):
 SCRIPT = """
 import sys
 from pathlib import Path
-from railrepro.studies import pso
+from railrepro.evidence.runs import pso
 def cost(particles, limits):
     import time
     time.sleep(0.05)

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from railrepro import paths
-from railrepro.chain import compare, graph, verify
-from railrepro.chain.compare import Comparison
 from railrepro.compile import codegen
 from railrepro.errors import InputError
+from railrepro.evidence.chain import compare, graph, verify
+from railrepro.evidence.chain.compare import Comparison
 
 CHAIN = """
 [verify]

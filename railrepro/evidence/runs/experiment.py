@@ -1,0 +1,212 @@
+"""Experiments that can be sent to any worker: scenario, controller and changes, and the row of numbers they give.
+
+Notebooks and studies are lists of these; the executor decides where they run.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.law import EstimateSettings
+from railrepro.control.registry import guidance
+from railrepro.control.slip import SlipSettings
+from railrepro.errors import InputError
+from railrepro.estimation import sensors
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.simulation import metrics, ride, simulate
+from railrepro.simulation.scenarios import Scenario
+from railrepro.track import preview
+from railrepro.track.rough import fit, rough_track
+from railrepro.track.route import CELL
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+_SERIES = {
+    **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
+    **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
+}
+_WHEEL = {"tau": "tau_{}_Nm", "fx": "fx_{}", "sx": "sx_{}"}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run to be made.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    controller : str
+        Key of `registry.REGISTERED`.
+    label : dict
+        Further columns of the row.
+    parameters : dict or None
+        Tuning parameters; None takes the tuned ones.
+    options, changes : dict
+        See `registry.guidance`.
+    vehicle, plant : dict
+        Vehicle parameters changed for car and controllers, and for the car alone (`parameters.load_vehicle`).
+    adhesion, estimate, fixed_share
+        See `simulate.run`.
+    irregular : dict
+        Arguments of `rough_track` besides the coordinates; empty is an ideal track.
+    preview : dict
+        What the controller knows of the irregularities, and the line that it plans with it: arguments of
+        `preview.known` and `preview.planned_line` besides the frame (`smoothing_m` is that of the line); empty is
+        nothing.
+    sensors : dict
+        Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
+    setting : str
+        Which tuned parameters are taken, see `tuning.load`.
+    substeps : int
+        See `simulate.run`.
+    ride : bool
+        Whether the row also has the figures of `ride.ride_summary`.
+    stride : int
+        Every n-th exchange of the front gear is kept as a series; 0 keeps none.
+    """
+
+    scenario: Scenario
+    controller: str
+    label: dict = field(default_factory=dict)
+    parameters: dict | None = None
+    options: dict = field(default_factory=dict)
+    changes: dict = field(default_factory=dict)
+    vehicle: dict = field(default_factory=dict)
+    plant: dict = field(default_factory=dict)
+    adhesion: AdhesionSettings | SlipSettings | None = None
+    estimate: EstimateSettings | None = None
+    fixed_share: float = 0.0
+    irregular: dict = field(default_factory=dict)
+    preview: dict = field(default_factory=dict)
+    sensors: dict = field(default_factory=dict)
+    setting: str = tuning.EQUAL
+    substeps: int = 1
+    ride: bool = False
+    stride: int = 0
+
+    def car(self) -> Vehicle:
+        """The car that is driven, with all changes."""
+        return load_vehicle(**self.vehicle | self.plant)
+
+    def run(self) -> simulate.Run:
+        """The simulation itself."""
+        parameters = (
+            tuning.load(self.controller, self.setting)["parameters"] if self.parameters is None else self.parameters
+        )
+        law = guidance(self.controller, parameters, self.options, **self.changes)
+        rough = None
+        if self.irregular:
+            if not isinstance(self.irregular, dict):
+                fit("irregular", self.irregular)
+            rough = _laid_rough(self.scenario.end_m, json.dumps(self.irregular, sort_keys=True))
+        if self.preview:
+            fit("preview", self.preview, _line, preview.known)
+            if rough is None:
+                raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
+        return simulate.run(
+            self.scenario,
+            law,
+            irregularities=rough,
+            line=_line(rough, **self.preview) if self.preview else None,
+            sensors=sensors.readings(**self.sensors) if self.sensors else None,
+            substeps=self.substeps,
+            vehicle=load_vehicle(**self.vehicle),
+            plant_vehicle=self.car(),
+            adhesion=self.adhesion,
+            estimate=self.estimate,
+            fixed_share=self.fixed_share,
+        )
+
+    def __call__(self) -> tuple[dict, pd.DataFrame | None]:
+        """Row of metrics and the kept series, see `row`."""
+        run = self.run()
+        return self.row(run), tidy(run.series, self.stride).assign(**self.label) if self.stride else None
+
+    def row(self, run: simulate.Run) -> dict:
+        """Metrics of a run (SI); of a failed run the place instead of how well it followed."""
+        vehicle = self.car()
+        values = metrics.summary(run.series, vehicle.drive.torque_limit)
+        if run.failed:
+            values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
+        values |= metrics.longitudinal(run.series, self.scenario, vehicle)
+        if self.ride and not run.failed:
+            values |= ride.ride_summary(run.series, vehicle)
+        row = {"scenario": self.scenario.name, "controller": self.controller, **self.label}
+        row |= {name: value for name, (value, _) in values.items()}
+        row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
+        solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
+        row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
+        return row | {"fallbacks": sum(solve.fallback for solve in solves)}
+
+
+def sample_times(run: simulate.Run, experiment: Experiment, again: int) -> np.ndarray:
+    """Time of each sample of the slower controllers (s), the least of a run and of some more that go like it.
+
+    What a machine does besides lengthens one drive or the other, what a controller needs all of them.
+    """
+    runs = [run, *(experiment.run() for _ in range(again))]
+    found = [[solve.seconds for controller in each.controllers for solve in controller.stats] for each in runs]
+    return np.min([seconds for seconds in found if len(seconds) == len(found[0])], axis=0)
+
+
+@lru_cache(maxsize=8)
+def _laid_rough(end: float, irregular: str) -> pd.DataFrame:
+    """Irregularities up to a coordinate (m); tuning drives the same ones very often."""
+    return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular))
+
+
+def _line(rough: pd.DataFrame, share=1.0, smoothing_m=3.0, limit=5e-3, **errors) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and planned line with its derivatives, from what is known of the irregularities."""
+    believed = preview.known(rough, **errors)
+    return believed["p_m"].to_numpy(), preview.planned_line(believed, share, smoothing_m, limit)
+
+
+def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame:
+    """Every `stride`-th row of one gear with the unit in each column's name (contract of data/results)."""
+    rows = series.iloc[::stride]
+    columns = {"t_s": rows["t_s"]} | {new: rows[f"{gear}.{old}"] for old, new in _SERIES.items()}
+    columns |= {
+        name.format(side): rows[f"{gear}_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()
+    }
+    return pd.DataFrame(columns)
+
+
+def _call(experiment: Experiment):
+    return experiment()
+
+
+def run_all(
+    experiments: Sequence[Experiment], title: str, quiet: bool = False
+) -> tuple[pd.DataFrame, pd.DataFrame | None]:
+    """Run experiments on the executor.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    title : str
+        Text of the progress bar.
+    quiet : bool
+        No progress bar.
+
+    Returns
+    -------
+    table : DataFrame
+        One row per experiment, in order.
+    series : DataFrame or None
+        Kept series with the column `controller`, or None.
+    """
+    with executor() as pool:
+        results = ordered_map(pool, _call, experiments, title, quiet)
+    kept = [
+        series.assign(controller=experiment.controller)
+        for experiment, (_, series) in zip(experiments, results, strict=True)
+        if series is not None
+    ]
+    return pd.DataFrame([row for row, _ in results]), pd.concat(kept, ignore_index=True) if kept else None
