@@ -2,7 +2,8 @@
 
 `python -m railrepro.evidence.bench.speed` writes solve_times.csv, horizon_times.csv, plant_speed.csv,
 executor_speed.csv, sample_times.csv, peer_times.csv and solver_operations.csv of data/results and prints them. Times of
-different machines are never compared; the machine's name stands in each table. Serves the paper's section Evaluation of Lateral Control (computation times).
+different machines are never compared; the machine's name stands in each table. Serves the paper's section Evaluation of
+Lateral Control (computation times).
 """
 
 from __future__ import annotations

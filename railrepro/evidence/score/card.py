@@ -84,8 +84,11 @@ def tidy(table: pd.DataFrame, seed: int) -> pd.DataFrame:
     present = [name for name in ROW_UNITS if name in table]
     long = table.melt(keys, present, "metric").dropna(subset="value")
     long["unit"] = long["metric"].map(ROW_UNITS)
-    sums = [{"setting": setting, "metric": name, "value": value}
-            for setting, rows in table.groupby("setting", sort=False) for name, value in _sums(rows).items()]  # fmt: skip
+    sums = [
+        {"setting": setting, "metric": name, "value": value}
+        for setting, rows in table.groupby("setting", sort=False)
+        for name, value in _sums(rows).items()
+    ]
     scores = [row["value"] for row in sums if row["metric"] == "score"]
     sums.append({"setting": ALL, "metric": "score", "value": float(np.mean(scores))})
     whole = pd.DataFrame(sums).assign(scenario=ALL, controller=controller)
