@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from railrepro import paths
+from railrepro import FACADE, paths
 from railrepro.errors import InputError
 from railrepro.evidence.chain.graph import Notebook
 from railrepro.files import alone, write, written
@@ -41,10 +41,12 @@ def _imports(text: str) -> frozenset[str]:
         return frozenset()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names if alias.name.startswith("railrepro")}
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("railrepro"):
+            own = {alias.name for alias in node.names if alias.name.partition(".")[0] == "railrepro"}
+            found |= own | ({f"railrepro.{name}" for name in FACADE} if own else set())  # any of them may follow
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "railrepro":
             found |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return frozenset(found)
+    homes = {FACADE[name] for name in FACADE if {f"railrepro.{name}", "railrepro.*"} & found}
+    return frozenset(found | homes | {home.rpartition(".")[0] for home in homes})
 
 
 def _module_file(module: str) -> Path | None:
