@@ -204,7 +204,7 @@ def _digest(target: Path, content: bytes) -> str:
     return hashlib.sha256(target.name.encode() + b"\0" + content).hexdigest() + "\n"
 
 
-def _own(file: Path) -> bytes | None:
+def own(file: Path) -> bytes | None:
     """Content of a regular file that belongs to this user and that nobody else can write; None for anything else."""
     try:
         with open(os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as stream:
@@ -217,7 +217,7 @@ def _own(file: Path) -> bytes | None:
 
 def _intact(target: Path) -> bool:
     """Whether an object is there, the user's own, and what was stored."""
-    content, digest = _own(target), _own(target.with_suffix(".sha256"))
+    content, digest = own(target), own(target.with_suffix(".sha256"))
     return content is not None and digest is not None and digest.decode(errors="replace") == _digest(target, content)
 
 

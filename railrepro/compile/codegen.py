@@ -1,8 +1,8 @@
 """From CasADi functions to C source text, and from there to functions that are called.
 
-The only module of this room that the others import: `cache` compiles text and keeps the objects, `functions` binds
-them to buffers, `reciprocals` saves divisions. Without a C compiler `library` returns None and callers evaluate the
-same CasADi functions in CasADi's virtual machine.
+The only module of this room that the others import: `cache` compiles text and keeps the objects, `graphs` the functions
+that they come from, `functions` binds them to buffers, `reciprocals` saves divisions. Without a C compiler `library`
+returns None and callers evaluate the same CasADi functions in CasADi's virtual machine.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import casadi as ca
 
 from railrepro.compile.cache import CompilerError, build, compiler, do_without, flags
 from railrepro.compile.functions import Call, CompiledFunction, InterpretedFunction
+from railrepro.compile.graphs import stored
 from railrepro.compile.reciprocals import share_reciprocals
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "library",
     "share_reciprocals",
     "source_text",
+    "stored",
 ]
 
 
