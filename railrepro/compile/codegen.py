@@ -103,8 +103,8 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
 _loaded: list[ctypes.CDLL] = []
 
 
-def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL | None:
-    """Load CasADi functions (and extra C source) as one shared object.
+def library(functions: Sequence[ca.Function] | str, extra: str = "") -> ctypes.CDLL | None:
+    """Load CasADi functions, or their `source_text`, and extra C source as one shared object.
 
     Returns
     -------
@@ -119,7 +119,8 @@ def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL | 
     if compiler() is None:
         return None
     try:
-        _loaded.append(ctypes.CDLL(str(build(source_text(functions) + extra))))
+        text = functions if isinstance(functions, str) else source_text(functions)
+        _loaded.append(ctypes.CDLL(str(build(text + extra))))
     except CompilerError as error:
         if _loaded:
             raise

@@ -48,8 +48,15 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     build : callable
         Of arguments whose `repr` tells them apart, and of nothing else but code; it gives CasADi functions, texts,
         numbers, and tuples, lists and dictionaries of them.
+
+    Raises
+    ------
+    ValueError
+        For a function of any other place than the library: the key would not know its code.
     """
     name = f"{build.__module__}.{build.__qualname__}"
+    if not name.startswith("railrepro.") or name.startswith(f"railrepro.{_ABOVE}"):
+        raise ValueError(f"{name} is not of the library; what it builds cannot be stored")
 
     @lru_cache
     @wraps(build)
