@@ -89,4 +89,5 @@ def test_a_probe_answers_statements():
 def test_a_failed_run_tells_only_that_it_failed():
     parameters = {"pole": 60.0, "frequency": 60.0, "damping": 0.05}
     world = probe.World({"ndi": parameters}, vehicle={"drive.lag": 0.05})
-    assert probe.lateral(world.run(load_scenario("sine_tracking").but(end_m=200.0), "ndi")) == {"failed": 1.0}
+    run = world.experiment(load_scenario("sine_tracking").but(end_m=200.0), "ndi").run()
+    assert probe.lateral(run) == {"failed": 1.0}

@@ -1,4 +1,4 @@
-"""Swarm: published test functions, bounds, seeds, checkpoints."""
+"""Swarm: published test functions, bounds, seeds."""
 
 import numpy as np
 import pytest
@@ -48,24 +48,6 @@ def test_same_seed_same_swarm_another_seed_another():
     assert not first["a"].equals(other["a"])
 
 
-def test_a_broken_search_ends_like_the_unbroken_one(tmp_path):
-    whole = minimise(rastrigin, BOX, 10, 20, seed=2)
-    calls = 0
-
-    def breaks(sets, limits):
-        nonlocal calls
-        calls += 1
-        if calls == 8:
-            raise KeyboardInterrupt
-        return rastrigin(sets)
-
-    with pytest.raises(KeyboardInterrupt):
-        minimise(breaks, BOX, 10, 20, seed=2, checkpoint=tmp_path / "swarm.json")
-    resumed = minimise(rastrigin, BOX, 10, 20, seed=2, checkpoint=tmp_path / "swarm.json")
-    assert resumed.history.equals(whole.history)
-    assert resumed.best == whole.best
-
-
 def test_costs_beyond_the_limits_do_not_change_the_swarm():
     def rough(sets, limits):
         return [cost if cost <= limit else 2 * limit + 1 for cost, limit in zip(rastrigin(sets), limits, strict=True)]
@@ -74,12 +56,6 @@ def test_costs_beyond_the_limits_do_not_change_the_swarm():
     assert bounded.best == exact.best
     assert bounded.history[["a", "b"]].equals(exact.history[["a", "b"]])
     assert not bounded.history["cost"].equals(exact.history["cost"])
-
-
-def test_a_checkpoint_of_another_search_is_not_continued(tmp_path):
-    minimise(rastrigin, BOX, 10, 5, seed=2, checkpoint=tmp_path / "swarm.json", key="one")
-    other = minimise(sphere, BOX, 10, 5, seed=2, checkpoint=tmp_path / "swarm.json", key="two")
-    assert other.history.equals(minimise(sphere, BOX, 10, 5, seed=2).history)
 
 
 def test_failures_count_as_worst_and_never_lead():

@@ -140,7 +140,7 @@ class Scenario:
     def route(self, irregularities=None, line=None) -> route.Route:
         """Lay set point, adhesion, profiles and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
-        track = load_track(self._track())
+        track = load_track(self.track_file())
         self._check_ramps(track)
         way = route.lay(
             track,
@@ -166,7 +166,7 @@ class Scenario:
                 "must be longer"
             )
 
-    def _track(self) -> str:
+    def track_file(self) -> str:
         """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track

@@ -9,7 +9,6 @@ Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T
 
 from __future__ import annotations
 
-import hashlib
 import json
 import reprlib
 from dataclasses import dataclass, field, fields
@@ -23,14 +22,11 @@ from pydantic import AfterValidator
 from railrepro import paths, schema
 from railrepro.control.registry import REGISTERED, guidance
 from railrepro.errors import InputError
-from railrepro.estimation.sensors import Inverter, load_loop
+from railrepro.estimation.sensors import Inverter
 from railrepro.evidence.runs import pso
-from railrepro.evidence.runs.fingerprint import fingerprint
 from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation.scenarios import Scenario, load_scenarios
-from railrepro.track.irregularity import CHANNELS, irregularity_spectrum
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TUNED = "data/tuned"
 SETTINGS = ("paper", "equal", "loop")
@@ -196,31 +192,6 @@ def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> T
     return TuningRun(name, scenario, entry.irregular, entry.plant, sensors)
 
 
-def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
-    """Fingerprint of what the cost of a controller's parameters reads: runs, vehicle, cost, own bounds, budget."""
-    numbers = [sorted((key, str(value)) for key, value in table.items()) for table in (task.budget, task.cost)]
-    bounds = [(d.name, float(d.low), float(d.high), d.scale) for d in task.dimensions[controller]]
-    around = [(run.irregular, _rails(run.irregular), run.plant, run.sensors) for run in task.runs]
-    loop = repr(load_loop()) if any(run.sensors for run in task.runs) else ""
-    scenarios = [run.scenario for run in task.runs]
-    return fingerprint(scenarios, vehicle, *numbers, bounds, around, loop, REGISTERED[controller].quick)
-
-
-def _rails(irregular: dict) -> list[str]:
-    """What a file or a spectrum says about rails."""
-    if not irregular:
-        return []
-    if "file" in irregular:
-        return [hashlib.sha256(paths.source(irregular["file"]).read_bytes()).hexdigest()]
-    spectrum = irregular.get("spectrum", "erri_low")
-    return [f"{float(irregularity_spectrum(spectrum, channel, 0.5)):.9e}" for channel in CHANNELS]
-
-
-@lru_cache
-def _origin_here(controller: str, setting: str) -> str:
-    return origin(controller, _task_here(setting), load_vehicle())
-
-
 @lru_cache
 def _task_here(setting: str) -> Task:
     return load_task(setting=setting)
@@ -230,7 +201,6 @@ def _task_here(setting: str) -> Task:
 class Origin(Budget):
     """Where a tuned set comes from."""
 
-    fingerprint: str
     version: str
 
 
@@ -275,8 +245,7 @@ def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     Raises
     ------
     InputError
-        When there is none, when it does not hold a tuned set of this controller, or when it was tuned for another
-        `origin`.
+        When there is none, or when it does not hold a tuned set of this controller.
     """
     task = _task_here(setting)
     if controller in task.designed:
@@ -293,11 +262,6 @@ def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
         )
     if controller not in task.dimensions:
         raise InputError(f"{file.name}: tuning.toml has no bounds for {controller!r}")
-    if found.origin.fingerprint != _origin_here(controller, setting):
-        raise InputError(
-            f"{file.name}: was tuned for another vehicle, control model, cost or budget, other runs or bounds "
-            f"({found.origin.fingerprint}, here {_origin_here(controller, setting)}); `make tune` tunes again"
-        )
     searched = {dimension.name for dimension in task.dimensions[controller]}
     for parameters in (found.parameters, *(swarm.parameters for swarm in found.swarms)):
         if set(parameters) != searched:
