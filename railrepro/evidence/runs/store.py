@@ -41,10 +41,12 @@ class Missing(Exception):
 
 def _plain(value) -> object:
     """A value as lists of plain ones, the same for equal values; TypeError for what has no such form."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53:
+        return repr(float(value))
     if value is None or isinstance(value, bool | int | float | str):
         return repr(value)
-    if isinstance(value, np.generic):
-        return repr(value.item())
     if isinstance(value, np.ndarray) and value.dtype != object:
         return [str(value.dtype), value.shape, hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()]
     if isinstance(value, pd.DataFrame):
@@ -71,7 +73,12 @@ def key(*parts) -> str:
     TypeError
         When a part has no stored form, as a function of a user's file.
     """
-    return hashlib.sha256(json.dumps([_machine(), _plain(parts)]).encode()).hexdigest()
+    return digest(_machine(), *parts)
+
+
+def digest(*parts) -> str:
+    """The same whatever the machine."""
+    return hashlib.sha256(json.dumps(_plain(parts)).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)

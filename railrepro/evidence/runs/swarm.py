@@ -21,8 +21,9 @@ from railrepro.errors import InputError, told
 from railrepro.evidence.runs import pso, store
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.runs.tuning import SETTINGS, TUNED, Task, load_task, save
+from railrepro.evidence.runs.tuning import SETTINGS, TUNED, Task, load_task, origin, save
 from railrepro.simulation import metrics, simulate
+from railrepro.vehicle.parameters import load_vehicle
 
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
@@ -141,7 +142,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
         "cost": cost,
         "runs": parts,
         "swarms": swarms,
-        "origin": {"version": __version__} | budget,
+        "origin": {"data": origin(controller, task, load_vehicle()), "version": __version__} | budget,
         "history": pd.concat(tables, ignore_index=True),
     }
 

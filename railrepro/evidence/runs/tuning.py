@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import reprlib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,11 +22,12 @@ from pydantic import AfterValidator
 from railrepro import paths, schema
 from railrepro.control.registry import REGISTERED, guidance
 from railrepro.errors import InputError
-from railrepro.estimation.sensors import Inverter
-from railrepro.evidence.runs import pso
+from railrepro.estimation.sensors import Inverter, load_loop
+from railrepro.evidence.runs import pso, store
 from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation.scenarios import Scenario, load_scenarios
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TUNED = "data/tuned"
 SETTINGS = ("paper", "equal", "loop")
@@ -179,7 +180,7 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
 
 
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
-    if entry.scenario not in tuple(known):
+    if entry.scenario not in known:
         raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
     scenario = schema.build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
     sensors = {}
@@ -192,6 +193,33 @@ def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> T
     return TuningRun(name, scenario, entry.irregular, entry.plant, sensors)
 
 
+def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
+    """Digest of the given numbers that the cost of a controller's parameters reads.
+
+    These are scenarios, tracks, rails, vehicle, sensors, cost, budget and own bounds. Names and remarks do not
+    count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
+    same; `is_current` says so, and 05_tuning recomputes its cost.
+    """
+    tracks, rails = (schema.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
+    sets = sorted({name for run in task.runs for name in (run.scenario.good, run.scenario.poor)})
+    car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
+    runs = []
+    for run in task.runs:
+        scenario = {k: v for k, v in vars(run.scenario).items() if k not in ("name", "track", "paper")}
+        rail = rails.get(str(run.irregular.get("spectrum")), None)
+        runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
+    loop = load_loop() if any(run.sensors for run in task.runs) else None
+    return store.digest(runs, car, loop, task.budget, task.cost, task.dimensions[controller])[:16]
+
+
+def is_current(controller: str, setting: str) -> bool:
+    """Whether a tuned set was searched with the numbers that stand in data/ today; designed sets are."""
+    task = _task_here(setting)
+    if controller in task.designed:
+        return True
+    return load(controller, setting)["origin"]["data"] == origin(controller, task, load_vehicle())
+
+
 @lru_cache
 def _task_here(setting: str) -> Task:
     return load_task(setting=setting)
@@ -201,6 +229,7 @@ def _task_here(setting: str) -> Task:
 class Origin(Budget):
     """Where a tuned set comes from."""
 
+    data: str
     version: str
 
 
