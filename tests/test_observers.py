@@ -45,6 +45,21 @@ def test_the_filter_is_stable_and_sees_every_state(vehicle, speed):
     assert np.abs(np.linalg.eigvals(step - step @ gain @ c)).max() < 1
 
 
+@pytest.mark.parametrize(("course", "cant_rate"), [(0.0, 4e-4), (3e-3, 0.0), (-3e-3, 4e-4)])
+def test_the_filter_feels_the_gyroscopic_moment_of_rolling_wheels(vehicle, course, cant_rate):
+    """Nothing else acts: the angular momentum of both wheels and that of yaw stay together while the gear rolls."""
+    x = dict.fromkeys(observers.STATES, 0.0) | {"v": 100.0, "psi": 2e-3, "beta": course - 2e-3}
+    road = {"psi_Tr": 0.0, "psi_CB": 2e-3, "dpsi_dp": 0.0, "dpsi_dp_CB": 0.0, "dphi_dp": cant_rate}
+    commands = dict.fromkeys(("le", "ri"), [0.0] * 21)
+    gains = stationary_gains(vehicle, load_loop()) | Readings(load_loop()).gains(0)
+    turned = observers.advance(x, commands, road, gains)["r"] / 1e-3
+    # Running to the right the right wheel climbs on its cone and the left one sinks, by tan(delta) y each over b.
+    roll_rate = 100.0 * (cant_rate - 2 * np.tan(vehicle.wheel.cone_angle) * course / vehicle.gear.contact_base)
+    wheels = 2 * vehicle.wheel.spin_inertia * np.array([0.0, -100.0 / vehicle.wheel.radius, 0.0])
+    moment = -np.cross([roll_rate, 0.0, 0.0], wheels)[2]
+    assert turned == pytest.approx(moment / vehicle.gear.inertia_z, rel=0.03)
+
+
 def test_creep_angle_and_gyro_bias_are_told_apart_in_a_curve():
     """On T3 the car needs 0.4 mrad of yaw against the track to carry the unbalanced acceleration: creep, not course."""
     run = drive(QUIET, set_point={"kind": "none"})

@@ -122,6 +122,15 @@ def test_a_broken_stamp_means_stale(tiny):
     assert not manifest.is_fresh(notebook)
 
 
+def test_another_package_in_the_lock_makes_products_stale(tiny):
+    notebook = graph.find("01_tiny")
+    (tiny / "environment.lock").write_text("numpy==2.3.4\n")
+    manifest.record(notebook, manifest.inputs_hash(notebook))
+    assert manifest.is_fresh(notebook)
+    (tiny / "environment.lock").write_text("numpy==2.3.5\n")
+    assert not manifest.is_fresh(notebook)
+
+
 def test_stripping_keeps_source_and_tags_only(tiny):
     file = tiny / "notebooks/01_tiny.ipynb"
     content = json.loads(file.read_text())

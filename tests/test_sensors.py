@@ -96,6 +96,13 @@ def test_readings_are_rounded_to_their_resolution():
     assert found / 1e-3 == pytest.approx(np.round(found / 1e-3), abs=1e-9) and np.unique(found).size > 2
 
 
+@pytest.mark.parametrize(("true", "read"), [(1.4e-3, 1e-3), (1.6e-3, 2e-3), (-0.4e-3, 0.0), (-0.6e-3, -1e-3)])
+def test_a_reading_is_the_nearest_step_of_its_resolution(true, read):
+    quiet = load_loop().perfect()
+    loop = sensors.replace(quiet, lateral=sensors.replace(quiet.lateral, resolution=1e-3))
+    assert readings(1, loop, move=lambda k, name: true)[0, :2] == pytest.approx(read, abs=1e-12)
+
+
 def test_a_slow_sensor_keeps_its_reading():
     loop = load_loop().perfect()
     loop = sensors.replace(loop, speed=sensors.replace(loop.speed, period=5e-3))

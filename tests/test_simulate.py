@@ -1,6 +1,6 @@
 """Co-simulation: whole runs, endings, warnings, scenario files."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,7 @@ from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
+from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.simulation import metrics, scenarios, simulate
 from railrepro.studies.experiment import Experiment
 from railrepro.vehicle.parameters import load_vehicle
@@ -148,6 +149,38 @@ def test_a_slow_controller_gets_the_state_of_its_gear_and_its_torque_is_held():
         before = np.append(0.0, series[f"{gear}.u_d"].to_numpy()[3::4])[:samples]
         assert np.array(base) == pytest.approx(before, rel=1e-12)
     assert series["front.u_d"].max() > 20.0
+
+
+@dataclass
+class Step:
+    """A slow controller whose torque steps after some exchanges; keeps what it reads."""
+
+    period: float = 1e-3
+
+    def __post_init__(self):
+        self.read_y, self.delays, self.asked = [], set(), 0
+
+    def read(self, readings, delay):
+        self.read_y.append(readings[0])
+        self.delays.add(round(1e3 * delay, 9))
+
+    def plan(self, x_hat, u_d):
+        self.asked += 1
+        return 20.0 if self.asked <= 150 else 60.0
+
+
+@pytest.mark.parametrize(("measurement", "command"), [(0, 0), (4, 0), (3, 2)])
+def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque_acts(measurement, command):
+    """Counted in the log: the row whose displacement was read before the step, and the row in which torque rises."""
+    loop = replace(load_loop().perfect(), latency=Latency(1e-3 * measurement, 1e-3 * command))
+    scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
+    run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=Readings(loop))
+    guided, y = run.controllers[0], run.series["front.y"].to_numpy()
+    last = guided.read_y[149]  # of the first torque that steps; there is no reading before the first exchange
+    seen = int(np.argmin(np.abs(y - last)))
+    assert y[seen] == pytest.approx(last, abs=1e-12) and (np.diff(y[100:170]) != 0).all()
+    acts = int(np.flatnonzero(run.series["front_le.tau"] > 20.01)[0]) - 1
+    assert guided.delays == {acts - seen}
 
 
 @pytest.mark.parametrize(("periods", "found"), [((0.01, 0.005), r"\[5.0, 10.0\]"), ((0.0015, 0.0015), r"\[1.5\]"),
