@@ -249,7 +249,7 @@ def least_squares(vehicle, problem, x_lin, affine):
 def test_linear_mpc_is_least_squares_about_centred_riding(vehicle, name, place, printed):
     """About the track's heading and turn rate; as printed about heading zero and without the affine term (D6).
 
-    Where the turn rate is taken matters by half a newton metre on T1 and by a thousandth of it on T3.
+    The turn rate about which it is linearised matters by 0.4 N m on T1 and by 2 mN m on T3.
     """
     way = scenarios.load_scenario(f"curve_entry_{name}").route()
     guided = LTVMPC(vehicle, way, 0, WIDE, printed=printed)
