@@ -1,5 +1,7 @@
 """The filter of a running gear: its model against the car, what it finds of creep and force, and in closed loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.ndi import NDI
 from railrepro.estimation import observers
 from railrepro.estimation.observers import LATERAL, lateral_matrices, stationary_gains
-from railrepro.estimation.sensors import Readings, load_loop
+from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.model.control_model import STATES
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -99,6 +101,14 @@ def test_prediction_pays(monkeypatch):
     without = drive(late, "sine_tracking", law=fast, end_m=400)
     effort = [metrics.effort(run.series) for run in (with_it, without)]
     assert without.failed or effort[1] > 1.5 * effort[0]
+
+
+def test_the_set_point_is_that_of_the_place_where_the_torque_will_act():
+    """The position is read for now; 8 ms pass on the way to the inverter, however old the other readings are."""
+    series = drive(replace(QUIET, latency=Latency(3e-3, 8e-3)), end_m=120.0).series
+    route, now = load_scenario("curve_entry_T3").route(), series["front.p"].to_numpy()
+    here, there = (route.reference_at(now + late * series["front.v"].to_numpy())[0] for late in (0.0, 8e-3))
+    assert series["front.y_ref"].to_numpy() == pytest.approx(there, abs=1e-6) and np.abs(here - there).max() > 1e-5
 
 
 def test_runs_belong_to_their_seed():

@@ -63,6 +63,8 @@ def test_runs_and_gears_draw_their_own_noise():
     loop = load_loop()
     one, again, other, rear = (readings(50, loop, seed, gear) for seed, gear in ((1, 0), (1, 0), (2, 0), (1, 1)))
     assert np.array_equal(one, again)
+    biases = [Readings(loop, seed).gains(gear)["y_ahead.bias"] for seed, gear in ((1, 0), (2, 0), (1, 1))]
+    assert np.abs(np.diff([*biases, biases[0]])).min() > 1e-6
     for different in (other, rear):
         assert np.abs(np.corrcoef(one[:, 3], different[:, 3])[0, 1]) < 0.4
         assert not np.allclose(one, different, rtol=1e-6)

@@ -16,6 +16,7 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.simulation import metrics, scenarios, simulate
 from railrepro.studies.experiment import Experiment
+from railrepro.track.route import INDEX
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -201,6 +202,12 @@ def braked(**changes):
     slow = {"track": "T5", "speed_kmh": 6.0, "end_m": 4.0, "force_kN": [[0, -20.0]]}
     brisk = AdhesionSettings(active=False, raise_step=100.0)
     return simulate.run(scenarios.load_scenario("sine_tracking").but(**slow | changes), NDI(), adhesion=brisk)
+
+
+def test_a_step_of_the_demand_comes_where_it_is_stated_and_lasts_to_the_next():
+    route = scenarios.load_scenario("sine_tracking").but(force_kN=[[10, 4.0], [20, -6.0]]).route()
+    force = route.rows_at(np.array([0.0, 9.9, 10.0, 19.9, 20.0, 90.0]))[:, INDEX["force"]]
+    assert force == pytest.approx([0.0, 0.0, 4e3, 4e3, -6e3, -6e3])
 
 
 def test_a_run_that_comes_to_rest_ends_after_ten_times_its_way_at_the_initial_speed():

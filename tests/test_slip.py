@@ -91,6 +91,14 @@ def test_at_the_limit_the_torque_also_turns_the_wheel_as_fast_as_the_car_gains_s
     assert sign * float(u) == pytest.approx(RADIUS * force + INERTIA * 2 * force / mass / RADIUS, rel=1e-6)
 
 
+def test_a_rolling_wheel_whose_load_is_higher_than_nominal_is_not_held_back():
+    """Adhesion is force over true load: a tenth more of it is 290 N m here, the limit is but 260 N m away."""
+    gains, memory, demand = [*SlipSettings(swing=0.0).gains().values(), LOAD], np.zeros(9), 1.1 * 0.08
+    for k in range(3000):
+        u, memory, segment = law()([0.08] * 2, [-1e-3] * 2, demand, 12.0, k, gains, memory)
+    assert float(segment) == 1 and float(u) == pytest.approx(RADIUS * 1.1 * LOAD * 0.08)
+
+
 def test_braking_is_the_mirror_image_of_traction():
     drive, brake = (ride(lambda t: "poor", 50.0, sign * 0.2, seconds=2.0) for sign in (1, -1))
     assert np.allclose(drive[:, :3], -brake[:, :3], atol=1e-9) and drive[-1, 0] > 1000
