@@ -47,6 +47,14 @@ def test_the_filter_is_stable_and_sees_every_state(vehicle, speed):
     assert np.abs(np.linalg.eigvals(step - step @ gain @ c)).max() < 1
 
 
+@pytest.mark.parametrize("speed", [0.0, 2.0, 3.5, 26.0, 55.0, 120.0, 150.0])
+def test_gains_of_the_filter_are_linear_between_their_speeds_and_constant_beyond(vehicle, speed):
+    gains = stationary_gains(vehicle, load_loop())
+    for name in ("lateral.y.y", "lateral.beta.psi"):
+        at_nodes = [gains[f"{name}.{k}"] for k in range(len(observers.SPEEDS))]
+        assert observers._scheduled(name, speed, gains) == pytest.approx(np.interp(speed, observers.SPEEDS, at_nodes))
+
+
 @pytest.mark.parametrize(("course", "cant_rate"), [(0.0, 4e-4), (3e-3, 0.0), (-3e-3, 4e-4)])
 def test_the_filter_feels_the_gyroscopic_moment_of_rolling_wheels(vehicle, course, cant_rate):
     """Nothing else acts: the angular momentum of both wheels and that of yaw stay together while the gear rolls."""

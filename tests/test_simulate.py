@@ -16,6 +16,7 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.simulation import metrics, scenarios, simulate
 from railrepro.studies.experiment import Experiment
+from railrepro.track import defects
 from railrepro.track.route import INDEX
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -159,10 +160,10 @@ class Step:
     period: float = 1e-3
 
     def __post_init__(self):
-        self.read_y, self.delays, self.asked = [], set(), 0
+        self.seen, self.delays, self.asked = [], set(), 0
 
     def read(self, readings, delay):
-        self.read_y.append(readings[0])
+        self.seen.append(np.array(readings))
         self.delays.add(round(1e3 * delay, 9))
 
     def plan(self, x_hat, u_d):
@@ -177,11 +178,26 @@ def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
     run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=Readings(loop))
     guided, y = run.controllers[0], run.series["front.y"].to_numpy()
-    last = guided.read_y[149]  # of the first torque that steps; there is no reading before the first exchange
+    last = guided.seen[149][0]  # of the first torque that steps; there is no reading before the first exchange
     seen = int(np.argmin(np.abs(y - last)))
     assert y[seen] == pytest.approx(last, abs=1e-12) and (np.diff(y[100:170]) != 0).all()
     acts = int(np.flatnonzero(run.series["front_le.tau"] > 20.01)[0]) - 1
     assert guided.delays == {acts - seen}
+
+
+def test_sensors_measure_against_the_rails_wherever_these_lie():
+    """A bend of 3 mm to the right and back; the reading is that of the exchange before."""
+    p = np.arange(0.0, 80.0, 0.5)
+    rails = defects.lateral_offset(p, 5.0, 30.0, 3e-3, transition=8.0)
+    scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
+    sensors = Readings(load_loop().perfect())
+    run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=sensors, irregularities=rails)
+    place, (y, psi) = run.series["front.p"], run.series[["front.y", "front.psi_TrAx"]].to_numpy().T
+    aside = np.interp(place, p, rails["lateral_m"])
+    slope = np.diff(rails["lateral_m"])[(place / 0.5).astype(int)] / 0.5
+    read = np.array(run.controllers[0].seen)[:, :2].T
+    assert read == pytest.approx(np.array([y - aside, psi - slope])[:, : read.shape[1]], abs=1e-9)
+    assert aside.max() > 2e-3 and slope.max() > 4e-4
 
 
 @pytest.mark.parametrize(("periods", "found"), [((0.01, 0.005), r"\[5.0, 10.0\]"), ((0.0015, 0.0015), r"\[1.5\]"),
