@@ -156,11 +156,24 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     assert not manifest.is_fresh(notebook)
 
 
-def test_another_lock_makes_every_chapter_stale(tiny):
-    runner.refresh("01_tiny")
+def test_another_package_in_the_lock_makes_products_stale(tiny):
     notebook = graph.find("01_tiny")
-    (tiny / "environment.lock").write_text("numpy==0.0\n")
+    (tiny / "environment.lock").write_text("numpy==2.3.4\n")
+    manifest.record(notebook, manifest.Inputs(notebook))
+    assert manifest.is_fresh(notebook)
+    (tiny / "environment.lock").write_text("numpy==2.3.5\n")
     assert not manifest.is_fresh(notebook)
+
+
+@pytest.mark.parametrize("lock", ["environment.lock", "tests/extras.lock", "notebooks/book/book.lock"])
+def test_a_lock_pins_by_hash_without_addresses_and_moves_no_package_of_the_environment(lock):
+    pins, own = (
+        re.findall(r"^([a-z][^=]*)==\S+.*\\\n    --hash=sha256:", (paths.ROOT / name).read_text(), re.M)
+        for name in ("environment.lock", lock)
+    )
+    text = (paths.ROOT / lock).read_text()
+    assert "://" not in text and len(own) == len(re.findall("^[a-zA-Z-]", text, re.M)) > 3
+    assert lock == "environment.lock" or not set(own) & set(pins)
 
 
 def test_stripping_keeps_source_and_tags_only(tiny):

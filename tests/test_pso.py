@@ -42,6 +42,14 @@ def test_particles_stay_in_bounds_and_integers_are_whole():
     assert history["n"].iloc[-12:].max() == 40
 
 
+def test_a_particle_that_hits_a_wall_comes_back_half_as_fast():
+    swarm = Swarm(BOX, 2, seed=0)
+    swarm.position, swarm.velocity = np.array([[0.95, 0.5], [0.1, 0.5]]), np.array([[0.2, 0.1], [-0.3, 0.1]])
+    swarm._move()
+    assert swarm.position == pytest.approx(np.array([[0.85, 0.6], [0.2, 0.6]]))
+    assert swarm.velocity == pytest.approx(np.array([[-0.1, 0.1], [0.15, 0.1]]))
+
+
 def test_same_seed_same_swarm_another_seed_another():
     first, second, other = (minimise(sphere, BOX, 8, 10, seed=s).history for s in (5, 5, 6))
     assert first.equals(second)
