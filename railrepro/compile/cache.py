@@ -111,7 +111,7 @@ def identity(command: str) -> str:
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled objects: `build/compiled`, or where that is not the user's own, one in the user's cache.
+    """Folder of the compiled objects: `build/compiled` of a checkout that is the user's own, else in the user's cache.
 
     Raises
     ------
@@ -122,11 +122,12 @@ def cache_folder() -> Path:
     """
     folder = paths.BUILD / "compiled"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
-            if folder.stat().st_mode & _OTHERS:
-                folder.chmod(0o755)
-            return folder
+        if not paths.INSTALLED:
+            folder.mkdir(parents=True, exist_ok=True)
+            if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
+                if folder.stat().st_mode & _OTHERS:
+                    folder.chmod(0o755)
+                return folder
     except OSError:
         pass  # a checkout that cannot be written is nothing wrong
     home = os.environ.get("XDG_CACHE_HOME", "")

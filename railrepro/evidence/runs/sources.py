@@ -13,9 +13,10 @@ from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
-import railrepro
+from railrepro import FACADE, paths
 
-_PACKAGE = Path(railrepro.__file__).resolve().parent
+_PACKAGE = Path(paths.__file__).resolve().parent
+_NAME = _PACKAGE.name
 _OTHER_SOURCE = re.compile(r"""["']([\w{}\[\]]+\.(?:c|h|html))["']""")
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -42,11 +43,14 @@ def parsed(text: str) -> tuple[str, frozenset[str]]:
     found: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names = {alias.name for alias in node.names}
+            found |= names | ({f"{_NAME}.{name}" for name in FACADE} if _NAME in names else set())  # any may follow
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     content = hashlib.sha256(ast.dump(_without_docstrings(tree)).encode()).hexdigest()
-    return content, frozenset(name for name in found if name.partition(".")[0] == railrepro.__name__)
+    homes = {home for name, home in FACADE.items() if f"{_NAME}.{name}" in found}
+    found |= homes | {home.rpartition(".")[0] for home in homes}
+    return content, frozenset(name for name in found if name.partition(".")[0] == _NAME)
 
 
 def _file(module: str, package: Path) -> Path | None:

@@ -21,6 +21,9 @@ from pydantic import AfterValidator
 
 from railrepro import paths, schema
 from railrepro.control.registry import REGISTERED, guidance
+from railrepro.control.tuned import COUNT, EQUAL, SEED, TUNED, read
+from railrepro.control.tuned import LOOP as LOOP  # for those who take the settings from here
+from railrepro.control.tuned import SETTINGS as SETTINGS
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Inverter, load_loop
 from railrepro.evidence.runs import pso, store
@@ -28,13 +31,6 @@ from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
-
-TUNED = "data/tuned"
-SETTINGS = ("paper", "equal", "loop")
-"""Settings of comparison, see data/tuning.toml."""
-EQUAL, LOOP = "equal", "loop"
-_COUNT = Annotated[int, between(1, 10**6)]
-_SEED = Annotated[int, between(0, 2**63)]
 
 
 @dataclass(frozen=True)
@@ -89,10 +85,10 @@ class Task:
 class Budget:
     """Size of a search, see data/tuning.toml."""
 
-    particles: _COUNT
-    iterations: _COUNT
-    patience: _COUNT
-    seeds: Annotated[tuple[_SEED, ...], schema.NOT_EMPTY]
+    particles: COUNT
+    iterations: COUNT
+    patience: COUNT
+    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY]
 
 
 @schema.table
@@ -113,7 +109,7 @@ class RunEntry:
 
     scenario: str
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
-    seed: _SEED
+    seed: SEED
     irregular: dict[str, schema.Free] = field(default_factory=dict)
     plant: dict[str, schema.Plain] = field(default_factory=dict)
     inverter: dict[str, schema.Plain] = field(default_factory=dict)
@@ -225,37 +221,6 @@ def _task_here(setting: str) -> Task:
     return load_task(setting=setting)
 
 
-@schema.table
-class Origin(Budget):
-    """Where a tuned set comes from."""
-
-    data: str
-    version: str
-
-
-@schema.table
-class SwarmResult:
-    """What one swarm found."""
-
-    seed: _SEED
-    cost: Annotated[Number, between(0.0, 1e9)]
-    evaluations: _COUNT
-    parameters: dict[str, schema.Plain]
-
-
-@schema.table
-class TunedSet:
-    """Content of a file in data/tuned."""
-
-    controller: str
-    setting: Literal["paper", "equal", "loop"]
-    parameters: dict[str, schema.Plain]
-    cost: Annotated[Number, between(0.0, 1e9)]
-    runs: tuple[dict[str, schema.Free], ...]
-    swarms: Annotated[tuple[SwarmResult, ...], schema.NOT_EMPTY]
-    origin: Origin
-
-
 def save(tuned: dict, folder: Path) -> None:
     """Write a tuned set as JSON and its particles as CSV."""
     content = {key: value for key, value in tuned.items() if key != "history"}
@@ -279,22 +244,13 @@ def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     task = _task_here(setting)
     if controller in task.designed:
         return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
-    file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
-    if not file.exists():
-        raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
-    content = schema.read(file)
-    found = schema.build(TunedSet, content, file.name)
-    if (found.controller, found.setting) != (controller, setting):
-        raise InputError(
-            f"{file.name}: holds a tuned set of {found.controller!r} in the setting {found.setting!r}, {controller!r} "
-            f"in {setting!r} is needed"
-        )
+    content, name = read(controller, setting, folder), f"{controller}.json"
     if controller not in task.dimensions:
-        raise InputError(f"{file.name}: tuning.toml has no bounds for {controller!r}")
+        raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
     searched = {dimension.name for dimension in task.dimensions[controller]}
-    for parameters in (found.parameters, *(swarm.parameters for swarm in found.swarms)):
+    for parameters in (content["parameters"], *(swarm["parameters"] for swarm in content["swarms"])):
         if set(parameters) != searched:
-            raise InputError(f"{file.name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
+            raise InputError(f"{name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
     return content
 
 
