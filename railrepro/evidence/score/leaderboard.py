@@ -1,4 +1,4 @@
-"""`python -m railrepro.evidence.score.leaderboard [controller …]` scores all controllers, those of examples/ too.
+"""`python -m railrepro leaderboard [controller …]` scores all controllers, those of examples/ too.
 
 Writes data/results/leaderboard.csv, without times, which depend on the machine, and the table of the README. Named
 controllers are entered beside those that are there. A finished controller is kept in build/score/leaderboard, so that
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.control.registry import REGISTERED
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import Entry, entry
 from railrepro.evidence.score.page import LEADERBOARD
@@ -111,7 +110,3 @@ def main(names: list[str]) -> None:
     write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
     write(paths.product("README.md"), text)
     print(card.ranking(found).round(1).to_string())
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))
