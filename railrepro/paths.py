@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from railrepro import tried
+
 ROOT = Path(os.environ.get("RAILREPRO_ROOT") or Path(__file__).resolve().parent.parent)
 DATA, FIGURES, NOTEBOOKS, BUILD = (ROOT / name for name in ("data", "figures", "notebooks", "build"))
 
@@ -19,6 +21,7 @@ def _output() -> Path:
 
 def product(relative: str) -> Path:
     """Path to write a product such as "data/results/fig06.csv"; its folder exists afterwards."""
+    tried.redirect(ROOT)
     path = _output() / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
