@@ -1,6 +1,6 @@
 """Notebooks run by hand, in JupyterLab for instance: what they write goes beside the committed products, not over them.
 
-Only the chain renews products: it runs notebooks with their own parameters, whole, and records where products come from.
+Only the chain renews products: it runs notebooks whole, with their own parameters, and records where products come from.
 """
 
 from __future__ import annotations
