@@ -196,6 +196,15 @@ def table(cls: type) -> type:
     return dataclass(frozen=True)(cls)
 
 
+def location(path: Path | str | None, default: Path | None = None) -> Path:
+    """A file by its path, or the default for None; InputError for anything but a path."""
+    if path is None and default is not None:
+        return default
+    if not isinstance(path, str | Path):
+        raise InputError(f"{reprlib.repr(path)} is no path of a file")
+    return Path(path)
+
+
 def read(path: Path) -> Any:
     """Content of a TOML or (by its suffix) JSON file; InputError when it cannot be read or is empty."""
     kind = "JSON" if path.suffix == ".json" else "TOML"

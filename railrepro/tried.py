@@ -1,6 +1,6 @@
-"""Notebooks run by hand, in JupyterLab for instance: what they write goes beside the committed products, not over them.
+"""Notebooks run by hand, as in JupyterLab: what they write goes beside the committed products, not over them.
 
-Only the chain renews products: it runs notebooks whole, with their own parameters, and records where products come from.
+Only the chain renews products: it runs notebooks whole, with their own parameters, and records where they come from.
 """
 
 from __future__ import annotations

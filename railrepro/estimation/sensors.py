@@ -185,7 +185,7 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     InputError
         One sentence naming file, key, what was found and what is allowed.
     """
-    file = Path(path) if path else paths.source("data/sensors.toml")
+    file = schema.location(path, paths.source("data/sensors.toml"))
     content = schema.read(file)
     loop = schema.build(Loop, content, file.name)
     for key, value in overrides.items():

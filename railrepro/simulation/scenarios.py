@@ -206,7 +206,7 @@ def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
     InputError
         One sentence naming file, scenario, key, what was found and what is allowed.
     """
-    file = Path(path) if path else paths.source("data/scenarios.toml")
+    file = schema.location(path, paths.source("data/scenarios.toml"))
     content = schema.read(file)
     for name, entry in content.items():
         if isinstance(entry, dict) and entry.setdefault("name", name) != name:

@@ -339,7 +339,7 @@ def _siblings(key: str, entries: dict) -> list[str]:
 
 def _checked(path: Path | str | None) -> tuple[Vehicle, Path, dict, dict[str, dict]]:
     """The vehicle of a file, the file, its content, and in it the entries by dotted key."""
-    file = Path(path) if path else paths.source("data/vehicle.toml")
+    file = schema.location(path, paths.source("data/vehicle.toml"))
     content = schema.read(file)
     vehicle = schema.build(Vehicle, content, file.name)
     entries = {}

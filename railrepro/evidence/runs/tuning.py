@@ -154,7 +154,7 @@ class TaskFile:
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     """The tuning task of a TOML file (default data/tuning.toml) in some setting; InputError on wrong entries."""
-    file = Path(path) if path else paths.source("data/tuning.toml")
+    file = schema.location(path, paths.source("data/tuning.toml"))
     content = schema.build(TaskFile, schema.read(file), file.name)
     if setting not in content.setting:
         raise InputError(
