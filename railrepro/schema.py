@@ -129,6 +129,17 @@ Plain = Annotated[Number, between(-1e12, 1e12)]
 """A number without unit."""
 NOT_EMPTY = pydantic.Field(min_length=1)
 """Lists and tables with at least one entry."""
+
+
+def _distinct(values):
+    for value in values:
+        if values.count(value) > 1:
+            raise ValueError(f"has {value!r} {values.count(value)} times, once is needed")
+    return values
+
+
+DISTINCT = pydantic.AfterValidator(_distinct)
+"""Lists without repetitions."""
 Flag = Annotated[bool, pydantic.Strict()]
 """True or false, nothing that stands for it."""
 

@@ -135,7 +135,10 @@ def test_wrong_realisations_are_refused(arguments, sentence):
     [
         ("own = 3", r"own.toml: \[own\] is 3, a table"),
         ("own = { level_mm = 1, alignment_mm = 1 }", "lacks the key 'confidence'"),
-        ("own = { level_mm = -1, alignment_mm = 1, confidence = 'A' }", "level_mm is -1, a number above 0 and up to 20 mm"),
+        (
+            "own = { level_mm = -1, alignment_mm = 1, confidence = 'A' }",
+            "level_mm is -1, a number above 0 and up to 20 mm",
+        ),
         ("own = {", "cannot be read"),
     ],
 )

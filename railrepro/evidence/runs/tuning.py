@@ -95,7 +95,7 @@ class Budget:
     particles: _COUNT
     iterations: _COUNT
     patience: _COUNT
-    seeds: Annotated[tuple[_SEED, ...], schema.NOT_EMPTY]
+    seeds: Annotated[tuple[_SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
 
 
 @schema.table
@@ -127,7 +127,7 @@ class SettingEntry:
     """Setting in data/tuning.toml."""
 
     sensors: schema.Flag
-    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY]
+    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
     designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
 
 
