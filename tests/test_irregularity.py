@@ -137,7 +137,7 @@ def test_wrong_realisations_are_refused(arguments, sentence):
         ("own = { level_mm = 1, alignment_mm = 1 }", "lacks the key 'confidence'"),
         (
             "own = { level_mm = -1, alignment_mm = 1, confidence = 'A' }",
-            "level_mm is -1, a number above 0 and up to 20 mm",
+            "level_mm is -1, a number above 0 and up",
         ),
         ("own = {", "cannot be read"),
     ],

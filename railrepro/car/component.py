@@ -33,7 +33,7 @@ DERAILED = 0.030
 """Lateral displacement at which a gear has left the rail (m)."""
 _LARGEST = 1e7
 """No state of a car that moves grows beyond this (SI)."""
-_PLACE = equations.INDEX["front.p"]
+_PLACE = equations.INDEX["front.s"]
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 

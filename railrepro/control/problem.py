@@ -210,7 +210,7 @@ class MPCSettings:
             )
         if not isinstance(self.steps, Integral) or self.steps < 2 or self.period <= 0:
             raise InputError(
-                f"MPC horizon: {self.steps} steps of {self.period} s; a whole number from 2 on of more than 0 s is needed"
+                f"MPC horizon: {self.steps} steps of {self.period} s; whole steps, 2 or more above 0 s are needed"
             )
 
     def tuning(self) -> np.ndarray:
