@@ -73,8 +73,8 @@ help:  ## list the targets
 
 # One look at all of them first; then several at a time, unless the caller says how many with -j.
 figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
-	@+test -z "$(ONLY_SHOW)" || exec echo "$(PY) -m railrepro.evidence.chain run NAME, for each notebook that is stale"; \
-	  $(PY) -m railrepro.evidence.chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
+	@+test -z "$(ONLY_SHOW)" || exec echo "$(PY) -m railrepro chain run NAME, for each notebook that is stale"; \
+	  $(PY) -m railrepro chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
 	  export RAILREPRO_WORKERS=$${RAILREPRO_WORKERS:-$$(( share > 1 ? share : 1 ))}; \
 	  $(MAKE) --no-print-directory $(if $(filter -j% --jobserver%,$(MAKEFLAGS)),,-j$(AT_ONCE)) chain; }
 
@@ -105,46 +105,46 @@ lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks
 
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
-	$(PY) -m railrepro.evidence.score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
+	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
 
 film: $(VENV)  ## page and movie of runs side by side: FILM=scenario CONTROLLERS="nmpc ndi" SETTING=equal, in build/film
-	$(PY) -m railrepro.evidence.film $(if $(FILM)$(CONTROLLERS),"$(or $(FILM),all)") $(CONTROLLERS) $(if $(SETTING),--setting $(SETTING))
+	$(PY) -m railrepro film $(if $(FILM)$(CONTROLLERS),"$(or $(FILM),all)") $(CONTROLLERS) $(if $(SETTING),--setting $(SETTING))
 
 leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
-	$(PY) -m railrepro.evidence.score.leaderboard
+	$(PY) -m railrepro leaderboard
 
 tune: $(VENV)  ## tune all controllers in all settings by particle swarm (long, resumes); figures follow
-	$(PY) -m railrepro.evidence.runs.swarm
+	$(PY) -m railrepro tune
 
 report: figures  ## write REPLICATION.md from the measured results
-	$(PY) -m railrepro.evidence.report.claims
+	$(PY) -m railrepro report
 
 article: figures $(BOOK)  ## the report as an article for a journal, build/article.pdf
-	$(PY) -m railrepro.evidence.report.article
+	$(PY) -m railrepro article
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
-	$(PY) -m railrepro.evidence.chain verify
+	$(PY) -m railrepro chain verify
 
 variants: $(VENV)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
-	$(PY) -m railrepro.evidence.chain variants $(VARIANTS)
+	$(PY) -m railrepro chain variants $(VARIANTS)
 
 bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` also a second opinion on the car
-	$(PY) -m railrepro.evidence.bench.speed
-	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.evidence.bench.second_opinion; \
+	$(PY) -m railrepro bench
+	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro second-opinion; \
 	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
 
 study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, where the order turns (long, resumes)
-	$(PY) -m railrepro.evidence.claims.probe
-	$(PY) -m railrepro.evidence.uncertainty.robustness
-	$(PY) -m railrepro.evidence.uncertainty.matching
-	$(PY) -m railrepro.evidence.uncertainty.margins
-	$(PY) -m railrepro.evidence.uncertainty.order
+	$(PY) -m railrepro probe
+	$(PY) -m railrepro robustness
+	$(PY) -m railrepro matching
+	$(PY) -m railrepro margins
+	$(PY) -m railrepro order
 
 html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
-	$(PY) -m railrepro.evidence.chain html
+	$(PY) -m railrepro chain html
 
 strip: $(VENV)  ## remove outputs from the notebooks
-	$(PY) -m railrepro.evidence.chain strip
+	$(PY) -m railrepro chain strip
 
 lock:  ## renew environment.lock from pyproject.toml, and the locks that share its pins
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
@@ -197,5 +197,5 @@ $(EXTRAS): $(EXTRAS_LOCK) | $(VENV)
 
 $(RULES): notebooks/chain.toml railrepro/evidence/chain/graph.py | $(VENV)
 	@mkdir -p build
-	@$(PY) -m railrepro.evidence.chain rules > $@.part && mv $@.part $@
+	@$(PY) -m railrepro chain rules > $@.part && mv $@.part $@
 endif

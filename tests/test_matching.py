@@ -160,7 +160,7 @@ def test_what_one_run_cannot_tell_counts_as_missed():
 
 def test_an_unknown_size_is_told():
     with pytest.raises(InputError, match="sizes"):
-        matching.main(["huge"])
+        matching.main("huge")
 
 
 @pytest.mark.slow

@@ -52,7 +52,12 @@ def compiler() -> str | None:
     """
     if os.environ.get("RAILREPRO_NO_COMPILER"):
         return None
-    command = next(filter(None, map(shutil.which, (os.environ.get("CC", "cc"), "gcc", PACKAGED))), None)
+    command = next(filter(None, map(shutil.which, (os.environ.get("CC") or "cc", "gcc", PACKAGED))), None)
+    asked = os.environ.get("CC")
+    if asked and shutil.which(asked) is None:
+        instead = f"{command} is used" if command else "there is no other"
+        print(f"CC={asked!r} is no compiler that can be found; {instead}", file=sys.stderr, flush=True)
+        os.environ["CC"] = command or ""  # told once: processes that this one starts inherit it
     if command is not None:
         try:
             _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())

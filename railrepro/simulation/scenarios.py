@@ -21,7 +21,7 @@ from railrepro.track.alignment import CANT_BASE
 from railrepro.track.table import Track, load_track
 from railrepro.vehicle.parameters import Vehicle
 
-_AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm")]
+_AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm", usual=(0.05, 20.0))]
 """Beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm); a cone has no flange, but derails at 30 mm."""
 FLANGEWAY = 8.0
 """Lateral displacement at which S1002 on 60E1 surely touches with its flange (mm)."""
@@ -207,7 +207,7 @@ def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
     InputError
         One sentence naming file, scenario, key, what was found and what is allowed.
     """
-    file = Path(path) if path else paths.source("data/scenarios.toml")
+    file = schema.location(path, paths.source("data/scenarios.toml"))
     content = schema.read(file)
     for name, entry in content.items():
         if isinstance(entry, dict) and entry.setdefault("name", name) != name:

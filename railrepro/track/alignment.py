@@ -144,7 +144,7 @@ class SegmentsEntry:
 
 def alignments(path: Path | str | None = None) -> dict[str, Alignment]:
     """Alignments of a TOML file (default data/tracks.toml) by name; InputError with one sentence on wrong entries."""
-    file = Path(path) if path else paths.source("data/tracks.toml")
+    file = schema.location(path, paths.source("data/tracks.toml"))
     found = {}
     for name, entry in schema.read(file).items():
         kind = SegmentsEntry if isinstance(entry, dict) and "segments" in entry else CurveEntry

@@ -16,9 +16,21 @@ from pathlib import Path
 
 from railrepro import paths, reads
 from railrepro.errors import InputError
-from railrepro.evidence.chain.graph import Notebook, find
-from railrepro.evidence.chain.manifest import Inputs, cells, enter_again, entries_read, is_fresh, record
+from railrepro.evidence.chain.graph import Notebook, chain, find
+from railrepro.evidence.chain.manifest import Inputs, cells, enter_again, entries_read, is_entered, is_fresh, record
 from railrepro.files import move, scratch, written
+
+
+def fresh() -> int:
+    """Tell which notebooks are stale; 0 when none is and the manifests hold all of them."""
+    notebooks = chain()
+    stale = [notebook for notebook in notebooks if not is_fresh(notebook)]
+    if stale:
+        minutes = max(1, round(sum(notebook.minutes for notebook in stale)))
+        names = ", ".join(notebook.name for notebook in stale)
+        print(f"{len(stale)} of {len(notebooks)} notebooks are stale and run first, about {minutes} min: {names}",
+              file=sys.stderr)  # fmt: skip
+    return int(bool(stale) or not all(map(is_entered, notebooks)))
 
 
 def refresh(name: str) -> None:

@@ -1,7 +1,7 @@
 """What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
 
 The nominal results in three settings, each sample of the robustness study and each point of the matching are probes, so
-that one predicate (`statements`) judges all of them. `python -m railrepro.evidence.claims.probe` drives the nominal
+that one predicate (`statements`) judges all of them. `python -m railrepro probe` drives the nominal
 ones, for all settings and swarms, and writes data/results/nominal_metrics.csv.
 
 Serves the paper's section Multi-Body Simulation Results.
@@ -9,9 +9,8 @@ Serves the paper's section Multi-Body Simulation Results.
 
 from __future__ import annotations
 
-import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import cone_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.claims.statements import BRAKE, LOSS, NDI, NOTHING, REGULAR, SOFT, SOFTEST, T3
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -402,15 +401,10 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> p
     return pd.DataFrame([row for rows in found for row in rows], columns=columns)
 
 
-def main(names: list[str]) -> None:
+def main(settings: Sequence[str] = ()) -> None:
     """Drive the nominal probes in the named settings, or all, and write their table."""
-    if set(names) - set(tuning.SETTINGS):
-        raise InputError(
-            f"setting {min(set(names) - set(tuning.SETTINGS))!r} is not known; there are {tuning.SETTINGS}"
-        )
-    table = nominal(names or tuning.SETTINGS)
+    unknown = set(settings) - set(tuning.SETTINGS)
+    if unknown:
+        raise InputError(f"setting {min(unknown)!r} is not known; there are {tuning.SETTINGS}")
+    table = nominal(settings or tuning.SETTINGS)
     write(paths.product("data/results/nominal_metrics.csv"), table.to_csv(index=False, float_format="%.6g"))
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))

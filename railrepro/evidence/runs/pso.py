@@ -41,6 +41,9 @@ class Dimension:
         for bound in (self.low, self.high):
             if not is_number(bound):
                 raise InputError(f"dimension {self.name}: bound {bound!r}, a finite number is needed")
+        whole = self.scale != "integer" or all(float(bound).is_integer() for bound in (self.low, self.high))
+        if not whole:
+            raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high}, whole numbers are needed")
         if not self.low < self.high or (self.scale == "log" and self.low <= 0):
             raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
 

@@ -1,12 +1,11 @@
 """Tuning of all lateral controllers by particle swarm, with the same cost and budget, in the settings of `tuning`.
 
-`python -m railrepro.evidence.runs.swarm [setting …] [controller …]` tunes and writes data/tuned; an interrupted run
+`python -m railrepro tune [setting …] [controller …]` tunes and writes data/tuned; an interrupted run
 goes on where it was. Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,7 @@ from tqdm import tqdm
 
 from railrepro import __version__, paths
 from railrepro.control.registry import REGISTERED
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.runs import pso, store
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
@@ -173,7 +172,3 @@ def main(names: list[str]) -> None:
                     f"{each} {name}: costs {found} after {len(result['history'])} evaluations, {seconds:.0f} s",
                     flush=True,
                 )
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))

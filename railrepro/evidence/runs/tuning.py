@@ -88,7 +88,7 @@ class Budget:
     particles: COUNT
     iterations: COUNT
     patience: COUNT
-    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY]
+    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
 
 
 @schema.table
@@ -120,7 +120,7 @@ class SettingEntry:
     """Setting in data/tuning.toml."""
 
     sensors: schema.Flag
-    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY]
+    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
     designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
 
 
@@ -147,7 +147,7 @@ class TaskFile:
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     """The tuning task of a TOML file (default data/tuning.toml) in some setting; InputError on wrong entries."""
-    file = Path(path) if path else paths.source("data/tuning.toml")
+    file = schema.location(path, paths.source("data/tuning.toml"))
     content = schema.build(TaskFile, schema.read(file), file.name)
     if setting not in content.setting:
         raise InputError(

@@ -1,4 +1,4 @@
-"""`python -m railrepro.evidence.score.leaderboard [controller …]` scores all controllers, those of examples/ too.
+"""`python -m railrepro leaderboard [controller …]` scores all controllers, those of examples/ too.
 
 Writes data/results/leaderboard.csv, without times, which depend on the machine, and the table of the README. Named
 controllers are entered beside those that are there. A finished controller is in the store, so that an interrupted run
@@ -8,7 +8,6 @@ goes on where it was; a change of library, data or file begins anew.
 from __future__ import annotations
 
 import io
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.control.registry import REGISTERED
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.runs import sources, store, tuning
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import Entry, entry
@@ -98,7 +97,3 @@ def main(names: list[str]) -> None:
     write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
     write(paths.product("README.md"), text)
     print(card.ranking(found).round(1).to_string())
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))

@@ -1,12 +1,11 @@
 """How far each tuned controller is from instability: what it survives, and its measured sensitivity.
 
-`python -m railrepro.evidence.uncertainty.margins` writes data/results/margins.csv and sensitivity.csv. Nothing is
+`python -m railrepro margins` writes data/results/margins.csv and sensitivity.csv. Nothing is
 linearised by hand: the loop runs as it is, with sampling, filter and latency, and is disturbed.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +18,6 @@ from railrepro import paths
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
 from railrepro.control.registry import REGISTERED
-from railrepro.errors import told
 from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -271,7 +269,3 @@ def main() -> None:
     for name, table in {"margins": rows, "sensitivity": peaks}.items():
         text = pd.DataFrame(table).to_csv(index=False, float_format="%.6g")
         write(paths.product(f"data/results/{name}.csv"), text)
-
-
-if __name__ == "__main__":
-    sys.exit(told(main))

@@ -1,13 +1,12 @@
 """Heavy grids and samples behind the notebooks: stability over speed, friction and tuning; robustness of the verdicts.
 
-`python -m railrepro.evidence.uncertainty.robustness [stability] [robustness]` writes data/results/stability_map.csv,
+`python -m railrepro robustness [stability] [robustness]` writes data/results/stability_map.csv,
 robustness_samples.csv and robustness_claims.csv. Every finished run is in the store, so an interrupted study goes on
 where it was. Serves the question what the paper's unpublished parameters decide.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -16,10 +15,10 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_times
 from railrepro.control.slip import SlipSettings
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.probe import PARTS, World, probe
 from railrepro.evidence.runs import tuning
@@ -307,27 +306,23 @@ def robustness(
     count: int = SAMPLES, replicates: int = REPLICATES, quiet: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Samples and shares of the robustness study; besides, one replicate with the printed model in setting `equal`."""
+    for what, number in (("samples", count), ("replicates", replicates)):
+        schema.require(what, number, schema.between(1, 4096), whole=True)
     samples = draw(count, replicates)
     samples += draw(count, 1, settings=(tuning.EQUAL,), variant="printed")
     table = pd.DataFrame(rows(evaluate, samples, "robustness", quiet))
     return table, verdicts(table, samples)
 
 
-def main(names: list[str]) -> None:
-    """Run the named studies, or all, and write their tables; a number asks for that many robustness samples."""
-    counts = [int(name) for name in names if name.isdigit()]
-    names = [name for name in names if not name.isdigit()]
-    unknown = set(names) - {"stability", "robustness"}
+def main(studies: Sequence[str] = (), samples: int | None = None) -> None:
+    """Run the named studies, or all, and write their tables; `samples` (default `SAMPLES`) of the robustness study."""
+    unknown = set(studies) - {"stability", "robustness"}
     if unknown:
         raise InputError(f"study {min(unknown)!r} is not known; there are stability and robustness")
-    if "stability" in names or not names:
+    if "stability" in studies or not studies:
         write(paths.product("data/results/stability_map.csv"), stability().to_csv(index=False, float_format="%.6g"))
-    if "robustness" in names or not names:
-        table, found = robustness(*counts)
+    if "robustness" in studies or not studies:
+        table, found = robustness(SAMPLES if samples is None else samples)
         write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
         write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
         print(found.to_string(index=False))
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))
