@@ -13,6 +13,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from railrepro import tried
+
 _PACKAGE = Path(__file__).resolve().parent
 _GIVEN = os.environ.get("RAILREPRO_ROOT")
 INSTALLED = not _GIVEN and (_PACKAGE / "data").is_dir()
@@ -24,6 +26,7 @@ DATA, FIGURES, NOTEBOOKS, BUILD = (ROOT / name for name in ("data", "figures", "
 
 def product(relative: str) -> Path:
     """Path to write a product such as "data/results/fig06.csv"; its folder exists afterwards."""
+    tried.redirect(ROOT)
     path = Path(os.environ.get("RAILREPRO_OUTPUT") or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path

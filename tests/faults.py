@@ -100,10 +100,10 @@ def products(folder: Path) -> dict[str, str]:
 
 
 def leftovers(folder: Path) -> list[str]:
-    """What killed processes left: scratch files, folders and locks."""
-    patterns = ("*.part", "*.scratch", "*.lock", ".*.part")
-    found = {str(path.relative_to(folder)) for pattern in patterns for path in folder.rglob(pattern)}
-    return sorted(found - {"environment.lock"})
+    """What killed processes left where runs write: scratch files, folders and locks."""
+    patterns, places = ("*.part", "*.scratch", "*.lock", ".*.part"), ("build", "data", "figures")
+    found = {path for place in places for pattern in patterns for path in (folder / place).rglob(pattern)}
+    return sorted(str(path.relative_to(folder)) for path in found)
 
 
 def processes(folder: Path) -> list[int]:
@@ -175,9 +175,7 @@ def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int
         elif victim == "everything at once":
             os.killpg(started.pid, signal.SIGKILL)
         else:
-            pattern = {"the notebook's process": b"railrepro.evidence.chain\0run", "the kernel": b"ipykernel_launcher"}[
-                victim
-            ]
+            pattern = {"the notebook's process": b"railrepro\0chain\0run", "the kernel": b"ipykernel_launcher"}[victim]
             for process in processes(folder):
                 try:
                     if pattern in Path(f"/proc/{process}/cmdline").read_bytes():
@@ -373,7 +371,7 @@ def only_shown(folder: Path, whole: dict[str, str]) -> None:
 def book_without_notebooks(folder: Path, whole: dict[str, str]) -> None:
     """The book without executed notebooks: one sentence."""
     shutil.rmtree(folder / "build/notebooks")
-    command = [sys.executable, "-m", "railrepro.evidence.chain", "html"]
+    command = [sys.executable, "-m", "railrepro", "chain", "html"]
     done = subprocess.run(command, cwd=folder, env=clean({}), capture_output=True, text=True)
     if done.returncode != 1 or len(done.stderr.splitlines()) != 1:
         raise Lost(done.stderr[-800:])

@@ -218,7 +218,7 @@ def test_without_the_studies_both_read_well(plain):
     made, report = article.render(plain, nominal), text.render(plain, nominal)
     assert "has not been judged with these rules yet" in made and " fragile" not in made
     assert "has not been matched yet" in made
-    assert "Not run yet: `python -m railrepro.evidence.uncertainty.matching`" in report
+    assert "Not run yet: `python -m railrepro matching`" in report
     assert "Not run yet with these predicates." in report
 
 

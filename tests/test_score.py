@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from railrepro import __main__ as command
 from railrepro import paths
 from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
-from railrepro.evidence.score import __main__ as command
 from railrepro.evidence.score import card, leaderboard, page, run, suite, trial
 from railrepro.evidence.score.entry import Entry, entry
 from railrepro.evidence.score.trial import Trial
@@ -153,7 +153,7 @@ def test_what_cannot_be_driven_at_all_is_not_driven_through_the_suite(tmp_path, 
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     file = tmp_path / "mine.py"
     file.write_text("import nothing_like_it\n")
-    command.main([str(file)])
+    command.main(["score", str(file)])
     table = pd.read_csv(tmp_path / "score/mine.csv")
     scores = table[table["metric"] == "score"]["value"]
     assert (scores == 0).all() and len(scores) == 3
@@ -193,7 +193,7 @@ def test_a_small_score_writes_card_and_page(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     monkeypatch.setattr(suite, "QUICK", ("sine_400",))
-    command.main([PID, "--small", "--seed", "5"])
+    command.main(["score", PID, "--small", "--seed", "5"])
     table = pd.read_csv(tmp_path / "score/pid.csv")
     assert set(table["seed"]) == {5} and set(table["setting"]) == {"equal", "loop", "all"}
     html = (tmp_path / "score/pid.html").read_text()

@@ -1,18 +1,23 @@
-"""The car agrees with the same car in Exudyn, and both take the pitch reaction about the same axis."""
+"""Second opinions: the car agrees with the same car in Exudyn, and the optimum of the MPC with that of do-mpc."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from railrepro.control.registry import mpc_settings
 from railrepro.evidence.bench import exudyn_car, second_opinion
+from railrepro.evidence.bench import speed as bench
+from railrepro.evidence.runs import tuning
 from railrepro.track import route
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
+MISSING = "the extra `bench` is installed by `make test-extras`"
+
 
 def test_straight_pulse_agrees_with_exudyn():
-    pytest.importorskip("exudyn")
+    pytest.importorskip("exudyn", reason=MISSING)
     case = replace(second_opinion.CASES[0], seconds=0.5)
     table = second_opinion.compare(case.name, second_opinion.replay(case)).set_index(["car_step_ms", "quantity"])
     moved = table.loc["1"]
@@ -45,3 +50,11 @@ def test_pitch_reaction_acts_about_vertical_of_body_and_axis_of_carrier():
     expected = -vehicle.suspension.pitch_stiffness * np.sin(pitch) * np.cos(roll) * axis[2]
     assert abs(expected) > 100.0
     assert gear_yaw_torque(pitch) == pytest.approx(expected, rel=1e-6)
+
+
+def test_do_mpc_finds_the_same_plan():
+    pytest.importorskip("do_mpc", reason=MISSING)
+    settings = mpc_settings(tuning.load("nmpc")["parameters"])
+    found = bench.peer(load_vehicle(), settings, count=1)
+    assert abs(found["first_torque_Nm"].iloc[0]) > 10.0
+    assert found["largest_difference_Nm"].iloc[0] < 1e-4

@@ -33,6 +33,7 @@ DERAILED = 0.030
 """Lateral displacement at which a gear has left the rail (m)."""
 _LARGEST = 1e7
 """No state of a car that moves grows beyond this (SI)."""
+_PLACE = equations.INDEX["front.s"]
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 
@@ -66,8 +67,9 @@ class SteppedCar:
         Motor torque commands in the order of `equations.WHEELS`, traction-positive (N m).
     time : float
         Simulated time (s).
-    left_rail : str
-        Which gear left the rail first, when and where, one sentence; empty as long as all are on it.
+    left_rail, beyond_end : str
+        Which gear left the rail first, when and where, and that the front gear is beyond the end of the track, one
+        sentence each; empty before.
 
     Raises
     ------
@@ -85,7 +87,7 @@ class SteppedCar:
         state = equations.rest_state(vehicle, self.table, speed)
         self._car = CarStepper(equations.parameter_vector(vehicle, good, poor), self.table, self.route, state)
         self.state, self.torque, self.parameters = self._car.state, self._car.torque, self._car.parameters
-        self.model, self.left_rail = self._car.model, ""
+        self.model, self.left_rail, self.beyond_end = self._car.model, "", ""
 
     def step(self, torque=None, exchanges: int = 1, period: float = EXCHANGE_PERIOD) -> None:
         """Advance by some exchanges with the torques held; a warning tells once when a gear leaves the rail.
@@ -117,6 +119,12 @@ class SteppedCar:
                 self.time = start + (done + 1) * period
                 if not self.left_rail:
                     self._tell_derailment()
+                if not self.beyond_end and self.state[_PLACE] > self.route.length:
+                    self.beyond_end = (
+                        f"the car is beyond the end of its track, {self.route.length:g} m, at t = {self.time:.3f} s; "
+                        "it goes on as at its last point"
+                    )
+                    warnings.warn(self.beyond_end, stacklevel=2)
                 continue
             new = self._car.next_state
             worst = int(np.argmax(~(np.abs(new) < _LARGEST)))

@@ -67,7 +67,7 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
             file = cache.cache_folder() / f"{asked}.graph"
         except InputError:  # nowhere to store
             return build(*arguments)
-        content = cache.own(file)
+        content = cache.own_file(file)
         if content is not None and content[:128] == _head(key, content[128:]):
             return _plain(json.loads(zlib.decompress(content[128:])))
         built = build(*arguments)

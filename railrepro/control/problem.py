@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from numbers import Integral
 from typing import NamedTuple
 
 import casadi as ca
@@ -208,8 +209,10 @@ class MPCSettings:
                 f"MPC weights: q_diag = {self.q_diag}, r = {self.r}; six weights not below 0, those of y and du above, "
                 "are needed"
             )
-        if self.steps < 2 or self.period <= 0:
-            raise InputError(f"MPC horizon: {self.steps} steps of {self.period} s; 2 or more above 0 s are needed")
+        if not isinstance(self.steps, Integral) or self.steps < 2 or self.period <= 0:
+            raise InputError(
+                f"MPC horizon: {self.steps} steps of {self.period} s; whole steps, 2 or more above 0 s are needed"
+            )
 
     def tuning(self) -> np.ndarray:
         """What the statement weighs with, shape (len(TUNING),)."""

@@ -31,7 +31,7 @@ class Origin:
     iterations: COUNT
     patience: COUNT
     seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY]
-    fingerprint: str
+    data: str
     version: str
 
 

@@ -1,12 +1,12 @@
 """A second opinion on the car: the same runs in our equations and in the public multibody code Exudyn.
 
-`python -m railrepro.evidence.bench.second_opinion [case ...]` writes data/results/second_opinion.csv; needs the extra
+`python -m railrepro second-opinion [case ...]` writes data/results/second_opinion.csv; needs the extra
 `bench`. Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
 
-import sys
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -19,7 +19,7 @@ from railrepro.car.component import SteppedCar
 from railrepro.car.equations import WHEELS
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.bench.exudyn_car import MEASURED, STEP, ExudynCar
 from railrepro.files import write
 from railrepro.simulation import simulate
@@ -173,6 +173,8 @@ def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
 
 def main(names: list[str]) -> None:
     """Compare the named cases and print them, or all and write the table."""
+    if importlib.util.find_spec("exudyn") is None:
+        raise InputError("the second opinion on the car needs exudyn; install the extra `bench` into .venv for it")
     unknown = set(names) - {case.name for case in CASES}
     if unknown:
         raise InputError(f"case {min(unknown)!r} is not known; there are {[case.name for case in CASES]}")
@@ -181,7 +183,3 @@ def main(names: list[str]) -> None:
     if not names:
         write(paths.product("data/results/second_opinion.csv"), table.to_csv(index=False, float_format="%.4g"))
     print(table.to_string(index=False, float_format="{:.3g}".format))
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))

@@ -1,6 +1,6 @@
 """Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
 
-`python -m railrepro.evidence.bench.speed` writes solve_times.csv, horizon_times.csv, plant_speed.csv,
+`python -m railrepro bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv,
 executor_speed.csv, sample_times.csv, peer_times.csv and solver_operations.csv of data/results and prints them. Times of
 different machines are never compared; the machine's name stands in each table. Serves the paper's section Evaluation of
 Lateral Control (computation times).
@@ -13,7 +13,6 @@ import importlib.util
 import itertools
 import os
 import platform
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -37,7 +36,7 @@ from railrepro.control.problem import MPCSettings, Problem, Tuning
 from railrepro.control.registry import WITH_OBSERVER, mpc_settings
 from railrepro.control.solvers import condensed, riccati
 from railrepro.control.solvers.riccati import PlainHorizon
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.bench import peers
 from railrepro.evidence.runs import pso, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -468,7 +467,3 @@ def main(names: list[str]) -> None:
             plain = table[~table["scenario"].str.contains("bounds")]
             print("\nmedian over scenarios, relative to Ipopt:")
             print(plain.groupby("solver")["ratio_to_ipopt"].median().map(lambda x: f"1/{1 / x:.0f}").to_string())
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))

@@ -117,7 +117,7 @@ def rules() -> str:
         stamp = f"build/stamps/{notebook.name}.json"
         before = sorted({f"build/stamps/{maker[read]}.json" for read in notebook.reads if read in maker})
         lines += [f"{stamp}: FORCE $(VENV) {' '.join(before)}".rstrip()]
-        lines += [f"\t@$(PY) -m railrepro.evidence.chain run {notebook.name}"]
+        lines += [f"\t@$(PY) -m railrepro chain run {notebook.name}"]
         for figure in notebook.figures:
             lines += [f".PHONY: {figure[:5]}", f"{figure[:5]}: {stamp}"]
         lines.append("")

@@ -14,11 +14,23 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from railrepro import paths
+from railrepro import paths, reads
 from railrepro.errors import InputError
-from railrepro.evidence.chain.graph import Notebook, find
-from railrepro.evidence.chain.manifest import cells, enter_again, inputs_hash, is_fresh, record
+from railrepro.evidence.chain.graph import Notebook, chain, find
+from railrepro.evidence.chain.manifest import Inputs, cells, enter_again, entries_read, is_entered, is_fresh, record
 from railrepro.files import move, scratch, written
+
+
+def fresh() -> int:
+    """Tell which notebooks are stale; 0 when none is and the manifests hold all of them."""
+    notebooks = chain()
+    stale = [notebook for notebook in notebooks if not is_fresh(notebook)]
+    if stale:
+        minutes = max(1, round(sum(notebook.minutes for notebook in stale)))
+        names = ", ".join(notebook.name for notebook in stale)
+        print(f"{len(stale)} of {len(notebooks)} notebooks are stale and run first, about {minutes} min: {names}",
+              file=sys.stderr)  # fmt: skip
+    return int(bool(stale) or not all(map(is_entered, notebooks)))
 
 
 def refresh(name: str) -> None:
@@ -28,10 +40,14 @@ def refresh(name: str) -> None:
         enter_again(notebook)
         return
     print(f"{name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
-    inputs = inputs_hash(notebook)
-    begin = time.monotonic()
-    run_notebook(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
-    record(notebook, inputs)
+    inputs, begin, log = Inputs(notebook), time.monotonic(), paths.BUILD / "stamps" / f"{name}.reads"
+    with written():
+        log.parent.mkdir(parents=True, exist_ok=True)
+        log.unlink(missing_ok=True)
+    with _environment({reads.LOG: str(log)}):
+        run_notebook(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
+    record(notebook, inputs, entries_read(log))
+    log.unlink(missing_ok=True)
     print(f"{name}: done in {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
 
 

@@ -14,7 +14,8 @@ from railrepro import paths
 from railrepro.compile import cache
 from railrepro.errors import InputError
 from railrepro.evidence.chain import compare, graph, runner
-from railrepro.files import written
+from railrepro.evidence.runs import store
+from railrepro.files import emptied, written
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
 VARIANTS = {
@@ -49,7 +50,7 @@ def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comp
     ----------
     notebooks : sequence of Notebook
     root : Path
-        Folder for the products of the rerun; emptied first.
+        Folder for the products of the rerun; emptied first, see `files.emptied`.
 
     Returns
     -------
@@ -57,7 +58,8 @@ def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comp
     findings : list of str
         One line per notebook that failed and per product that differs; empty is good.
     """
-    shutil.rmtree(root, ignore_errors=True)
+    os.environ[store.FOLDER] = "off"  # a rerun computes
+    emptied(root)
     tolerance, total, findings = graph.verify_tolerance(), compare.Comparison(), []
     for notebook in notebooks:
         print(f"{notebook.name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
@@ -82,7 +84,7 @@ def verify(quick: bool = False, into: Path | None = None) -> int:
     quick : bool
         Only the notebooks of at most `QUICK_MINUTES`.
     into : Path, optional
-        Folder for the products of the rerun, emptied first; default build/verify.
+        Folder for the products of the rerun, empty or of an earlier one; default build/verify.
 
     Returns
     -------
@@ -131,7 +133,7 @@ def variants(names: Sequence[str]) -> int:
             log.parent.mkdir(parents=True, exist_ok=True)
             stream = log.open("w")
         with stream:
-            chain = [sys.executable, "-m", "railrepro.evidence.chain"]
+            chain = [sys.executable, "-m", "railrepro", "chain"]
             command = [*chain, "verify", "--quick", "--into", str(log.with_suffix(""))]
             code = subprocess.run(command, env=os.environ | VARIANTS[name], stdout=stream, stderr=subprocess.STDOUT)
         lines = [line for line in log.read_text().splitlines() if line.startswith(("all: ", "not reproduced: "))]

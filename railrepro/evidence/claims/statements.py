@@ -161,7 +161,7 @@ def _within(value: float, above: float | None, below: float | None, tie: float) 
 
 def load(path: Path | str | None = None) -> dict[str, Statement]:
     """Statements of a TOML file (default data/claims.toml) by id; InputError with one sentence on wrong entries."""
-    file = Path(path) if path else paths.source("data/claims.toml")
+    file = schema.location(path, paths.source("data/claims.toml"))
     found = schema.build(dict[str, Statement], schema.read(file), file.name)
     for identity, statement in found.items():
         if identity not in VALUES and statement.kind == "statement":

@@ -38,6 +38,8 @@ EFFORT, FAILURE = 0.1, -100.0
 OFFSET = 1e-3
 """Largest lateral displacement at the start (m)."""
 _SIDEWAYS = 4 + len(AHEAD)
+_SIZE = 2 * (4 + 2 * len(AHEAD)) + 1
+"""Numbers of an observation."""
 _PITCH = 4
 """Points of the table of the road ahead per metre."""
 
@@ -69,7 +71,7 @@ class GuidanceEnv(gymnasium.Env):
         require("environment: scenario", self.scenario, Scenario)
         self.vehicle, self._sensors = load_vehicle(), sensors
         self.route = simulate.checked_route(self.scenario, self.vehicle)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2 * (4 + 2 * len(AHEAD)) + 1,), np.float32)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (_SIZE,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(GEARS),), np.float32)
         self._road = self._table()
         self._exchange = None
@@ -77,6 +79,8 @@ class GuidanceEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
         """Start again; see `gymnasium.Env.reset`. There are no options."""
+        if options:
+            raise InputError(f"environment: options are {options!r}, there are none")
         super().reset(seed=seed)
         seen = readings(seed=int(self.np_random.integers(2**31))) if self._sensors else None
         settings = None, None, 0.0, seen
@@ -91,7 +95,7 @@ class GuidanceEnv(gymnasium.Env):
         """Hold two torques for 5 ms; see `gymnasium.Env.step`."""
         if self._exchange is None or self._exchange.ended:
             raise InputError("environment: reset() is needed before a step")
-        torque = np.asarray(action, dtype=float)
+        torque = _numbers(action)
         if torque.shape != (len(GEARS),) or not np.isfinite(torque).all():
             raise InputError(f"environment: the action is {action!r}, two numbers from -1 to 1 are needed")
         exchange = self._exchange
@@ -115,6 +119,8 @@ class GuidanceEnv(gymnasium.Env):
     @property
     def states(self) -> np.ndarray:
         """Measured states of both gears (SI)."""
+        if self._exchange is None:
+            raise InputError("environment: reset() is needed before there are states")
         return self._exchange.measured_states()
 
     def _table(self) -> np.ndarray:
@@ -125,7 +131,7 @@ class GuidanceEnv(gymnasium.Env):
         return np.stack([*self.route.reference_at(p), curvature, self.vehicle.gravity * cant])
 
     def _observation(self) -> np.ndarray:
-        x, seen = self._exchange.measured_states(), np.empty(self.observation_space.shape, np.float32)
+        x, seen = self._exchange.measured_states(), np.empty(_SIZE, np.float32)
         gears, v = seen[:-1].reshape(len(GEARS), -1), x[:, XDOT, None]
         places = (x[:, X, None] + v * self._ahead - self.route.start) * _PITCH
         places = np.fmin(np.fmax(places, 0), self._road.shape[1] - 1).astype(int)
@@ -138,6 +144,15 @@ class GuidanceEnv(gymnasium.Env):
         gears[:, _SIDEWAYS:] = lift[:, 1:] - v**2 * curvature[:, 1:]
         seen[-1] = x[0, XDOT] / 100
         return seen
+
+
+def _numbers(action) -> np.ndarray:
+    """An action as an array; an empty one when it holds anything but real numbers."""
+    try:
+        found = np.asarray(action)
+    except ValueError:  # lists of different length
+        return np.empty(0)
+    return found.astype(float) if found.dtype.kind in "iuf" else np.empty(0)
 
 
 gymnasium.register("railrepro/Guidance-v0", "railrepro.evidence.env.guidance:GuidanceEnv")

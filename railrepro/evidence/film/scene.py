@@ -141,6 +141,10 @@ def compose(scenario: Scenario, runs: Mapping[str, Run], vehicle: Vehicle, frame
     title : str
     """
     require("frames", frames, between(2, 100_000), whole=True)
+    require("scenario", scenario, Scenario)
+    require("vehicle", vehicle, Vehicle)
+    if not runs:
+        raise InputError("a film shows at least one run, found none")
     longest = max(len(run.series) for run in runs.values())
     stride, way = max(longest // frames, 1), scenario.route()
     times = np.arange(0, longest, stride) * EXCHANGE_PERIOD

@@ -1,19 +1,18 @@
 """The article: data/article_page.md with its numbers filled in, as Markdown for the book and as PDF.
 
-`python -m railrepro.evidence.report.article` writes build/article.pdf with the packages of the book: pandoc turns
+`python -m railrepro article` writes build/article.pdf with the packages of the book: pandoc turns
 Markdown into Typst, Typst typesets it. No number of the prose is typed: each is a link to the file that it comes from.
 """
 
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable
 
 import pandas as pd
 
 from railrepro import __version__, paths
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.report import text
 from railrepro.evidence.report.evidence import Nominal
@@ -284,7 +283,3 @@ def main() -> None:
     file = paths.BUILD / "article.pdf"
     write(file, pdf(render(evaluate(nominal), nominal)))
     print(file.relative_to(paths.ROOT))
-
-
-if __name__ == "__main__":
-    sys.exit(told(main))

@@ -1,7 +1,7 @@
 """Verdicts on the paper's statements, in each setting of comparison; REPLICATION.md is rendered from them.
 
 `data/claims.toml` holds the statements and rules, `railrepro.evidence.claims.statements` one predicate each.
-`python -m railrepro.evidence.report.claims` writes data/results/claims.csv and REPLICATION.md. A verdict that differs
+`python -m railrepro report` writes data/results/claims.csv and REPLICATION.md. A verdict that differs
 from the stored one is reported, and a test fails.
 """
 
@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.errors import told
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.statements import (
     NOT,
@@ -144,13 +143,13 @@ def changed(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def main(arguments: list[str]) -> int:
-    """Evaluate the claims and write claims.csv and REPLICATION.md; `--accept` stores the new verdicts."""
+def main(accept: bool = False) -> int:
+    """Evaluate the claims and write claims.csv and REPLICATION.md; `accept` stores the new verdicts."""
     from railrepro.evidence.report.text import render
 
     nominal = Nominal()
     table = evaluate(nominal)
-    if "--accept" in arguments:
+    if accept:
         _store(verdicts(table))
     contract = table.drop(columns=["nominal", "data"])
     write(paths.product("data/results/claims.csv"), contract.to_csv(index=False, float_format="%.4g"))
@@ -176,7 +175,3 @@ def _store(found: dict[str, str]) -> None:
         if line.startswith("section ="):
             lines.append(f'verdict = "{found[identity]}"')
     write(file, "\n".join(lines) + "\n")
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))

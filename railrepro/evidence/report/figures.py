@@ -21,6 +21,7 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     *("#000000", "#E69F00", "#56B4E9", "#009E73"),
     *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
 )
+_DPI = 250
 BROWN = "#8C6D31"
 CONTROLLER_STYLE = {
     "set point": {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "set point"},
@@ -95,11 +96,24 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
         "svg": {"Date": None},
         "png": {"Software": None},
     }
+    _fix_layout(figure)
     for suffix, entries in metadata.items():
-        figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=250, metadata=entries)
+        figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=_DPI, metadata=entries)
     data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")
     if get_ipython() is not None:
         display(figure)
+
+
+def _fix_layout(figure: Figure) -> None:
+    """Lay a figure out once and round where its axes are: ids in SVG files are hashes of all digits of a place, and the
+    last ones depend on the processor."""
+    dpi, figure.dpi = figure.dpi, _DPI
+    figure.draw_without_rendering()
+    figure.dpi = dpi
+    figure.set_layout_engine("none")
+    for axis in figure.axes:
+        for which, original in (("original", True), ("active", False)):
+            axis.set_position([round(edge, 9) for edge in axis.get_position(original).bounds], which)
 
 
 def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:

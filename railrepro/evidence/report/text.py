@@ -308,7 +308,7 @@ def matched(nominal: Nominal) -> list[str]:
     """What the history matching found; what to run when it was not run yet."""
     waves = nominal.results.optional("matching_waves")
     if waves is None:
-        return ["Not run yet: `python -m railrepro.evidence.uncertainty.matching` (part of `make study`)."]
+        return ["Not run yet: `python -m railrepro matching` (part of `make study`)."]
     last, where = waves.iloc[-1], _MATCHING.format("waves")
     share, number, probes, most = (
         link(text, [where])

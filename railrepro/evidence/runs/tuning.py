@@ -9,10 +9,9 @@ Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T
 
 from __future__ import annotations
 
-import hashlib
 import json
 import reprlib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,12 +26,10 @@ from railrepro.control.tuned import LOOP as LOOP  # for those who take the setti
 from railrepro.control.tuned import SETTINGS as SETTINGS
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Inverter, load_loop
-from railrepro.evidence.runs import pso
-from railrepro.evidence.runs.fingerprint import fingerprint
+from railrepro.evidence.runs import pso, store
 from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation.scenarios import Scenario, load_scenarios
-from railrepro.track.irregularity import CHANNELS, irregularity_spectrum
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 
@@ -91,7 +88,7 @@ class Budget:
     particles: COUNT
     iterations: COUNT
     patience: COUNT
-    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY]
+    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
 
 
 @schema.table
@@ -123,7 +120,7 @@ class SettingEntry:
     """Setting in data/tuning.toml."""
 
     sensors: schema.Flag
-    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY]
+    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
     designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
 
 
@@ -150,7 +147,7 @@ class TaskFile:
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     """The tuning task of a TOML file (default data/tuning.toml) in some setting; InputError on wrong entries."""
-    file = Path(path) if path else paths.source("data/tuning.toml")
+    file = schema.location(path, paths.source("data/tuning.toml"))
     content = schema.build(TaskFile, schema.read(file), file.name)
     if setting not in content.setting:
         raise InputError(
@@ -179,7 +176,7 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
 
 
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
-    if entry.scenario not in tuple(known):
+    if entry.scenario not in known:
         raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
     scenario = schema.build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
     sensors = {}
@@ -193,28 +190,30 @@ def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> T
 
 
 def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
-    """Fingerprint of what the cost of a controller's parameters reads: runs, vehicle, cost, own bounds, budget."""
-    numbers = [sorted((key, str(value)) for key, value in table.items()) for table in (task.budget, task.cost)]
-    bounds = [(d.name, float(d.low), float(d.high), d.scale) for d in task.dimensions[controller]]
-    around = [(run.irregular, _rails(run.irregular), run.plant, run.sensors) for run in task.runs]
-    loop = repr(load_loop()) if any(run.sensors for run in task.runs) else ""
-    scenarios = [run.scenario for run in task.runs]
-    return fingerprint(scenarios, vehicle, *numbers, bounds, around, loop, REGISTERED[controller].quick)
+    """Digest of the given numbers that the cost of a controller's parameters reads.
+
+    These are scenarios, tracks, rails, vehicle, sensors, cost, budget and own bounds. Names and remarks do not
+    count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
+    same; `is_current` says so, and 05_tuning recomputes its cost.
+    """
+    tracks, rails = (schema.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
+    sets = sorted({name for run in task.runs for name in (run.scenario.good, run.scenario.poor)})
+    car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
+    runs = []
+    for run in task.runs:
+        scenario = {k: v for k, v in vars(run.scenario).items() if k not in ("name", "track", "paper")}
+        rail = rails.get(str(run.irregular.get("spectrum")), None)
+        runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
+    loop = load_loop() if any(run.sensors for run in task.runs) else None
+    return store.digest(runs, car, loop, task.budget, task.cost, task.dimensions[controller])[:16]
 
 
-def _rails(irregular: dict) -> list[str]:
-    """What a file or a spectrum says about rails."""
-    if not irregular:
-        return []
-    if "file" in irregular:
-        return [hashlib.sha256(paths.source(irregular["file"]).read_bytes()).hexdigest()]
-    spectrum = irregular.get("spectrum", "erri_low")
-    return [f"{float(irregularity_spectrum(spectrum, channel, 0.5)):.9e}" for channel in CHANNELS]
-
-
-@lru_cache
-def _origin_here(controller: str, setting: str) -> str:
-    return origin(controller, _task_here(setting), load_vehicle())
+def is_current(controller: str, setting: str) -> bool:
+    """Whether a tuned set was searched with the numbers that stand in data/ today; designed sets are."""
+    task = _task_here(setting)
+    if controller in task.designed:
+        return True
+    return load(controller, setting)["origin"]["data"] == origin(controller, task, load_vehicle())
 
 
 @lru_cache
@@ -240,8 +239,7 @@ def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     Raises
     ------
     InputError
-        When there is none, when it does not hold a tuned set of this controller, or when it was tuned for another
-        `origin`.
+        When there is none, or when it does not hold a tuned set of this controller.
     """
     task = _task_here(setting)
     if controller in task.designed:
@@ -249,11 +247,6 @@ def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     content, name = read(controller, setting, folder), f"{controller}.json"
     if controller not in task.dimensions:
         raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
-    if content["origin"]["fingerprint"] != _origin_here(controller, setting):
-        raise InputError(
-            f"{name}: was tuned for another vehicle, control model, cost or budget, other runs or bounds "
-            f"({content['origin']['fingerprint']}, here {_origin_here(controller, setting)}); `make tune` tunes again"
-        )
     searched = {dimension.name for dimension in task.dimensions[controller]}
     for parameters in (content["parameters"], *(swarm["parameters"] for swarm in content["swarms"])):
         if set(parameters) != searched:

@@ -136,6 +136,7 @@ class _Counted:
     """A 1 kHz law that counts where its torque is not finite: limits further on would make full torque of it."""
 
     def __init__(self, law: lateral.LateralLaw):
+        lateral.kind(law)  # tells what is wrong with it, before it is counted
         self._law, self.memory, self.gains = law, (*law.memory, NOT_FINITE), law.gains
 
     def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:

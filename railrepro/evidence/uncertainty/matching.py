@@ -2,8 +2,8 @@
 
 The paper's results are observations of a car that nobody published. History matching by waves: runs over a
 space-filling design, an emulator per statement with its error, points ruled out where a statement is implausible, the
-next runs in what is left. `python -m railrepro.evidence.uncertainty.matching [small]` writes
-data/results/matching_*.csv and the named set `paper_like`; every finished run is kept in build/study, so an interrupted
+next runs in what is left. `python -m railrepro matching [small]` writes data/results/matching_*.csv and the named set
+`paper_like`; every finished run is in the store, so an interrupted
 matching goes on where it was.
 
 Source: Craig, Goldstein, Seheult and Smith 1997; Vernon, Goldstein and Bower 2010 (implausibility, waves).
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import comb
@@ -24,14 +23,15 @@ from scipy import special, stats
 
 from railrepro import paths, schema
 from railrepro.control.registry import PAPER_TRIO
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.probe import World, probe
 from railrepro.evidence.claims.statements import Finding, MissingEvidence, Statement
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.uncertainty import emulator
-from railrepro.evidence.uncertainty.robustness import evidence, kept
+from railrepro.evidence.uncertainty.robustness import evidence
+from railrepro.evidence.uncertainty.robustness import rows as rows_of
 from railrepro.files import write
 from railrepro.vehicle.parameters import sample_ranges
 
@@ -395,7 +395,7 @@ def paper_like() -> World:
     """Car, controllers and experiments that come closest to the paper's statements, see `best`."""
     file = paths.source("data/results/paper_like.json")
     if not file.exists():
-        raise InputError(f"{file.name}: is missing; `python -m railrepro.evidence.uncertainty.matching` makes it")
+        raise InputError(f"{file.name}: is missing; `python -m railrepro matching` makes it")
     return world(schema.build(PaperLike, schema.read(file), file.name).values)
 
 
@@ -465,15 +465,15 @@ def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
     }
 
 
-def main(names: list[str]) -> None:
+def main(size: str = "committed") -> None:
     """Match at a size and write the tables and the named set."""
-    if set(names) - set(SIZES) or len(names) > 1:
-        raise InputError(f"matching takes one of the sizes {sorted(SIZES)}, found {' '.join(names)!r}")
-    waves, count = SIZES[names[0] if names else "committed"]
+    if size not in SIZES:
+        raise InputError(f"matching takes one of the sizes {sorted(SIZES)}, found {size!r}")
+    waves, count = SIZES[size]
     judged = rules()
 
     def run(points: list[Values]) -> list[dict[str, float]]:
-        rows = kept(Drive(), points, paths.BUILD / "study" / "matching", "matching", settings=TUNED_IN)
+        rows = rows_of(Drive(), points, "matching")
         return [margins(row, judged) for row in rows]
 
     problem = Problem(dimensions(), run)
@@ -482,7 +482,3 @@ def main(names: list[str]) -> None:
         write(paths.product(f"data/results/matching_{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
     write(paths.product("data/results/paper_like.json"), json.dumps(best(problem, matched), indent=2) + "\n")
     print(matched.waves.to_string(index=False))
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))

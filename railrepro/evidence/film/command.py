@@ -1,13 +1,12 @@
-"""`python -m railrepro.evidence.film curve_entry_T3 nmpc ndi`: page and movie in build/film, for `make film`."""
+"""`python -m railrepro film curve_entry_T3 nmpc ndi`: page and movie in build/film, for `make film`."""
 
 from __future__ import annotations
 
-import argparse
-import sys
+from collections.abc import Sequence
 
 from railrepro import paths
 from railrepro.control.registry import REGISTERED
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError
 from railrepro.evidence.film import movie, page
 from railrepro.evidence.film.scene import film
 from railrepro.evidence.runs import tuning
@@ -21,24 +20,20 @@ ALL = "all"
 CONTROLLERS = ("nmpc", "ndi")
 
 
-def main(arguments: list[str]) -> None:
+def main(
+    scenario: str = ALL, controllers: Sequence[str] = (), setting: str = tuning.EQUAL, with_movie: bool = True
+) -> None:
     """Film one scenario or the usual ones; each page and movie is told where it is."""
-    parser = argparse.ArgumentParser("python -m railrepro.evidence.film", description="Two controllers side by side.")
-    parser.add_argument("scenario", nargs="?", default=ALL, help=f"key of scenarios.toml; default {', '.join(DEFAULT)}")
-    parser.add_argument("controllers", nargs="*", help=f"two registered names; default {' '.join(CONTROLLERS)}")
-    parser.add_argument("--setting", default=tuning.EQUAL, help=f"one of {', '.join(tuning.SETTINGS)}; default equal")
-    parser.add_argument("--no-movie", action="store_true", help="only the page")
-    given = parser.parse_args(arguments)
-    names = DEFAULT if given.scenario == ALL else (given.scenario,)
-    controllers = tuple(given.controllers or CONTROLLERS)
-    _check(names, controllers, given.setting)
+    names = DEFAULT if scenario == ALL else (scenario,)
+    controllers = tuple(controllers or CONTROLLERS)
+    _check(names, controllers, setting)
     folder = paths.BUILD / "film"
     for name in names:
-        shown = film(name, controllers, given.setting)
-        stem = "-".join((name, *controllers, *((given.setting,) if given.setting != tuning.EQUAL else ())))
+        shown = film(name, controllers, setting)
+        stem = "-".join((name, *controllers, *((setting,) if setting != tuning.EQUAL else ())))
         write(folder / f"{stem}.html", page.html(shown))
         print(f"written: {folder / stem}.html", flush=True)
-        if not given.no_movie:
+        if with_movie:
             print(f"written: {movie.save(shown, folder, stem)}", flush=True)
 
 
@@ -51,7 +46,3 @@ def _check(names: tuple[str, ...], controllers: tuple[str, ...], setting: str) -
             raise InputError(f"controller {controller!r} is not known; there are {sorted(REGISTERED)}")
     if setting not in tuning.SETTINGS:
         raise InputError(f"setting {setting!r} is not known; there are {list(tuning.SETTINGS)}")
-
-
-if __name__ == "__main__":
-    sys.exit(told(lambda: main(sys.argv[1:])))
