@@ -45,6 +45,9 @@ def test_what_was_built_once_is_read_by_the_next_process(counted):
     assert codegen.source_text(again["functions"]) == codegen.source_text(first["functions"])
     look(4)
     assert built == [3, 4]
+    look.cache_clear()
+    look(3), look(4)
+    assert built == [3, 4]
 
 
 def cut(file):
