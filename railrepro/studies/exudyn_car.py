@@ -97,11 +97,13 @@ def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
 
 
 def creep(vehicle: Vehicle, load, nu_x, nu_y, spin, slip_speed) -> tuple[ca.SX, ...]:
-    """Forces along and across the rail (N) and moment about the normal (N m) on a wheel, from its creepages.
+    """Forces along and across the rail (N) and moment about the normal (N m) on a wheel.
+
+    From its load (N), creepages (-, -, 1/m) and slip speed (m/s).
 
     Kalker's linear force and moment, all reduced as Polach reduces their resultant.
 
-    Source: Kalker 1967 (linear theory), Polach 2005, eqs. (2) and (3), with the direction of Shen, Hedrick, Elkins 1983.
+    Source: Kalker 1967 (linear theory); Polach 2005, eqs. (2) and (3); Shen, Hedrick and Elkins 1983 (direction).
     """
     a, b, (c11, c22, c23, c33) = patch(vehicle)
     rail, area = vehicle.adhesion["dry"], a * b * ((load + 1) / vehicle.contact.nominal_load) ** (2 / 3)
@@ -174,7 +176,7 @@ def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(get["x"], get["y"], get["z"]) + d * travelled, ca.horzcat(x, y, ca.cross(x, y))
 
 
-def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
+def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
     """Force and torque about the wheel's centre (in space), and the normal force (N).
 
     The cone r = r0 - side tan(delta) eta stands on a line-shaped rail where the rail is deepest inside it. There the
@@ -214,9 +216,8 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> t
     elastic, rate = data.normal_stiffness * ca.fmax(depth(point), 0) ** 1.5, ca.dot(slide, normal)
     load = ca.fmax(elastic * (1 + data.normal_damping * rate), 0)
     rolling, slides = ca.sqrt(speed**2 + data.rest_speed**2), (ca.dot(slide, tangent), ca.dot(slide, lateral))
-    f_x, f_y, moment = creep(
-        vehicle, load, *(v / rolling for v in slides), ca.dot(turn, normal) / rolling, ca.norm_2(ca.vertcat(*slides, 1e-6))
-    )
+    slip_speed = ca.norm_2(ca.vertcat(*slides, 1e-6))
+    f_x, f_y, moment = law(vehicle, load, *(v / rolling for v in slides), ca.dot(turn, normal) / rolling, slip_speed)
     force = f_x * tangent + f_y * lateral - load * normal
     return force, ca.cross(arm, force) + moment * normal, load
 
@@ -261,8 +262,8 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
     return tuple(sum(parts) for parts in zip(*acting, strict=True))
 
 
-def forces(vehicle: Vehicle) -> ca.Function:
-    """Everything that acts on the bodies, from their motion in space.
+def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
+    """Everything that acts on the bodies, from their motion in space and a creep law like `creep`.
 
     Returns
     -------
@@ -294,7 +295,7 @@ def forces(vehicle: Vehicle) -> ca.Function:
         for i, side in ((2 * g, -1), (2 * g + 1, 1)):
             arm, speed = side * vehicle.gear.contact_base / 2 * axle, ca.dot(rotation[:, 0], gear[1])
             wheel = gear[0] + arm, gear[1] + ca.cross(gear[2], arm), turns[:, i]
-            force, torque, normal = _contact(vehicle, side, get, s, speed, axle, wheel)
+            force, torque, normal = _contact(vehicle, law, side, get, s, speed, axle, wheel)
             loads[3 + i] += ca.vertcat(force, torque - tau[i] * axle)
             loads[1 + g] += ca.vertcat(0, 0, 0, tau[i] * axle)
             spins, normals = [*spins, -ca.dot(axle, turns[:, i])], [*normals, normal]
@@ -305,13 +306,13 @@ def forces(vehicle: Vehicle) -> ca.Function:
 class ExudynCar:
     """The car in Exudyn: bodies, joints and loads by user functions; starts rolling with the front gear at s = 0."""
 
-    def __init__(self, vehicle: Vehicle, rails: Rails, speed: float):
+    def __init__(self, vehicle: Vehicle, rails: Rails, speed: float, law: Callable = creep):
         import exudyn
 
         self._exu, self._lag, self._rails = exudyn, vehicle.drive.lag, rails
         self._container = exudyn.SystemContainer()
         self._mbs = self._container.AddSystem()
-        self._forces = codegen.compiled(forces(vehicle))
+        self._forces = codegen.compiled(forces(vehicle, law))
         self._motion, self._turns, self._stations, self._s, self._tau = self._forces.arguments
         body, gear, wheel = vehicle.body, vehicle.gear, vehicle.wheel
         wheels = 2 * (wheel.diametral_inertia + WHEEL_MASS * (gear.contact_base / 2) ** 2)

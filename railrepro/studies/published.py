@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.optimize import brentq
 
 from railrepro.car.component import SteppedCar
-from railrepro.car.equations import WHEELS
+from railrepro.car.equations import INDEX, WHEELS
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -151,7 +151,12 @@ def cooperrider_vehicle(share: float = 1.0) -> Vehicle:
     Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and the examples of bifurcation.de.
     """
     own = {"body.mass": 2918.0, "body.inertia_x": 6780.0, "body.inertia_z": 6780.0, "body.gear_spacing": 2 * 1.074}
-    own |= {"gear.mass": 1022.0, "gear.inertia_z": 678.0, "gear.inertia_x": 678.0, "gear.contact_base": 2 * 0.716 * share}
+    own |= {
+        "gear.mass": 1022.0,
+        "gear.inertia_z": 678.0,
+        "gear.inertia_x": 678.0,
+        "gear.contact_base": 2 * 0.716 * share,
+    }
     own |= {"wheel.radius": 0.4572, "suspension.height": 0.4572, "body.cg_height": 0.4572 + BOGIE["h1"]}
     own |= {"suspension.half_spacing": 0.62, "suspension.k_y": 1.823e6, "suspension.k_x": 3.646e6}
     own |= {"suspension.k_z": 3.646e6, "contact.nominal_load": (2918.0 / 4 + 1022.0 / 2) * 9.81}
@@ -191,3 +196,21 @@ def cooperrider_bogie(speed: float, cone: bool = False, ground: bool = True) -> 
             a.loc["body.wx", [y, phi]] -= (h * push + [0.0, 2 * k_z * d**2]) / body.inertia_x
             a.loc["body.wz", psi] -= k_yaw / body.inertia_z
     return a
+
+
+def bump_stop_force() -> np.ndarray:
+    """Force of our bump stop on the body at `BUMP_STOP_MM` (kN), with the spring between 30 and 60 mm; shape (4,)."""
+    (_, first, last, _), (_, light, heavy, _) = BUMP_STOP_MM, BUMP_STOP_KN
+    stiffness = 1e6 * (heavy - light) / (last - first)
+    clearance = 1e-3 * first - 1e3 * light / stiffness
+    forces = []
+    for shift in BUMP_STOP_MM:
+        pushes = []
+        for own in (stiffness, 0.0):
+            vehicle = load_vehicle(**{"suspension.bump_stiffness": own, "suspension.bump_clearance": clearance})
+            car = SteppedCar("T5", 10.0, vehicle)
+            car.state[INDEX["body.y"]] = 1e-3 * shift
+            rate = np.array(car.model.rate(*car.inputs())).ravel()
+            pushes.append(vehicle.body.mass * rate[INDEX["body.vy"]] / 2e3)
+        forces.append(pushes[1] - pushes[0])
+    return np.array(forces)
