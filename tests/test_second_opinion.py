@@ -39,6 +39,7 @@ def test_straight_pulse_agrees_with_exudyn(law, usual, short):
     assert moved.loc["lateral position", "largest"] > 1e-3
     assert (moved["relative"] < usual).all()
     assert (table.loc["0.05", "relative"] < short).all()
+    assert (table["step_error"] < 3e-4).all() and table.loc[("1", "wheel load"), "step_error"] > 1e-6
 
 
 def test_guard_tells_the_torque_that_it_adds():

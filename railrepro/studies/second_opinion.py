@@ -161,9 +161,9 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
     DataFrame
         case, car_step_ms, quantity, largest (value of our signal), difference (largest), relative (their ratio; of all
         gears or wheels the worst), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the worst
-        one's difference), unit.
+        one's difference), step_error (largest difference of our own two runs to `largest`), unit.
     """
-    rows = []
+    rows, steps = [], [_signals(runs[key]) for key in ("1", "0.05")]
     for step in ("1", "0.05"):
         ours, theirs = (_signals(runs[key]) for key in (step, "exudyn"))
         for (quantity, unit), signals in ours.items():
@@ -171,8 +171,11 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
             worst = int(np.argmax(np.abs(error).max(axis=0) / size))
             largest, rms = np.abs(error[:, worst]).max(), np.sqrt(np.mean(error[:, worst] ** 2))
             beyond = np.mean(np.abs(error) > AGREEMENT * size)
-            rows.append((name, step, quantity, size[worst], largest, largest / size[worst], beyond, rms, unit))
-    columns = ("case", "car_step_ms", "quantity", "largest", "difference", "relative", "beyond", "rms", "unit")
+            coarse, fine = (run[quantity, unit][:, worst] for run in steps)
+            own = np.abs(coarse - fine).max() / size[worst]
+            rows.append((name, step, quantity, size[worst], largest, largest / size[worst], beyond, rms, own, unit))
+    columns = ("case", "car_step_ms", "quantity", "largest", "difference", "relative", "beyond", "rms")
+    columns += ("step_error", "unit")
     return pd.DataFrame(rows, columns=columns)
 
 
