@@ -185,7 +185,7 @@ def bogie_equations(speed, ground=1.0):
 
 
 def test_cooperrider_bogie_has_its_published_hopf_speed():
-    """68.66 m/s at bifurcation.de; 68.64 of the equations. Limit .5 %, fixed before the run, not the 66.61 often cited."""
+    """68.66 m/s at bifurcation.de, not the 66.61 often cited; 68.64 of its equations. Limit fixed before the run."""
     expected = critical_speed(bogie_equations, 50.0, 90.0)
     assert expected[0] == pytest.approx(68.64, rel=1e-4)
     assert critical_speed(published.cooperrider_bogie, 60.0, 75.0) == pytest.approx(expected, rel=5e-3)

@@ -12,9 +12,9 @@ from railrepro.contact.creep import polach, spin_coefficient, spin_moment
 from railrepro.contact.table import cone_patch
 from railrepro.errors import InputError
 from railrepro.studies import exudyn_car, second_opinion
-from railrepro.track.alignment import alignments
+from railrepro.track.alignment import Alignment, Segment, alignments
 from railrepro.track.irregularity import irregularities
-from railrepro.track.table import load_track
+from railrepro.track.table import Track, build_table
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -84,10 +84,16 @@ def test_small_creepages_make_kalkers_linear_forces_on_the_second_car():
     assert float(np.hypot(slides[0], slides[1])) == pytest.approx(friction * load, rel=0.02)
 
 
-@pytest.mark.parametrize("name", ["T1", "T4"])
-def test_rails_of_the_second_car_lie_where_ours_do(name):
+BENDS = (
+    Segment(40.0, (1 / 600, 1 / 300), (0.02, 0.06), (0.0, 0.01)),
+    Segment(55.0, (1 / 300, 1 / 500), (0.06, 0.0), (0.01, 0.02)),
+)
+
+
+@pytest.mark.parametrize("alignment", [*(alignments()[name] for name in ("T1", "T4")), Alignment("bends", BENDS)])
+def test_rails_of_the_second_car_lie_where_ours_do(alignment):
     """Integrated curvature against the tables of the track, before, along and behind it."""
-    alignment, track = alignments()[name], load_track(name)
+    track = Track(alignment.name, build_table(alignment))
     columns = pd.DataFrame(exudyn_car.Rails(alignment).at(np.arange(-20.0, track.length + 20.0, 7.3)))
     columns.columns = exudyn_car._STATION
     assert pytest.approx(track.position(columns["p"]), abs=1e-9) == columns[list("xyz")].to_numpy().T

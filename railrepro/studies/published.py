@@ -207,7 +207,8 @@ def bump_stop_force() -> np.ndarray:
     for shift in BUMP_STOP_MM:
         pushes = []
         for own in (stiffness, 0.0):
-            vehicle = load_vehicle(**{"suspension.bump_stiffness": own, "suspension.bump_clearance": clearance})
+            stop = {"suspension.bump_stiffness": own, "suspension.bump_clearance": clearance}
+            vehicle = load_vehicle(**stop, **{"contact.profile": "cone"})
             car = SteppedCar("T5", 10.0, vehicle)
             car.state[INDEX["body.y"]] = 1e-3 * shift
             rate = np.array(car.model.rate(*car.inputs())).ravel()
