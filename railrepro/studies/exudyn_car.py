@@ -150,7 +150,7 @@ class Rails:
             reached = np.cumsum([0.0, *steps])
             at[name] = reached - reached[np.argmin(np.abs(s))]
         if irregularities is not None:
-            inside = (s >= s[0]) & (s >= np.min(samples)) & (s < np.max(samples))
+            inside = (s >= np.min(samples)) & (s < np.max(samples))
             for name, column in _CHANNELS.items():
                 spline = CubicSpline(samples, irregularities[column], bc_type="clamped")
                 at |= {f"{'d' * order}{name}": np.where(inside, spline(s, order), 0.0) for order in range(4)}

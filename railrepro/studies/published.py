@@ -163,25 +163,17 @@ def cooperrider_vehicle(share: float = 1.0) -> Vehicle:
     return load_vehicle(**_RIGID | own | {"contact.profile": "cone", "wheel.cone_angle": share * BOGIE["cone"]})
 
 
-def cooperrider_bogie(speed: float, cone: bool = False, ground: bool = True) -> pd.DataFrame:
-    """State matrix of Cooperrider's bogie at a speed (m/s).
+def cooperrider_bogie(speed: float, ground: bool = True) -> pd.DataFrame:
+    """State matrix of Cooperrider's bogie at a speed (m/s), on level contacts with radii that differ, as published.
 
-    Parameters
-    ----------
-    speed : float
-    cone : bool
-        Cones, on which wheelsets roll and gravity centres them, each stiffness as published. Default: level contact
-        and radii that differ, as published. The longitudinal stiffness then counts only as f11 d^2 and f11 d lambda, so
-        f22 in its place with d and lambda multiplied by sqrt(f11/f22) gives the same equations; they do not depend on
-        which of both a creep law takes at rest, where the creepage has no direction.
-    ground : bool
-        With the secondary springs and dampers to a car body that stands still.
+    The longitudinal stiffness counts only as f11 d^2 and f11 d lambda, so f22 in its place with d and lambda multiplied
+    by sqrt(f11/f22) gives the same equations; they do not depend on which of both a creep law takes at rest, where the
+    creepage has no direction. `ground`: with the secondary springs and dampers to a car body that stands still.
     """
     f11, f22 = BOGIE["f11"], BOGIE["f22"]
-    vehicle = cooperrider_vehicle(1.0 if cone else np.sqrt(f11 / f22))
+    vehicle = cooperrider_vehicle(np.sqrt(f11 / f22))
     slope = np.tan(vehicle.wheel.cone_angle)
-    level, creep = (slope, (f11, f22)) if cone else (0.0, (f22, f22))
-    table = profile(vehicle, lambda u: level + 0.0 * u, lambda u: slope * u, creep)
+    table = profile(vehicle, lambda u: 0.0 * u, lambda u: slope * u, (f22, f22))
     a = lateral(SteppedCar("T5", speed, vehicle, table=table).linearise().a, "body", "front", "rear")
     if ground:
         h, d, body = BOGIE["h2"], BOGIE["d2"], vehicle.body
