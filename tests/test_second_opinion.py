@@ -104,8 +104,11 @@ def test_rails_of_the_second_car_lie_where_ours_do(alignment):
 def test_irregular_rails_of_the_second_car_follow_their_samples():
     p = np.arange(0.0, 200.0, 0.5)
     rough = irregularities(p)
-    columns = pd.DataFrame(exudyn_car.Rails(alignments()["T5"], rough).at(p + 1e-9), columns=exudyn_car._STATION)
+    rails = exudyn_car.Rails(alignments()["T5"], rough)
+    columns = pd.DataFrame(rails.at(p + 1e-9), columns=exudyn_car._STATION)
+    behind = pd.DataFrame(rails.at([-5.0, 250.0]), columns=exudyn_car._STATION)
     for channel, column in exudyn_car._CHANNELS.items():
+        assert (behind[[channel, "d" + channel]] == 0.0).all(axis=None)
         assert columns[channel].to_numpy() == pytest.approx(rough[column].to_numpy(), abs=1e-12)
         ahead = sum(columns["d" * k + channel] * 0.5**k / math.factorial(k) for k in range(4))
         assert ahead[:-1].to_numpy() == pytest.approx(rough[column].to_numpy()[1:], abs=1e-12)
