@@ -55,7 +55,7 @@ class Case:
     irregular : bool
         Irregular rails.
     step : float
-        Step of Exudyn (s); irregular rails have a kink every half metre and need shorter ones.
+        Step of Exudyn (s); irregular rails excite the contact modes and need shorter ones.
     """
 
     name: str
