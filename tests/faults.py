@@ -322,6 +322,19 @@ def planted(folder: Path, whole: dict[str, str], how: str) -> None:
     check_next_run(folder, whole)
 
 
+def foreign_rules(folder: Path, whole: dict[str, str]) -> None:
+    """Make rules of another user, with their own hash: they are not run, nor with -n."""
+    rules = folder / "build/chain.mk"
+    text = "STAMPS :=\n$(shell touch build/run-by-make)\n"
+    for goals in (("-n", "figures"), ("figures",)):
+        rules.write_text(f"{text}RULES_HASH := {hashlib.sha256(text.encode()).hexdigest()}\n")
+        os.chown(rules, 65534, 65534)
+        run(folder, *goals)
+        if (folder / "build/run-by-make").exists():
+            raise Lost("they ran")
+    check_next_run(folder, whole)
+
+
 COMPILERS = {"fails": "exit 1", "writes nothing": "exit 0", "writes junk": 'echo junk > "$out"', "hangs": "sleep 600"}
 
 
@@ -415,13 +428,13 @@ def kill_in_a_long_call(folder: Path, whole: dict[str, str]) -> None:
 
 
 SHORT = ("kill make", "kill in a long call", "Ctrl-C number 1", "broken manifest cut off", "cache cut off",
-         "compiler writes junk")  # fmt: skip
+         "broken make rules of another user", "compiler writes junk")  # fmt: skip
 """What a short run tries, each by kind and name, once."""
 
 
 def chosen_faults(folder: Path, small: Path | None, short: bool):
     """`all_faults`, or those of a short run."""
-    left = set(SHORT)
+    left = {name for name in SHORT if os.getuid() == 0 or "another user" not in name}
     for kind, name, call in all_faults(folder, small):
         if not short:
             yield kind, name, call
@@ -448,6 +461,8 @@ def all_faults(folder: Path, small: Path | None):
         yield "Ctrl-C", f"number {number + 1}", lambda n=number: interrupt(folder, whole, n)
     for name in SPOILT:
         yield "broken", name, lambda n=name: broken_file(folder, whole, n)
+    if os.getuid() == 0:
+        yield "broken", "make rules of another user", lambda: foreign_rules(folder, whole)
     for how in ("cut off", "another object with its own hash", "open to others", "of another user"):
         if how != "of another user" or os.getuid() == 0:
             yield "cache", how, lambda h=how: planted(folder, whole, h)

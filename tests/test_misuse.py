@@ -255,7 +255,10 @@ WARNED = {
         rails(ROUGH + GOOD.replace("7,0,0,0", "7,0,0,0.03")),
         "mine.csv: crosslevel_rad of 0.03 is unusual",
     ),
-    "a car beyond its track": (lambda _: at_the_end().step(exchanges=3), "beyond the end of its track, 1500 m, at t = "),
+    "a car beyond its track": (
+        lambda _: at_the_end().step(exchanges=3),
+        "beyond the end of its track, 1500 m, at t = ",
+    ),
 }
 
 
