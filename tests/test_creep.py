@@ -98,6 +98,15 @@ def test_reversed_creepage_reverses_the_force():
     assert force(1e-3, -2e-3, 0.1) == pytest.approx(-force(-1e-3, 2e-3, -0.1))
 
 
+def test_creepage_never_drives_the_contact():
+    generator = np.random.default_rng(1)
+    c33 = float(creep.spin_coefficient(A / B))
+    for nu_x, nu_y, spin in generator.normal(0, (2e-3, 2e-3, 0.5), (200, 3)):
+        arguments = nu_x, nu_y, spin, LOAD, A, B, *KALKER, SHEAR, 1.0, 0.4, 0.4, 1.0, 0.0, 0.0
+        power = np.dot([*creep.polach(*arguments), creep.spin_moment(*arguments, c33)], [nu_x, nu_y, spin])
+        assert power < 0
+
+
 def test_agrees_with_fastsim_at_the_spin_of_the_cone():
     for nu_x, nu_y in ((1e-3, 0.0), (0.0, 1e-3), (2e-3, 1e-3)):
         other = np.array(creep.fastsim(nu_x, nu_y, 0.06, LOAD, A, B, 0.4, KALKER, SHEAR))
