@@ -4,7 +4,7 @@ Kalker's exact theory with constant traction on cells: the slip of a particle be
 creepages give less the change of its elastic displacement; where the traction would exceed its bound it slides against
 its slip. Solved by a semi-smooth Newton method.
 
-Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4; influence of a cell: Love 1929, Cerruti.
+Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4; influence of a cell: Love 1929.
 """
 
 from functools import lru_cache

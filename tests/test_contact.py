@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rolling import Rolling
 
 from railrepro.contact import normal, profiles
 from railrepro.contact.table import (
@@ -15,7 +16,6 @@ from railrepro.contact.table import (
     section,
 )
 from railrepro.vehicle.parameters import load_vehicle
-from rolling import Rolling
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from rolling import rolling
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.contact import creep
 from railrepro.vehicle.parameters import load_vehicle
-from rolling import rolling
 
 A, B, LOAD, SHEAR = 6e-3, 5e-3, 78.5e3, 8.2e10
 KALKER = creep.kalker_coefficients(A / B)

@@ -6,12 +6,12 @@ from itertools import product
 import casadi as ca
 import numpy as np
 import pytest
+from rolling import rolling
 
 from railrepro.contact import creep
 from railrepro.contact.table import CELL_COLUMNS, cone_patch, contact_table, in_cell
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import load_vehicle
-from rolling import rolling
 
 A, B = 6.28e-3, 7.02e-3  # the ellipse of the published peaks
 LOAD, SHEAR = 78.5e3, 8.2e10

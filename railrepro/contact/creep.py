@@ -1,7 +1,8 @@
 """Creep forces between wheel and rail: Kalker's coefficients, Polach's law, and FASTSIM as a second method.
 
 Serves eq. (kalker) and Fig. 2 of the paper, which name no law. Polach brings the falling branch that the adhesion
-task needs; its treatment of spin is the weak spot, and FASTSIM tells what that costs.
+task needs; strong spin is the weak spot. Mean and largest error of the force over friction against half spaces in
+steady rolling, a/b .7 to 2: without spin .02/.05, with the spin of a tread .03/.10, of a flange .2/.35.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ STEEL = 0.28
 
 
 _SPINNING = 1.8
-"""Tractions of spin that cancel in the resultant still use friction: square of their linear size over that of their
-resultant, fitted to half spaces in steady rolling."""
+"""Tractions of spin that cancel in the resultant use friction, too: their square over that of the linear force of spin
+(-), fitted to half spaces in steady rolling."""
 
 
 def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -93,9 +94,8 @@ def polach(
 ):  # fmt: skip
     """Creep forces on a wheel: Polach's resultant, with falling friction, along the force of Kalker's linear theory.
 
-    Spin is part of the linear force, so that small creepages of any mixture meet linear theory, as spin changes the
-    slopes at rest no more than it saturates the contact. Works on floats, CasADi SX and (elementwise) arrays; values
-    and derivatives stay finite at zero creepage and load.
+    Spin is part of the linear force, so that small creepages of any mixture meet linear theory. Works on floats, CasADi
+    SX and (elementwise) arrays; values and derivatives stay finite at zero creepage and load.
 
     Parameters
     ----------
