@@ -30,6 +30,13 @@ export JUPYTER_RUNTIME_DIR := $(CURDIR)/build/jupyter/runtime
 # Without stored byte code each of some hundred processes would compile the libraries that it imports, for seconds.
 unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
 
+# Where the cache of uv cannot be written, as without a home, there is one in build; pip says so itself and does without.
+ifneq ($(shell d="$${UV_CACHE_DIR:-$${XDG_CACHE_HOME:-$${HOME:-/nonexistent}/.cache}/uv}"; \
+    until test -e "$$d"; do d=$$(dirname "$$d"); done; test -w "$$d" && echo yes),yes)
+  export UV_CACHE_DIR := $(CURDIR)/build/uv
+  export PIP_NO_CACHE_DIR := 1
+endif
+
 # What make starts ends with it, also when only make is killed.
 ifndef RAILREPRO_LEADER
   export RAILREPRO_LEADER := $(shell echo $$PPID)
@@ -41,14 +48,20 @@ VENV := .venv/ready-$(LOCK_HASH)
 # Sphinx, Typst and what they need come on top, and only for book and article; they share the pins of environment.lock.
 BOOK_LOCK := notebooks/book/book.lock
 BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell cat $(BOOK_LOCK) 2>&1 | sha256sum | cut -c1-16)
+# So do the packages of the extras `bench` and `learn`, which only some tests and tables need.
+EXTRAS_LOCK := tests/extras.lock
+EXTRAS := .venv/ready-extras-$(LOCK_HASH)-$(shell cat $(EXTRAS_LOCK) 2>&1 | sha256sum | cut -c1-16)
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
 ONLY_SHOW := $(if $(findstring n,$(filter-out --%,$(firstword $(MAKEFLAGS)))),yes)
-# The rules end with their own hash; others, broken or cut off, are made again.
-INTACT := $(shell test -f $(RULES) && test "$$(tail -n 1 $(RULES))" = "RULES_HASH := $$(sed '$$d' $(RULES) | sha256sum | cut -c1-64)" && echo yes)
+# The rules end with their own hash; others, broken, cut off or somebody else's, are made again.
+INTACT := $(shell test -f $(RULES) && test -O $(RULES) && test -z "$$(find $(RULES) -perm /022)" && test "$$(tail -n 1 $(RULES))" = "RULES_HASH := $$(sed '$$d' $(RULES) | sha256sum | cut -c1-64)" && echo yes)
 
 ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
+  ifneq ($(shell for d in .venv .venv/bin; do test ! -e $$d || test -O $$d || echo $$d; done),)
+    $(error .venv belongs to another user and is not run; remove it, or clone into a folder of your own)
+  endif
   ifeq ($(INTACT),yes)
     include $(RULES)
   else ifdef MAKE_RESTARTS
@@ -62,7 +75,7 @@ endif
 # Where there is no C compiler one comes as a Python package, with a pin of its own.
 COMPILER_LOCK := railrepro/compile/compiler.lock
 
-.PHONY: help figures chain check test test-slow test-all faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -70,8 +83,8 @@ help:  ## list the targets
 
 # One look at all of them first; then several at a time, unless the caller says how many with -j.
 figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
-	@+test -z "$(ONLY_SHOW)" || exec echo "$(PY) -m railrepro.chain run NAME, for each notebook that is stale"; \
-	  $(PY) -m railrepro.chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
+	@+test -z "$(ONLY_SHOW)" || exec echo "$(PY) -m railrepro chain run NAME, for each notebook that is stale"; \
+	  $(PY) -m railrepro chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
 	  export RAILREPRO_WORKERS=$${RAILREPRO_WORKERS:-$$(( share > 1 ? share : 1 ))}; \
 	  $(MAKE) --no-print-directory $(if $(filter -j% --jobserver%,$(MAKEFLAGS)),,-j$(AT_ONCE)) chain; }
 
@@ -92,59 +105,64 @@ test-all: $(VENV)  ## run the tests that take minutes, too
 	@$(MAKE) --no-print-directory test
 	@$(MAKE) --no-print-directory test-slow
 
-faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived
-	$(PY) tests/faults.py
+test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their tests: Exudyn, do-mpc, Gymnasium
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_env.py
+
+faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived; SHORT=1 some of it
+	$(PY) tests/faults.py $(if $(SHORT),--short)
 
 lab: $(VENV)  ## open the notebooks in JupyterLab
-	$(PY) -m jupyterlab --notebook-dir=notebooks
+	$(PY) -m jupyterlab --notebook-dir=notebooks $(if $(filter 0,$(shell id -u)),--allow-root)
 
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
-	$(PY) -m railrepro.score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
+	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
 
-film: $(VENV)  ## page and movie of runs side by side: FILM=scenario CONTROLLERS="nmpc ndi" TERMS=equal, in build/film
-	$(PY) -m railrepro.film $(if $(FILM)$(CONTROLLERS),"$(or $(FILM),all)") $(CONTROLLERS) $(if $(TERMS),--terms $(TERMS))
+film: $(VENV)  ## page and movie of runs side by side: FILM=scenario CONTROLLERS="nmpc ndi" SETTING=equal, in build/film
+	$(PY) -m railrepro film $(if $(FILM)$(CONTROLLERS),"$(or $(FILM),all)") $(CONTROLLERS) $(if $(SETTING),--setting $(SETTING))
 
 leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
-	$(PY) -m railrepro.score.leaderboard
+	$(PY) -m railrepro leaderboard
 
-tune: $(VENV)  ## tune all controllers on all terms by particle swarm (long, resumes); figures follow
-	$(PY) -m railrepro.studies.swarm
+tune: $(VENV)  ## tune all controllers in all settings by particle swarm (long, resumes); figures follow
+	$(PY) -m railrepro tune
 
 report: figures  ## write REPLICATION.md from the measured results
-	$(PY) -m railrepro.report.claims
+	$(PY) -m railrepro report
 
 article: figures $(BOOK)  ## the report as an article for a journal, build/article.pdf
-	$(PY) -m railrepro.report.article
+	$(PY) -m railrepro article
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
-	$(PY) -m railrepro.chain verify
+	$(PY) -m railrepro chain verify
 
 variants: $(VENV)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
-	$(PY) -m railrepro.chain variants $(VARIANTS)
+	$(PY) -m railrepro chain variants $(VARIANTS)
 
 bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` also a second opinion on the car
-	$(PY) -m railrepro.studies.bench
-	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro.studies.second_opinion; \
-	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
+	$(PY) -m railrepro bench
+	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro second-opinion; \
+	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
 
 study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, where the order turns (long, resumes)
-	$(PY) -m railrepro.studies.probe
-	$(PY) -m railrepro.studies.robustness
-	$(PY) -m railrepro.studies.matching
-	$(PY) -m railrepro.studies.margins
-	$(PY) -m railrepro.studies.order
+	$(PY) -m railrepro probe
+	$(PY) -m railrepro robustness
+	$(PY) -m railrepro matching
+	$(PY) -m railrepro margins
+	$(PY) -m railrepro order
 
 html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
-	$(PY) -m railrepro.chain html
+	$(PY) -m railrepro chain html
 
 strip: $(VENV)  ## remove outputs from the notebooks
-	$(PY) -m railrepro.chain strip
+	$(PY) -m railrepro chain strip
 
-lock:  ## renew environment.lock from pyproject.toml
+lock:  ## renew environment.lock from pyproject.toml, and the locks that share its pins
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
 	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=$$d/venv/bin/uv; }; \
 	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --no-extra learn --format requirements-txt --no-emit-project --no-header \
-	    > $(CURDIR)/environment.lock; cd $(CURDIR); \
+	    > $(CURDIR)/environment.lock; \
+	  $$uv export -q --extra bench --extra learn --format requirements-txt --no-emit-project --no-header --no-annotate \
+	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' $(CURDIR)/environment.lock) > $(CURDIR)/$(EXTRAS_LOCK); cd $(CURDIR); \
 	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
 	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); \
 	  echo ziglang | $$uv pip compile -q --universal --no-annotate --no-header --generate-hashes - -o $(COMPILER_LOCK); rm -rf $$d
@@ -160,6 +178,8 @@ $(VENV): environment.lock pyproject.toml
 	# .venv would be set up first
 $(BOOK): $(VENV)
 	# the packages of the book would be installed
+$(EXTRAS): $(VENV)
+	# the packages of the extras would be installed
 else
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
@@ -181,7 +201,11 @@ $(BOOK): $(BOOK_LOCK) | $(VENV)
 	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(BOOK_LOCK)
 	@touch $@
 
-$(RULES): notebooks/chain.toml railrepro/chain/graph.py | $(VENV)
+$(EXTRAS): $(EXTRAS_LOCK) | $(VENV)
+	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(EXTRAS_LOCK)
+	@touch $@
+
+$(RULES): notebooks/chain.toml railrepro/evidence/chain/graph.py | $(VENV)
 	@mkdir -p build
-	@$(PY) -m railrepro.chain rules > $@.part && mv $@.part $@
+	@$(PY) -m railrepro chain rules > $@.part && mv $@.part $@
 endif

@@ -16,7 +16,8 @@ import reprlib
 import sys
 import tomllib
 import typing
-from dataclasses import dataclass, fields
+import warnings
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,6 +57,8 @@ class Quantity:
     closed : bool
     signed : bool
         The range holds for the magnitude, the number may have either sign.
+    usual : tuple of float, optional
+        Magnitudes that numbers other than zero usually have; others are taken, with a warning that names the unit.
     """
 
     low: float
@@ -63,6 +66,7 @@ class Quantity:
     unit: str
     closed: bool = False
     signed: bool = False
+    usual: tuple[float, float] = (0.0, math.inf)
 
     def __get_pydantic_core_schema__(self, source, handler):
         def checked(value):
@@ -81,6 +85,13 @@ class Quantity:
         if not inside or (isinstance(value, int) and not is_number(value)):
             raise ValueError(self.refusal(value))
 
+    def doubt(self, value) -> str:
+        """What is said about a possible number of unusual size; empty for others."""
+        low, high = self.usual
+        if not is_number(value) or value == 0 or low <= abs(value) <= high:
+            return ""
+        return f"= {value:g} is unusual, {low:g} to {high:g} {self.unit} are usual: is it in {self.unit}?"
+
     def refusal(self, value) -> str:
         """What is said about a number beyond the range."""
         found, unit = reprlib.repr(value), f" {self.unit}".rstrip()
@@ -92,14 +103,14 @@ class Quantity:
         return f"is {found}, a number{sign} above {self.low:g}{limit}{unit} is needed"
 
 
-def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
+def above(low: float, high: float, unit: str = "", signed: bool = False, usual=(0.0, math.inf)) -> Quantity:
     """Numbers above `low` and up to `high`."""
-    return Quantity(low, high, unit, signed=signed)
+    return Quantity(low, high, unit, signed=signed, usual=usual)
 
 
-def between(low: float, high: float, unit: str = "") -> Quantity:
+def between(low: float, high: float, unit: str = "", usual=(0.0, math.inf)) -> Quantity:
     """Numbers from `low` to `high`."""
-    return Quantity(low, high, unit, closed=True)
+    return Quantity(low, high, unit, closed=True, usual=usual)
 
 
 def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole: bool = False) -> None:
@@ -118,6 +129,17 @@ Plain = Annotated[Number, between(-1e12, 1e12)]
 """A number without unit."""
 NOT_EMPTY = pydantic.Field(min_length=1)
 """Lists and tables with at least one entry."""
+
+
+def _distinct(values):
+    for value in values:
+        if values.count(value) > 1:
+            raise ValueError(f"has {value!r} {values.count(value)} times, once is needed")
+    return values
+
+
+DISTINCT = pydantic.AfterValidator(_distinct)
+"""Lists without repetitions."""
 Flag = Annotated[bool, pydantic.Strict()]
 """True or false, nothing that stands for it."""
 
@@ -149,7 +171,15 @@ def _finite(value):
 
 Free = Annotated[Any, pydantic.AfterValidator(_finite)]
 """Any value without numbers that are not finite."""
-AS_GIVEN = pydantic.WrapValidator(lambda value, handler: (handler(value), value)[1])
+_doubted: list[str] = []
+
+
+def _as_given(value, handler, info):
+    _doubted.extend(_doubts(handler(value), info.field_name or ""))
+    return value
+
+
+AS_GIVEN = pydantic.WrapValidator(_as_given)
 """Checked against the annotated class, but kept as the table that it is."""
 
 
@@ -175,6 +205,15 @@ def table(cls: type) -> type:
     """Make a frozen dataclass that a table of a file is read into; unknown and missing keys are refused."""
     cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))
     return dataclass(frozen=True)(cls)
+
+
+def location(path: Path | str | None, default: Path | None = None) -> Path:
+    """A file by its path, or the default for None; InputError for anything but a path."""
+    if path is None and default is not None:
+        return default
+    if not isinstance(path, str | Path):
+        raise InputError(f"{reprlib.repr(path)} is no path of a file")
+    return Path(path)
 
 
 def read(path: Path) -> Any:
@@ -205,13 +244,47 @@ def build(kind: type, content: Any, where: str) -> Any:
     Raises
     ------
     InputError
-        One sentence on the first fault: file, key, what was found, what is allowed.
+        One sentence on the first fault: file, key, what was found, what is allowed. A number of unusual size, as of a
+        wrong unit, is a warning.
     """
+    _doubted.clear()
     try:
-        return _adapter(kind).validate_python(content)
+        built = _adapter(kind).validate_python(content)
     except pydantic.ValidationError as error:
         finding = error.errors(include_url=False)[0]
         raise InputError(f"{where}: {_sentence(kind, content, finding)}") from None
+    for doubt in (*_doubted, *_doubts(built)):
+        warnings.warn(f"{where}: {doubt}", stacklevel=3)
+    return built
+
+
+def _doubts(value: Any, place: str = "") -> list[str]:
+    """Sentences on numbers of unusual size in an object that was built."""
+    if isinstance(value, dict):
+        parts = value
+    elif isinstance(value, tuple):
+        parts = {str(i + 1): part for i, part in enumerate(value)}
+    else:
+        parts = vars(value) if is_dataclass(value) else {}
+    known, found = _quantities(type(value)), []
+    for name, part in parts.items():
+        key = f"{place}.{name}".lstrip(".")
+        doubt = known[name].doubt(part) if name in known else ""
+        found += [f"{key} {doubt}"] if doubt else _doubts(part, key)
+    return found
+
+
+@functools.lru_cache
+def _quantities(kind: type) -> dict[str, Quantity]:
+    """Quantities of the fields of a class that state what is usual."""
+    if not is_dataclass(kind):
+        return {}
+    stated = {}
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        inner = (part for part in (hint, *typing.get_args(hint)) if typing.get_origin(part) is Annotated)
+        for one in (one for part in inner for one in part.__metadata__ if isinstance(one, Quantity)):
+            stated[name] = one
+    return {name: one for name, one in stated.items() if one.usual != (0.0, math.inf)}
 
 
 @functools.lru_cache

@@ -7,6 +7,7 @@ import pytest
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("RAILREPRO_STORE", "off")  # tests run what they test
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("RAILREPRO_WORKERS", "1")
 
@@ -14,7 +15,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 @pytest.fixture(scope="module")
 def nominal():
     """Where the numbers of report and article come from."""
-    from railrepro.report.evidence import Nominal
+    from railrepro.evidence.report.evidence import Nominal
 
     return Nominal()
 
@@ -22,7 +23,7 @@ def nominal():
 @pytest.fixture(scope="module")
 def table(nominal):
     """All statements as they are judged on the committed results."""
-    from railrepro.report import claims
+    from railrepro.evidence.report import claims
 
     return claims.evaluate(nominal)
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from railrepro import paths
-from railrepro.studies import tuning
+from railrepro.evidence.runs import tuning
 from railrepro.vehicle.parameters import load_vehicle
 
 TRACK = """
@@ -58,11 +58,12 @@ DRIVE = """
 import numpy as np
 from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
-from railrepro.report import claims
+from railrepro.evidence.report import claims
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import statements, swarm, tuning
-from railrepro.studies.executor import executor
+from railrepro.evidence.claims import statements
+from railrepro.evidence.runs import swarm, tuning
+from railrepro.evidence.runs.executor import executor
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import load_vehicle
 from dataclasses import replace
@@ -83,7 +84,7 @@ if __name__ == "__main__":
     run = tuning.TuningRun("own", scenario)
     small = replace(task, runs=(run,), budget=task.budget | {"particles": 1, "iterations": 1, "seeds": [1]})
     with executor() as pool:
-        tuning.save(swarm.tune("own", small, pool, Path("build/tuning"), quiet=True), Path("build/tuned"))
+        tuning.save(swarm.tune("own", small, pool, quiet=True), Path("build/tuned"))
     vehicle = Path("data/vehicle.toml").read_text().replace("value = 0.46", "value = 0.45")
     Path("build/own.toml").write_text(vehicle)
     assert load_vehicle("build/own.toml") != load_vehicle()
@@ -128,7 +129,7 @@ def test_what_is_added_works_and_leaves_the_tuned_sets_valid(copy):
     add(copy / "data/scenarios.toml", SCENARIO)
     add(copy / "data/irregularities.toml", QUALITY)
     add(copy / "data/claims.toml", CLAIM)
-    add(copy / "railrepro/studies/statements.py", PREDICATE)
+    add(copy / "railrepro/evidence/claims/statements.py", PREDICATE)
     (copy / "drive.py").write_text(DRIVE)
     python(copy, "drive.py")
     (copy / "example.py").write_text(example + "assert not run.failed\n" + slower + "assert not run.failed\n")
@@ -186,6 +187,6 @@ def origin(tmp_path, monkeypatch):
         assert old in text
         (tmp_path / "data").mkdir(exist_ok=True)
         (tmp_path / file).write_text(text.replace(old, new, 1))
-        return tuning.origin("ndi", tuning.load_task(terms="loop"), load_vehicle())
+        return tuning.origin("ndi", tuning.load_task(setting="loop"), load_vehicle())
 
     return changed

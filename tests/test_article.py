@@ -8,11 +8,12 @@ import pytest
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.report import article, claims, region, text
-from railrepro.report.evidence import Nominal, Results
-from railrepro.report.references import References
-from railrepro.studies import matching, statements
-from railrepro.studies.pso import Dimension
+from railrepro.evidence.claims import statements
+from railrepro.evidence.report import article, claims, region, text
+from railrepro.evidence.report.evidence import Nominal, Results
+from railrepro.evidence.report.references import References
+from railrepro.evidence.runs.pso import Dimension
+from railrepro.evidence.uncertainty import matching
 
 pytestmark = pytest.mark.skipif(
     not (paths.ROOT / "data/results/braking_front.csv").exists(), reason="data/results is not made yet (make figures)"
@@ -63,10 +64,10 @@ def test_the_counts_are_those_of_the_table(shown):
 
 SAID = {
     "reproduced": "C11 C13 C18 C26 C25 C34 C39",
-    "reproduced on terms paper": "C05 C20 C42",
-    "reproduced on terms paper, equal": "C10",
-    "reproduced on terms equal": "C21",
-    "reproduced on terms equal, loop": "C24",
+    "reproduced in setting paper": "C05 C20 C42",
+    "reproduced in setting paper, equal": "C10",
+    "reproduced in setting equal": "C21",
+    "reproduced in setting equal, loop": "C24",
     "fragile": "C46",
     "partly": "C06 C07 C17 C14 C30",
     "not reproduced": "C36 C28 C50 C41",
@@ -85,7 +86,7 @@ def test_sentences_say_what_the_verdicts_say(table, shown):
 
 def test_sentences_say_what_the_numbers_say(nominal):
     errors = {
-        t: {c: nominal.evidence(t)("curve_entry_T3", c, "rmse_y") for c in ("nmpc", "ndi")} for t in nominal.terms()
+        t: {c: nominal.evidence(t)("curve_entry_T3", c, "rmse_y") for c in ("nmpc", "ndi")} for t in nominal.settings()
     }
     assert errors["paper"]["nmpc"] < errors["paper"]["ndi"]
     assert errors["equal"]["ndi"] < errors["equal"]["nmpc"]
@@ -109,7 +110,7 @@ def rendered(line, table, nominal, monkeypatch, tmp_path):
     ("line", "sentence"),
     [
         ("{poll_cross}", r"line 1: \{poll_cross\}: is no number of the prose; there are .*pole_cross"),
-        ("{fair: curve_entry_T3/nmpc/rmse_y mm}", r"line 1: .*'fair' are no terms; there are paper, equal, loop$"),
+        ("{fair: curve_entry_T3/nmpc/rmse_y mm}", r"line 1: .*'fair' is no setting; there are paper, equal, loop$"),
         ("{equal: curve_entry_T3/nmcp/rmse_y mm}", r"line 1: .*nmcp/rmse_y mm\}: the results do not have it$"),
         ("{printed: speed in Fig. 66}", "line 1: .*paper_numbers.csv has no such number$"),
         ("{C99}", "line 1: .*claims.toml has no such statement$"),
@@ -140,7 +141,7 @@ class Studied(Results):
     TABLES = {
         "robustness_claims": pd.DataFrame(
             {
-                "id": ["C05", "C05", "C10"], "terms": ["paper", "loop", "equal"], "share": [0.25, 0.1, 0.9],
+                "id": ["C05", "C05", "C10"], "setting": ["paper", "loop", "equal"], "share": [0.25, 0.1, 0.9],
                 "low": 0.1, "high": 0.95, "samples": 32, "cone": 0.5, "s1002": 0.5, "printed": np.nan,
                 "decided_by": ["wheel.radius -0.61", "", ""],
             }
@@ -175,10 +176,10 @@ class Unstudied(Results):
 
 
 def studied(table):
-    """Verdicts with shares: C05 on terms paper becomes fragile."""
+    """Verdicts with shares: C05 in setting paper becomes fragile."""
     rows = []
     for row in table.to_dict("records"):
-        share = {("C05", "paper"): 0.25, ("C10", "equal"): 0.9}.get((row["id"], row["terms"]))
+        share = {("C05", "paper"): 0.25, ("C10", "equal"): 0.9}.get((row["id"], row["setting"]))
         if share is not None:
             row |= {"share": share, "share_low": 0.1, "share_high": 0.95}
         if share == 0.25:
@@ -217,7 +218,7 @@ def test_without_the_studies_both_read_well(plain):
     made, report = article.render(plain, nominal), text.render(plain, nominal)
     assert "has not been judged with these rules yet" in made and " fragile" not in made
     assert "has not been matched yet" in made
-    assert "Not run yet: `python -m railrepro.studies.matching`" in report
+    assert "Not run yet: `python -m railrepro matching`" in report
     assert "Not run yet with these predicates." in report
 
 

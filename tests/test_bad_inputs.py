@@ -20,9 +20,9 @@ from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings, load_loop
+from railrepro.evidence.runs import experiment, pso, tuning
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import experiment, pso, tuning
 from railrepro.track import table as tables
 from railrepro.track.alignment import Alignment, Segment
 from railrepro.track.irregularity import irregularities
@@ -309,13 +309,13 @@ def test_a_stepped_car_that_leaves_the_rail_says_so_once():
         car.step(exchanges=10)
 
 
-CHAIN, TUNING = "railrepro.chain", "railrepro.studies.swarm"
+MODULE = "railrepro"
 COMMANDS = {
-    "a notebook that there is not": ((CHAIN, "run", "99_none"), "is not in chain.toml"),
-    "a variant that there is not": ((CHAIN, "variants", "v9"), "variant 'v9' is not known"),
-    "a controller to tune that there is not": ((TUNING, "pid"), "'pid' is neither terms"),
-    "a study that there is not": (("railrepro.studies.robustness", "luck"), "study 'luck' is not known"),
-    "a table that there is not": (("railrepro.studies.bench", "luck"), "table 'luck' is not known"),
+    "a notebook that there is not": (("chain", "run", "99_none"), "is not in chain.toml"),
+    "a variant that there is not": (("chain", "variants", "v9"), "variant 'v9' is not known"),
+    "a controller to tune that there is not": (("tune", "pid"), "'pid' is neither setting"),
+    "a study that there is not": (("robustness", "luck"), "study 'luck' is not known"),
+    "a table that there is not": (("bench", "luck"), "table 'luck' is not known"),
 }
 
 
@@ -323,7 +323,7 @@ COMMANDS = {
 def test_the_command_line_answers_in_one_sentence(what):
     arguments, sentence = COMMANDS[what]
     environment = os.environ | {"PYTHONPATH": str(paths.ROOT)}
-    command = [sys.executable, "-m", *arguments]
+    command = [sys.executable, "-m", MODULE, *arguments]
     done = subprocess.run(command, env=environment, cwd=paths.ROOT, capture_output=True, text=True)
     assert done.returncode == 1 and sentence in done.stderr
     assert len(done.stderr.splitlines()) == 1, done.stderr
@@ -347,14 +347,14 @@ HERE = "print('here', flush=True); time.sleep(60)"
 
 def test_an_interrupt_while_a_command_imports_is_silent(tmp_path):
     (tmp_path / "numpy.py").write_text(f"import time; {HERE}")
-    assert interrupted(tmp_path, "-m", TUNING) == (-signal.SIGINT, "")
+    assert interrupted(tmp_path, "-m", MODULE, "tune") == (-signal.SIGINT, "")
 
 
 def test_an_interrupt_of_a_command_is_told_in_one_sentence(tmp_path):
     (tmp_path / "tomllib.py").write_text(
         "import time\ndef load(*_):\n    " + HERE + "\nloads = load\nTOMLDecodeError = ValueError"
     )
-    assert interrupted(tmp_path, "-m", CHAIN, "fresh") == (
+    assert interrupted(tmp_path, "-m", MODULE, "chain", "fresh") == (
         130,
         "interrupted; nothing half-written, run again to resume\n",
     )
@@ -371,6 +371,8 @@ ENVIRONMENT = {
 def test_a_wrong_environment_is_told_in_one_sentence(what, tmp_path):
     changes, sentence = ENVIRONMENT[what]
     environment = os.environ | {"PYTHONPATH": str(paths.ROOT)} | changes
-    done = subprocess.run([sys.executable, "-m", TUNING, "ndi"], env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", MODULE, "tune", "ndi"], env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 1 and sentence in done.stderr
     assert len(done.stderr.splitlines()) == 1, done.stderr

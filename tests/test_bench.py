@@ -9,7 +9,8 @@ import pytest
 from railrepro.compile import codegen
 from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import mpc_settings
-from railrepro.studies import bench, peers, tuning
+from railrepro.evidence.bench import peers, speed
+from railrepro.evidence.runs import tuning
 from railrepro.vehicle.parameters import load_vehicle
 
 FEW, MANY = 3, 15
@@ -20,9 +21,9 @@ needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="peers ar
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
 def problem_set(request):
     vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc")["parameters"])
-    plain = [bench.record(name, settings, vehicle, request.param) for name in bench.SCENARIOS]
-    recordings = [recording for one in plain for recording in (one, bench.tightened(one))]
-    return vehicle, recordings, [bench.solve_all("ipopt", recording, vehicle)[0] for recording in recordings]
+    plain = [speed.record(name, settings, vehicle, request.param) for name in speed.SCENARIOS]
+    recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
+    return vehicle, recordings, [speed.solve_all("ipopt", recording, vehicle)[0] for recording in recordings]
 
 
 def test_there_are_enough_problems_and_bounds_are_active(problem_set):
@@ -42,7 +43,7 @@ def test_there_are_enough_problems_and_bounds_are_active(problem_set):
 def test_same_optimum_as_ipopt(problem_set, kind):
     vehicle, recordings, exact = problem_set
     for recording, reference in zip(recordings, exact, strict=True):
-        found, _, _, failures = bench.solve_all(kind, recording, vehicle)
+        found, _, _, failures = speed.solve_all(kind, recording, vehicle)
         assert failures == 0
         assert np.abs(found - reference).max() < 1e-4 * vehicle.drive.torque_limit, recording.scenario
         for problem, ours, theirs in zip(recording.problems, found, reference, strict=True):
@@ -53,7 +54,7 @@ def test_same_optimum_as_ipopt(problem_set, kind):
 def test_real_time_iteration_meets_the_bounds(problem_set):
     vehicle, recordings, _ = problem_set
     for recording in recordings:
-        found, _, _, failures = bench.solve_all("rti", recording, vehicle)
+        found, _, _, failures = speed.solve_all("rti", recording, vehicle)
         assert failures == 0
         bound = recording.problems[0].bound
         assert np.abs(found).max() <= bound + 1e-9
@@ -63,8 +64,8 @@ def test_real_time_iteration_meets_the_bounds(problem_set):
 def short():
     """Two problems with a short horizon in the paper's discretisation, and the same with bounds that act."""
     vehicle, settings = load_vehicle(), MPCSettings(r=1e-11, steps=5, discretisation="euler")
-    plain = bench.record("curve_entry_T3", settings, vehicle, 2)
-    return vehicle, [plain, bench.tightened(plain)]
+    plain = speed.record("curve_entry_T3", settings, vehicle, 2)
+    return vehicle, [plain, speed.tightened(plain)]
 
 
 @needs_compiler
@@ -99,17 +100,17 @@ def test_a_peer_that_solves_another_problem_is_found_out(short, monkeypatch):
 def test_operations_are_counted_against_the_processor(short):
     vehicle, (recording, _) = short
     settings = recording.problems[0].settings
-    table = bench.solver_operations(vehicle, settings, least=1e-4).set_index("part")
-    longer = bench.solver_operations(vehicle, replace(settings, steps=10), least=1e-4).set_index("part")
+    table = speed.solver_operations(vehicle, settings, least=1e-4).set_index("part")
+    longer = speed.solver_operations(vehicle, replace(settings, steps=10), least=1e-4).set_index("part")
     for part in ("linearisation", "recursion"):
         assert longer["operations"][part] / table["operations"][part] == pytest.approx(2, rel=0.01)
         assert 0 < table["share_of_limit"][part] < 1.5
     x = ca.SX.sym("x")
-    assert bench._arithmetic(ca.Function("f", [x], [ca.sin(x) * x + 2])) == 3
+    assert speed._arithmetic(ca.Function("f", [x], [ca.sin(x) * x + 2])) == 3
 
 
 def test_samples_are_timed_in_closed_loop():
-    table = bench.sample_times(("paper", "loop"), ("curve_entry_T3",), drives=2, end_m=15.0)
+    table = speed.sample_times(("paper", "loop"), ("curve_entry_T3",), drives=2, end_m=15.0)
     assert len(table) == 12 and not table["failed"].any() and not table["fallbacks"].any()
     assert (table["median_ms"] <= table["p99_ms"]).all() and (table["p99_ms"] <= table["max_ms"]).all()
     assert set(table["solver"]) == {"gauss_newton", "rti", "one QP"} and table["median_ms"].min() > 0

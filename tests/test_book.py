@@ -7,8 +7,8 @@ import shutil
 import pytest
 
 from railrepro import paths
-from railrepro.chain import book, graph, pages, weblinks
 from railrepro.errors import InputError
+from railrepro.evidence.chain import book, graph, pages, weblinks
 
 PDF = [str(number) for number in range(1, 43)]
 LETTERS = {
@@ -86,7 +86,7 @@ def test_every_label_that_is_used_has_a_number():
 
 
 def cells(notebook):
-    from railrepro.chain.manifest import cells
+    from railrepro.evidence.chain.manifest import cells
 
     return cells(notebook)
 

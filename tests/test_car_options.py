@@ -11,9 +11,9 @@ from railrepro.car.stepper import CarStepper
 from railrepro.contact.table import CELL_COLUMNS, contact_table, in_cell, on_one_grid
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
+from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies.experiment import Experiment
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS, irregularities
 from railrepro.track.rough import rough_track

@@ -1,4 +1,4 @@
-"""Report: every statement is judged on its terms, verdicts change on purpose only, each number leads to its table."""
+"""Report: statements are judged in their settings, verdicts change on purpose only, each number leads to its table."""
 
 import re
 
@@ -8,10 +8,10 @@ import pytest
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.report import claims, reasons
-from railrepro.report.evidence import Nominal, Results, best, seeds_spread
-from railrepro.report.text import render
-from railrepro.studies import statements
+from railrepro.evidence.claims import statements
+from railrepro.evidence.report import claims, reasons
+from railrepro.evidence.report.evidence import Nominal, Results, best, seeds_spread
+from railrepro.evidence.report.text import render
 
 RESULTS = paths.ROOT / "data/results"
 needs_results = pytest.mark.skipif(
@@ -37,10 +37,10 @@ def test_what_may_fail_says_why():
 
 @needs_results
 def test_the_contract_of_the_table(table):
-    head = "id paper_ref statement kind terms paper_value measured_value unit verdict share share_low share_high"
+    head = "id paper_ref statement kind setting paper_value measured_value unit verdict share share_low share_high"
     assert list(table.columns[:14]) == [*head.split(), "why", "evidence"]
     assert set(table["verdict"]) <= set(statements.VERDICTS)
-    assert set(table["terms"]) <= {"", "paper", "equal", "loop"}
+    assert set(table["setting"]) <= {"", "paper", "equal", "loop"}
     assert set(table["id"]) == set(statements.load())
 
 
@@ -64,7 +64,7 @@ def test_a_click_leads_from_statement_to_figure_cell_and_table(table, nominal):
 def test_a_run_that_failed_leads_to_the_table_that_says_so(nominal):
     for identity in ("C24", "C28", "C50"):
         found, files = nominal.traced(lambda name=identity: statements.find(name, nominal.evidence("paper", False)))
-        assert not np.isfinite(found.value) and files == ["data/results/terms_metrics.csv"]
+        assert not np.isfinite(found.value) and files == ["data/results/settings_metrics.csv"]
     value, files = nominal.traced(lambda: nominal.evidence("equal")("curve_entry_T3", "nmpc", "rmse_y"))
     assert files == ["data/results/curve_entry_metrics.csv"], "a run that did not fail is no source"
 
@@ -115,7 +115,7 @@ def test_the_page_is_generated_whole(table, nominal):
     assert not re.search(r"\{\w+", text), "a placeholder is left"
 
 
-HEAD = ["scenario", "controller", "metric", "value", "unit", "terms", "swarm", "seed"]
+HEAD = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
 SCHEMA = [
     ("curve_entry_T3", "ndi", "rmse_y", 1.0, "m", "loop", 4, 101),
     ("curve_entry_T3", "ndi", "rmse_y", 3.0, "m", "loop", 4, 102),
@@ -139,22 +139,22 @@ def test_the_spread_is_over_swarms_and_noise():
 
 
 class Handed(Results):
-    """Results with a table of terms that was handed in, in the form of notebook 14."""
+    """Results with a table of setting that was handed in, in the form of notebook 14."""
 
     def __init__(self, rows):
         super().__init__()
         self._rows = rows
 
     def optional(self, name):
-        return pd.DataFrame(self._rows, columns=HEAD) if name == "terms_metrics" else None
+        return pd.DataFrame(self._rows, columns=HEAD) if name == "settings_metrics" else None
 
 
-def on_terms(nmpc, printed, ndi, *more):
+def on_setting(nmpc, printed, ndi, *more):
     rows = []
-    for terms in ("paper", "equal", "loop"):
+    for setting in ("paper", "equal", "loop"):
         for name, value in (("nmpc", nmpc), ("ltv_mpc_printed", printed), ("ndi", ndi)):
             for swarm, factor in ((1, 1.0), (2, 1.05)):
-                rows.append(("curve_entry_T3", name, "rmse_y", factor * value[terms], "m", terms, swarm, 0))
+                rows.append(("curve_entry_T3", name, "rmse_y", factor * value[setting], "m", setting, swarm, 0))
     return [*rows, *more]
 
 
@@ -162,29 +162,29 @@ VALUES = {"paper": 1e-3, "equal": 1e-3, "loop": 1e-3}
 
 
 @needs_results
-def test_statements_that_compare_are_judged_on_each_terms():
-    rows = on_terms(VALUES, VALUES, {"paper": 2e-3, "equal": 5e-4, "loop": 1.02e-3})
+def test_statements_that_compare_are_judged_on_each_setting():
+    rows = on_setting(VALUES, VALUES, {"paper": 2e-3, "equal": 5e-4, "loop": 1.02e-3})
     nominal = Nominal(Handed(rows))
     statement = statements.load()["C05"]
     assert claims.judged_on("C05", statement, nominal) == ["paper", "equal", "loop"]
     assert claims.judged_on("C13", statements.load()["C13"], nominal) == [""]
     found = {}
-    for terms in ("paper", "loop"):
-        finding = statements.find("C05", nominal.evidence(terms))
-        found[terms] = statement.judge(finding), statement.tied(finding)
+    for setting in ("paper", "loop"):
+        finding = statements.find("C05", nominal.evidence(setting))
+        found[setting] = statement.judge(finding), statement.tied(finding)
     assert found == {"paper": ("reproduced", False), "loop": ("partly", True)}
 
 
 @needs_results
 def test_where_a_run_left_the_rail_it_counts_as_failed():
     rows = [("curve_entry_T3", "nmpc", "failed_at_m", 90.0, "m", "loop", 1, 0)]
-    rows += [r for r in on_terms(VALUES, VALUES, VALUES) if (r[1], r[5]) != ("nmpc", "loop")]
+    rows += [r for r in on_setting(VALUES, VALUES, VALUES) if (r[1], r[5]) != ("nmpc", "loop")]
     evidence = Nominal(Handed(rows)).evidence("loop")
     assert evidence("curve_entry_T3", "nmpc", "rmse_y") == float("inf")
 
 
 def rows(*verdicts, nominal=None, kind="statement"):
-    table = pd.DataFrame({"terms": ["paper", "equal", "loop"][: len(verdicts)], "verdict": verdicts, "kind": kind})
+    table = pd.DataFrame({"setting": ["paper", "equal", "loop"][: len(verdicts)], "verdict": verdicts, "kind": kind})
     return table.assign(nominal=nominal or list(verdicts))
 
 
@@ -192,7 +192,7 @@ def rows(*verdicts, nominal=None, kind="statement"):
     ("table", "expected"),
     [
         (rows("reproduced", "reproduced", "reproduced"), "reproduced"),
-        (rows("reproduced", "not reproduced", "reproduced"), "reproduced on terms paper, loop"),
+        (rows("reproduced", "not reproduced", "reproduced"), "reproduced in setting paper, loop"),
         (rows("partly", "not reproduced", nominal=["reproduced", "not reproduced"]), "fragile"),
         (rows("partly", "not reproduced"), "partly"),
         (rows("not reproduced"), "not reproduced"),
@@ -200,7 +200,7 @@ def rows(*verdicts, nominal=None, kind="statement"):
         (rows("not testable", kind="calibrated"), "no verdict"),
     ],
 )
-def test_the_verdict_over_all_terms(table, expected):
+def test_the_verdict_over_all_settings(table, expected):
     assert claims.overall(table) == expected
 
 

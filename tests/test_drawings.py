@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
-from railrepro.report import drawings
+from railrepro.evidence.report import drawings
 
 SYMBOLS = {
     "running_gear": (

@@ -12,8 +12,8 @@ import pytest
 
 from railrepro import paths, threads
 from railrepro.errors import InputError
-from railrepro.studies import executor as executors
-from railrepro.studies.executor import executor, ordered_map
+from railrepro.evidence.runs import executor as executors
+from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.threads import one_thread
 
 
@@ -64,7 +64,7 @@ def test_a_killed_worker_is_told_in_one_sentence(monkeypatch):
 def test_a_script_without_guard_is_told_what_to_do(tmp_path):
     script = tmp_path / "own.py"
     script.write_text(
-        "from railrepro.studies.executor import executor, ordered_map\n"
+        "from railrepro.evidence.runs.executor import executor, ordered_map\n"
         "with executor() as pool:\n    ordered_map(pool, abs, [1, 2], 'own', quiet=True)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}

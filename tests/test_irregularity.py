@@ -133,9 +133,12 @@ def test_wrong_realisations_are_refused(arguments, sentence):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("own = 3", "own has 3"),
-        ("own = { level_mm = 1, alignment_mm = 1 }", "exactly the keys"),
-        ("own = { level_mm = -1, alignment_mm = 1, confidence = 'A' }", "own level_mm is -1"),
+        ("own = 3", r"own.toml: \[own\] is 3, a table"),
+        ("own = { level_mm = 1, alignment_mm = 1 }", "lacks the key 'confidence'"),
+        (
+            "own = { level_mm = -1, alignment_mm = 1, confidence = 'A' }",
+            "level_mm is -1, a number above 0 and up",
+        ),
         ("own = {", "cannot be read"),
     ],
 )

@@ -8,8 +8,8 @@ from railrepro.car.component import SteppedCar
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
-from railrepro.studies import margins
-from railrepro.studies.margins import FREQUENCIES, Sensitivity
+from railrepro.evidence.uncertainty import margins
+from railrepro.evidence.uncertainty.margins import FREQUENCIES, Sensitivity
 
 SPEED = 300.0
 

@@ -8,10 +8,12 @@ import pytest
 from scipy import stats
 
 from railrepro.errors import InputError
-from railrepro.studies import emulator, matching, statements, tuning
-from railrepro.studies.matching import Problem
-from railrepro.studies.pso import Dimension
-from railrepro.studies.statements import Finding, Statement
+from railrepro.evidence.claims import statements
+from railrepro.evidence.claims.statements import Finding, Statement
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.pso import Dimension
+from railrepro.evidence.uncertainty import emulator, matching
+from railrepro.evidence.uncertainty.matching import Problem
 
 SPACE = tuple(Dimension(f"x{i}", 0.0, 1.0) for i in range(12))
 """Twelve parameters of which three matter."""
@@ -68,6 +70,14 @@ def test_statements_that_cannot_all_hold_are_allowed_to_fail():
     assert matched.waves["allowed"].iloc[-1] == 1
     found = matching.conflicts(matched.margins > 0)
     assert found["statements"].tolist() == ["small large"]
+
+
+def test_doubt_of_the_emulator_makes_a_point_less_implausible():
+    """A miss of 3 with deviations of 0 and 4 of the emulator; both variances add up."""
+    emulators = {str(s): lambda x, s=s: (np.array([-3.0, 2.0]), np.full(2, s)) for s in (0.0, 4.0)}
+    allowed = matching.DISCREPANCY
+    found = matching.implausibility(emulators, np.zeros((2, 1)))
+    assert found == pytest.approx(np.array([[3 / allowed, 3 / np.hypot(4.0, allowed)], [0.0, 0.0]]))
 
 
 def test_the_emulator_tells_its_error():
@@ -134,7 +144,7 @@ def test_values_become_a_world():
     assert nominal.sensors == {} and nominal.profile == "cone" and nominal.vehicle == {}
     halved = matching.world({"R of the MPC, over the tuned": 0.5})
     assert halved.parameters["nmpc"]["r"] == 0.5 * nominal.parameters["nmpc"]["r"]
-    elsewhere = matching.world({"tuned on terms (paper, equal)": 1})
+    elsewhere = matching.world({"tuned in setting (paper, equal)": 1})
     assert elsewhere.parameters["nmpc"] == tuning.load("nmpc", "equal")["parameters"] != nominal.parameters["nmpc"]
     assert nominal.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"]
 
@@ -150,14 +160,14 @@ def test_what_one_run_cannot_tell_counts_as_missed():
 
 def test_an_unknown_size_is_told():
     with pytest.raises(InputError, match="sizes"):
-        matching.main(["huge"])
+        matching.main("huge")
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not os.environ.get("RAILREPRO_STUDY"), reason="a quarter of an hour; RAILREPRO_STUDY=1 runs it")
 def test_a_planted_car_is_found_by_its_runs():
     """Statements made from the runs of a hidden car are matched with the true simulator; the car stays inside."""
-    space = tuple(d for d in matching.SETTINGS if d.name.startswith(("triple pole", "R of the MPC", "amplitude")))
+    space = tuple(d for d in matching.CHOICES if d.name.startswith(("triple pole", "R of the MPC", "amplitude")))
     drive, hidden = matching.Drive(("curve",)), np.array([0.3, 0.6, 0.5])
     truth = matching.evidence(drive(Problem(space, list).values(hidden)))
     made = {}

@@ -10,8 +10,8 @@ import pytest
 
 from railrepro.car import equations
 from railrepro.control import law
+from railrepro.evidence.report import notation
 from railrepro.model import derivation
-from railrepro.report import notation
 from railrepro.vehicle import parameters
 
 TABLE, VEHICLE = notation.table(), parameters.load_vehicle()

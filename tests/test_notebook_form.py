@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from railrepro.chain import graph
-from railrepro.chain.manifest import cells
+from railrepro.evidence.chain import graph
+from railrepro.evidence.chain.manifest import cells
 
 LINES, WIDTH = 15, 120
 

@@ -3,7 +3,7 @@
 import pytest
 
 from railrepro import paths
-from railrepro.chain import compare, graph, runner
+from railrepro.evidence.chain import compare, graph, runner
 
 
 @pytest.mark.parametrize("notebook", graph.chain(), ids=lambda notebook: notebook.name)

@@ -6,8 +6,9 @@ import pytest
 
 from railrepro import paths
 from railrepro.errors import InputError
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.uncertainty import order
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.studies import order, tuning
 from railrepro.track.alignment import Alignment, Segment, alignments
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -82,7 +83,7 @@ def test_a_run_that_leaves_the_rail_has_no_error():
 
 def test_the_stored_table_has_all_cases():
     stored = pd.read_csv(paths.ROOT / "data/results/order_turns.csv")
-    keys = ["axis", "value", "terms", "controller", "seed"]
-    wanted = {(one.axis, str(one.value), one.terms, one.controller, one.seed) for one in order.cases()}
+    keys = ["axis", "value", "setting", "controller", "seed"]
+    wanted = {(one.axis, str(one.value), one.setting, one.controller, one.seed) for one in order.cases()}
     assert set(stored[keys].itertuples(index=False, name=None)) == wanted
     assert stored["rmse_mm"].isna().eq(stored["failed"]).all()

@@ -18,7 +18,7 @@ def test_errors_of_ours_and_of_the_best_other(row):
     line = re.search(rf"^\| {re.escape(row)}: RMSE of y \(mm\) \|(.*)\|$", (paths.ROOT / "README.md").read_text(), re.M)
     told = [float(cell) for cell in line.group(1).split("|")]
     measured = []
-    for terms in ("equal", "loop"):
-        values = 1e3 * found[found["terms"] == terms].set_index("controller")["value"]
+    for setting in ("equal", "loop"):
+        values = 1e3 * found[found["setting"] == setting].set_index("controller")["value"]
         measured += [values.drop("creep_mpc").min(), values["creep_mpc"]]
     assert told == pytest.approx(measured, abs=5.1e-4)

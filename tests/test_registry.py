@@ -9,7 +9,7 @@ from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.errors import InputError
-from railrepro.report import figures
+from railrepro.evidence.report import figures
 
 
 def test_groups_are_made_of_registered_controllers_in_their_order():

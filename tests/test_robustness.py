@@ -1,4 +1,4 @@
-"""Robustness study: samples, failures count as failures, shares by terms and profile, intervals from replicates."""
+"""Robustness study: samples, failures count as failures, shares by setting and profile, intervals from replicates."""
 
 import os
 
@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.studies import robustness
+from railrepro.evidence.uncertainty import robustness
 
 T3 = "curve_entry_T3"
 
@@ -14,7 +14,7 @@ T3 = "curve_entry_T3"
 def test_samples_cover_the_ranges_and_are_reproducible():
     samples = robustness.draw(16, 2)
     assert samples == robustness.draw(16, 2)
-    assert len(samples) == 16 * 2 * 3 and {s.terms for s in samples} == {"paper", "equal", "loop"}
+    assert len(samples) == 16 * 2 * 3 and {s.setting for s in samples} == {"paper", "equal", "loop"}
     radii = [dict(s.vehicle)["wheel.radius"] for s in samples]
     assert 0.43 <= min(radii) < 0.45 and 0.48 < max(radii) <= 0.5
     assert {s.profile for s in samples} == {"cone", "s1002"}
@@ -22,16 +22,16 @@ def test_samples_cover_the_ranges_and_are_reproducible():
     assert first != second, "replicates have scramblings of their own"
 
 
-def sample(replicate=0, terms="equal", profile="cone", variant="corrected", ndi=2e-3, failed=0.0, number=0):
+def sample(replicate=0, setting="equal", profile="cone", variant="corrected", ndi=2e-3, failed=0.0, number=0):
     metrics = {f"{T3}/nmpc/rmse_y": 1e-3, f"{T3}/ltv_mpc_printed/rmse_y": 1e-3, f"{T3}/ndi/rmse_y": ndi}
     if failed:
         del metrics[f"{T3}/nmpc/rmse_y"]
-    head = {"number": number, "replicate": replicate, "terms": terms, "variant": variant, "profile": profile}
+    head = {"number": number, "replicate": replicate, "setting": setting, "variant": variant, "profile": profile}
     return head | metrics | {f"{T3}/nmpc/failed": failed}
 
 
 def shares(*rows):
-    return robustness.shares(pd.DataFrame(rows)).set_index(["id", "terms"]).loc["C05"]
+    return robustness.shares(pd.DataFrame(rows)).set_index(["id", "setting"]).loc["C05"]
 
 
 def test_a_failed_run_is_a_failure_and_not_missing():
@@ -41,7 +41,7 @@ def test_a_failed_run_is_a_failure_and_not_missing():
 
 def test_shares_are_split_by_terms_profile_and_model():
     found = shares(
-        sample(), sample(profile="s1002", ndi=5e-4), sample(terms="loop"), sample(variant="printed", ndi=5e-4)
+        sample(), sample(profile="s1002", ndi=5e-4), sample(setting="loop"), sample(variant="printed", ndi=5e-4)
     )
     assert found.loc["equal", ["share", "cone", "s1002", "printed"]].tolist() == [0.5, 1.0, 0.0, 0.0]
     assert found.loc["loop", "share"] == 1.0
@@ -80,7 +80,7 @@ def test_tables_of_an_older_form_tell_nothing():
 @pytest.mark.slow
 @pytest.mark.skipif(not os.environ.get("RAILREPRO_STUDY"), reason="a quarter of an hour; RAILREPRO_STUDY=1 runs it")
 def test_a_sample_answers_the_statements():
-    samples = robustness.draw(2, 1, terms=("paper",))[:1]
+    samples = robustness.draw(2, 1, settings=("paper",))[:1]
     table = pd.DataFrame([robustness.evaluate(s) for s in samples])
     found = robustness.verdicts(table, samples)
     assert {"C05", "C06", "C19", "C30", "C28"} <= set(found["id"])

@@ -12,12 +12,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from railrepro import paths, schema
-from railrepro.chain import graph
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
+from railrepro.evidence.chain import graph
+from railrepro.evidence.claims import statements
+from railrepro.evidence.runs import tuning
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario, load_scenarios
-from railrepro.studies import statements, tuning
 from railrepro.track.alignment import alignments
 from railrepro.track.table import COLUMNS, load_track, read_table
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
@@ -108,11 +109,8 @@ def broken_bytes(draw, data: bytes) -> bytes:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Where broken files lie; tuned sets are taken for those of this model without deriving it."""
-    with pytest.MonkeyPatch.context() as patch:
-        stored = json.loads(TUNED_NDI.read_text())["origin"]["fingerprint"]
-        patch.setattr(tuning, "_origin_here", lambda *_: stored)
-        yield tmp_path_factory.mktemp("broken")
+    """Where broken files lie."""
+    return tmp_path_factory.mktemp("broken")
 
 
 def read(name: str, file: Path):
@@ -248,7 +246,12 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
             r"\[C01\] has the evidence .*table9.csv', which does not exist",
         ),
         ("data/claims.toml", "[C01]", "[C99]", "has no function"),
-        ("data/tuned/equal/ndi.json", '"ndi"', '"nmpc"', "tuned set of 'nmpc' on the terms 'equal', 'ndi' on 'equal'"),
+        (
+            "data/tuned/equal/ndi.json",
+            '"ndi"',
+            '"nmpc"',
+            "tuned set of 'nmpc' in the setting 'equal', 'ndi' in 'equal'",
+        ),
         ("data/tuned/equal/ndi.json", '"pole": ', '"pole": NaN, "x": ', "parameters.pole = nan"),
         ("data/tuned/equal/ndi.json", '"pole"', '"colour"', r"parameters \['colour', 'damping', 'frequency'\]"),
         ("notebooks/chain.toml", "title = ", "titel = ", "00_first_run has the unknown key 'titel'"),

@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from railrepro import __main__ as command
 from railrepro import paths
 from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
-from railrepro.score import __main__ as command
-from railrepro.score import card, leaderboard, page, run, suite, trial
-from railrepro.score.entry import Entry, entry
-from railrepro.score.trial import Trial
+from railrepro.evidence.score import card, leaderboard, page, run, suite, trial
+from railrepro.evidence.score.entry import Entry, entry
+from railrepro.evidence.score.trial import Trial
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
@@ -81,7 +81,7 @@ def pid():
     return Trial(entry(PID), CASE)()
 
 
-def test_the_template_is_driven_with_the_numbers_of_its_terms(pid):
+def test_the_template_is_driven_with_the_numbers_of_its_setting(pid):
     loop = Trial(entry(PID), suite.Case("short", "loop", CASE.scenario, sensors={"seed": 1}))()
     assert (pid["failure"], loop["failure"]) == ("", "")
     assert loop["rmse_y"] > 1.2 * pid["rmse_y"]
@@ -105,18 +105,18 @@ def test_points_follow_their_formula(pid):
     row |= {"y_over_q": 0.2, "sum_y_over_limit": 1.1}
     cost = 2 + 0.25 + 0.5 + 0.2 + 1.0
     assert card.judged([row])["points"][0] == pytest.approx(100 / (1 + cost))
-    margins = {"scenario": "margins", "terms": "loop", "controller": "own", "failure": ""}
+    margins = {"scenario": "margins", "setting": "loop", "controller": "own", "failure": ""}
     margins |= {"delay_survived": 5e-3, "lag_survived": 0.1}
     assert card.judged([margins])["points"][0] == pytest.approx(75.0)
 
 
-def test_the_score_is_the_mean_over_cases_and_terms():
+def test_the_score_is_the_mean_over_cases_and_settings():
     head = {"controller": "own", "scenario": "a", "failure": "left"}
     full = {"rmse_y": 0.0, "followed_rmse_y": 0.0, "effort_du": 0.0, "activity_du": 0.0, "y_over_q": 0.0}
     full |= {"sum_y_over_limit": 0.0, "failure": ""}
-    rows = [head | {"terms": "equal"}, head | {"terms": "equal"} | full, head | {"terms": "loop"} | full]
+    rows = [head | {"setting": "equal"}, head | {"setting": "equal"} | full, head | {"setting": "loop"} | full]
     long = card.tidy(card.judged(rows), 7)
-    scores = long[(long["metric"] == "score") & (long["scenario"] == card.ALL)].set_index("terms")["value"]
+    scores = long[(long["metric"] == "score") & (long["scenario"] == card.ALL)].set_index("setting")["value"]
     assert scores.to_dict() == {"equal": 50.0, "loop": 100.0, "all": 75.0}
     assert (long["seed"] == 7).all() and long["unit"].notna().all()
     assert long[long["metric"] == "failures"]["value"].tolist() == [1.0, 0.0]
@@ -125,16 +125,16 @@ def test_the_score_is_the_mean_over_cases_and_terms():
 def test_a_seed_draws_noise_irregularity_and_mismatch():
     first, same, other = suite.cases(1), suite.cases(1), suite.cases(2)
     assert first == same
-    changed = {(a.name, a.terms) for a, b in zip(first, other, strict=True) if a != b}
+    changed = {(a.name, a.setting) for a, b in zip(first, other, strict=True) if a != b}
     drawn = {"irregular", "mismatch_1", "mismatch_2"}
-    assert changed == {(case.name, case.terms) for case in first if case.terms == "loop" or case.name in drawn}
+    assert changed == {(case.name, case.setting) for case in first if case.setting == "loop" or case.name in drawn}
     ranges = sample_ranges()
     for case in first:
         load_vehicle(**case.plant)
         for key in suite.MISMATCH if case.name.startswith("mismatch") else ():
             assert ranges[key][0] <= case.plant[key] <= ranges[key][1]
         case.scenario.route()
-    assert {case.terms for case in first} == {"equal", "loop"} and len(first) == 28
+    assert {case.setting for case in first} == {"equal", "loop"} and len(first) == 28
 
 
 def test_margins_are_the_smallest_over_the_rails(monkeypatch):
@@ -153,7 +153,7 @@ def test_what_cannot_be_driven_at_all_is_not_driven_through_the_suite(tmp_path, 
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     file = tmp_path / "mine.py"
     file.write_text("import nothing_like_it\n")
-    command.main([str(file)])
+    command.main(["score", str(file)])
     table = pd.read_csv(tmp_path / "score/mine.csv")
     scores = table[table["metric"] == "score"]["value"]
     assert (scores == 0).all() and len(scores) == 3
@@ -166,15 +166,15 @@ def test_the_leaderboard_ranks_all_that_are_asked(monkeypatch, tmp_path):
     def scored(entry, seed, names, quiet=False):
         points = {"good": 80.0, "bad": 10.0}[entry.name]
         rows = [
-            {"scenario": "a", "terms": terms, "controller": entry.name, "failure": "", "points": points}
-            for terms in ("equal", "loop")
+            {"scenario": "a", "setting": setting, "controller": entry.name, "failure": "", "points": points}
+            for setting in ("equal", "loop")
         ]
         return pd.DataFrame(rows)
 
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     monkeypatch.setattr(leaderboard, "score", scored)
     table = leaderboard.table([Entry("bad"), Entry("good")])
-    assert list(table.columns) == ["scenario", "controller", "metric", "value", "unit", "terms", "seed"]
+    assert list(table.columns) == ["scenario", "controller", "metric", "value", "unit", "setting", "seed"]
     ranked = card.ranking(table)
     assert list(ranked.index) == ["good", "bad"] and ranked["all"].tolist() == [80.0, 10.0]
     assert not table["metric"].str.startswith("sample").any()
@@ -193,12 +193,12 @@ def test_a_small_score_writes_card_and_page(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     monkeypatch.setattr(suite, "QUICK", ("sine_400",))
-    command.main([PID, "--small", "--seed", "5"])
+    command.main(["score", PID, "--small", "--seed", "5"])
     table = pd.read_csv(tmp_path / "score/pid.csv")
-    assert set(table["seed"]) == {5} and set(table["terms"]) == {"equal", "loop", "all"}
+    assert set(table["seed"]) == {5} and set(table["setting"]) == {"equal", "loop", "all"}
     html = (tmp_path / "score/pid.html").read_text()
     assert html.count("data:image/png") == 1 and "http" not in html.replace("http-equiv", "")
-    assert "score over both terms" in capsys.readouterr().out
+    assert "score over both settings" in capsys.readouterr().out
     assert np.isfinite(table["value"]).all() and os.path.getsize(tmp_path / "score/pid.html") < 1e6
 
 
@@ -215,7 +215,7 @@ def board(monkeypatch, tmp_path):
     def scored(entry, seed, names, quiet=False):
         asked.append(entry.name)
         rows = [
-            {"scenario": "a", "terms": t, "controller": entry.name, "failure": "", "points": 50.0, "error": 1.25e-3}
+            {"scenario": "a", "setting": t, "controller": entry.name, "failure": "", "points": 50.0, "error": 1.25e-3}
             for t in ("equal", "loop")
         ]
         return pd.DataFrame(rows)
@@ -253,7 +253,7 @@ def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_pa
     leaderboard.main([str(tmp_path / "mine.py")])
     table = pd.read_csv(tmp_path / "data/results/board.csv")
     assert list(dict.fromkeys(table["controller"])) == ["ndi", "mine"]
-    assert not table.duplicated(["scenario", "controller", "metric", "terms"]).any()
+    assert not table.duplicated(["scenario", "controller", "metric", "setting"]).any()
     text = (tmp_path / "README.md").read_text()
     assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
     assert "| `mine` | 50.0 | 50.0 | 50.0 | 0 | 1.25 | – | – |" in text

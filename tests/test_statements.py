@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from railrepro.errors import InputError
-from railrepro.studies import negative, statements
-from railrepro.studies.statements import NOT, PARTLY, REPRODUCED, Evidence, Finding, MissingEvidence
+from railrepro.evidence.claims import negative, statements
+from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, Evidence, Finding, MissingEvidence
 
 KNOWN = {i: s for i, s in statements.load().items() if s.kind == "statement"}
 TRIO = ("nmpc", "ltv_mpc_printed", "ndi")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from railrepro.control.registry import CONTROLLERS
+from railrepro.evidence.runs.tuning import tuned
 from railrepro.simulation import metrics, scenarios, simulate
-from railrepro.studies.tuning import tuned
 from railrepro.track.route import INDEX
 
 ODD = ("psi", "kappa", "dkappa", "phi", "dphi", "y", "lateral", "dlateral", "crosslevel", "dcrosslevel")

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from railrepro import paths
-from railrepro.chain import compare, graph, verify
-from railrepro.chain.compare import Comparison
 from railrepro.compile import codegen
 from railrepro.errors import InputError
+from railrepro.evidence.chain import compare, graph, verify
+from railrepro.evidence.chain.compare import Comparison
 
 CHAIN = """
 [verify]
@@ -85,6 +85,14 @@ def test_each_metric_of_a_tidy_table_has_its_own_scale(tmp_path, header, differe
     found = compare.compare(tmp_path / "old.csv", tmp_path / "new.csv", tolerance)
     assert found.different == different
     assert not different or found.where == "value of rmse_y" and found.largest == pytest.approx(0.05)
+
+
+def test_a_column_is_as_large_as_its_largest_number_of_either_sign(tmp_path):
+    tolerance = {"relative": 1e-3, "image_rms": 2.0, "not_compared": []}
+    for name, small in (("old", 1.0), ("new", 1.05)):
+        (tmp_path / f"{name}.csv").write_text(f"torque\n-100\n{small}\n")
+    found = compare.compare(tmp_path / "old.csv", tmp_path / "new.csv", tolerance)
+    assert (found.same, found.near, found.different) == (1, 1, 0) and found.largest == pytest.approx(5e-4)
 
 
 @pytest.mark.parametrize("own", graph.verify_tolerance()["own"], ids=lambda own: f"{own['table']} {own['column']}")

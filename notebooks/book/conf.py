@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from railrepro import __version__
-from railrepro.chain import pages
+from railrepro.evidence.chain import pages
 
 project = "railrepro"
 author = "railrepro contributors"

@@ -28,6 +28,7 @@ from railrepro.errors import InputError
 from railrepro.files import write
 from railrepro.model.control_model import STATES, THETA
 from railrepro.model.forecast import nominal_values
+from railrepro.schema import location, require
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -55,13 +56,23 @@ class Export:
     Raises
     ------
     InputError
-        When the slower controller of a guidance is written in Python.
+        An attribute of another kind; when the slower controller of a guidance is written in Python.
     """
 
     guidance: lateral.Guidance
     route: Route
     vehicle: Vehicle = field(default_factory=load_vehicle)
     settings: tuple = (None, None, 0.0, None)
+
+    def __post_init__(self) -> None:
+        require("export: route", self.route, Route)
+        require("export: vehicle", self.vehicle, Vehicle)
+        if not isinstance(self.settings, tuple) or len(self.settings) != 4:
+            raise InputError(
+                f"export: settings are {self.settings!r}, four (adhesion, estimate, fixed_share, sensors) are needed"
+            )
+        law.check_settings(*self.settings)
+        lateral.split(self.guidance)
 
     def source(self) -> str:
         """C source: controller_t with `measured` and `torque`, controller_reset(c), controller_step(c) every ms."""
@@ -76,13 +87,15 @@ class Export:
 
     def write_source(self, path: Path | str) -> Path:
         """Write `source` to a file."""
-        write(Path(path), self.source())
-        return Path(path)
+        file = location(path)
+        write(file, self.source())
+        return file
 
     def write_fmu(self, path: Path | str, fmi: str = "2.0") -> Path:
         """Write a unit of FMI (version "2.0" or "3.0") for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
         if codegen.compiler() is None:
             raise InputError("an FMU holds compiled code: a C compiler is needed")
+        path = location(path)
         description = "Controller of two running gears with independently rotating wheels"
         unit = Unit("controller", description, TORQUES, law.MEASURED, _LARGEST)
         sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}

@@ -7,6 +7,8 @@ such as NMPC hands in, is another. Serves the paper's Fig. 4.
 
 from __future__ import annotations
 
+import inspect
+import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
@@ -17,6 +19,7 @@ import numpy as np
 
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES, THETA
+from railrepro.schema import above, require
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -97,6 +100,8 @@ def split(guidance: Guidance) -> tuple[LateralLaw, Factory | None]:
         When it is neither.
     """
     factory = guidance if callable(guidance) else None
+    if factory is not None and not isinstance(guidance, type) and not _takes(factory, 3):
+        raise InputError(f"guidance {guidance!r}: cannot be called with (vehicle, route, gear)")
     if hasattr(guidance, "torque") and not isinstance(guidance, type):
         return guidance, factory
     if factory is None or hasattr(guidance, "torque"):
@@ -105,6 +110,35 @@ def split(guidance: Guidance) -> tuple[LateralLaw, Factory | None]:
             "of objects with period and plan(), is needed"
         )
     return Held(), factory
+
+
+def _takes(call: Callable, count: int) -> bool:
+    """Whether something can be called with so many arguments; what tells nothing of its own counts as one that can."""
+    try:
+        inspect.signature(call).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:
+        return True
+    return True
+
+
+def check_controller(controller: SlowController) -> None:
+    """Refuse what is no slower controller (InputError)."""
+    owner = f"lateral controller {type(controller).__name__}"
+    if not callable(getattr(controller, "plan", None)):
+        raise InputError(f"{owner}: has no plan(x_hat, u_d)")
+    require(f"{owner}: period", getattr(controller, "period", None), above(0.0, 60.0, "s"))
+
+
+def planned(torque) -> float:
+    """The torque that a slower controller gave (N m); InputError when that is no number."""
+    try:
+        if np.ndim(torque) or isinstance(torque, bool | str | bytes):
+            raise TypeError
+        return float(torque)
+    except (TypeError, ValueError):
+        raise InputError(f"plan() returned {reprlib.repr(torque)}, a number (N m) is needed") from None
 
 
 @dataclass(frozen=True)
@@ -150,7 +184,14 @@ def kind(law: LateralLaw) -> Kind:
         When its gains are not finite, its torque or memory is not a scalar expression, or it uses what it did not
         declare or is not given.
     """
-    owner, gains, memory = type(law).__name__, law.gains(), tuple(law.memory)
+    owner, gains = type(law).__name__, law.gains() if callable(getattr(law, "gains", None)) else None
+    if not isinstance(gains, dict):
+        raise InputError(f"lateral law {owner}: gains() gives {gains!r}, a table of numbers by name is needed")
+    if not isinstance(getattr(law, "memory", None), tuple | list):
+        raise InputError(f"lateral law {owner}: memory is {getattr(law, 'memory', None)!r}, a tuple of names is needed")
+    if not _takes(law.torque, 5):
+        raise InputError(f"lateral law {owner}: torque() cannot be called with (gear, road, memory, gain, model)")
+    memory = tuple(law.memory)
     for name, value in gains.items():
         if not isinstance(value, int | float) or not isfinite(value):
             raise InputError(f"lateral law {owner}: gain {name!r} is {value!r}, a finite number is needed")

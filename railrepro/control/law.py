@@ -135,6 +135,19 @@ class ControlLaw:
         return _library(self.kind, self.sensed, self.along)
 
 
+def check_settings(adhesion=None, estimate=None, fixed_share=0.0, sensors=None) -> None:
+    """Refuse settings of `control_law` that are of another kind or beyond their range (InputError)."""
+    kinds = {
+        "adhesion": (adhesion, (AdhesionSettings, SlipSettings)),
+        "estimate": (estimate, EstimateSettings),
+        "sensors": (sensors, Readings),
+    }
+    for name, (given, kind) in kinds.items():
+        if given is not None:
+            require(name, given, kind)
+    require("fixed_share", fixed_share, between(0.0, 1.0))
+
+
 def control_law(
     vehicle: Vehicle,
     guidance: lateral.LateralLaw | None = None,
@@ -170,6 +183,7 @@ def control_law(
     guidance = guidance or lateral.Held()
     if set(limits) != set(LIMITS):
         raise InputError(f"control law: the limits {sorted(limits)} are given, {sorted(LIMITS)} are needed")
+    kind, sensed = lateral.kind(guidance), sensors is not None
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
     gains = {f"lateral.{name}": value for name, value in guidance.gains().items()}
     if adhesion is None:
@@ -190,7 +204,6 @@ def control_law(
         "model.tau_max": vehicle.drive.torque_limit,
     }
     gains |= {f"limit.{name}": value for name, value in limits.items()}
-    kind, sensed = lateral.kind(guidance), sensors is not None
     if sensed:
         for g, gear in enumerate(GEARS):
             gains |= {f"{gear}.sensor.{name}": value for name, value in sensors.gains(g).items()}
@@ -237,7 +250,7 @@ def _library(kind: lateral.Kind, sensed: bool, along: Longitudinal) -> ctypes.CD
     return codegen.library((function(kind, sensed, along),))
 
 
-@lru_cache
+@codegen.stored
 def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> ca.Function:
     """The 1 kHz law as a function.
 

@@ -13,11 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from numbers import Integral
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from railrepro.compile.codegen import stored
 from railrepro.errors import InputError
 from railrepro.model.control_model import (
     INPUTS,
@@ -30,8 +32,8 @@ from railrepro.model.control_model import (
     control_model,
     sensitivities,
 )
-from railrepro.model.derivation import PARAMETERS
 from railrepro.model.forecast import Forecast
+from railrepro.model.parameters import PARAMETERS
 from railrepro.schema import is_number
 
 TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "lateral_bound", "bound_weight")
@@ -85,7 +87,7 @@ def slack_on(side, x, t: Tuning):
     return side * (x[Y] - side * t.lateral_bound)
 
 
-@lru_cache
+@stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
     """One step of the prediction model with derivatives.
 
@@ -207,8 +209,10 @@ class MPCSettings:
                 f"MPC weights: q_diag = {self.q_diag}, r = {self.r}; six weights not below 0, those of y and du above, "
                 "are needed"
             )
-        if self.steps < 2 or self.period <= 0:
-            raise InputError(f"MPC horizon: {self.steps} steps of {self.period} s; 2 or more above 0 s are needed")
+        if not isinstance(self.steps, Integral) or self.steps < 2 or self.period <= 0:
+            raise InputError(
+                f"MPC horizon: {self.steps} steps of {self.period} s; whole steps, 2 or more above 0 s are needed"
+            )
 
     def tuning(self) -> np.ndarray:
         """What the statement weighs with, shape (len(TUNING),)."""

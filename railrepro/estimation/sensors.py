@@ -32,8 +32,8 @@ _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
 
-def _upto(high: float, unit: str):
-    return Annotated[float, Parameter(0.0, high, unit, closed=True)]
+def _upto(high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)):
+    return Annotated[float, Parameter(0.0, high, unit, closed=True, usual=usual)]
 
 
 _PERIOD = _upto(0.1, "s")
@@ -53,8 +53,19 @@ class Lateral:
 
 
 @schema.table
-class Rate:
-    """Angular velocity: the gyroscope of the carrier, or the speed of a wheel."""
+class Gyro:
+    """Yaw rate of the carrier; what is usual tells rad/s from degrees per second."""
+
+    noise: _upto(1.0, "rad/s", (1e-5, 0.1))
+    bias: _upto(1.0, "rad/s", (1e-6, 0.05))
+    resolution: _upto(0.1, "rad/s", (1e-7, 0.01))
+    period: _PERIOD
+    dropout: _DROPOUT
+
+
+@schema.table
+class WheelSpeed:
+    """Angular velocity of a wheel."""
 
     noise: _upto(1.0, "rad/s")
     bias: _upto(1.0, "rad/s")
@@ -127,8 +138,8 @@ class Loop:
     """All that stands between the car and its controllers; the numbers live in data/sensors.toml."""
 
     lateral: Lateral
-    gyro: Rate
-    wheel_speed: Rate
+    gyro: Gyro
+    wheel_speed: WheelSpeed
     speed: Speed
     position: Position
     latency: Latency
@@ -174,7 +185,7 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     InputError
         One sentence naming file, key, what was found and what is allowed.
     """
-    file = Path(path) if path else paths.source("data/sensors.toml")
+    file = schema.location(path, paths.source("data/sensors.toml"))
     content = schema.read(file)
     loop = schema.build(Loop, content, file.name)
     for key, value in overrides.items():

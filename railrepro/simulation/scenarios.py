@@ -14,13 +14,14 @@ from pydantic import Field
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.reads import Entries
 from railrepro.schema import Number, above, between, steps
 from railrepro.track import route
 from railrepro.track.alignment import CANT_BASE
 from railrepro.track.table import Track, load_track
 from railrepro.vehicle.parameters import Vehicle
 
-_AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm")]
+_AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm", usual=(0.05, 20.0))]
 """Beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm); a cone has no flange, but derails at 30 mm."""
 FLANGEWAY = 8.0
 """Lateral displacement at which S1002 on 60E1 surely touches with its flange (mm)."""
@@ -140,7 +141,7 @@ class Scenario:
     def route(self, irregularities=None, line=None) -> route.Route:
         """Lay set point, adhesion, profiles and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
-        track = load_track(self._track())
+        track = load_track(self.track_file())
         self._check_ramps(track)
         way = route.lay(
             track,
@@ -166,7 +167,7 @@ class Scenario:
                 "must be longer"
             )
 
-    def _track(self) -> str:
+    def track_file(self) -> str:
         """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
@@ -206,17 +207,17 @@ def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
     InputError
         One sentence naming file, scenario, key, what was found and what is allowed.
     """
-    file = Path(path) if path else paths.source("data/scenarios.toml")
+    file = schema.location(path, paths.source("data/scenarios.toml"))
     content = schema.read(file)
     for name, entry in content.items():
         if isinstance(entry, dict) and entry.setdefault("name", name) != name:
             raise InputError(f"{file.name}: [{name}] has the name {entry['name']!r}; its own key is its name")
-    return schema.build(dict[str, Scenario], content, file.name)
+    return Entries(schema.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
 
 
 def load_scenario(name: str, path: Path | str | None = None) -> Scenario:
     """One scenario by name; InputError lists the known names otherwise."""
     scenarios = load_scenarios(path)
-    if name not in tuple(scenarios):
+    if not isinstance(name, str) or name not in scenarios:
         raise InputError(f"scenario {name!r} is not known; there are {sorted(scenarios)}")
     return scenarios[name]

@@ -116,18 +116,10 @@ def run(
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
-    optional = {
-        "adhesion": (adhesion, (AdhesionSettings, SlipSettings)),
-        "estimate": (estimate, law.EstimateSettings),
-        "sensors": (sensors, Readings),
-    }
-    for name, (given, kind) in optional.items():
-        if given is not None:
-            require(name, given, kind)
-    require("fixed_share", fixed_share, between(0.0, 1.0))
+    settings = adhesion, estimate, fixed_share, sensors
+    law.check_settings(*settings)
     require("substeps", substeps, between(1, 10_000), whole=True)
     lateral_law, factory = lateral.split(guidance)
-    settings = adhesion, estimate, fixed_share, sensors
     route = checked_route(scenario, body, irregularities, line)
     exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
     latency = vars(sensors.loop.latency).values() if sensors else ()
@@ -185,6 +177,8 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -
     """
     if not controllers:
         return exchange.run(longest)
+    for controller in controllers:
+        lateral.check_controller(controller)
     periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
         raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
@@ -200,7 +194,7 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -
                 controller.notice(*estimates[gear])
             if readings is not None and hasattr(controller, "read"):
                 controller.read(readings[gear], delay)
-            plan = controller.plan(states[gear], base[gear])
+            plan = lateral.planned(controller.plan(states[gear], base[gear]))
             if not isfinite(plan):
                 raise ArithmeticError(
                     f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {exchange.time:.3f} s, "

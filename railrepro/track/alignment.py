@@ -15,6 +15,7 @@ from typing import Annotated
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.reads import Entries
 from railrepro.schema import Number, above, between
 
 GRAVITY = 9.81
@@ -143,9 +144,9 @@ class SegmentsEntry:
 
 def alignments(path: Path | str | None = None) -> dict[str, Alignment]:
     """Alignments of a TOML file (default data/tracks.toml) by name; InputError with one sentence on wrong entries."""
-    file = Path(path) if path else paths.source("data/tracks.toml")
+    file = schema.location(path, paths.source("data/tracks.toml"))
     found = {}
     for name, entry in schema.read(file).items():
         kind = SegmentsEntry if isinstance(entry, dict) and "segments" in entry else CurveEntry
         found |= schema.build(dict[str, kind], {name: entry}, file.name)
-    return {name: entry.alignment(name) for name, entry in found.items()}
+    return Entries({name: entry.alignment(name) for name, entry in found.items()}, "data/tracks.toml")

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 import reprlib
-import tomllib
+import warnings
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
-from scipy import signal
+import scipy
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.errors import InputError
-from railrepro.schema import above, between, is_number, require
+from railrepro.schema import Number, above, between, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channels in the order of their random generators, with their columns."""
@@ -26,6 +27,7 @@ FLANGEWAY = {"lateral_m": (-0.020, 0.020), "gauge_m": (-0.010, 0.035)}
 """What wheels can follow (m); more than the flangeway takes is refused."""
 LARGEST = 0.1
 """Largest number of any channel; beyond it the unit is wrong."""
+_USUAL = {"vertical_m": (0.05, "m"), "crosslevel_rad": (0.025, "rad")}
 D1, D2 = (3.0, 25.0), (25.0, 70.0)
 """Bands of wavelengths (m) in which EN 13848-1 judges level and alignment."""
 
@@ -36,6 +38,15 @@ _ERRI = {
 _WAVE = {"c": 0.8246, "r": 0.0206, "s": 0.4380}
 _HALF_BASE = 0.75
 _FADE = 30.0
+
+
+@schema.table
+class Quality:
+    """Entry of data/irregularities.toml, see there."""
+
+    level_mm: Annotated[Number, above(0.0, 20.0, "mm", usual=(0.05, 20.0))]
+    alignment_mm: Annotated[Number, above(0.0, 20.0, "mm", usual=(0.05, 20.0))]
+    confidence: Literal["VV", "V", "D", "R", "A"]
 
 
 def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -> np.ndarray:
@@ -95,20 +106,11 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
 
 def track_quality(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
     """Standard deviations of level and alignment of one rail in D1 (m) by name; default data/irregularities.toml."""
-    file = Path(path) if path else paths.source("data/irregularities.toml")
-    try:
-        content = tomllib.loads(file.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{file.name}: cannot be read as TOML ({error})") from error
-    for name, entry in content.items():
-        needed = {"level_mm", "alignment_mm", "confidence"}
-        if not isinstance(entry, dict) or set(entry) != needed:
-            raise InputError(f"{file.name}: {name} has {entry}, exactly the keys {sorted(needed)} are needed")
-        for key in ("level_mm", "alignment_mm"):
-            value = entry[key]
-            if not is_number(value) or not 0 < value <= 20:
-                raise InputError(f"{file.name}: {name} {key} is {value!r}, above 0 and up to 20 mm is needed")
-    return {name: (entry["level_mm"] * 1e-3, entry["alignment_mm"] * 1e-3) for name, entry in content.items()}
+    file = schema.location(path, paths.source("data/irregularities.toml"))
+    content = schema.build(dict[str, Quality], schema.read(file), file.name)
+    for name in set(content) & set(_ERRI):
+        raise InputError(f"{file.name}: [{name}] has the name of a spectrum of ERRI B176, another one is needed")
+    return {name: (entry.level_mm * 1e-3, entry.alignment_mm * 1e-3) for name, entry in content.items()}
 
 
 def irregularities(
@@ -194,6 +196,18 @@ def check(frame: pd.DataFrame) -> None:
             raise InputError(
                 f"irregularities: {column} = {frame[column].iloc[row]:g} at p = {p[row]:g} m, {low:g} to {high:g} is "
                 "allowed"
+            )
+    doubt(frame, "irregularities")
+
+
+def doubt(frame: pd.DataFrame, where: str) -> None:
+    """Warn of magnitudes that no track in service has, as of another unit."""
+    for column, (most, unit) in _USUAL.items():
+        largest = float(frame[column].abs().max())
+        if largest > most:
+            warnings.warn(
+                f"{where}: {column} of {largest:g} is unusual, up to {most:g} {unit} is usual: is it in {unit}?",
+                stacklevel=4,
             )
 
 
@@ -286,6 +300,8 @@ def band_standard_deviation(frame: pd.DataFrame, band: tuple[float, float] = D1)
         )
     values = frame.drop(columns="p_m")
     for kind, edge in (("highpass", widened / longest), ("lowpass", 1 / (widened * shortest))):
-        values = signal.sosfiltfilt(signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0)
+        values = scipy.signal.sosfiltfilt(
+            scipy.signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0
+        )
     margin = int(np.ceil(longest / step))
     return pd.Series(values[margin:-margin].std(axis=0), frame.columns.drop("p_m"))

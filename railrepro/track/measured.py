@@ -7,18 +7,21 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from railrepro import schema
 from railrepro.errors import InputError
-from railrepro.track.irregularity import CHANNELS, FLANGEWAY, LARGEST
+from railrepro.track.irregularity import CHANNELS, FLANGEWAY, LARGEST, doubt
 from railrepro.track.table import read_numbers
 
 _GAP = 1.5
 """Longest allowed step of p_m over the usual one."""
 
 
-def read_irregularities(path: Path | str, length: float | None = None, shortest: float = 3.0) -> pd.DataFrame:
+def read_irregularities(
+    path: Path | str, length: float | None = None, shortest: float = 3.0, chainage: float = 0.0
+) -> pd.DataFrame:
     """Read and check measured irregularities; CSV with one row per sample and these columns:
 
-    - p_m: coordinate along the track (m), increasing, 0 where the run begins;
+    - p_m: coordinate along the track (m), increasing, 0 where the run begins, or `chainage`;
     - lateral_m: alignment of the track centre (m), right positive;
     - vertical_m: longitudinal level of the track centre (m), down positive;
     - crosslevel_rad: deviation from the designed cant as an angle (rad), right rail down positive: the height
@@ -35,6 +38,8 @@ def read_irregularities(path: Path | str, length: float | None = None, shortest:
         Length of the run from p = 0 that has to be covered (m).
     shortest : float
         Shortest wavelength that is wanted of the file (m); its rows may be at most half of it apart.
+    chainage : float
+        What p_m is where the run begins (m); coordinates are returned less this.
 
     Returns
     -------
@@ -47,8 +52,10 @@ def read_irregularities(path: Path | str, length: float | None = None, shortest:
         Missing column, anything but a finite number, p_m not increasing or with a gap, wrong unit, beyond the
         flangeway, shorter than the run, sampled too coarsely; one sentence naming file and row.
     """
-    file = Path(path)
+    file = schema.location(path)
+    schema.require("chainage", chainage, schema.between(-1e7, 1e7, "m"))
     frame = read_numbers(file, ("p_m", *CHANNELS.values()))
+    frame["p_m"] -= chainage
     p = frame["p_m"].to_numpy()
     steps = np.diff(p)
     usual = float(np.median(steps))
@@ -62,8 +69,11 @@ def read_irregularities(path: Path | str, length: float | None = None, shortest:
         _check_range(file, frame[column], (-LARGEST, LARGEST), " (unit?)")
     for column, allowed in FLANGEWAY.items():
         _check_range(file, frame[column], allowed, "; more than the flangeway takes")
+    doubt(frame, file.name)
     if length is not None and (p[0] > 0 or p[-1] < length):
-        raise InputError(f"{file.name}: p_m goes from {p[0]:g} to {p[-1]:g} m, the run needs 0 to {length:g} m")
+        raise InputError(
+            f"{file.name}: p_m goes from {p[0]:g} to {p[-1]:g} m, the run needs 0 to {length:g} m; `chainage` shifts it"
+        )
     if steps.max() > shortest / 2:
         row = int(np.argmax(steps > shortest / 2))
         raise InputError(

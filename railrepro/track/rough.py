@@ -19,7 +19,9 @@ from railrepro.track.irregularity import CHANNELS, check, coordinates, faded, ir
 from railrepro.track.measured import read_irregularities
 
 
-def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] = (), **random) -> pd.DataFrame:
+def rough_track(
+    p: np.ndarray, file: str | None = None, defects: Sequence[dict] = (), chainage: float = 0.0, **random
+) -> pd.DataFrame:
     """Irregularities of a run.
 
     Parameters
@@ -30,6 +32,8 @@ def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] 
         Measured irregularities (`measured.read_irregularities`) in place of random ones.
     defects : sequence of dict
         Localised defects added to them: `kind` (a function of `railrepro.track.defects`) and its other arguments.
+    chainage : float
+        Coordinate in the file at which p = 0 lies (m).
     random
         Arguments of `irregularity.irregularities`: spectrum, seed, shortest, longest.
 
@@ -46,11 +50,13 @@ def rough_track(p: np.ndarray, file: str | None = None, defects: Sequence[dict] 
     p = coordinates(p)
     fit("irregular", random, *([irregularities] if file is None else []))
     if file is None:
+        if chainage != 0.0:
+            raise InputError(f"irregular: chainage is {chainage!r}, but there is no file that has one")
         frame = irregularities(p, **random)
     else:
         if not isinstance(file, str):
             raise InputError(f"irregular: file is {file!r}, the path of a CSV is needed")
-        measured = read_irregularities(paths.source(file), length=float(p[-1]))
+        measured = read_irregularities(paths.source(file), length=float(p[-1]), chainage=chainage)
         channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
         frame = faded(pd.DataFrame({"p_m": p} | channels))
     shapes = {

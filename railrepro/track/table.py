@@ -8,6 +8,7 @@ Serves the paper's section Train-Track Interaction (eqs. track).
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -16,8 +17,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro import paths
+from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.track import survey
 from railrepro.track.alignment import Alignment, alignments
 
 STEP = 0.5
@@ -36,6 +38,7 @@ _PLAUSIBLE = {
     "deps_dp_1pm": (0.1, "rad/m"),
     **dict.fromkeys(COLUMNS[-3:], (1e8, "m")),
 }
+_DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*")
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
@@ -53,6 +56,8 @@ def build_table(alignment: Alignment, step: float = STEP) -> pd.DataFrame:
     DataFrame
         Columns `COLUMNS`, one row per sample of p.
     """
+    if not alignment.length >= step:
+        raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, at least {step:g} m are needed")
     p = step * np.arange(math.floor(alignment.length / step + 1e-9) + 1)
     starts = np.cumsum([0.0, *(s.length for s in alignment.segments)])
     angle = np.cumsum([0.0, *(s.length * (s.kappa[0] + s.kappa[1]) / 2 for s in alignment.segments)])
@@ -200,7 +205,8 @@ def read_table(path: Path | str) -> pd.DataFrame:
     Parameters
     ----------
     path : path
-        CSV with the columns `COLUMNS`; x_m, y_m, z_m may be missing and are then integrated.
+        CSV with the columns `COLUMNS`; x_m, y_m, z_m may be missing and are then integrated. Or one with chainage,
+        curvature or radius, and cant, see `railrepro.track.survey`; all else is then derived.
 
     Returns
     -------
@@ -212,8 +218,12 @@ def read_table(path: Path | str) -> pd.DataFrame:
         Missing column, NaN, p not increasing, implausible magnitude (wrong unit), angles that do not fit their rates or
         positions that do not fit the angles.
     """
-    file = Path(path)
-    numbers = read_numbers(file, COLUMNS[:7], COLUMNS[7:])
+    file = schema.location(path)
+    if survey.CHAINAGE in head(file):
+        numbers = read_numbers(file, (survey.CHAINAGE,), survey.COLUMNS, survey.BLANK)
+        numbers = survey.derived(numbers, file.name)
+    else:
+        numbers = read_numbers(file, COLUMNS[:7], COLUMNS[7:])
     step = np.diff(numbers["p_m"])
     for column, (limit, unit) in _PLAUSIBLE.items():
         if column in numbers and (numbers[column].abs() > limit).any():
@@ -230,15 +240,33 @@ def read_table(path: Path | str) -> pd.DataFrame:
     return numbers[list(COLUMNS)]
 
 
-def read_numbers(file: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> pd.DataFrame:
+def head(file: Path) -> list[str]:
+    """Names in the first line of a CSV; InputError when it cannot be read or has one of them twice."""
+    try:
+        names = [str(name) for name in pd.read_csv(file, header=None, nrows=1).iloc[0]]
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file.name}: cannot be read as CSV ({str(error).strip()})") from error
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{file.name}: column {name} is there {names.count(name)} times, once is needed")
+        if ";" in name:
+            raise InputError(f"{file.name}: columns are separated by ';', commas and decimal points are needed")
+    return names
+
+
+def read_numbers(
+    file: Path, needed: Sequence[str], optional: Sequence[str] = (), blank: Sequence[str] = ()
+) -> pd.DataFrame:
     """Finite numbers of a CSV along the track.
 
     Parameters
     ----------
     file : Path
-        CSV whose rows follow the coordinate p_m.
+        CSV whose rows follow the first needed column.
     needed, optional : sequence of str
         Columns; others are ignored.
+    blank : sequence of str
+        Columns in which an empty or infinite entry counts as 0.
 
     Returns
     -------
@@ -248,17 +276,22 @@ def read_numbers(file: Path, needed: Sequence[str], optional: Sequence[str] = ()
     Raises
     ------
     InputError
-        Missing column, anything but a finite number, p_m not increasing.
+        Missing or repeated column, anything but a finite number, first column not increasing.
     """
+    head(file)
     try:
         table = pd.read_csv(file)
         table = table.astype(dict.fromkeys(table.select_dtypes(bool).columns, str))  # truth values are no numbers
         columns = [column for column in (*needed, *optional) if column in table]
         numbers = table[columns].apply(pd.to_numeric, errors="coerce").astype(float)
+        for column in set(blank) & set(columns):
+            numbers[column] = numbers[column].mask(table[column].isna() | np.isinf(numbers[column]), 0.0)
     except (OSError, ValueError, OverflowError) as error:
         raise InputError(f"{file.name}: cannot be read as CSV ({str(error).strip()})") from error
-    if not isinstance(table.index, pd.RangeIndex):
-        raise InputError(f"{file.name}: the rows have more fields than the head, which has {list(table.columns)}")
+    if not table.index.equals(pd.RangeIndex(len(table))):
+        raise InputError(
+            f"{file.name}: the rows have more fields than the head, which has {list(table.columns)} (decimal commas?)"
+        )
     for column in needed:
         if column not in table:
             raise InputError(f"{file.name}: column {column} is missing; found {list(table.columns)}")
@@ -269,11 +302,15 @@ def read_numbers(file: Path, needed: Sequence[str], optional: Sequence[str] = ()
         row, column = np.argwhere(wrong)[0]
         found = table[columns].iloc[row, column]
         found = found if isinstance(found, str) else float(found)
-        raise InputError(f"{file.name}: row {row + 2}, {columns[column]} is {found!r}, a finite number is needed")
-    step = np.diff(numbers["p_m"])
+        raise InputError(
+            f"{file.name}: row {row + 2}, {columns[column]} is {found!r}, a finite number is needed"
+            + (" (decimal comma? points are needed)" if _DECIMAL_COMMA.fullmatch(str(found)) else "")
+        )
+    along = numbers[needed[0]]
+    step = np.diff(along)
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 3
-        raise InputError(f"{file.name}: row {row}, p_m does not increase ({numbers['p_m'].iloc[row - 2]})")
+        raise InputError(f"{file.name}: row {row}, {needed[0]} does not increase ({along.iloc[row - 2]})")
     return numbers
 
 

@@ -58,28 +58,33 @@ class Parameter(schema.Quantity):
         return f"= {reprlib.repr(value)} {self.unit} is impossible, {floor} up to {self.high:g} is allowed"
 
 
-def _above(low: float, high: float, unit: str):
-    return Annotated[float, Parameter(low, high, unit)]
+def _above(low: float, high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)):
+    return Annotated[float, Parameter(low, high, unit, usual=usual)]
 
 
-def _from_zero(high: float, unit: str):
-    return Annotated[float, Parameter(0.0, high, unit, closed=True)]
+def _from_zero(high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)):
+    return Annotated[float, Parameter(0.0, high, unit, closed=True, usual=usual)]
 
 
 _PLAIN = Parameter(0.0, 0.0, "-")
-Mass, Inertia = _above(0.0, 1e6, "kg"), _above(0.0, 1e8, "kg m2")
-Stiffness, Damping = _from_zero(1e9, "N/m"), _from_zero(1e8, "N s/m")
-AngularStiffness, AngularDamping = _from_zero(1e9, "N m/rad"), _from_zero(1e8, "N m s/rad")
+_STIFF, _DAMPED = (1e3, 1e9), (50.0, 1e7)
+"""Usual magnitudes, a thousand times more or less is another unit."""
+Mass, BodyInertia, Inertia = (
+    *(_above(0.0, 1e6, "kg", (100.0, 2e5)), _above(0.0, 1e8, "kg m2", (1e3, 1e7))),
+    _above(0.0, 1e8, "kg m2", (5.0, 2e4)),
+)
+Stiffness, Damping = _from_zero(1e9, "N/m", _STIFF), _from_zero(1e8, "N s/m", _DAMPED)
+AngularStiffness, AngularDamping = _from_zero(1e9, "N m/rad", _STIFF), _from_zero(1e8, "N m s/rad", _DAMPED)
 
 
 @schema.table
 class CarBody:
     """Car body: mass, inertia about its centre of gravity, height above the rails, distance of the running gears."""
 
-    mass: Mass
-    inertia_x: Inertia
-    inertia_y: Inertia
-    inertia_z: Inertia
+    mass: _above(0.0, 1e6, "kg", (2e3, 2e5))
+    inertia_x: BodyInertia
+    inertia_y: BodyInertia
+    inertia_z: BodyInertia
     cg_height: _above(0.0, 5.0, "m")
     gear_spacing: _above(1.0, 40.0, "m")
     floor_height: _above(0.0, 5.0, "m")
@@ -118,13 +123,13 @@ class Suspension:
     c_x: Damping
     k_y: Stiffness
     c_y: Damping
-    k_z: _above(0.0, 1e9, "N/m")
+    k_z: _above(0.0, 1e9, "N/m", _STIFF)
     c_z: Damping
-    link_stiffness: _above(0.0, 1e10, "N/m")
+    link_stiffness: _above(0.0, 1e10, "N/m", _STIFF)
     link_damping: Damping
     antiroll_stiffness: AngularStiffness
     antiroll_damping: AngularDamping
-    pitch_stiffness: _above(0.0, 1e9, "N m/rad")
+    pitch_stiffness: _above(0.0, 1e9, "N m/rad", _STIFF)
     pitch_damping: AngularDamping
     pitch_rods_on_carrier: Annotated[float, Parameter(0.0, 1.0, "-", closed=True)]
     yaw_stop_angle: _above(0.0, 0.5, "rad")
@@ -166,13 +171,13 @@ class Primary:
     frame_inertia_y: Inertia
     frame_inertia_z: Inertia
     half_spacing: _above(0.1, 2.0, "m")
-    k_x: _above(0.0, 1e9, "N/m")
+    k_x: _above(0.0, 1e9, "N/m", _STIFF)
     c_x: Damping
-    k_y: _above(0.0, 1e9, "N/m")
+    k_y: _above(0.0, 1e9, "N/m", _STIFF)
     c_y: Damping
-    k_z: _above(0.0, 1e9, "N/m")
+    k_z: _above(0.0, 1e9, "N/m", _STIFF)
     c_z: Damping
-    pitch_stiffness: _above(0.0, 1e9, "N m/rad")
+    pitch_stiffness: _above(0.0, 1e9, "N m/rad", _STIFF)
     pitch_damping: AngularDamping
 
 
@@ -180,8 +185,8 @@ class Primary:
 class Drive:
     """Wheel motor."""
 
-    torque_limit: _above(0.0, 1e5, "N m")
-    power_limit: _above(0.0, 1e8, "W")
+    torque_limit: _above(0.0, 1e5, "N m", (50.0, 1e5))
+    power_limit: _above(0.0, 1e8, "W", (5e3, 1e8))
     power_limited: Annotated[schema.Flag, _PLAIN]
     lag: _above(0.0, 1.0, "s")
 
@@ -193,7 +198,7 @@ class WheelRail:
     young: _above(1e9, 1e12, "Pa")
     poisson: _from_zero(0.5, "-")
     shear_modulus: _above(1e9, 1e12, "Pa")
-    nominal_load: _above(0.0, 1e6, "N")
+    nominal_load: _above(0.0, 1e6, "N", (2e3, 1e6))
     normal_stiffness: _above(0.0, 1e13, "N/m^1.5")
     normal_damping: _from_zero(1e3, "s/m")
     rest_speed: _above(0.0, 1.0, "m/s")
@@ -241,6 +246,14 @@ class Vehicle:
             if self.primary.two_stage and frame > 0.9 * whole:
                 raise ValueError(
                     f"primary.frame_{name} = {frame:g} of gear.{name} = {whole:g}, at most 90 % is allowed"
+                )
+        for name in ("inertia_x", "inertia_z"):
+            whole, wheels = getattr(self.gear, name), 2 * self.wheel.diametral_inertia
+            frame = getattr(self.primary, f"frame_{name}") if self.primary.two_stage else 0.0
+            if whole <= wheels + frame:
+                raise ValueError(
+                    f"gear.{name} = {whole:g} kg m2 contains those of the wheels{' and the frame' if frame else ''}, "
+                    f"more than {wheels + frame:g} kg m2 is needed"
                 )
 
     @property
@@ -329,7 +342,7 @@ def _siblings(key: str, entries: dict) -> list[str]:
 
 def _checked(path: Path | str | None) -> tuple[Vehicle, Path, dict, dict[str, dict]]:
     """The vehicle of a file, the file, its content, and in it the entries by dotted key."""
-    file = Path(path) if path else paths.source("data/vehicle.toml")
+    file = schema.location(path, paths.source("data/vehicle.toml"))
     content = schema.read(file)
     vehicle = schema.build(Vehicle, content, file.name)
     entries = {}

@@ -1,0 +1,126 @@
+"""The command line: `python -m railrepro COMMAND …`; make calls it.
+
+All arguments are checked before anything starts. What a command needs is imported when it runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from railrepro.errors import InputError, told
+
+PROGRAM = "python -m railrepro"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Tells wrong arguments in one sentence; takes no abbreviations."""
+
+    def __init__(self, **options):
+        super().__init__(**options, allow_abbrev=False)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"error: {message}; `{self.prog} --help` shows what is allowed\n")
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    """Reader of a whole number from `low` to `high`."""
+
+    def read(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and low <= int(text) <= high):
+            raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {low} to {high}")
+        return int(text)
+
+    return read
+
+
+def parser() -> argparse.ArgumentParser:
+    """The commands and their arguments; `call` of what it parses is the function, as "module:name"."""
+    top = _Parser(prog=PROGRAM, description="Model predictive control of railway running gears, replicated.")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, call: str, words: str, group=commands) -> argparse.ArgumentParser:
+        added = group.add_parser(name, help=words, description=words)
+        added.set_defaults(call=f"railrepro.evidence.{call}")
+        return added
+
+    added = command("tune", "runs.swarm:main", "tune controllers by particle swarm, write data/tuned (long, resumes)")
+    added.add_argument("names", nargs="*", metavar="NAME", help="settings and controllers; default all")
+    added = command("probe", "claims.probe:main", "metrics of the nominal car, for the statements (long)")
+    added.add_argument("settings", nargs="*", metavar="SETTING", help="paper, equal, loop; default all")
+    added = command("robustness", "uncertainty.robustness:main", "stability map and robustness (long, resumes)")
+    added.add_argument("studies", nargs="*", metavar="STUDY", help="stability, robustness; default both")
+    added.add_argument("--samples", type=_whole(1, 4096), help="samples of the robustness study, default 8")
+    added = command("matching", "uncertainty.matching:main", "parameters consistent with the paper (long, resumes)")
+    added.add_argument("size", nargs="?", default="committed", help="committed (default) or small")
+    command("margins", "uncertainty.margins:main", "stability margins of all tuned sets (long)")
+    command("order", "uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)")
+    added = command("bench", "bench.speed:main", "measure speed, write data/results")
+    added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")
+    added = command("second-opinion", "bench.second_opinion:main", "compare the car with one in Exudyn (extra `bench`)")
+    added.add_argument("names", nargs="*", metavar="CASE", help="cases, which are only printed; default all, written")
+    added = command("report", "report.claims:main", "judge the statements, write REPLICATION.md")
+    added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/claims.toml")
+    command("article", "report.article:main", "the report as an article, build/article.pdf")
+    added = command("score", "score.command:main", "score a controller on the open suite, write build/score")
+    added.add_argument("controller", help="a Python file with one controller class, or a registered name")
+    added.add_argument("--seed", type=_whole(0, 2**63), help="another draw of the noise")
+    added.add_argument("--small", action="store_true", help="only the quick runs, and no margins")
+    added = command("leaderboard", "score.leaderboard:main", "score registered controllers and examples/ (long)")
+    added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
+    added = command("film", "film.command:main", "page and movie of two controllers side by side, in build/film")
+    added.add_argument("scenario", nargs="?", default="all", help="key of scenarios.toml; default the usual four")
+    added.add_argument("controllers", nargs="*", help="two registered names; default nmpc ndi")
+    added.add_argument("--setting", default="equal", help="paper, equal (default) or loop")
+    added.add_argument("--no-movie", action="store_false", dest="with_movie", help="only the page")
+
+    words = "the notebooks and their products"
+    chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
+    command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml", chain)
+    command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, tell what is", chain)
+    added = command("run", "chain.runner:refresh", "run one notebook if it is stale", chain)
+    added.add_argument("name")
+    command("html", "chain.book:html", "executed notebooks as a book in build/html", chain)
+    command("strip", "chain.cleaning:strip_all", "remove outputs from the notebooks", chain)
+    added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products", chain)
+    added.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
+    added.add_argument("--into", type=Path, help="new or empty folder for the products, default build/verify")
+    added = command("variants", "chain.verify:variants", "rerun the quick notebooks as other machines would", chain)
+    added.add_argument("names", nargs="*", metavar="NAME")
+    return top
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command.
+
+    Returns
+    -------
+    int
+        Exit code, see `errors.told`; 2 after wrong arguments. What is no number is printed.
+    """
+    chosen = vars(parser().parse_args(arguments))
+    module, _, name = chosen.pop("call").partition(":")
+    try:
+        # outside of `told`: libraries that are interrupted while they are imported fail in ways of their own
+        call = getattr(importlib.import_module(module), name)
+    except (InputError, ModuleNotFoundError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+
+    def run() -> int:
+        result = call(**chosen)
+        if isinstance(result, int):
+            return result
+        if result is not None:
+            print(result)
+        return 0
+
+    return told(run)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""How the evidence is made and judged, on top of the library: runs, claims, uncertainty, report, chapters."""

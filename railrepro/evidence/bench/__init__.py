@@ -1,0 +1,1 @@
+"""Speed of the library and of its peers, and the same car in an independent multibody program."""

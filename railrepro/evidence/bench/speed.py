@@ -1,0 +1,469 @@
+"""Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
+
+`python -m railrepro bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv,
+executor_speed.csv, sample_times.csv, peer_times.csv and solver_operations.csv of data/results and prints them. Times of
+different machines are never compared; the machine's name stands in each table. Serves the paper's section Evaluation of
+Lateral Control (computation times).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import itertools
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from railrepro import paths
+from railrepro.car import equations
+from railrepro.compile import codegen
+from railrepro.contact.table import contact_table
+from railrepro.control import law
+from railrepro.control import problem as ocp
+from railrepro.control.ltv_mpc import LTVMPC
+from railrepro.control.ndi import NDI
+from railrepro.control.nmpc import NMPC
+from railrepro.control.problem import MPCSettings, Problem, Tuning
+from railrepro.control.registry import WITH_OBSERVER, mpc_settings
+from railrepro.control.solvers import condensed, riccati
+from railrepro.control.solvers.riccati import PlainHorizon
+from railrepro.errors import InputError
+from railrepro.evidence.bench import peers
+from railrepro.evidence.runs import pso, swarm, tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.runs.experiment import sample_times as sample_times_of
+from railrepro.files import write
+from railrepro.model.control_model import Y
+from railrepro.simulation import scenarios, simulate
+from railrepro.simulation.exchange import Exchange
+from railrepro.track.rough import rough_track
+from railrepro.track.route import CELL, Route
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+SCENARIOS = (
+    "curve_entry_T1",
+    "curve_entry_T2",
+    "curve_entry_T3",
+    "curve_entry_T4",
+    "sine_tracking",
+    "adhesion_loss",
+    "braking",
+)
+KINDS = ("ipopt", "dense", "gauss_newton", "rti", "ltv_mpc")
+WINDOW = 32
+"""Successive samples recorded per scenario."""
+HORIZONS = (10, 20, 40, 80, 160)
+_LANES = Path(codegen.__file__).with_name("lanes.h")
+_PARTS = {"coordinates": "places", "output": "outputs", "law": "law", "step": "step"}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Successive optimal control problems of the front gear in one scenario."""
+
+    scenario: str
+    route: Route
+    problems: tuple[Problem, ...]
+
+
+def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW, hard: bool = False) -> Recording:
+    """Problems of a closed-loop run, from its middle; `hard` see `tightened`."""
+    scenario = scenarios.load_scenario(name)
+    if name == "braking":
+        scenario = scenario.but(end_m=500.0)
+    run = simulate.run(scenario, lambda v, w, g: NMPC(v, w, g, settings, recorded=[]), vehicle=vehicle)
+    problems = run.controllers[0].recorded
+    first = len(problems) // 2
+    recording = Recording(name, scenario.route(), tuple(problems[first : first + count]))
+    return tightened(recording) if hard else recording
+
+
+def tightened(recording: Recording) -> Recording:
+    """The same problems with torque and lateral bounds so tight that they act."""
+    problems = recording.problems
+    largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
+    tight = replace(problems[0].settings, lateral_bound=0.6 * largest, yielding=True)
+    hard = tuple(replace(problem, settings=tight, tau_max=60.0) for problem in problems)
+    return Recording(f"{recording.scenario}, bounds active", recording.route, hard)
+
+
+def _solver(kind: str, recording: Recording, vehicle: Vehicle):
+    settings = recording.problems[0].settings
+    if kind == "ltv_mpc":
+        return LTVMPC(vehicle, recording.route, 0, settings)
+    if kind == "dense":
+        controller = NMPC(vehicle, recording.route, 0, settings)
+        controller.horizon.solve = _dense(controller)
+        controller.horizon.iterate = lambda most, tolerance: PlainHorizon.iterate(controller.horizon, most, tolerance)
+        return controller
+    return NMPC(vehicle, recording.route, 0, settings, solver=kind)
+
+
+def _dense(controller) -> Callable[[], None]:
+    def solve():
+        controller.horizon.dx[:], controller.horizon.du[:] = condensed.solve(controller.horizon)
+
+    return solve
+
+
+def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Solve a recording in order, warm-started like in closed loop.
+
+    Returns
+    -------
+    torques, seconds, iterations, failures
+        Planned torques (n, L) (N m), processor time per problem (s), iterations, number of failures.
+    """
+    controller = _solver(kind, recording, vehicle)
+    start = np.zeros(recording.problems[0].settings.steps)
+    torques, seconds, iterations, failures = [], [], [], 0
+    for problem in recording.problems:
+        begin = time.thread_time()
+        try:
+            du, count = controller.optimise(problem, np.clip(start, -problem.bound, problem.bound))
+        except (ArithmeticError, np.linalg.LinAlgError):
+            du, count, failures = start, 0, failures + 1
+        seconds.append(time.thread_time() - begin)
+        torques.append(du)
+        iterations.append(count)
+        start = np.append(du[1:], du[-1])
+    return np.array(torques), np.array(seconds), np.array(iterations), failures
+
+
+def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
+    """Table of all solver paths on all scenarios (contract of data/results/solve_times.csv)."""
+    rows = []
+    plain = [record(name, settings, vehicle) for name in names]
+    recordings = [recording for one in plain for recording in (one, tightened(one))]
+    for recording in tqdm(recordings, desc="solvers", unit="scenario"):
+        solved = {kind: solve_all(kind, recording, vehicle) for kind in KINDS}
+        exact, reference, *_ = solved["ipopt"]
+        for kind, (du, seconds, iterations, failures) in solved.items():
+            difference = np.abs(du - exact).max() / vehicle.drive.torque_limit
+            pairs = zip(recording.problems, du, exact, strict=True)
+            costs = np.array([[p.cost(p.roll_out(u), u) for u in pair] for p, *pair in pairs])
+            rows.append(
+                {
+                    "solver": kind,
+                    "scenario": recording.scenario,
+                    "n": len(seconds),
+                    "median_ms": 1e3 * np.median(seconds),
+                    "p95_ms": 1e3 * np.percentile(seconds, 95),
+                    "max_ms": 1e3 * seconds.max(),
+                    "iterations_median": np.median(iterations),
+                    "ratio_to_ipopt": np.median(seconds) / np.median(reference),
+                    "failures": failures,
+                    "largest_torque_difference": difference,
+                    "largest_cost_excess": np.max(costs[:, 0] / costs[:, 1] - 1),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFrame:
+    """Cross-check of optimum and time with do-mpc, an independent MPC tool (extra `bench`).
+
+    Parameters
+    ----------
+    vehicle, settings
+    count : int
+        Problems of the curve entry on T3 that are solved.
+
+    Returns
+    -------
+    DataFrame
+        Time, first torque and largest difference of the plan for each problem.
+    """
+    import do_mpc
+
+    recording = record("curve_entry_T3", settings, vehicle, count)
+    ours, seconds, *_ = solve_all("gauss_newton", recording, vehicle)
+    step = ocp.dynamics(settings.variant, settings.discretisation)
+    rows = []
+    for problem, plan, own in zip(recording.problems, ours, seconds, strict=True):
+        s, scale = problem.settings, 1e3
+        model = do_mpc.model.Model("discrete", "SX")
+        x, du = model.set_variable("_x", "x", (6, 1)), model.set_variable("_u", "du")
+        theta, x_d = model.set_variable("_tvp", "theta", (9, 1)), model.set_variable("_tvp", "x_d", (6, 1))
+        x_next, *_ = step(x, scale * du, problem.u_d, theta, problem.parameters, s.period, 1.0)
+        model.set_rhs("x", x_next)
+        model.setup()
+        controller = do_mpc.controller.MPC(model)
+        controller.settings.n_horizon, controller.settings.t_step = s.steps, s.period
+        controller.settings.store_full_solution = False
+        controller.settings.supress_ipopt_output()
+        controller.settings.nlpsol_opts |= {"ipopt.tol": 1e-10}
+        tuning, big = Tuning.of(ca.DM(s.tuning())), 1e6
+        stage = ocp.stage_cost(x, x_d, 0, tuning) + ocp.effort_cost(scale * du, tuning)
+        controller.set_objective(mterm=big * ocp.terminal_cost(x, x_d, 0, tuning), lterm=big * stage)
+        controller.set_rterm(du=0.0)
+        controller.bounds["lower", "_u", "du"] = -problem.bound / scale
+        controller.bounds["upper", "_u", "du"] = problem.bound / scale
+        ahead = controller.get_tvp_template()
+        for k in range(s.steps + 1):
+            ahead["_tvp", k, "theta"], ahead["_tvp", k, "x_d"] = problem.ahead.theta[k], problem.ahead.x_d[k]
+        controller.set_tvp_fun(lambda now, ahead=ahead: ahead)
+        controller.setup()
+        controller.x0 = problem.x_hat
+        controller.set_initial_guess()
+        begin = time.perf_counter()
+        controller.make_step(problem.x_hat.reshape(-1, 1))
+        spent = time.perf_counter() - begin
+        theirs = scale * np.array([float(controller.opt_x_num["_u", k, 0][0]) for k in range(s.steps)])
+        rows.append(
+            {
+                "do_mpc_ms": 1e3 * spent,
+                "ours_ms": 1e3 * own,
+                "ratio": own / spent,
+                "first_torque_Nm": plan[0],
+                "largest_difference_Nm": np.abs(theirs - plan).max(),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
+    """Time per sample over the length of the horizon: recursion, dense elimination, Ipopt."""
+    rows = []
+    for steps in tqdm(HORIZONS, desc="horizons", unit="length"):
+        recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
+        for kind in ("gauss_newton", "rti", "ltv_mpc", "dense", "ipopt"):
+            _, seconds, iterations, _ = solve_all(kind, recording, vehicle)
+            row = {"solver": kind, "steps": steps, "median_ms": 1e3 * np.median(seconds)}
+            rows.append(row | {"iterations_median": np.median(iterations)})
+    return pd.DataFrame(rows)
+
+
+def phases(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
+    """Feedback and preparation time of real-time iteration in closed loop."""
+    scenario = scenarios.load_scenario("curve_entry_T3")
+    run = simulate.run(scenario, lambda v, w, g: NMPC(v, w, g, settings, solver="rti"), vehicle=vehicle)
+    stats = run.controllers[0].stats[1:]
+    values = {
+        "feedback, median": np.median([s.seconds for s in stats]),
+        "feedback, largest": max(s.seconds for s in stats),
+        "preparation, median": np.median([s.preparation for s in stats]),
+    }
+    rows = [{"what": f"real-time iteration, {k}", "speed_kmh": 280, "value": 1e3 * v} for k, v in values.items()]
+    return pd.DataFrame(rows).assign(unit="ms")
+
+
+def _seconds(call: Callable[[], object], least: float = 0.2) -> float:
+    """Time of the processor for one call (s): best of three batches."""
+    count, best = 1, np.inf
+    while True:
+        begin = time.thread_time()
+        for _ in range(count):
+            call()
+        spent = time.thread_time() - begin
+        if spent > least:
+            break
+        count *= 4
+    for _ in range(3):
+        begin = time.thread_time()
+        for _ in range(count):
+            call()
+        best = min(best, (time.thread_time() - begin) / count)
+    return best
+
+
+def peer_times(vehicle: Vehicle, settings: MPCSettings, names=("curve_entry_T3",), count: int = 6):
+    """Our recursion against compiled peers (contract of data/results/peer_times.csv).
+
+    Our tuned set, and the one tuned on the paper's setting with the paper's discretisation, with bounds far and near.
+    """
+    paper = replace(mpc_settings(tuning.load("nmpc", "paper")["parameters"]), discretisation="euler")
+    plain = [record(name, each, vehicle, count) for each in (settings, paper) for name in names]
+    recordings = [recording for one in plain for recording in (one, tightened(one))]
+    tables = [peers.compare(recording, vehicle) for recording in tqdm(recordings, desc="peers", unit="scenario")]
+    return pd.concat(tables, ignore_index=True)
+
+
+def sample_times(settings=tuning.SETTINGS, names=SCENARIOS, drives: int = 3, end_m: float = 500.0) -> pd.DataFrame:
+    """Time of the samples of predictive controllers in closed loop, the least of some drives at each sample.
+
+    Contract of data/results/sample_times.csv: the first `end_m` of each scenario, in all settings.
+    """
+    kinds = [(name, {"solver": solver}) for name in ("nmpc", WITH_OBSERVER) for solver in ("gauss_newton", "rti")]
+    kinds += [("ltv_mpc", {}), ("ltv_mpc_printed", {})]
+    rows = []
+    for each, (controller, options), name in tqdm(list(itertools.product(settings, kinds, names)), desc="samples"):
+        scenario = scenarios.load_scenario(name)
+        scenario = scenario.but(end_m=min(scenario.end_m, end_m))
+        sensors = {"seed": 1} if each == tuning.LOOP else {}
+        experiment = Experiment(scenario, controller, options=options, setting=each, sensors=sensors)
+        run = experiment.run()
+        times = 1e3 * sample_times_of(run, experiment, drives - 1)
+        row = {"setting": each, "controller": controller, "solver": options.get("solver", "one QP"), "scenario": name}
+        row |= {"steps": run.controllers[0].settings.steps, "n": len(times), "median_ms": np.median(times)}
+        row |= {"p99_ms": np.quantile(times, 0.99), "max_ms": times.max()}
+        fallbacks = sum(solve.fallback for guided in run.controllers for solve in guided.stats)
+        rows.append(row | {"fallbacks": fallbacks, "failed": run.failed})
+    return pd.DataFrame(rows)
+
+
+def _arithmetic(function: ca.Function) -> int:
+    """Floating-point operations of one call; a sine counts as one."""
+    no = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+    return sum(function.instruction_id(i) not in no for i in range(function.n_instructions()))
+
+
+def solver_operations(vehicle: Vehicle, settings: MPCSettings, least: float = 0.2) -> pd.DataFrame:
+    """Operations and time of one iteration, and what the processor can at most.
+
+    Columns: part, operations, microseconds, gigaflops, share_of_limit (of what the processor can in the same kind of
+    code: several numbers side by side for the linearisation, one by one for the recursion).
+    """
+    recording = record("curve_entry_T3", settings, vehicle, 1)
+    controller = NMPC(vehicle, recording.route, 0, settings)
+    controller.optimise(recording.problems[0], np.zeros(settings.steps))
+    horizon, steps = controller.horizon, settings.steps
+    model = ocp.dynamics(settings.variant, settings.discretisation)
+    terminal, backward, forward = riccati.recursion(settings.variant, settings.discretisation)
+    recursion = _arithmetic(terminal) + steps * (_arithmetic(backward) + _arithmetic(forward))
+    text = "".join(file.read_text() for file in (_LANES, Path(__file__).with_name("peak.c")))
+    kernel, rounds = ctypes.CDLL(str(codegen.build(text))), 10_000
+    limits = {name: 24.0 * rounds * wide for name, wide in (("peak_lanes", 4), ("peak_single", 1))}
+    rates = {name: n / _seconds(lambda name=name: getattr(kernel, name)(rounds), least) for name, n in limits.items()}
+    parts = {
+        "linearisation": (steps * _arithmetic(model), _seconds(horizon.linearise, least), "peak_lanes"),
+        "recursion": (recursion, _seconds(horizon.solve, least), "peak_single"),
+    }
+    rows = [{"part": name, "operations": n, "microseconds": 1e6 * t, "gigaflops": 1e-9 * n / t,
+             "share_of_limit": n / t / rates[of]} for name, (n, t, of) in parts.items()]  # fmt: skip
+    words = {"peak_lanes": "limit, four side by side", "peak_single": "limit, one by one"}
+    return pd.DataFrame(rows + [{"part": words[name], "gigaflops": 1e-9 * rate} for name, rate in rates.items()])
+
+
+_S1002, _TWO_STAGE = {"contact.profile": "s1002"}, {"primary.two_stage": True}
+
+
+def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
+    """Real-time factors of the car and of the closed loop, and where the time of an exchange goes."""
+    rows, base, per_second = [], scenarios.load_scenario("sine_tracking"), "ms per simulated s"
+
+    def add(what: str, value: float, unit: str, speed_kmh: float = 400) -> None:
+        rows.append({"what": what, "speed_kmh": speed_kmh, "value": value, "unit": unit})
+
+    for speed_kmh in (400, 160, 40, 5):
+        scenario = base.but(speed_kmh=speed_kmh, end_m=max(20.0, speed_kmh / 3.6 * 9))
+        exchange, loop = _loop(scenario, vehicle)
+        begin = time.perf_counter()
+        run = simulate.run(scenario, NDI(), vehicle=vehicle)
+        whole = (time.perf_counter() - begin) / run.series["t_s"].iloc[-1]
+        add("car alone", 1e6 * _seconds(exchange.functions["step"]), per_second, speed_kmh)
+        add("loop with NDI, adhesion law and log", 1e6 * loop, per_second, speed_kmh)
+        add("whole run, Python included", 1e3 * whole, per_second, speed_kmh)
+    changes = {"cone": {}, "S1002": _S1002, "two-stage": _TWO_STAGE, "S1002, two-stage": _S1002 | _TWO_STAGE}
+    for speed_kmh in (400, 160, 40):
+        scenario = base.but(speed_kmh=speed_kmh, end_m=max(50.0, speed_kmh / 3.6 * 3))
+        rough = rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum="en_B_300")
+        for name, change in changes.items():
+            _, loop = _loop(scenario, load_vehicle(**change), rough)
+            add(f"loop on irregular rails, {name}", 1e6 * loop, per_second, speed_kmh)
+    exchange, loop = _loop(base, vehicle)
+    nothing = ca.SX.sym("x")
+    overhead = _seconds(codegen.compiled(ca.Function("nothing", [nothing], [nothing])))
+    parts = {part: max(0.0, _seconds(exchange.functions[name]) - overhead) for name, part in _PARTS.items()}
+    for name, seconds in parts.items():
+        add(f"share of {name}", seconds / loop, "-")
+    add("share of look-up and log", 1 - sum(parts.values()) / loop, "-")
+    operations = equations.car().operations
+    for name in ("contact", "suspension"):
+        add(f"share of {name} in the operations of the car's rate", operations[name] / operations["all"], "-")
+    plain = _exchange(base, vehicle, compiled=False)
+    begin = time.perf_counter()
+    plain.run(200)
+    add("loop without compiler", 1e6 * (time.perf_counter() - begin) / 200, per_second)
+    return pd.DataFrame(rows)
+
+
+def _loop(scenario, vehicle: Vehicle, rough=None, exchanges: int = 1000) -> tuple[Exchange, float]:
+    """An exchange after a run, and the time of one of its exchanges (s), best of five runs."""
+    best = np.inf
+    for _ in range(5):
+        exchange = _exchange(scenario, vehicle, rough)
+        begin = time.perf_counter()
+        exchange.run(exchanges)
+        best = min(best, (time.perf_counter() - begin) / exchanges)
+    return exchange, best
+
+
+def _exchange(scenario, vehicle: Vehicle, rough=None, compiled: bool = True) -> Exchange:
+    table = contact_table(vehicle.contact.profile, vehicle)
+    limits = {"lateral": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
+    control = law.control_law(vehicle, NDI(), **limits)
+    parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
+    state = equations.rest_state(vehicle, table, scenario.speed)
+    return Exchange(parameters, table, scenario.route(rough), control, state, compiled)
+
+
+def executor_speed(particles: int = 24, rounds: int = 2) -> pd.DataFrame:
+    """Wall time of a first swarm of the tuning on one and on all workers (best of `rounds`), and their efficiency."""
+    task, before, rows = tuning.load_task(), os.environ.get("RAILREPRO_WORKERS"), []
+    numbers = (1, os.cpu_count() or 1)
+    for name in ("nmpc", "ndi"):
+        first = pso.Swarm(task.dimensions[name], particles, task.budget["seeds"][0]).ask()
+        evaluation, best = swarm.Evaluation(name, task), dict.fromkeys(numbers, np.inf)
+        for workers in numbers * rounds:
+            os.environ["RAILREPRO_WORKERS"] = str(workers)
+            with executor() as pool:
+                ordered_map(pool, evaluation, first[: 2 * workers], "warm up", quiet=True)
+                begin = time.perf_counter()
+                ordered_map(pool, evaluation, first, f"{name}, {workers} workers")
+                best[workers] = min(best[workers], time.perf_counter() - begin)
+        for workers, seconds in best.items():
+            row = {"controller": name, "workers": workers, "evaluations": particles, "seconds": seconds}
+            rows.append(row | {"efficiency": best[1] / workers / seconds})
+    os.environ.pop("RAILREPRO_WORKERS")
+    if before:
+        os.environ["RAILREPRO_WORKERS"] = before
+    return pd.DataFrame(rows)
+
+
+def machine() -> str:
+    """Name of the processor."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def main(names: list[str]) -> None:
+    """Measure the named tables, or all, and write them."""
+    if codegen.compiler() is None:
+        raise InputError("the bench compares compiled code and needs a C compiler")
+    measures = {
+        "plant_speed": lambda: pd.concat([plant_speed(vehicle), phases(vehicle, settings)], ignore_index=True),
+        "solve_times": lambda: solve_times(vehicle, settings),
+        "horizon_times": lambda: horizon_times(vehicle, settings),
+        "executor_speed": executor_speed,
+        "peer_times": lambda: peer_times(vehicle, settings),
+        "sample_times": sample_times,
+        "solver_operations": lambda: solver_operations(vehicle, settings),
+    }
+    if importlib.util.find_spec("do_mpc"):
+        measures["peer"] = lambda: peer(vehicle, settings)
+    unknown = set(names) - set(measures)
+    if unknown:
+        raise InputError(f"table {min(unknown)!r} is not known; there are {sorted(measures)}")
+    vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc")["parameters"])
+    for name in names or measures:
+        table = measures[name]()
+        table["machine"] = machine()
+        write(paths.product(f"data/results/{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
+        print(f"\n{name}\n{table.drop(columns='machine').to_string(index=False)}")
+        if name == "solve_times":
+            plain = table[~table["scenario"].str.contains("bounds")]
+            print("\nmedian over scenarios, relative to Ipopt:")
+            print(plain.groupby("solver")["ratio_to_ipopt"].median().map(lambda x: f"1/{1 / x:.0f}").to_string())

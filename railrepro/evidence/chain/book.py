@@ -1,0 +1,88 @@
+"""The book: its source in build/book, made by Sphinx into build/html, and checked."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+from railrepro import paths
+from railrepro.errors import InputError
+from railrepro.evidence.chain import pages, weblinks
+from railrepro.evidence.chain.graph import chain
+from railrepro.files import write, written
+
+
+def html() -> Path:
+    """The book in build/html; returns its first page. InputError without executed notebooks, or with a broken link."""
+    source = _source(paths.BUILD / "book")
+    folder = paths.BUILD / "html"
+    try:
+        from sphinx.cmd.build import build_main
+    except ImportError as error:
+        raise InputError("the book needs the packages of book.lock; `make html` installs them") from error
+    with written():
+        shutil.rmtree(folder, ignore_errors=True)
+    settings = paths.NOTEBOOKS / "book"
+    if build_main(["-q", "-W", "--keep-going", "-b", "html", "-c", str(settings), str(source), str(folder)]):
+        raise InputError("the book is not complete, see the lines above")
+    shutil.rmtree(folder / ".doctrees", ignore_errors=True)
+    faults = weblinks.faults(folder)
+    if faults:
+        raise InputError(f"the book has {len(faults)} faulty links, the first: {faults[0]}")
+    return folder / "index.html"
+
+
+def _source(folder: Path) -> Path:
+    """Write the source of the book; returns its folder."""
+    from railrepro.evidence.claims import statements
+    from railrepro.evidence.report import article, claims, notation
+    from railrepro.evidence.report.evidence import Nominal
+
+    notebooks = chain()
+    contents = {notebook.name: pages.executed(notebook) for notebook in notebooks}
+    home: dict[str, str] = {}
+    for name, content in contents.items():
+        for number in pages.tags(pages.prose(content)):
+            home.setdefault(number, name)
+    homes = {name: statement.notebook for name, statement in statements.load().items()}
+    table = _claims_table()
+    with written():
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(paths.NOTEBOOKS / "book", folder, ignore=shutil.ignore_patterns("__pycache__"))
+        for name in ("data", "figures", "railrepro"):
+            (folder / name).symlink_to(paths.ROOT / name)
+        (folder / "source").symlink_to(paths.NOTEBOOKS)
+    for notebook in notebooks:
+        rows = pages.resting(notebook, homes, table)
+        chapter = pages.chapter(notebook, contents[notebook.name], home, rows)
+        write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
+    write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
+    write(folder / "leaderboard.md", pages.leaderboard(_leaderboard()))
+    nominal = Nominal()
+    text = article.render(claims.evaluate(nominal), nominal)
+    write(folder / "article.md", article.for_the_book(text))
+    write(folder / "article.pdf", article.pdf(text))
+    write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
+    for name, text in pages.reference().items():
+        write(folder / "reference" / f"{name}.md", text)
+    return folder
+
+
+def _leaderboard() -> str:
+    """Table of the leaderboard in Markdown; empty where there is none."""
+    import pandas as pd
+
+    from railrepro.evidence.score import leaderboard, page
+
+    file = paths.source(page.LEADERBOARD)
+    return leaderboard.markdown(pd.read_csv(file)) if file.exists() else ""
+
+
+def _claims_table() -> list[dict]:
+    file = paths.source("data/results/claims.csv")
+    if not file.exists():
+        return []
+    with file.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))

@@ -1,0 +1,258 @@
+"""Source pages of the book: executed notebooks with their surroundings, report, notation, library reference."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+from railrepro import paths
+from railrepro.errors import InputError
+from railrepro.evidence.chain.graph import Notebook
+
+ORDER = ("compile", "vehicle", "track", "contact", "model", "car", "estimation", "control", "simulation", "evidence")
+"""Rooms from the ground up, then the rest."""
+
+_EQUATION = re.compile(r"\beqs?\. (\([^()\s]+\)(?:(?:, | and | to )\([^()\s]+\))*)")
+_DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
+_TAG = re.compile(r"\\tag\{([^}]*)\}")
+_CHAPTER = re.compile(r"`(\d\d_\w+)`")
+_SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
+
+
+@cache
+def _numbers() -> dict[str, str]:
+    with (paths.NOTEBOOKS / "book" / "equations.csv").open(newline="", encoding="utf-8") as stream:
+        return {row["label"]: row["number"] for row in csv.DictReader(stream)}
+
+
+def numbered(text: str) -> str:
+    """Text in which labels of the paper's source, after "eq.", are the numbers that its PDF shows."""
+
+    def number(match: re.Match) -> str:
+        label = match[1].removeprefix("eq.").removeprefix("eqn.")
+        return _numbers().get(label, f"({match[1]})")
+
+    return _EQUATION.sub(lambda m: m[0].replace(m[1], re.sub(r"\(([^()]+)\)", number, m[1])), text)
+
+
+def tags(text: str) -> list[str]:
+    """Numbers of the paper's equations that formulas in a text carry: of "3a, b" these are 3a, 3b and 3."""
+    found: list[str] = []
+    for tag in _TAG.findall(text):
+        letters = re.findall(r"[a-z]", tag)
+        number = "".join(re.findall(r"^\d+", tag))
+        found += [f"{number}{letter}" for letter in letters] + [number]
+    return list(dict.fromkeys(found))
+
+
+def prose(content: dict) -> str:
+    """Markdown of a notebook."""
+    return "\n".join(cell["source"] for cell in content["cells"] if cell["cell_type"] == "markdown")
+
+
+def executed(notebook: Notebook) -> dict:
+    """Content of an executed notebook, sources as single strings and the title bare; InputError when there is none."""
+    file = paths.BUILD / "notebooks" / f"{notebook.name}.ipynb"
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        for cell in content["cells"]:
+            cell["source"] = re.sub(r"^# \[Re\] ", "# ", "".join(cell["source"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: there is no executed notebook; `make figures` makes it") from error
+    return content
+
+
+def anchor(number: str) -> str:
+    """Target of an equation of the paper."""
+    return f"eq-{number}"
+
+
+def chapter(notebook: Notebook, content: dict, home: dict[str, str], rows: list[dict]) -> dict:
+    """A notebook as a page: equations linked, figures with captions, source, data and claims at its end.
+
+    Parameters
+    ----------
+    notebook : Notebook
+    content : dict
+        See `executed`.
+    home : dict
+        Notebook that shows an equation of the paper, by number.
+    rows : list of dict
+        Claims that rest on it, rows of data/results/claims.csv.
+
+    Returns
+    -------
+    dict
+        The notebook with changed cells.
+    """
+    cells: list[dict] = []
+    waiting = {number for number, name in home.items() if name == notebook.name}
+    for i, cell in enumerate(content["cells"]):
+        if cell["cell_type"] == "markdown":
+            text = _DISPLAY.sub(lambda m: _display(m[1], waiting), numbered(cell["source"]))
+            cells.append(cell | {"source": _linked(text, home)})
+            continue
+        cells.append(_markdown(f"({notebook.name}-{cell['id']})=", f"target-{i}"))
+        cells += _with_figures(cell)
+    cells.append(_markdown(_around(notebook, rows), "around"))
+    return content | {"cells": cells}
+
+
+def _markdown(text: str, identity: str) -> dict:
+    return {"cell_type": "markdown", "id": identity, "metadata": {}, "source": text}
+
+
+def _display(formula: str, waiting: set[str]) -> str:
+    """A displayed formula as an environment of its own, with a target for each number that still waits for one."""
+    targets = [f"({anchor(number)})=\n" for number in tags(formula) if number in waiting]
+    waiting.difference_update(tags(formula))
+    environment = "" if formula.lstrip().startswith(("\\begin{align}", "\\begin{gather}")) else "equation*"
+    # Without the star Sphinx would count the formula as its own, too.
+    starred = re.sub(r"\{(align|gather)\}", r"{\1*}", formula)
+    body = f"\\begin{{{environment}}}\n{formula}\n\\end{{{environment}}}" if environment else starred
+    return f"\n{''.join(targets)}{body}\n"
+
+
+def _linked(text: str, home: dict[str, str]) -> str:
+    """Mentions of the paper's equations and of chapters as links to their places in the book."""
+
+    def link(match: re.Match) -> str:
+        return f"[{match[0]}](#{anchor(match[1])})" if match[1] in home else match[0]
+
+    text = _EQUATION.sub(lambda m: m[0].replace(m[1], re.sub(r"\(([^()]+)\)", link, m[1])), text)
+    return _CHAPTER.sub(lambda m: f"[`{m[1]}`]({m[1]}.ipynb)" if _is_chapter(m[1]) else m[0], text)
+
+
+@cache
+def _is_chapter(name: str) -> bool:
+    return (paths.NOTEBOOKS / f"{name}.ipynb").exists()
+
+
+def _with_figures(cell: dict) -> list[dict]:
+    """A code cell, and in place of the images of the figures that it saves the saved files with captions."""
+    saved = _SAVED.findall(cell["source"])
+    kept = [output for output in cell.get("outputs", []) if not (saved and _is_figure(output))]
+    shown = [_markdown(_figure(name), name) for name in saved]
+    return [cell | {"outputs": kept}, *shown]
+
+
+def _is_figure(output: dict) -> bool:
+    return {"image/png", "text/latex"} & set(output.get("data", {})) == {"image/png"}
+
+
+def _figure(name: str) -> str:
+    """A saved figure as a numbered one: drawn when that is a small file, else in pixels."""
+    drawn = paths.FIGURES / f"{name}.svg"
+    suffix = "svg" if drawn.exists() and drawn.stat().st_size < 500_000 else "png"
+    files = ", ".join(f"{{download}}`{kind} <../figures/{name}.{kind}>`" for kind in ("pdf", "svg", "csv"))
+    head = f"```{{figure}} ../figures/{name}.{suffix}\n:name: {name}\n:alt: {name[6:].replace('_', ' ')}\n\n"
+    return f"{head}Figure {int(name[3:5])}, {name[6:].replace('_', ' ')} ({files})\n```"
+
+
+def _download(path: str) -> str:
+    return f"{{download}}`{Path(path).name} <../{path}>`"
+
+
+def _around(notebook: Notebook, rows: list[dict]) -> str:
+    """Where a chapter comes from and what rests on it."""
+    reads = [path for path in notebook.reads if (paths.ROOT / path).is_file()]
+    lines = ["## Source, data, claims", "", f"Notebook: {_download(f'source/{notebook.name}.ipynb')}.", ""]
+    if reads:
+        lines += [f"Reads: {', '.join(map(_download, reads))}.", ""]
+    if notebook.writes:
+        lines += [f"Writes: {', '.join(map(_download, notebook.writes))}; figures above.", ""]
+    if rows:
+        lines += ["Statements of the paper that rest on this chapter:", "", *_head("", "statement", "verdict")]
+        for row in rows:
+            setting = f", {row['setting']}" if row.get("setting") else ""
+            lines.append(f"| {_claim(row['id'])} | {row['statement']} | {row['verdict']}{setting} |")
+    else:
+        lines += ["No statement of the paper rests on this chapter."]
+    return "\n".join(lines)
+
+
+def _head(*names: str) -> list[str]:
+    return [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
+
+
+def _claim(identity: str) -> str:
+    return f'<a href="../REPLICATION.html#{identity}">{identity}</a>'
+
+
+def resting(notebook: Notebook, homes: dict[str, str], table: list[dict]) -> list[dict]:
+    """Rows of claims.csv whose statement names the notebook (`homes`) or a product of it."""
+    own = set(notebook.products) | set(notebook.figures)
+
+    def rests(row: dict) -> bool:
+        evidence = Path(row["evidence"])
+        return homes.get(row["id"]) == notebook.name or bool(own & {str(evidence), evidence.stem})
+
+    return [row for row in table if rests(row)]
+
+
+def report(text: str) -> str:
+    """REPLICATION.md with links to chapters of the book and a target for each claim."""
+    text = re.sub(r"\(notebooks/(\w+)\.ipynb#cell-id=(\w+)\)", r"(#\1-\2)", text)
+    return re.sub(r"^\| (C\d\d) \|", r'| <span id="\1"></span>\1 |', text, flags=re.MULTILINE)
+
+
+def leaderboard(table: str) -> str:
+    """Page of the open benchmark, with its table in Markdown or without one."""
+    lines = [
+        "# Leaderboard",
+        "",
+        "The open benchmark: 28 runs and two searches for margins, in the setting `equal` (perfect measurements) and "
+        "`loop` (behind sensors), at most 100 points. How to enter a controller of your own: "
+        "{doc}`notebooks/16_own_controller`.",
+        "",
+        table or "There is no table yet: `make leaderboard` makes it, and the next book shows it.",
+        "",
+        "Every line of every run, with its unit: [leaderboard.csv](data/results/leaderboard.csv)." if table else "",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def notation(rows: Iterable[dict]) -> str:
+    """Page of the symbols; rows as in `railrepro.evidence.report.notation.table`."""
+    lines = [
+        "# Notation",
+        "",
+        "Symbols of the paper, then parameters of the car; `series`: columns of a run's table.",
+        "",
+    ]
+    lines += _head("symbol", "meaning", "unit", "in the library", "equation")
+    for row in rows:
+        shown = numbered(f"eq. {row['equation']}").removeprefix("eq. ")
+        cells = (row["symbol"], row["meaning"], row["unit"], f"`{row['python']}`" if row["python"] else "", shown)
+        lines.append("| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def reference() -> dict[str, str]:
+    """Pages of the library reference by name, one per room, from the docstrings."""
+    base = paths.ROOT / "railrepro"
+    rooms = sorted((p.parent for p in base.glob("*/__init__.py")), key=lambda p: (_rank(p.name), p.name))
+    pages = {"library": _room("railrepro", base)}
+    pages |= {room.name: _room(f"railrepro.{room.name}", room) for room in rooms}
+    listed = "\n".join(pages)
+    head = "# Library reference\n\nFrom the docstrings, room by room, from the ground up.\n\n"
+    return {"index": f"{head}```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n"} | pages
+
+
+def _rank(name: str) -> int:
+    return ORDER.index(name) if name in ORDER else len(ORDER)
+
+
+def _room(package: str, folder: Path) -> str:
+    found = folder.glob("*.py") if package == "railrepro" else folder.rglob("*.py")
+    files = sorted(file.relative_to(paths.ROOT).with_suffix("") for file in found if not file.name.startswith("__"))
+    modules = [".".join(file.parts) for file in files]
+    lines = [f"# {package}", "", "```{eval-rst}", f".. automodule:: {package}", "   :no-index:", "```", ""]
+    for module in modules:
+        lines += [f"## {module.removeprefix(package + '.')}", "", "```{eval-rst}", f".. automodule:: {module}"]
+        lines += ["   :members:", "```", ""]
+    return "\n".join(lines)

@@ -1,0 +1,154 @@
+"""Rerun and compare: the committed products on this machine, and as another compiler or processor would make them."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from railrepro import paths
+from railrepro.compile import cache
+from railrepro.errors import InputError
+from railrepro.evidence.chain import compare, graph, runner
+from railrepro.evidence.runs import store
+from railrepro.files import emptied, written
+
+_NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
+VARIANTS = {
+    "v2": {"RAILREPRO_CFLAGS": "-O2 -march=x86-64-v2"},
+    "v3": {"RAILREPRO_CFLAGS": "-O2 -march=x86-64-v3 -ffp-contract=fast"},
+    "v4": {"RAILREPRO_CFLAGS": "-O2 -march=x86-64-v4 -ffp-contract=fast"},
+    "native": {"RAILREPRO_CFLAGS": "-O2 -march=native -ffp-contract=fast"},
+    "clang": {"CC": "clang"},
+    "clang-v3": {"CC": "clang", "RAILREPRO_CFLAGS": "-O2 -march=x86-64-v3 -ffp-contract=fast"},
+    "packaged": {"CC": cache.PACKAGED},
+    "O0": {"RAILREPRO_CFLAGS": "-O0"},
+    "old-processor": {
+        "RAILREPRO_CFLAGS": "-O2 -march=x86-64",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-FMA4,-AVX512F",
+        "NPY_DISABLE_CPU_FEATURES": _NO_SIMD,
+        "OPENBLAS_CORETYPE": "Nehalem",
+    },
+    "no-compiler": {"RAILREPRO_NO_COMPILER": "1"},
+}
+"""Other ways to compute the same: name -> environment.
+
+"old-processor" also keeps the mathematical library and NumPy from fused and wide instructions."""
+_NEEDS = {"v2": "ssse3", "v3": "avx2", "v4": "avx512f", "clang-v3": "avx2"}
+QUICK_MINUTES = 1.0
+"""Longest stated run time of a notebook that the variants rerun (minutes)."""
+
+
+def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comparison, list[str]]:
+    """Run notebooks beside the checkout and compare all their products with the committed ones.
+
+    Parameters
+    ----------
+    notebooks : sequence of Notebook
+    root : Path
+        Folder for the products of the rerun; emptied first, see `files.emptied`.
+
+    Returns
+    -------
+    total : Comparison
+    findings : list of str
+        One line per notebook that failed and per product that differs; empty is good.
+    """
+    os.environ[store.FOLDER] = "off"  # a rerun computes
+    emptied(root)
+    tolerance, total, findings = graph.verify_tolerance(), compare.Comparison(), []
+    for notebook in notebooks:
+        print(f"{notebook.name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
+        try:
+            runner.run_notebook(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
+        except InputError as error:
+            findings.append(str(error))
+        for product in notebook.products:
+            if product.endswith(compare.SUFFIXES):
+                result = compare.compare(paths.ROOT / product, root / product, tolerance)
+                total += result
+                print(f"{product}: {result}", flush=True)
+                findings += [f"{product}: {result}"] if result.different else []
+    return total, findings
+
+
+def verify(quick: bool = False, into: Path | None = None) -> int:
+    """Rerun the chain and print what differs.
+
+    Parameters
+    ----------
+    quick : bool
+        Only the notebooks of at most `QUICK_MINUTES`.
+    into : Path, optional
+        Folder for the products of the rerun, empty or of an earlier one; default build/verify.
+
+    Returns
+    -------
+    int
+        1 when a notebook fails or a product differs by more than the tolerance, else 0.
+    """
+    notebooks = [notebook for notebook in graph.chain() if not quick or notebook.minutes <= QUICK_MINUTES]
+    total, findings = rerun(notebooks, into or paths.BUILD / "verify")
+    print(f"all: {total}")
+    for line in findings:
+        print(f"not reproduced: {line}")
+    return int(bool(findings))
+
+
+def variants(names: Sequence[str]) -> int:
+    """Rerun the quick notebooks in other ways, one process each.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Keys of `VARIANTS`; empty takes all that this machine can run.
+
+    Returns
+    -------
+    int
+        1 when one of them does not give the committed products within the tolerance, else 0.
+
+    Raises
+    ------
+    InputError
+        When a name is not known, or cannot run here although it was asked for.
+    """
+    unknown = set(names) - set(VARIANTS)
+    if unknown:
+        raise InputError(f"variant {min(unknown)!r} is not known; there are {sorted(VARIANTS)}")
+    failed = 0
+    for name in names or VARIANTS:
+        why_not = _hindrance(name)
+        if why_not and names:
+            raise InputError(f"variant {name!r}: {why_not}")
+        if why_not:
+            print(f"{name}: left out, {why_not}", flush=True)
+            continue
+        log = paths.BUILD / "variants" / f"{name}.log"
+        with written():
+            log.parent.mkdir(parents=True, exist_ok=True)
+            stream = log.open("w")
+        with stream:
+            chain = [sys.executable, "-m", "railrepro", "chain"]
+            command = [*chain, "verify", "--quick", "--into", str(log.with_suffix(""))]
+            code = subprocess.run(command, env=os.environ | VARIANTS[name], stdout=stream, stderr=subprocess.STDOUT)
+        lines = [line for line in log.read_text().splitlines() if line.startswith(("all: ", "not reproduced: "))]
+        failed += code.returncode != 0
+        print("\n  ".join([f"{name}: " + ("failed" if code.returncode else "passed"), *lines]), flush=True)
+    return int(failed > 0)
+
+
+def _hindrance(name: str) -> str:
+    """Why a variant cannot run here, or an empty text."""
+    compiler = VARIANTS[name].get("CC")
+    missing = cache.compiler() is None if compiler is None else shutil.which(compiler) is None
+    if name != "no-compiler" and missing:
+        return f"there is no compiler {compiler!r}" if compiler else "there is no C compiler"
+    feature = _NEEDS.get(name)
+    if feature and (platform.machine() != "x86_64" or feature not in Path("/proc/cpuinfo").read_text().split()):
+        return f"this processor has no {feature}"
+    return ""

@@ -1,0 +1,231 @@
+"""Negative controls: evidence that must fail a rule. A rule that its negative control passes is no rule.
+
+Each is a function from evidence to what it would be if the named thing were so; data/claims.toml names one per
+statement, and a test holds that it is not reproduced then.
+
+Serves the paper's section Multi-Body Simulation Results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pandas as pd
+
+from railrepro.control.registry import PAPER_TRIO
+from railrepro.evidence.claims.statements import LOSS, NOTHING, REGULAR, SOFT, SOFTEST, T3, Evidence
+
+CONTROLS: dict[str, Callable[[Evidence], Evidence]] = {}
+_DRIVEN = (*PAPER_TRIO, SOFT, SOFTEST)
+_STANDS_STILL = {"delay": float("inf"), "torque_later": 0.0, "torque_alike": 0.0, "effort_du": 0.0}
+
+
+def control(name: str) -> Callable:
+    """Register a negative control."""
+
+    def register(function):
+        CONTROLS[name] = function
+        return function
+
+    return register
+
+
+def _changed(e: Evidence, change: Callable[[str, str, str, float], float]) -> Evidence:
+    return replace(e, metrics={key: change(*key, value) for key, value in e.metrics.items()})
+
+
+def _tables(e: Evidence, **changes: Callable[[pd.DataFrame], pd.DataFrame]) -> Evidence:
+    """Evidence with some of its tables changed."""
+
+    def read(name: str) -> pd.DataFrame:
+        table = e.table(name).copy()
+        return changes[name](table) if name in changes else table
+
+    return replace(e, tables=read)
+
+
+@control("y = 0")
+def _still(e: Evidence) -> Evidence:
+    """No controller leaves the centre line."""
+
+    def change(scenario, controller, metric, value):
+        if controller not in _DRIVEN:
+            return value
+        if metric == "mean_error_last_third" and scenario == "offset":
+            return e.metrics[scenario, NOTHING, "largest_error"]
+        return _STANDS_STILL.get(metric, e.metrics.get((scenario, NOTHING, metric), value))
+
+    return _changed(e, change)
+
+
+@control("one controller thrice")
+def _thrice(e: Evidence) -> Evidence:
+    """LTV-MPC, NDI and all other settings have the data of NMPC."""
+
+    def change(scenario, controller, metric, value):
+        if metric == "torque_later":
+            return 0.0
+        twin = "sweep of R" if controller == "sweep of poles" else "nmpc"
+        return e.metrics.get((scenario, twin, metric), value) if controller in (*_DRIVEN, "sweep of poles") else value
+
+    changed = _changed(e, change)
+    if any(controller == "sweep of poles" for _, controller, _ in e.metrics):
+        sweep = {k: v for k, v in e.metrics.items() if k[1] == "sweep of R"}
+        kept = {k: v for k, v in changed.metrics.items() if k[1] != "sweep of poles"}
+        return replace(changed, metrics=kept | {(s, "sweep of poles", m): v for (s, _, m), v in sweep.items()})
+    return changed
+
+
+@control("no slip control")
+def _slips(e: Evidence) -> Evidence:
+    """The base torque follows the demand and nothing else."""
+    lost = {key[2]: value for key, value in e.metrics.items() if key[:2] == (LOSS, "no slip control")}
+
+    def change(scenario, controller, metric, value):
+        return lost.get(metric, 1.0 if metric == "failed" else value) if (scenario == LOSS) else value
+
+    def sudden(table: pd.DataFrame) -> pd.DataFrame:
+        without = table[table["slip_control"] == False]  # noqa: E712, read from CSV as objects
+        keys = ["place", "drive"]
+        slip = without.set_index(keys)["largest_slip"]
+        table["largest_slip"] = [
+            slip.get((row["place"], row["drive"]), row["largest_slip"]) for _, row in table.iterrows()
+        ]
+        return table
+
+    met = {k: (change(*k, v) if k[1] in _DRIVEN else v) for k, v in e.metrics.items()}
+    return replace(_tables(e, adhesion_metrics=sudden), metrics=met)
+
+
+@control("set point ignored")
+def _no_traction(e: Evidence) -> Evidence:
+    """The wheels roll, whatever adhesion is demanded."""
+    changed = _changed(e, lambda s, c, m, v: 1.0 if (s, c) == (LOSS, REGULAR) else 0.0 if m == "utilisation" else v)
+    return _tables(changed, adhesion_map=lambda t: t.assign(utilisation=0.0))
+
+
+@control("straight track")
+def _straight(e: Evidence) -> Evidence:
+    """T3 without curve and cant: neither drift nor gyroscopic torque."""
+    gone = ("mean_error_last_third", "gyroscopic_share")
+    return _changed(e, lambda s, c, m, v: 0.0 if s == T3 and m in gone else v)
+
+
+@control("one track")
+def _one_track(e: Evidence) -> Evidence:
+    """T1 asks for what T3 asks for."""
+    return _changed(e, lambda s, c, m, v: e.metrics.get((T3, c, m), v) if s == "curve_entry_T1" else v)
+
+
+@control("error alike everywhere")
+def _alike(e: Evidence) -> Evidence:
+    return _changed(e, lambda s, c, m, v: 1.0 if m == "error_at_crests" else v)
+
+
+@control("speed without effect")
+def _any_speed(e: Evidence) -> Evidence:
+    """The sine at every speed gives what it gives at the lowest."""
+    lowest = f"sine_tracking {e.speeds()[0]}"
+    return _changed(e, lambda s, c, m, v: e.metrics.get((lowest, c, m), v) if s.startswith("sine_tracking") else v)
+
+
+@control("rail without effect")
+def _any_rail(e: Evidence) -> Evidence:
+    """Poor rail gives what dry rail gives, relative to y = 0."""
+    idle = e.metrics[LOSS, NOTHING, "rmse_y"] / e.metrics["sine_tracking 400", NOTHING, "rmse_y"]
+
+    def change(scenario, controller, metric, value):
+        if (scenario, controller, metric) == (LOSS, "nmpc", "rmse_y"):
+            return idle * e("sine_tracking 400", "nmpc", "rmse_y")
+        return value
+
+    return _changed(e, change)
+
+
+@control("R without effect")
+def _any_weight(e: Evidence) -> Evidence:
+    def change(scenario, controller, metric, value):
+        first = metric.partition(" ")[0] + " 1"
+        return e.metrics.get((scenario, controller, first), value) if controller == "sweep of R" else value
+
+    return _changed(e, change)
+
+
+@control("no unbalanced acceleration")
+def _balanced(e: Evidence) -> Evidence:
+    """Cant for the full centrifugal acceleration."""
+    return _tables(e, table1=lambda t: t.assign(phi_deg=t["phi_deg"] + [0.0, 1.27, 2.53, 3.8]))
+
+
+@control("one code twice")
+def _one_code(e: Evidence) -> Evidence:
+    return _tables(e, solve_times=lambda t: _as_solver(t, "ltv_mpc", "gauss_newton"))
+
+
+@control("interpreted solver")
+def _slow_code(e: Evidence) -> Evidence:
+    return _tables(e, solve_times=lambda t: _as_solver(t, "ltv_mpc", "ipopt"))
+
+
+def _as_solver(table: pd.DataFrame, which: str, other: str) -> pd.DataFrame:
+    rest = table[table["solver"] != which]
+    return pd.concat([rest, rest[rest["solver"] == other].assign(solver=which)])
+
+
+@control("a hard track")
+def _hard(e: Evidence) -> Evidence:
+    """Problems of one track take five times as long."""
+    hard = {"curve_entry_T3": 5.0}
+    return _tables(e, solve_times=lambda t: t.assign(median_ms=t["median_ms"] * t["scenario"].map(hard).fillna(1.0)))
+
+
+@control("cause without effect")
+def _no_cause(e: Evidence) -> Evidence:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        tuned = table[table["cause"] == "as tuned"].set_index("case")
+        return table.assign(**{m: table["case"].map(tuned[m]) for m in ("rmse_y", "mean_error_last_third")})
+
+    return _tables(e, sine_causes=change)
+
+
+@control("cause decides")
+def _all_cause(e: Evidence) -> Evidence:
+    """Without creep no error is left, and profiles triple it."""
+    factor = {"no creep": 0.0, "S1002 profiles": 3.0}
+
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        tuned = table[table["cause"] == "as tuned"].set_index("case")["rmse_y"]
+        new = table["case"].map(tuned) * table["cause"].map(factor)
+        return table.assign(rmse_y=new.fillna(table["rmse_y"]))
+
+    return _tables(e, sine_causes=change)
+
+
+@control("step without effect")
+def _any_step(e: Evidence) -> Evidence:
+    return _tables(e, adhesion_law=lambda t: t.assign(rms_error=1.0))
+
+
+@control("fixed share costs nothing")
+def _free_share(e: Evidence) -> Evidence:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        variable = table.query("kind == 'nmpc' and factor == 1")["stopping_distance"].iloc[0]
+        return table.assign(stopping_distance=table["stopping_distance"].mask(table["kind"] == "fixed", variable))
+
+    return _tables(e, braking_front=change)
+
+
+@control("base torque without effect")
+def _uninformed(e: Evidence) -> Evidence:
+    return _tables(e, braking_dependence=lambda t: t.assign(rmse_y=1.0))
+
+
+@control("preview without effect")
+def _blind(e: Evidence) -> Evidence:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        return pd.concat(
+            [table[table["preview"] != "exact"], table[table["preview"] == "none"].assign(preview="exact")]
+        )
+
+    return _tables(e, ride_metrics=change)

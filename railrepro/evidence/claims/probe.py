@@ -1,0 +1,410 @@
+"""What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
+
+The nominal results in three settings, each sample of the robustness study and each point of the matching are probes, so
+that one predicate (`statements`) judges all of them. `python -m railrepro probe` drives the nominal
+ones, for all settings and swarms, and writes data/results/nominal_metrics.csv.
+
+Serves the paper's section Multi-Body Simulation Results.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from railrepro import paths
+from railrepro.contact.creep import adhesion_maximum
+from railrepro.contact.table import cone_patch
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
+from railrepro.errors import InputError
+from railrepro.evidence.claims.statements import BRAKE, LOSS, NDI, NOTHING, REGULAR, SOFT, SOFTEST, T3
+from railrepro.evidence.runs import store, tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.experiment import Experiment, tidy
+from railrepro.files import write
+from railrepro.simulation import metrics, simulate
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.track.alignment import alignments
+from railrepro.track.table import build_table, load_track, write_table
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+PARTS = ("curve", "curves", "sine", "offset", "loss", "brake")
+"""Curve entry on T3, those on T1, T2, T4, sine at several speeds, constant set point, poor rail, braking."""
+SPEEDS = (80, 160, 240, 320, 400)
+"""Speeds of the sine (km/h)."""
+WIDE = {
+    "r_factors": (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0),
+    "poles": (6.0, 8.0, 12.0, 17.0, 25.0, 35.0, 50.0),
+}
+"""Sweeps of the nominal case, see `World`."""
+RECOVERY = 0.3
+"""Time within which a wheel must be back from macro slip (s): a fifth of the way between step and maximum in Fig. 8."""
+UNITS = {
+    **dict.fromkeys(("rmse_y", "largest_error", "delay", "mean_error_last_third", "shortest_wave"), "m"),
+    **dict.fromkeys(("torque_later", "stopping_distance"), "m"),
+    "effort_du": "N m",
+}
+
+
+@dataclass(frozen=True)
+class World:
+    """A car, its controllers, and what the paper leaves open about its experiments.
+
+    Attributes
+    ----------
+    parameters : dict
+        Controller -> tuning parameters.
+    vehicle : dict
+        Changed parameters of car and controllers.
+    profile, good : str
+        Profiles of the car's wheels, adhesion set of a good rail.
+    variant : str
+        Control model of the predictive controllers, "corrected" or "printed".
+    amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
+        Set point of Fig. 6; length of the clothoid of T3 over ours.
+    sensors : dict
+        See `Experiment.sensors`.
+    brake_kmh : float
+        Speed at which braking begins.
+    r_factors, poles : tuple of float
+        Sweeps while braking: R of NMPC over its own, triple poles of NDI (rad/s).
+    """
+
+    parameters: dict[str, dict]
+    vehicle: dict = field(default_factory=dict)
+    profile: str = "cone"
+    good: str = "dry"
+    variant: str = "corrected"
+    amplitude_mm: float = 3.0
+    period_start_m: float = 150.0
+    period_end_m: float = 40.0
+    clothoid_factor: float = 1.0
+    sensors: dict = field(default_factory=dict)
+    brake_kmh: float = 80.0
+    r_factors: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
+    poles: tuple[float, ...] = (8.0, 12.0, 25.0, 50.0)
+
+    def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
+        """A run of one of the controllers, with its own parameters unless others are given."""
+        changes = {"variant": self.variant} if CONTROLLERS[controller].preview else {}
+        return Experiment(
+            scenario, controller, parameters=parameters or self.parameters[controller],
+            options=CONTROLLERS[controller].quick, changes=changes, vehicle=self.vehicle,
+            plant={"contact.profile": self.profile}, sensors=self.sensors, **more,
+        )  # fmt: skip
+
+    def car(self) -> Vehicle:
+        """The car that is driven."""
+        return load_vehicle(**self.vehicle, **{"contact.profile": self.profile})
+
+    def curve(self, folder: Path) -> Scenario:
+        """Curve entry on T3 with the clothoid and sweep of this world."""
+        base = load_scenario(T3).but(good=self.good)
+        point = base.set_point | {
+            "amplitude_mm": self.amplitude_mm,
+            "period_start_m": self.period_start_m,
+            "period_end_m": self.period_end_m,
+        }
+        if self.clothoid_factor == 1.0:
+            return base.but(set_point=point)
+        original = alignments()["T3"]
+        straight, clothoid, *rest = original.segments
+        clothoid = replace(clothoid, length=clothoid.length * self.clothoid_factor)
+        file = folder / "T3.csv"
+        write_table(build_table(replace(original, segments=(straight, clothoid, *rest))), file)
+        return base.but(track=str(file), set_point=point)
+
+
+Rows = list[tuple[str, str, str, float]]
+"""Scenario, controller, metric, value."""
+
+
+def probe(world: World, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SPEEDS) -> Rows:
+    """Drive a world and measure it.
+
+    Returns
+    -------
+    list of (scenario, controller, metric, value)
+        SI; a failed run has only `failed`.
+    """
+    rows: Rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for part in parts:
+            rows += {
+                "curve": lambda: _curve(world, Path(folder)),
+                "curves": lambda: [row for i in (1, 2, 4) for row in _lateral(world, _straightforward(world, i))],
+                "sine": lambda: [row for speed in speeds for row in _sine(world, speed)],
+                "offset": lambda: _offset(world),
+                "loss": lambda: _loss(world),
+                "brake": lambda: _brake(world),
+            }[part]()
+    return rows
+
+
+def nothing(scenario: Scenario) -> dict[str, float]:
+    """What y = 0 gives: root mean square and largest value of the set point, and its shortest wavelength (m)."""
+    reference = scenario._reference()
+    values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
+    found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
+    waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
+    return found | {"shortest_wave": float(min(waves))}
+
+
+def following(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """Metrics of how well a run follows its set point."""
+    return lateral(run), None
+
+
+def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """The same with what Fig. 6 shows, and every tenth row."""
+    values = lateral(run)
+    if run.failed:
+        return values, None
+    series = tidy(run.series, 10)
+    values |= {"delay": metrics.delay(run.series), "error_at_crests": error_at_crests(series)}
+    return values | {"torque_step": torque_step(series)}, series
+
+
+def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """The same with what Fig. 8 shows."""
+    values, series = lateral(run), tidy(run.series, 10)
+    if not run.failed:
+        found = metrics.longitudinal(run.series, experiment.scenario, experiment.car())
+        values |= {key: found[key][0] for key in ("largest_slip", "utilisation")}
+        values |= {"recovered_share": recovered_share(series)}
+    return values | {"regular_deviation": regular_deviation(series)}, None
+
+
+def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """Error and distance of a run to standstill; infinite when it does not come to that."""
+    stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
+    if not stopped:
+        return {"rmse_y": float("inf"), "stopping_distance": float("inf")}, None
+    return {"rmse_y": metrics.rmse(run.series), "stopping_distance": metrics.stopping_distance(run.series)}, None
+
+
+def lateral(run: simulate.Run) -> dict[str, float]:
+    """Metrics of how well a run follows its set point."""
+    if run.failed:
+        return {"failed": 1.0}
+    error = metrics.lateral_error(run.series)
+    return {
+        "rmse_y": metrics.rmse(run.series),
+        "largest_error": float(np.abs(error).max()),
+        "mean_error_last_third": float(np.mean(error[-len(error) // 3 :])),
+        "effort_du": metrics.effort(run.series),
+        "failed": 0.0,
+    }
+
+
+def _rows(scenario: str, controller: str, values: dict[str, float]) -> Rows:
+    return [(scenario, controller, name, float(value)) for name, value in values.items()]
+
+
+def _straightforward(world: World, track: int) -> Scenario:
+    lengths = {1: 80.0, 2: 400.0, 4: 700.0}
+    return load_scenario(f"curve_entry_T{track}").but(good=world.good, end_m=lengths[track])
+
+
+def _lateral(world: World, scenario: Scenario, label: str = "") -> Rows:
+    """How the paper's three controllers follow a scenario."""
+    label = label or scenario.name
+    rows = _rows(label, NOTHING, nothing(scenario))
+    for name in PAPER_TRIO:
+        rows += _rows(label, name, world.experiment(scenario, name).measured(following)[0])
+    return rows
+
+
+def _curve(world: World, folder: Path) -> Rows:
+    scenario = world.curve(folder)
+    rows, series = _rows(T3, NOTHING, nothing(scenario)), {}
+    expected = gyroscopic_torque(load_vehicle(**world.vehicle), scenario)
+    for name in PAPER_TRIO:
+        values, table = world.experiment(scenario, name).measured(entering)
+        if table is not None:
+            series[name] = table
+            values |= {"gyroscopic_share": values.pop("torque_step") / expected}
+        rows += _rows(T3, name, values)
+    if {"nmpc", NDI} <= set(series):
+        rows += _rows(T3, NDI, torque_shift(series["nmpc"], series[NDI]))
+    return rows
+
+
+def _sine(world: World, speed: int) -> Rows:
+    scenario = load_scenario("sine_tracking").but(good=world.good, speed_kmh=float(speed), end_m=300.0)
+    return _lateral(world, scenario, f"sine_tracking {speed}")
+
+
+def _offset(world: World) -> Rows:
+    """A set point of 5 mm that stays: the crest of a wave of kilometres."""
+    point = {"kind": "sine", "amplitude_mm": 5.0, "period_m": 8000.0, "start_m": -1850.0}
+    return _lateral(world, load_scenario("sine_tracking").but(good=world.good, end_m=300.0, set_point=point), "offset")
+
+
+def _loss(world: World) -> Rows:
+    """Fig. 8: NMPC as tuned and with R x 10, NDI, and NMPC without slip control."""
+    scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
+    rows = _rows(LOSS, NOTHING, nothing(scenario) | {"slip_at_maximum": slip_at_maximum(scenario, car)})
+    nmpc = world.parameters["nmpc"]
+    soft = with_r_times(nmpc, EMPHASIS)
+    cases = {
+        "nmpc": ("nmpc", nmpc, {}),
+        SOFT: ("nmpc", soft, {}),
+        NDI: (NDI, world.parameters[NDI], {}),
+        "no slip control": ("nmpc", soft, {"adhesion": AdhesionSettings(active=False)}),
+    }
+    for label, (name, parameters, more) in cases.items():
+        values, _ = world.experiment(scenario, name, parameters, **more).measured(losing)
+        regular = {"regular_deviation": values.pop("regular_deviation")}
+        rows += _rows(LOSS, label, values)
+        if label == SOFT:
+            rows += _rows(LOSS, REGULAR, regular)
+    return rows
+
+
+def _brake(world: World) -> Rows:
+    """Fig. 9: sweeps of R and of NDI's poles, and the settings that are compared."""
+    scenario = load_scenario(BRAKE).but(speed_kmh=world.brake_kmh, good=world.good)
+    rows = _rows(BRAKE, NOTHING, nothing(scenario))
+    nmpc = world.parameters["nmpc"]
+    for factor in world.r_factors:
+        values, _ = world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)).measured(braked)
+        rows += _rows(BRAKE, "sweep of R", {f"{key} {factor:g}": value for key, value in values.items()})
+        compared = {1.0: "nmpc", 100.0: SOFTEST}.get(factor)
+        rows += _rows(BRAKE, compared, values) if compared else []
+    for pole in world.poles:
+        parameters = {"pole": pole, "frequency": pole, "damping": 1.0}
+        values, _ = world.experiment(scenario, NDI, parameters).measured(braked)
+        rows += _rows(BRAKE, "sweep of poles", {f"{key} {pole:g}": value for key, value in values.items()})
+    return rows + _rows(BRAKE, NDI, world.experiment(scenario, NDI).measured(braked)[0])
+
+
+def gyroscopic_torque(vehicle: Vehicle, scenario: Scenario) -> float:
+    """Differential torque that balances the rolling axle on the cant ramp of a curve entry (N m)."""
+    dphi = load_track(scenario.track).interpolate(200.0)[3, 0]
+    moment = -2 * vehicle.wheel.spin_inertia * scenario.speed / vehicle.wheel.radius * dphi * scenario.speed
+    return float(moment * vehicle.wheel.radius / vehicle.gear.contact_base)
+
+
+def torque_step(series: pd.DataFrame) -> float:
+    """Mean differential torque on the clothoid of T3 less that before it (N m), from columns p_m, du_Nm."""
+    on, before = series["p_m"].between(60, 300), series["p_m"] < 20
+    return float(series.loc[on, "du_Nm"].mean() - series.loc[before, "du_Nm"].mean())
+
+
+def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
+    """By how much the torque of a second run comes later (m), and the correlation when it is shifted back (-)."""
+    grid = np.arange(60.0, 590.0, 0.25)
+    one, other = (np.interp(grid, rows["p_m"], rows["du_Nm"]) for rows in (first, second))
+    shifts = np.arange(-60, 161)
+    alike = np.array([np.corrcoef(other[60 + k : 60 + k + 1800], one[60:1860])[0, 1] for k in shifts])
+    best = int(np.argmax(alike))
+    return {"torque_later": 0.25 * float(shifts[best]), "torque_alike": float(alike[best])}
+
+
+def error_at_crests(series: pd.DataFrame) -> float:
+    """Root mean squared error where the set point exceeds 5/6 of its amplitude (2.5 of 3 mm), over that where it is
+    below; rows at rest do not count."""
+    error, size = series["y_m"] - series["y_ref_m"], series["y_ref_m"].abs()
+    large = size > size.max() * 5 / 6
+    small = ~large & (size > size.max() / 30)
+    return float(np.sqrt((error[large] ** 2).mean() / (error[small] ** 2).mean()))
+
+
+def regular_deviation(series: pd.DataFrame) -> float:
+    """Mean deviation of the adhesion from its set point, over the latter, before the demand exceeds the maximum.
+
+    Columns p_m, fx_ri, fx_le, f_star of Fig. 8. Infinite for a run that ended before.
+    """
+    rows = series[series["p_m"].between(80, 125)]
+    if rows.empty:
+        return float("inf")
+    f = (rows["fx_ri"] + rows["fx_le"]) / 2
+    return float(((f - rows["f_star"]).abs() / rows["f_star"].abs()).mean())
+
+
+def recovered_share(series: pd.DataFrame) -> float:
+    """Share of the entries into segment III from which it is back within `RECOVERY`; columns t_s, segment."""
+    time, third = series["t_s"].to_numpy(), (series["segment"] == 3).to_numpy()
+    entries = np.flatnonzero(third[1:] & ~third[:-1]) + 1
+    lasting = [_until(time, ~third, entry) for entry in entries if time[-1] - time[entry] > RECOVERY]
+    return float(np.mean([t < RECOVERY for t in lasting])) if lasting else 0.0
+
+
+def _until(time: np.ndarray, there: np.ndarray, start: int) -> float:
+    """Time from a row until a condition holds (s); infinite when it never does."""
+    found = np.flatnonzero(there[start:])
+    return float(time[start + found[0]] - time[start]) if found.size else float("inf")
+
+
+def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
+    """Slip of the adhesion maximum of a scenario's poor rail at nominal load."""
+    load = (car.body.mass / 2 + car.gear.mass) * car.gravity / 2
+    patch = (load, *cone_patch(car), car.contact.shear_modulus)
+    return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The nominal car with the tuned sets of a setting and swarm; picklable.
+
+    Attributes
+    ----------
+    setting : str
+    rank : int
+        Zero for the tuned set, then the other swarms by cost; designed sets have only one.
+    seed : int
+        Of noise and biases, in the setting `loop`.
+    """
+
+    setting: str
+    rank: int
+    seed: int
+
+    def __call__(self) -> list[tuple]:
+        parameters = {}
+        for name in PAPER_TRIO:
+            tuned = tuning.load(name, self.setting)
+            swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
+            parameters[name] = swarms[self.rank]["parameters"] if self.rank < len(swarms) else tuned["parameters"]
+        sensors = {"seed": self.seed} if self.setting == tuning.LOOP else {}
+        world = World(parameters, sensors=sensors, brake_kmh=160.0, **WIDE)
+        # braking takes most of the time: once per setting
+        parts = PARTS if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
+        return [(*row, UNITS.get(row[2], "-"), self.setting, self.rank, self.seed) for row in probe(world, parts)]
+
+
+SEEDS = (101, 102, 103)
+"""Noise for judging; tuning has others."""
+
+
+def _call(task):
+    return task()
+
+
+def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> pd.DataFrame:
+    """Probes of the nominal car: scenario, controller, metric, value, unit, setting, swarm (rank), seed."""
+    tasks = []
+    for each in settings:
+        seeds = SEEDS if each == tuning.LOOP else (0,)
+        tasks += [Nominal(each, 0, seed) for seed in seeds] + [Nominal(each, rank, seeds[0]) for rank in (1, 2)]
+    with executor() as pool:
+        found = ordered_map(pool, _call, tasks, "nominal", quiet, stored=True)
+    columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
+    return pd.DataFrame([row for rows in found for row in rows], columns=columns)
+
+
+def main(settings: Sequence[str] = ()) -> None:
+    """Drive the nominal probes in the named settings, or all, and write their table."""
+    unknown = set(settings) - set(tuning.SETTINGS)
+    if unknown:
+        raise InputError(f"setting {min(unknown)!r} is not known; there are {tuning.SETTINGS}")
+    table = nominal(settings or tuning.SETTINGS)
+    write(paths.product("data/results/nominal_metrics.csv"), table.to_csv(index=False, float_format="%.6g"))

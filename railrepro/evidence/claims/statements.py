@@ -1,0 +1,528 @@
+"""The paper's statements as predicates: one function and one rule per statement, for report, studies and tests.
+
+A function here turns evidence into a number; data/claims.toml says between which limits the statement holds, and why.
+Evidence is a table of metrics by scenario, controller and metric, whoever drove the runs, so that the nominal results,
+a sample of the robustness study and a point of the matching are judged alike.
+
+Serves the paper's section Multi-Body Simulation Results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from railrepro import paths, schema
+from railrepro.control.registry import EMPHASIS, PAPER_TRIO, r_times
+from railrepro.errors import InputError
+
+REPRODUCED, PARTLY, NOT, UNTESTABLE = "reproduced", "partly", "not reproduced", "not testable"
+VERDICTS = (REPRODUCED, PARTLY, NOT, UNTESTABLE)
+NOTHING = "nothing"
+"""Name under which evidence has what y = 0 gives."""
+SOFT, SOFTEST = (r_times(factor, "nmpc") for factor in (EMPHASIS, 100.0))
+"""NMPC with a larger R: for Fig. 8, and the second setting of Fig. 9."""
+REGULAR = "regular operation"
+"""Name under which evidence has how the longitudinal law does below the maximum, whatever comes after."""
+MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
+T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
+VALUES: dict[str, Callable[[Evidence], Finding | float]] = {}
+_WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "largest_slip")
+
+
+class MissingEvidence(KeyError):
+    """What a predicate asks for is not among the evidence."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a predicate finds.
+
+    Attributes
+    ----------
+    value : float
+        What is compared with the limits; nan never holds.
+    weaker : float or None
+        When this one lies within the limits, the statement holds partly.
+    tie : float
+        Logarithm of the ratio between seeds; a value as near to a limit as that is a tie.
+    """
+
+    value: float
+    weaker: float | None = None
+    tie: float = 0.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Metrics of runs, and tables for what no run of its own can show.
+
+    Attributes
+    ----------
+    metrics : mapping
+        (scenario, controller, metric) -> value (SI); `failed` is 1 where a run left the rail.
+    spread : mapping
+        The same keys -> logarithm of largest over smallest value among the seeds of swarm and noise.
+    tables : callable or None
+        Name of a table of data/results -> DataFrame; None when there are none.
+    """
+
+    metrics: Mapping[tuple[str, str, str], float]
+    spread: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
+    tables: Callable[[str], pd.DataFrame] | None = None
+
+    def __call__(self, scenario: str, controller: str, metric: str) -> float:
+        """A metric; of a failed run infinity where less is better, else nan."""
+        if self.metrics.get((scenario, controller, "failed"), 0.0) > 0 and metric != "failed":
+            return float("inf") if metric in _WORST_IS_INFINITE else float("nan")
+        try:
+            return float(self.metrics[scenario, controller, metric])
+        except KeyError:
+            raise MissingEvidence(f"{scenario}, {controller}, {metric}") from None
+
+    def table(self, name: str) -> pd.DataFrame:
+        """A table of data/results."""
+        if self.tables is None:
+            raise MissingEvidence(name)
+        return self.tables(name)
+
+    def tie(self, scenario: str, controllers: Iterable[str], metric: str = "rmse_y") -> float:
+        """Largest spread between seeds among some controllers; zero when no seeds are known."""
+        return max(self.spread.get((scenario, name, metric), 0.0) for name in controllers)
+
+    def ahead(self, scenario: str, first: str, second: str) -> bool:
+        """Whether one controller is more accurate than another by more than the spread between seeds."""
+        one, other = (self(scenario, name, "rmse_y") for name in (first, second))
+        return bool(one * np.exp(self.tie(scenario, (first, second))) < other)
+
+    def speeds(self) -> list[int]:
+        """Speeds of the sine on the straight (km/h) that NMPC has driven, rising."""
+        found = {s for s, name, metric in self.metrics if name == "nmpc" and s.startswith("sine_tracking ")}
+        speeds = sorted(int(scenario.rpartition(" ")[2]) for scenario in found)
+        if len(speeds) < 2:
+            raise MissingEvidence("sine_tracking at two speeds")
+        return speeds
+
+
+@schema.table
+class Statement:
+    """Entry of data/claims.toml, see its head."""
+
+    section: str
+    statement: str
+    kind: Literal["statement", "calibrated"]
+    unit: str
+    reason: str
+    notebook: str
+    evidence: str = ""
+    control: str = ""
+    above: schema.Plain | None = None
+    below: schema.Plain | None = None
+    partly_above: schema.Plain | None = None
+    partly_below: schema.Plain | None = None
+    paper: schema.Plain | None = None
+    why: str = ""
+    holds_if: str = ""
+    verdict: str = ""
+
+    def __post_init__(self):
+        file = f"figures/{self.evidence}.png" if self.evidence.startswith("fig") else self.evidence
+        if not paths.source(file).exists():
+            raise ValueError(f"has the evidence {self.evidence!r}, which does not exist")
+        if self.kind == "statement" and self.above is None and self.below is None:
+            raise ValueError("has neither above nor below; a statement needs a limit")
+
+    def judge(self, finding: Finding) -> str:
+        """The verdict on a finding."""
+        if _within(finding.value, self.above, self.below, finding.tie):
+            return REPRODUCED
+        tied = finding.tie > 0 and _within(finding.value, self.above, self.below, -finding.tie)
+        weaker = finding.weaker is not None and _within(finding.weaker, self.above, self.below, finding.tie)
+        beyond = self.partly_above is not None or self.partly_below is not None
+        loose = beyond and _within(finding.value, self.partly_above, self.partly_below, 0.0)
+        return PARTLY if tied or weaker or loose else NOT
+
+    def tied(self, finding: Finding) -> bool:
+        """Whether a finding is as near to a limit as seeds differ."""
+        inner, outer = (_within(finding.value, self.above, self.below, s * finding.tie) for s in (1, -1))
+        return finding.tie > 0 and outer and not inner
+
+
+def _within(value: float, above: float | None, below: float | None, tie: float) -> bool:
+    """Whether a value lies between limits, both drawn in by a factor of exp(tie)."""
+    factor = np.exp(min(tie, 700.0))
+    return bool((above is None or value > above * factor) and (below is None or value * factor < below))
+
+
+def load(path: Path | str | None = None) -> dict[str, Statement]:
+    """Statements of a TOML file (default data/claims.toml) by id; InputError with one sentence on wrong entries."""
+    file = schema.location(path, paths.source("data/claims.toml"))
+    found = schema.build(dict[str, Statement], schema.read(file), file.name)
+    for identity, statement in found.items():
+        if identity not in VALUES and statement.kind == "statement":
+            raise InputError(f"{file.name}: [{identity}] has no function in railrepro/evidence/claims/statements.py")
+    return found
+
+
+def find(identity: str, evidence: Evidence) -> Finding:
+    """What the predicate of a statement finds; MissingEvidence when the evidence cannot tell."""
+    found = VALUES[identity](evidence)
+    return found if isinstance(found, Finding) else Finding(float(found))
+
+
+def value(identity: str) -> Callable:
+    """Register the function of a statement."""
+
+    def register(function):
+        VALUES[identity] = function
+        return function
+
+    return register
+
+
+@value("C01")
+def _table_one(e: Evidence) -> float:
+    """Deviation from Table I with the one width of the track that fits best (m)."""
+    table = e.table("table1")
+    sine = np.sin(np.radians(table["phi_deg"]))
+    widths = np.linspace(1.4, 1.6, 2001)
+    return min(float(np.abs(width * sine - table["printed_m"]).max()) for width in widths)
+
+
+@value("C03")
+def _effort_on_t1(e: Evidence) -> float:
+    others = max(e(f"curve_entry_T{i}", "nmpc", "effort_du") for i in (2, 3, 4))
+    return e("curve_entry_T1", "nmpc", "effort_du") / others
+
+
+@value("C04")
+def _all_follow(e: Evidence) -> float:
+    return max(e(T3, name, "rmse_y") for name in PAPER_TRIO) / e(T3, NOTHING, "rmse_y")
+
+
+@value("C05")
+def _mpc_beats_ndi(e: Evidence) -> Finding:
+    ratios = [e(T3, name, "rmse_y") / e(T3, NDI, "rmse_y") for name in MPC]
+    return Finding(max(ratios), min(ratios), e.tie(T3, PAPER_TRIO))
+
+
+@value("C06")
+def _nmpc_is_best(e: Evidence) -> Finding:
+    nmpc, printed, ndi = (e(T3, name, "rmse_y") for name in PAPER_TRIO)
+    return Finding(nmpc / min(printed, ndi), nmpc / max(printed, ndi), e.tie(T3, PAPER_TRIO))
+
+
+@value("C07")
+def _ltv_slightly_worse(e: Evidence) -> Finding:
+    return Finding(e(T3, MPC[1], "rmse_y") / e(T3, "nmpc", "rmse_y"), tie=e.tie(T3, MPC))
+
+
+@value("C08")
+def _no_delay(e: Evidence) -> Finding:
+    """Error from the delay at the shortest wavelength, as a share of the amplitude: 2 pi delay / wavelength."""
+    shares = [2 * np.pi * abs(e(T3, name, "delay")) / e(T3, NOTHING, "shortest_wave") for name in MPC]
+    return Finding(max(shares), min(shares))
+
+
+@value("C09")
+def _same_torque_later(e: Evidence) -> float:
+    if not np.isfinite([e(T3, name, "rmse_y") for name in ("nmpc", NDI)]).all():
+        return float("nan")
+    return e(T3, NDI, "torque_later") if e(T3, NDI, "torque_alike") > 0.8 else float("nan")
+
+
+@value("C10")
+def _gyroscope(e: Evidence) -> float:
+    shares = [e(T3, name, "gyroscopic_share") for name in PAPER_TRIO]
+    return max(shares, key=lambda share: abs(share - 1) if np.isfinite(share) else np.inf)
+
+
+@value("C11")
+def _drift(e: Evidence) -> float:
+    return abs(e(T3, "nmpc", "mean_error_last_third")) / e(T3, NOTHING, "largest_error")
+
+
+@value("C12")
+def _large_values(e: Evidence) -> float:
+    return e(T3, "nmpc", "error_at_crests")
+
+
+def _cause(e: Evidence, metric: str, cause: str) -> pd.Series:
+    """A metric with a cause changed over that as tuned, by case."""
+    table = e.table("sine_causes").pivot(index="case", columns="cause", values=metric)
+    return (table[cause] / table["as tuned"]).abs()
+
+
+_CURVE_CASE = "T3, 280 km/h"
+
+
+@value("C13")
+def _drift_from_creep(e: Evidence) -> float:
+    return _cause(e, "mean_error_last_third", "no creep")[_CURVE_CASE]
+
+
+def _usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
+    times = e.table("solve_times").query("solver == @solver")
+    return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
+
+
+@value("C14")
+def _ratio_of_times(e: Evidence) -> float:
+    return _usual_times(e, "gauss_newton", "median_ms").median() / _usual_times(e, "ltv_mpc", "median_ms").median()
+
+
+@value("C15")
+def _feasible(e: Evidence) -> Finding:
+    worst = e.table("solve_times").query("solver == 'ltv_mpc'")["max_ms"].max()
+    return Finding(worst, _usual_times(e, "ltv_mpc", "max_ms").max())
+
+
+def _ranked(e: Evidence, scenario: str) -> bool:
+    return e.ahead(scenario, *MPC) and e.ahead(scenario, MPC[1], NDI)
+
+
+@value("C16")
+def _ranking_on_curves(e: Evidence) -> float:
+    return float(np.mean([_ranked(e, f"curve_entry_T{i}") for i in (1, 2, 3, 4)]))
+
+
+def _sines(e: Evidence) -> list[str]:
+    return [f"sine_tracking {speed}" for speed in e.speeds()]
+
+
+@value("C17")
+def _ranking_on_sine(e: Evidence) -> Finding:
+    share = np.mean([_ranked(e, scenario) for scenario in _sines(e)])
+    return Finding(float(share), float(np.mean([e.ahead(scenario, "nmpc", NDI) for scenario in _sines(e)])))
+
+
+@value("C18")
+def _slower_is_better(e: Evidence) -> float:
+    """Smallest rank correlation of error and speed; not a number when a run failed."""
+    errors = pd.DataFrame({name: [e(s, name, "rmse_y") for s in _sines(e)] for name in PAPER_TRIO})
+    if not np.isfinite(errors.to_numpy()).all():
+        return float("nan")
+    place = np.arange(len(errors))
+    return min(np.corrcoef(errors[name].rank(), place)[0, 1] if np.ptp(errors[name]) > 0 else 0.0 for name in errors)
+
+
+@value("C19")
+def _ndi_grows_most(e: Evidence) -> Finding:
+    """Slope of the error of NDI over speed against the steeper one of both MPC."""
+    slopes = [np.polyfit(e.speeds(), [e(s, name, "rmse_y") for s in _sines(e)], 1)[0] for name in PAPER_TRIO]
+    steepest = max(slopes[0], slopes[1])
+    ratio = slopes[2] / steepest if steepest > 0 else float("inf") if slopes[2] > 0 else float("nan")
+    return Finding(ratio if np.isfinite(slopes[:2]).all() else float("nan"), tie=e.tie(_sines(e)[-1], PAPER_TRIO))
+
+
+@value("C20")
+def _wide_range(e: Evidence) -> Finding:
+    both = [all(e.ahead(scenario, name, NDI) for name in MPC) for scenario in _sines(e)]
+    return Finding(float(np.mean(both)), float(np.mean([e.ahead(scenario, "nmpc", NDI) for scenario in _sines(e)])))
+
+
+def _as_tuned_or_soft(e: Evidence, metric: str) -> Finding:
+    """A metric of NMPC in Fig. 8 as tuned; with R x 10 it is the weaker finding."""
+    try:
+        soft = e(LOSS, SOFT, metric)
+    except MissingEvidence:
+        soft = None
+    return Finding(e(LOSS, "nmpc", metric), soft)
+
+
+@value("C21")
+def _regular(e: Evidence) -> float:
+    return e(LOSS, REGULAR, "regular_deviation")
+
+
+@value("C23")
+def _no_macro_slip(e: Evidence) -> Finding:
+    found, limit = _as_tuned_or_soft(e, "largest_slip"), e(LOSS, NOTHING, "slip_at_maximum")
+    return Finding(found.value / limit, None if found.weaker is None else found.weaker / limit)
+
+
+@value("C24")
+def _returns_from_macro_slip(e: Evidence) -> Finding:
+    return _as_tuned_or_soft(e, "recovered_share")
+
+
+@value("C50")
+def _uses_the_maximum(e: Evidence) -> Finding:
+    return _as_tuned_or_soft(e, "utilisation")
+
+
+@value("C25")
+def _both_directions(e: Evidence) -> float:
+    table = e.table("adhesion_metrics").query("experiment == 'sudden'")
+    slip = table.pivot(index=["place", "drive"], columns="slip_control", values="largest_slip")
+    slip.columns = [str(name) for name in slip.columns]
+    return float((slip["True"] < 0.5 * slip["False"]).mean())
+
+
+@value("C26")
+def _no_knowledge(e: Evidence) -> float:
+    return float((e.table("adhesion_map").query("map == 'friction'")["utilisation"] > 0.75).mean())
+
+
+@value("C27")
+def _step_bound(e: Evidence) -> float:
+    """Smallest step over its bound with which the adhesion follows the set point."""
+    table = e.table("adhesion_law").sort_values("p2_over_bound", kind="stable")
+    follows = table["rms_error"] < 1.5 * table["rms_error"].min()
+    return float(table.loc[follows, "p2_over_bound"].min())
+
+
+@value("C28")
+def _stable_on_poor_rail(e: Evidence) -> Finding:
+    found, idle = _as_tuned_or_soft(e, "rmse_y"), e(LOSS, NOTHING, "rmse_y")
+    weaker = None if found.weaker is None else found.weaker / idle
+    return Finding(found.value / idle, weaker)
+
+
+@value("C49")
+def _poor_is_harder(e: Evidence) -> Finding:
+    """Error as a share of that of y = 0, on poor rail over dry rail, at 400 km/h."""
+    dry = e("sine_tracking 400", "nmpc", "rmse_y") / e("sine_tracking 400", NOTHING, "rmse_y")
+    poor = e(LOSS, "nmpc", "rmse_y") / e(LOSS, NOTHING, "rmse_y")
+    return Finding(poor / dry, tie=max(e.tie("sine_tracking 400", ["nmpc"]), e.tie(LOSS, ["nmpc"])))
+
+
+def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
+    """(stopping distance, error) of a sweep while braking, in the order of its factor or pole."""
+    factors = sorted(
+        float(metric.partition(" ")[2]) for s, n, metric in e.metrics if (s, n) == (BRAKE, kind) and "rmse_y " in metric
+    )
+    if len(factors) < 2:
+        raise MissingEvidence(f"{BRAKE}, sweep of {kind}")
+    return [tuple(e(BRAKE, kind, f"{name} {f:g}") for name in ("stopping_distance", "rmse_y")) for f in factors]
+
+
+@value("C30")
+def _trade_off(e: Evidence) -> float:
+    """Share of the steps of R at which the distance falls while the error rises; none where a run failed."""
+    run = _front(e, "sweep of R")
+    steps = [np.isfinite([*a, *b]).all() and b[0] < a[0] and b[1] > a[1] for a, b in zip(run, run[1:], strict=False)]
+    return float(np.mean(steps))
+
+
+@value("C46")
+def _beyond_ndi(e: Evidence) -> float:
+    """Distance that NMPC saves against NDI at equal error, mean over errors that both reach, over the whole of NMPC."""
+    fronts = [sorted((error, way) for way, error in _front(e, kind) if np.isfinite(error)) for kind in _SWEEPS]
+    if min(map(len, fronts)) < 2:
+        return float("nan")
+    low, high = max(f[0][0] for f in fronts), min(f[-1][0] for f in fronts)
+    if not low < high:
+        return float("nan")
+    levels = np.geomspace(low, high, 30)
+    nmpc, ndi = (np.interp(levels, *_envelope(front)) for front in fronts)
+    ways = [way for _, way in fronts[0]]
+    return float(np.mean(ndi - nmpc) / max(max(ways) - min(ways), 1e-9))
+
+
+_SWEEPS = ("sweep of R", "sweep of poles")
+
+
+def _envelope(front: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors, and the shortest distance reached with no larger error."""
+    errors, ways = np.array(front).T
+    return errors, np.minimum.accumulate(ways)
+
+
+@value("C31")
+def _both_more_accurate(e: Evidence) -> Finding:
+    ratios = [e(BRAKE, name, "rmse_y") / e(BRAKE, NDI, "rmse_y") for name in ("nmpc", SOFTEST)]
+    return Finding(max(ratios), min(ratios), e.tie(BRAKE, ("nmpc", NDI)))
+
+
+@value("C32")
+def _both_stop_earlier(e: Evidence) -> Finding:
+    ways = [e(BRAKE, name, "stopping_distance") / e(BRAKE, NDI, "stopping_distance") for name in ("nmpc", SOFTEST)]
+    return Finding(max(ways), min(ways), e.tie(BRAKE, ("nmpc", NDI), "stopping_distance"))
+
+
+def _fixed(e: Evidence) -> tuple[pd.DataFrame, pd.Series]:
+    """Braking with fixed shares, and with the variable allocation."""
+    table = e.table("braking_front").query("stopped")
+    fixed = table.query("kind == 'fixed'").sort_values("factor", kind="stable")
+    return fixed, table.query("kind == 'nmpc' and factor == 1").iloc[0]
+
+
+@value("C34")
+def _variable_allocation(e: Evidence) -> float:
+    """Share of the distance saved against the smallest fixed share that guides as accurately (within a tenth)."""
+    fixed, variable = _fixed(e)
+    enough = fixed[fixed["rmse_y"] < 1.1 * variable["rmse_y"]]
+    if enough.empty:
+        return float("nan")
+    return float(1 - variable["stopping_distance"] / enough["stopping_distance"].iloc[0])
+
+
+@value("C45")
+def _fixed_wastes(e: Evidence) -> float:
+    """Smallest share of the distance that fixed allocations lose."""
+    fixed, variable = _fixed(e)
+    return float((fixed["stopping_distance"] / variable["stopping_distance"]).min() - 1)
+
+
+@value("C35")
+def _cones(e: Evidence) -> Finding:
+    changes = (_cause(e, "rmse_y", "S1002 profiles") - 1).abs()
+    return Finding(changes.max(), changes[_CURVE_CASE])
+
+
+@value("C36")
+def _rolling(e: Evidence) -> float:
+    return 1 - _cause(e, "rmse_y", "no creep")[_CURVE_CASE]
+
+
+@value("C37")
+def _base_torque_helps(e: Evidence) -> float:
+    table = e.table("braking_dependence").query("factor == 1 and amplitude_mm == 3 and wavelength == 1.0")
+    limit = table["limit_Nm"].max() if table["limit_Nm"].max() <= 4000 else 4000.0
+    informed, blind = (table[table["limit_Nm"] == which]["rmse_y"].iloc[0] for which in (limit, 0.0))
+    return blind / informed
+
+
+def _with_preview(e: Evidence, metric: str) -> float:
+    """A metric of NMPC on the irregular straight with exact preview over without, mean over the realisations."""
+    table = e.table("ride_metrics")
+    rows = table.query("controller == 'nmpc' and track == 'straight' and car == 'cone' and metric == @metric")
+    mean = rows.groupby("preview")["value"].mean()
+    return mean["exact"] / mean["none"]
+
+
+@value("C39")
+def _known_irregularities(e: Evidence) -> float:
+    return _with_preview(e, "rail_rmse_y")
+
+
+@value("C41")
+def _safety_and_comfort(e: Evidence) -> Finding:
+    ratios = [_with_preview(e, metric) for metric in ("sum_y_over_limit", "n_mv_floor_front")]
+    return Finding(max(ratios), min(ratios))
+
+
+@value("C42")
+def _less_delay(e: Evidence) -> Finding:
+    ratios = [abs(e(T3, name, "delay")) / max(abs(e(T3, NDI, "delay")), 1e-9) for name in MPC]
+    return Finding(max(ratios), min(ratios))
+
+
+@value("C44")
+def _similar_times(e: Evidence) -> float:
+    times = _usual_times(e, "ipopt", "median_ms")
+    tracks = times[times.index.str.startswith(("curve", "sine"))]
+    return tracks.max() / tracks.min()
+
+
+@value("C47")
+def _any_position(e: Evidence) -> float:
+    """Largest standing error at a constant set point, as a share of it."""
+    errors = [abs(e("offset", name, "mean_error_last_third")) for name in PAPER_TRIO]
+    return max(errors) / e("offset", NOTHING, "largest_error")

@@ -1,0 +1,38 @@
+"""How far the car agrees with the second opinion on it, as a figure of data/results/second_opinion.csv.
+
+Serves the paper's section Simulation Environment.
+"""
+
+from __future__ import annotations
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from railrepro.evidence.bench.second_opinion import AGREEMENT
+from railrepro.evidence.report import figures
+
+
+def draw(table: pd.DataFrame) -> Figure:
+    """Relative differences by case and quantity, hollow at the car's usual step of 1 ms, filled at the short step.
+
+    Parameters
+    ----------
+    table : DataFrame
+        See `railrepro.evidence.bench.second_opinion.compare`.
+    """
+    figure, axes = figures.new_figure(height=2.8)
+    cases, colors = (
+        list(table["case"].unique()),
+        (figures.BLUE, figures.SKY, figures.GREEN, figures.PURPLE, figures.RED, figures.BLACK),
+    )
+    for (quantity, rows), color, marker in zip(table.groupby("quantity", sort=False), colors, "osvD^x", strict=False):
+        place = rows["case"].map(cases.index)
+        usual = rows["car_step_ms"].astype(float) == 1
+        for chosen, face, label in ((usual, "none", None), (~usual, color, quantity)):
+            look = {"markersize": 4, "markeredgewidth": 0.7, "color": color, "markerfacecolor": face}
+            axes.plot(rows["relative"][chosen], place[chosen], marker, **look, label=label)
+    axes.axvline(AGREEMENT, color=figures.BLACK, linestyle=":", linewidth=0.8)
+    axes.set(xscale="log", xlabel="largest difference / largest value (-)", yticks=range(len(cases)), yticklabels=cases)
+    axes.invert_yaxis()
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure

@@ -1,0 +1,285 @@
+"""The article: data/article_page.md with its numbers filled in, as Markdown for the book and as PDF.
+
+`python -m railrepro article` writes build/article.pdf with the packages of the book: pandoc turns
+Markdown into Typst, Typst typesets it. No number of the prose is typed: each is a link to the file that it comes from.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import pandas as pd
+
+from railrepro import __version__, paths
+from railrepro.errors import InputError
+from railrepro.evidence.claims import statements
+from railrepro.evidence.report import text
+from railrepro.evidence.report.evidence import Nominal
+from railrepro.evidence.report.reasons import filled
+from railrepro.evidence.report.references import References
+from railrepro.evidence.runs import tuning
+from railrepro.files import write
+
+TEMPLATE = "data/article_page.md"
+_FIGURE = re.compile(r"!\[(fig\d\d_\w+)\] (.*)")
+_SHOWN = re.compile(r"!\[Figure \d+\]\(figures/(\w+)\.png\)\n\n\*\*Figure \d+\.\*\* ([^\n]*)")
+_MATH = re.compile(r"(\$\$?[^$]+\$\$?)")
+_ALLOWED = re.compile(
+    r"\{[^{}]*\}|\[@[^\]]*\]|\[\[\w+\]\]|`[a-z][\w .]*`|\bFigs?\. \d|\bT\d\b|\bS1002\b|\bCC-BY-4\.0\b|\by = 0\b"
+)
+"""What may have digits in the template: placeholders, code, names of figures, tracks and profiles."""
+
+
+def render(table: pd.DataFrame, nominal: Nominal) -> str:
+    """The article as Markdown with links relative to the checkout.
+
+    Parameters
+    ----------
+    table : DataFrame
+        See `railrepro.evidence.report.claims.evaluate`.
+    nominal : Nominal
+        Where numbers in the prose come from.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        With the line of the template that asks for what is not there, or has a number of its own.
+    """
+    return _Article(table, nominal).text()
+
+
+class _Article:
+    """One rendering: figures, tables and references are numbered on the way."""
+
+    def __init__(self, table: pd.DataFrame, nominal: Nominal):
+        self._table, self._nominal, self._references = table, nominal, References()
+        template = paths.source(TEMPLATE).read_text(encoding="utf-8")
+        self._figures = [match[1] for match in _FIGURE.finditer(template)]
+        self._verdicts = text.overall(table)
+        judged = sum(map(len, text.kinds(table).values()))
+        self._own = {
+            "counted": f"[{text.counted(table)}](data/results/claims.csv)",
+            "without": f"[{text.without(table)}](data/results/claims.csv)",
+            "judged": f"[{judged}](data/claims.toml)",
+            "calibrated": f"[{(table['kind'] == 'calibrated').sum()}](data/claims.toml)",
+        }
+        self._tables = 0
+        self._lines: list[str] = []
+
+    def text(self) -> str:
+        blocks: dict[str, Callable[[], list[str]]] = {
+            "headline": lambda: text.headline(self._nominal, (34, 20, 24, 24, 24))[:-2],
+            "statements": self._statements,
+            "conditions": self._conditions,
+            "robustness": self._robustness,
+            "matching": self._matching,
+            "questions": lambda: text.questions(self._nominal),
+            "tables": self._sources,
+            "references": self._references.listed,
+        }
+        return text.page(TEMPLATE, blocks, self._line)
+
+    def _line(self, line: str) -> str:
+        """A line of the template as it is shown."""
+        figure = _FIGURE.fullmatch(line)
+        stray = re.search(r"\S*\d\S*", _ALLOWED.sub("", figure[2] if figure else _without_formulas(line)))
+        if stray:
+            raise InputError(f"has the number {stray[0]!r}, typed; a number comes from a table, like {{pole_cross}}")
+        if figure:
+            shown = self._figure(figure[1], self._prose(figure[2]))
+        elif line.startswith("Table: "):
+            self._tables += 1
+            shown = f"**Table {self._tables}.** {self._prose(line.removeprefix('Table: '))}"
+        else:
+            shown = self._prose(line)
+        self._lines.append(shown)
+        return shown
+
+    def _prose(self, line: str) -> str:
+        """A line with its placeholders filled in, formulas left alone."""
+        parts = _MATH.split(line)
+        return "".join(part if part.startswith("$") else self._words(part) for part in parts)
+
+    def _words(self, words: str) -> str:
+        words = re.sub(r"\{(\w+)\}", lambda m: self._own.get(m[1], m[0]), words)
+        words = re.sub(r"\{(C\d\d)\}", lambda m: self._verdict(m[1]), words)
+        words = re.sub(r"\{(fig\d\d_\w+)\}", lambda m: self._mention(m[1]), words)
+        return self._references.numbered(filled(words, self._nominal, linked=True, strict=True))
+
+    def _verdict(self, identity: str) -> str:
+        if identity not in self._verdicts:
+            raise InputError(f"{{{identity}}}: claims.toml has no such statement")
+        return f"{_claim(identity)}: {self._verdicts[identity]}"
+
+    def _figure(self, name: str, caption: str) -> str:
+        if not (paths.source(f"figures/{name}.png")).exists():
+            raise InputError(f"figures has no {name}; `make figures` makes what the notebooks draw")
+        number = self._figures.index(name) + 1
+        return f"![Figure {number}](figures/{name}.png)\n\n**Figure {number}.** {caption}"
+
+    def _mention(self, name: str) -> str:
+        if name not in self._figures:
+            raise InputError(f"{{{name}}}: the article does not show this figure")
+        return f"[Figure {self._figures.index(name) + 1}](#article-{name})"
+
+    def _statements(self) -> list[str]:
+        """Every judged statement with its mark in each setting, and its share where samples tell."""
+        known, rows = statements.load(), []
+        for identity, own in self._table.groupby("id", sort=False):
+            if known[str(identity)].kind == "calibrated":
+                continue
+            marks = {row.setting: text.marked(row) for row in own.itertuples()}
+            cells = [marks.get(setting, "") for setting in ("", *tuning.SETTINGS)]
+            rows.append([_claim(str(identity)), known[str(identity)].statement, *cells])
+        heads = ["", "statement", "any", *(f"`{setting}`" for setting in tuning.SETTINGS)]
+        return text.rows_of(rows, heads, (5, 65, 10, 10, 10, 10))
+
+    def _conditions(self) -> list[str]:
+        """Why statements do not hold, and what would have to be true; what was said before is not said again."""
+        known, rows, causes, conditions = statements.load(), [], _Said("As"), _Said("as")
+        for identity, own in self._table.groupby("id", sort=False):
+            statement = known[str(identity)]
+            if statement.kind == "statement" and (own["verdict"] != statements.REPRODUCED).any():
+                cause = filled(statement.why, self._nominal, linked=True)
+                condition = text.would_hold(str(identity), statement, own, self._nominal)
+                claim = _claim(str(identity))
+                rows.append([claim, causes(claim, cause), conditions(claim, condition)])
+        return text.rows_of(rows, ["", "why not", "would hold if"], (6, 54, 40))
+
+    def _robustness(self) -> list[str]:
+        """How many verdicts hold in most of the samples."""
+        found = self._nominal.results.optional("robustness_claims")
+        if found is None or "setting" not in found:
+            return ["The study that varies the unpublished parameters has not been judged with these rules yet."]
+        where = "data/results/robustness_claims.csv"
+        fragile = text.kinds(self._table).get("fragile", [])
+        said = (
+            f"**How sure.** Over cars and experiments drawn from the ranges of what is not published, every controller "
+            f"tuned again, [{(found['share'] > 0.5).sum()}]({where}) of [{len(found)}]({where}) pairs of statement and "
+            f"setting hold in more than half of [{int(found['samples'].max())}]({where}) samples. "
+        )
+        most = ", ".join(map(_claim, fragile))
+        return [said + (f"Fragile, by rule, are {most}." if fragile else "No verdict is fragile by rule.")]
+
+    def _matching(self) -> list[str]:
+        """What the history matching found, with the figure of its region when a notebook has drawn it."""
+        if self._nominal.results.optional("matching_waves") is None:
+            return ["Which cars and settings let most statements hold together has not been matched yet."]
+        lines = text.matched(self._nominal)
+        sought = "By history matching [@Vernon2010] we sought cars and settings at which the statements hold together."
+        lines[0] = f"**Matching.** {sought} {lines[0]}"
+        name = text.region_figure()
+        if name:
+            self._figures.append(name)
+            place = lines.index(f"![region](figures/{name}.png)")
+            lines[place] = self._figure(name, "What is left of the prior, in pairs of the narrowest directions.")
+            lines[0] += f" {self._mention(name)} draws what is left."
+        lines = [line if line.startswith("|") else re.sub(r"\bC\d\d\b", lambda m: _claim(m[0]), line) for line in lines]
+        lines = [self._references.numbered(line) for line in lines]
+        self._lines += lines
+        return lines
+
+    def _sources(self) -> list[str]:
+        """The files that numbers of the article were read from."""
+        files = {f for line in self._lines for f in re.findall(r"\]\((?!figures)([\w/.]+\.\w+)\)", line)}
+        files |= {f for line in text.headline(self._nominal) for f in re.findall(r"\]\(([\w/.]+)\)", line)}
+        links = [f"[{file.removeprefix('data/results/')}]({file})" for file in sorted(files)]
+        links += [""] * (-len(links) % 3)
+        rows = [links[i : i + 3] for i in range(0, len(links), 3)]
+        return text.rows_of(rows, ["numbers were read from", "", ""], (30, 30, 30))
+
+
+class _Said:
+    """Sentences that are said once, afterwards by whom they were said."""
+
+    def __init__(self, word: str):
+        self._word = word
+        self._known: dict[str, str] = {}
+
+    def __call__(self, claim: str, words: str) -> str:
+        sentences = re.split(r"(?<=\.) (?=[A-Z])", words)
+        before = dict.fromkeys(self._known[sentence] for sentence in sentences if sentence in self._known)
+        fresh = [sentence for sentence in sentences if sentence not in self._known]
+        self._known |= dict.fromkeys(fresh, claim)
+        return " ".join([*([f"{self._word} {', '.join(before)}."] if before else []), *fresh])
+
+
+def _claim(identity: str) -> str:
+    return f"[{identity}](REPLICATION.md#{identity})"
+
+
+def _without_formulas(line: str) -> str:
+    """A line without its formulas, in which digits are indices, exponents or arguments of a command only."""
+    for formula in _MATH.findall(line):
+        line = line.replace(formula, re.sub(r"[_^]\{?\d", "", formula))
+    return line
+
+
+def pdf(article: str) -> bytes:
+    """The article typeset; equal text and figures give equal bytes.
+
+    Raises
+    ------
+    InputError
+        When the packages of the book are missing, or the text cannot be typeset.
+    """
+    try:
+        import pypandoc
+        import typst
+    except ImportError as error:
+        raise InputError("the article needs the packages of book.lock; `make article` installs them") from error
+    title, body = article.removeprefix("# ").split("\n", 1)
+    source = paths.NOTEBOOKS / "book" / "article.typ"
+    options = ["--shift-heading-level-by=-1", "--wrap=none"]
+    content = pypandoc.convert_text(_for_print(body), "typst", format="markdown-smart", extra_args=options)
+    inputs = {"title": title, "version": __version__, "original": _original()}
+    try:
+        return typst.compile(
+            (source.read_text(encoding="utf-8") + content).encode(),
+            root=str(paths.ROOT),
+            ignore_system_fonts=True,
+            sys_inputs=inputs,
+        )
+    except RuntimeError as error:
+        raise InputError(f"the article cannot be typeset: {error}") from error
+
+
+def _for_print(body: str) -> str:
+    """Markdown for pandoc: figures drawn, with captions; tables with captions; links from build/ to the checkout."""
+    body = re.sub(r"\]\((?!#|figures/)", "](../", body)
+    body = _SHOWN.sub(lambda m: f"![{m[2]}](/figures/{m[1]}.pdf){{#article-{m[1]}}}", body)
+    return re.sub(r"^\*\*Table \d+\.\*\* ", "Table: ", body, flags=re.MULTILINE)
+
+
+def for_the_book(article: str) -> str:
+    """The article as a page of the book: figures with captions, links to claims and to the PDF."""
+    body = re.sub(r"\[(C\d\d)\]\(REPLICATION\.md#C\d\d\)", r'<a href="REPLICATION.html#\1">\1</a>', article)
+    body = _SHOWN.sub(lambda m: _book_figure(m[1], m[2]), body)
+    title, rest = body.split("\n", 1)
+    return f"{title}\n\n{{download}}`As a PDF <article.pdf>`, for a journal.\n{rest}"
+
+
+def _book_figure(name: str, caption: str) -> str:
+    return f"(article-{name})=\n```{{figure}} figures/{name}.png\n:alt: {name[6:].replace('_', ' ')}\n\n{caption}\n```"
+
+
+def _original() -> str:
+    """The paper that is replicated, in a line."""
+    references = References()
+    references.numbered("[@Ewering2023]")
+    return references.listed()[0].removeprefix("1. ").replace("*", "").removesuffix(".")
+
+
+def main() -> None:
+    """Write build/article.pdf."""
+    from railrepro.evidence.report.claims import evaluate
+
+    nominal = Nominal()
+    file = paths.BUILD / "article.pdf"
+    write(file, pdf(render(evaluate(nominal), nominal)))
+    print(file.relative_to(paths.ROOT))

@@ -1,0 +1,308 @@
+"""Numbers in prose: placeholders of data/claims.toml, of the page and of the article, filled in from the results.
+
+{equal: scenario/controller/metric unit} is a metric in some setting, {printed: what} a number of
+data/paper_numbers.csv, {name} an entry of `NAMED`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+
+from railrepro import paths
+from railrepro.car.equations import BODIES, COORDINATES, WHEELS
+from railrepro.errors import InputError
+from railrepro.evidence.claims import statements
+from railrepro.evidence.claims.statements import MissingEvidence
+from railrepro.evidence.report.evidence import Nominal
+from railrepro.evidence.runs import tuning
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import sample_ranges
+
+UNKNOWN = "n/a"
+NAMED: dict[str, Callable[[Nominal], str]] = {}
+_PLACE = re.compile(r"\{(?:(\w+): ([^{}/]+)/([^{}/]+)/(\w+)(?: (mm|m|%))?|printed: ([^{}]+)|(\w+))\}")
+_PRINTED = "data/paper_numbers.csv"
+
+
+def named(function: Callable[[Nominal], str]) -> Callable:
+    """Register a number of the prose under the name of its function."""
+    NAMED[function.__name__.strip("_")] = function
+    return function
+
+
+def filled(text: str, nominal: Nominal, linked: bool = False, strict: bool = False) -> str:
+    """A text with its placeholders filled in.
+
+    Parameters
+    ----------
+    text : str
+    nominal : Nominal
+    linked : bool
+        Whether each number is a Markdown link to the file that it comes from.
+    strict : bool
+        Whether what the results do not have is refused; else it reads n/a.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        When a placeholder names no number; with `strict` also when the results do not have it.
+    """
+
+    def number(match: re.Match) -> str:
+        setting, scenario, controller, metric, unit, printed, name = match.groups()
+        if setting and setting not in tuning.SETTINGS:
+            raise InputError(f"{match[0]}: {setting!r} is no setting; there are {', '.join(tuning.SETTINGS)}")
+        if name and name not in NAMED:
+            raise InputError(f"{match[0]}: is no number of the prose; there are {', '.join(sorted(NAMED))}")
+        try:
+            if printed:
+                value, files = _printed(printed), [_PRINTED]
+            elif name:
+                value, files = nominal.traced(lambda: NAMED[name](nominal))
+            else:
+                value, files = nominal.traced(
+                    lambda: quantity(nominal.evidence(setting)(scenario, controller, metric), unit or "")
+                )
+        except MissingEvidence:
+            value, files = UNKNOWN, []
+        if strict and value == UNKNOWN:
+            raise InputError(f"{match[0]}: the results do not have it")
+        return link(value, files) if linked else value
+
+    return _PLACE.sub(number, text)
+
+
+def link(value: str, files: list[str]) -> str:
+    """A number as a Markdown link to the first of the files that it comes from; bare when there is none."""
+    return f"[{value}]({files[0]})" if files and value != UNKNOWN else value
+
+
+def _printed(what: str) -> str:
+    """A number that the paper prints, with its unit."""
+    table = pd.read_csv(paths.source(_PRINTED), dtype=str).set_index("what")
+    if what not in table.index:
+        raise InputError(f"{{printed: {what}}}: paper_numbers.csv has no such number")
+    return f"{table.loc[what, 'paper']} {table.loc[what, 'unit']}".removesuffix(" -")
+
+
+def quantity(value: float, unit: str = "") -> str:
+    """A number with three digits, and its unit; "left the rail" for an infinite one."""
+    if np.isinf(value):
+        return "left the rail"
+    if np.isnan(value):
+        return UNKNOWN
+    shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value
+    return (f"{shown:.3g}" if abs(shown) < 100 else f"{shown:.1f}".removesuffix(".0")) + (f" {unit}" if unit else "")
+
+
+@named
+def _pole_cross(nominal: Nominal) -> str:
+    """Triple pole of NDI with which it draws level with NMPC on T3 (rad/s)."""
+    table = nominal.results("ndi_poles").sort_values("pole_radps", kind="stable")
+    ahead = np.log(table["rmse_mm"] / table["nmpc_mm"]).to_numpy()
+    if (ahead > 0).all() or (ahead < 0).all():
+        return UNKNOWN
+    return f"{np.interp(0.0, -ahead, table['pole_radps']):.0f}"
+
+
+@named
+def _no_creep_share(nominal: Nominal) -> str:
+    table = nominal.results("sine_causes").query("case == 'T3, 280 km/h'").set_index("cause")["rmse_y"]
+    return quantity(table["no creep"] / table["as tuned"], "%")
+
+
+def _table_one(track: str) -> Callable[[Nominal], str]:
+    def found(nominal: Nominal) -> str:
+        table = nominal.results("table1").set_index("track")
+        return f"{table.loc[track, 'b_sin_phi_m']:.4f} (sine, 1.5 m)"
+
+    return found
+
+
+NAMED |= {f"table1_T{i}": _table_one(f"T{i}") for i in (1, 2, 3, 4)}
+
+
+@named
+def _error_at_crests(nominal: Nominal) -> str:
+    return quantity(nominal.evidence("equal")("curve_entry_T3", "nmpc", "error_at_crests"))
+
+
+def _median_ms(nominal: Nominal, solver: str) -> float:
+    times = nominal.results("solve_times").query("solver == @solver")
+    return float(times[~times["scenario"].str.contains("bounds")]["median_ms"].median())
+
+
+@named
+def _ipopt_ms(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "ipopt"))
+
+
+@named
+def _nmpc_ms(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "gauss_newton"))
+
+
+@named
+def _ltv_ms(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "ltv_mpc"))
+
+
+@named
+def _time_ratio(nominal: Nominal) -> str:
+    return quantity(_median_ms(nominal, "gauss_newton") / _median_ms(nominal, "ltv_mpc"))
+
+
+@named
+def _reached_m(nominal: Nominal) -> str:
+    table = nominal.results("adhesion_metrics").query("experiment == 'fig08'").set_index("case")["reached_m"]
+    return quantity(table["NMPC, R x 10"])
+
+
+@named
+def _allocation_gain(nominal: Nominal) -> str:
+    return quantity(100 * statements.find("C34", nominal.evidence("equal")).value)
+
+
+def _preview_error(nominal: Nominal, error: str) -> str:
+    table = nominal.results("preview_errors").query("controller == 'nmpc' and error == @error")["rail_rmse_y"]
+    return quantity(float(table.iloc[0]), "mm") if len(table) else UNKNOWN
+
+
+@named
+def _error_0m(nominal: Nominal) -> str:
+    return _preview_error(nominal, "0 m")
+
+
+@named
+def _error_2m(nominal: Nominal) -> str:
+    return _preview_error(nominal, "2 m")
+
+
+@named
+def _nmpc_period(nominal: Nominal) -> str:
+    file = nominal.results.file(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
+    return f"{json.loads(file.read_text(encoding='utf-8'))['parameters']['period_ms']:g} ms"
+
+
+def _cause(nominal: Nominal, cause: str) -> str:
+    table = nominal.results("sine_causes").query("case == 'straight, 160 km/h'").set_index("cause")["rmse_y"]
+    return quantity(table[cause], "mm") if cause in table else UNKNOWN
+
+
+@named
+def _cone_straight(nominal: Nominal) -> str:
+    return _cause(nominal, "as tuned")
+
+
+@named
+def _s1002_straight(nominal: Nominal) -> str:
+    return _cause(nominal, "S1002 profiles")
+
+
+@named
+def _ltv_gap_same_weights(nominal: Nominal) -> str:
+    table = nominal.results("ltv_gap").query("scenario == 'curve_entry_T3'").set_index("kind")["rmse_y"]
+    return quantity(table["ltv printed"] / table["nmpc"])
+
+
+def _front(nominal: Nominal) -> tuple[float, float]:
+    ways = nominal.results("braking_front").query("stopped and kind == 'nmpc' and factor >= 1")["stopping_distance"]
+    return ways.max() - ways.min(), ways.max()
+
+
+@named
+def _front_range(nominal: Nominal) -> str:
+    return quantity(_front(nominal)[0], "m")
+
+
+@named
+def _front_share(nominal: Nominal) -> str:
+    saved, longest = _front(nominal)
+    return quantity(saved / longest, "%")
+
+
+@named
+def _degrees_of_freedom(nominal: Nominal) -> str:
+    """Those of the bodies, and one per wheel."""
+    nominal.results.file("railrepro/car/equations.py")
+    return f"{len(BODIES) * len(COORDINATES) // 2 + len(WHEELS)}"
+
+
+@named
+def _errata(nominal: Nominal) -> str:
+    return f"{len(pd.read_csv(nominal.results.file('data/discrepancies.csv')))}"
+
+
+@named
+def _designed_pole(nominal: Nominal) -> str:
+    nominal.results.file("data/tuning.toml")
+    return quantity(tuning.load("ndi", "paper")["parameters"]["pole"])
+
+
+@named
+def _swarms(nominal: Nominal) -> str:
+    nominal.results.file("data/tuning.toml")
+    return f"{len(tuning.load_task().budget['seeds'])}"
+
+
+@named
+def _unpublished(nominal: Nominal) -> str:
+    """Parameters of the car that the robustness study varies."""
+    nominal.results.file("data/vehicle.toml")
+    return f"{sum(not key.startswith('adhesion.') for key in sample_ranges())}"
+
+
+@named
+def _delay_survived(nominal: Nominal) -> str:
+    """Largest delay (ms) that NMPC of the setting `paper` survives at 400 km/h on dry rail."""
+    return _survived(nominal, "paper")
+
+
+@named
+def _delay_survived_equal(nominal: Nominal) -> str:
+    """The same of NMPC of the setting `equal`."""
+    return _survived(nominal, "equal")
+
+
+def _survived(nominal: Nominal, setting: str) -> str:
+    table = nominal.results("margins").query(
+        "setting == @setting and rail == 'dry' and controller == 'nmpc' and quantity == 'delay'"
+    )
+    return quantity(1e3 * float(table["largest"].iloc[0]))
+
+
+def _set_point(scenario: str) -> Callable[[Nominal], str]:
+    """Amplitude and wavelengths of a scenario's set point."""
+
+    def found(nominal: Nominal) -> str:
+        nominal.results.file("data/scenarios.toml")
+        point = load_scenario(scenario).set_point
+        waves = [f"{value:g}" for key, value in point.items() if key.startswith("period")]
+        return f"{point['amplitude_mm']:g} mm, {' to '.join(waves)} m"
+
+    return found
+
+
+NAMED |= {
+    "sweep_on_t3": _set_point("curve_entry_T3"),
+    "sine_on_t5": _set_point("sine_tracking"),
+    "sine_on_poor": _set_point("adhesion_loss"),
+}
+
+
+@named
+def _car_checks(nominal: Nominal) -> str:
+    """Checks of the car that are within their limits; InputError when one is not."""
+    table = nominal.results("car_checks")
+    if (table["value"].abs() > table["limit"]).any():
+        raise InputError("car_checks.csv: a check of the car is beyond its limit")
+    return f"{len(table)}"

@@ -1,0 +1,133 @@
+"""What history matching leaves of the prior, in pairs of directions; serves the question what would have to be true."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from zlib import crc32
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from railrepro.errors import InputError
+from railrepro.evidence.report import figures
+from railrepro.evidence.runs.pso import Dimension
+from railrepro.evidence.uncertainty.matching import choice, names_of_choice
+
+_BINS = 10
+
+
+def draw(
+    survivors: pd.DataFrame, region: pd.DataFrame, dimensions: Sequence[Dimension],
+    marked: Mapping[str, Mapping[str, float]] | None = None, count: int = 5,
+) -> tuple[Figure, pd.DataFrame]:  # fmt: skip
+    """Pairs of the narrowest directions; each panel is the whole prior, points are what is left of it.
+
+    On the diagonal the density of what is left over that of the prior, dashed. Without a mark left the column is empty.
+
+    Parameters
+    ----------
+    survivors : DataFrame
+        data/results/matching_survivors.csv: one column per dimension.
+    region : DataFrame
+        data/results/matching_region.csv: what, narrowing.
+    dimensions : sequence of Dimension
+        The prior, `railrepro.evidence.uncertainty.matching.dimensions()`.
+    marked : mapping, optional
+        Name -> values by dimension of a point to be marked, such as the best run; at most three.
+    count : int
+        How many directions.
+
+    Returns
+    -------
+    Figure, DataFrame
+        And what it shows.
+
+    Raises
+    ------
+    InputError
+        When nothing is left, or a table knows another dimension.
+    """
+    prior = {dimension.name: dimension for dimension in dimensions}
+    names = [str(name) for name in region.sort_values("narrowing", ascending=False, kind="stable")["what"].head(count)]
+    missing = [name for name in names if name not in prior or name not in survivors]
+    if missing or survivors.empty:
+        raise InputError(
+            f"the region has the direction {missing[0]!r}, which prior or survivors do not have"
+            if missing
+            else "nothing of the prior is left, there is no region to draw"
+        )
+    figure, axes = figures.new_figure(len(names), len(names), height=1.25, width=1.3, squeeze=False)
+    for i, row in enumerate(names):
+        for j, column in enumerate(names):
+            axis = axes[i, j]
+            if j > i:
+                axis.set_visible(False)
+            elif i == j:
+                _density(axis, survivors[row], prior[row])
+            else:
+                _pair(axis, survivors, prior[column], prior[row], marked or {})
+            axis.set_xlabel(_label(prior[column]) if i == len(names) - 1 else "")
+            axis.set_ylabel(_label(prior[row]) if j == 0 and i > 0 else "")
+            axis.tick_params(labelbottom=i == len(names) - 1, labelleft=j == 0 and i > 0)
+    if marked and len(names) > 1:
+        figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="upper right")
+    return figure, survivors[names]
+
+
+def _label(dimension: Dimension) -> str:
+    """Name of a direction in short lines; the names of a choice stand at the axis."""
+    name = dimension.name.rpartition(" (")[0] if _choices(dimension) else dimension.name
+    return textwrap.fill((name or dimension.name).replace(".", ": ").replace("_", " "), 16)
+
+
+def _pair(axis: Axes, survivors: pd.DataFrame, x: Dimension, y: Dimension, marked: Mapping[str, Mapping]) -> None:
+    look = {"markersize": 1.8, "markeredgewidth": 0, "alpha": 0.5, "color": figures.BLUE, "label": "what is left"}
+    axis.plot(_spread(survivors, x), _spread(survivors, y), "o", **look)
+    for (name, point), marker in zip(marked.items(), "*Ds", strict=False):
+        if x.name in point and y.name in point:
+            look = {"color": figures.RED, "markersize": 7, "markeredgecolor": "white", "markeredgewidth": 0.5}
+            axis.plot(point[x.name], point[y.name], marker, label=name, clip_on=False, **look)
+    _span(axis, x, "x")
+    _span(axis, y, "y")
+
+
+def _choices(dimension: Dimension) -> list[str]:
+    """Names of a choice of two; nothing for a range."""
+    return names_of_choice(dimension.name) if choice(dimension) else []
+
+
+def _spread(survivors: pd.DataFrame, dimension: Dimension) -> np.ndarray:
+    """Values; those of a choice lie side by side, not on top of each other."""
+    values = survivors[dimension.name].to_numpy(dtype=float)
+    generator = np.random.default_rng(crc32(dimension.name.encode()))
+    return values + generator.uniform(-0.3, 0.3, len(values)) if _choices(dimension) else values
+
+
+def _density(axis: Axes, values: pd.Series, dimension: Dimension) -> None:
+    """Density over that of the prior, which is uniform in the dimension's own scale."""
+    scaled = np.log if dimension.scale == "log" else np.asarray
+    low, high, bins = dimension.low, dimension.high, _BINS
+    if _choices(dimension):
+        low, high, bins = low - 0.5, high + 0.5, 2
+    edges = np.linspace(scaled(low), scaled(high), bins + 1)
+    share = np.histogram(scaled(values), edges)[0] * bins / len(values)
+    shown = np.exp(edges) if dimension.scale == "log" else edges
+    axis.stairs(share, shown, fill=True, color=figures.SKY)
+    axis.axhline(1.0, color=figures.BLACK, linestyle="--", linewidth=0.7)
+    axis.set_ylim(0, max(2.0, 1.1 * share.max()))
+    _span(axis, dimension, "x")
+
+
+def _span(axis: Axes, dimension: Dimension, of: str) -> None:
+    """Scale and limits of an axis: the whole prior; names at the places of a choice."""
+    names = _choices(dimension)
+    margin = 0.5 if names else 0.0
+    axis.set(
+        **{f"{of}scale": "log" if dimension.scale == "log" else "linear"},
+        **{f"{of}lim": (dimension.low - margin, dimension.high + margin)},
+    )
+    if names:
+        axis.set(**{f"{of}ticks": [dimension.low, dimension.high], f"{of}ticklabels": names})

@@ -1,0 +1,1 @@
+"""Many runs: experiments, where they are computed, particle swarms and the tuned sets that they find."""

@@ -1,0 +1,232 @@
+"""One executor for all parallel studies: local processes, or a Dask cluster when configured.
+
+Set `RAILREPRO_DASK=tcp://host:port` to use a running Dask scheduler; without it, one process per core is used
+(`RAILREPRO_WORKERS` changes the number). Results never depend on the choice, because seeds belong to the task.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+
+from tqdm import tqdm
+
+from railrepro.errors import InputError
+from railrepro.evidence.runs import store
+
+BATCH = 32
+"""Most arguments of one task of a cluster: its client and scheduler need some milliseconds per task."""
+PATIENCE = 15.0
+"""Time without scheduler or worker after which a cluster is lost (s)."""
+_LOOK = 1.0
+"""Time between two looks at the cluster (s)."""
+_UNGUARDED = 77
+"""Exit code of a local process that was to start processes while it read the script that had started it."""
+
+
+@contextmanager
+def executor() -> Iterator[Executor]:
+    """The configured executor. Local processes stay for the next block, as starting them takes seconds; a block that
+    ends with an exception (also Ctrl-C) ends them.
+
+    Raises
+    ------
+    InputError
+        When the settings are wrong, no Dask scheduler answers, or it is lost with all its workers.
+    """
+    address = os.environ.get("RAILREPRO_DASK")
+    if address:
+        with _cluster(address) as pool:
+            yield pool
+        return
+    workers = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
+    if not (workers.isascii() and workers.isdigit() and 1 <= int(workers) <= 4096):
+        raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 to 4096 is needed")
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # what multiprocessing itself looks at
+        sys.exit(_UNGUARDED)  # told by the process that started this one
+    pool = _processes(int(workers))
+    try:
+        yield pool
+    except BaseException:
+        _processes.cache_clear()
+        _end(pool)
+        raise
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    import logging
+
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError("RAILREPRO_DASK is set, but the package distributed is not installed") from error
+    # what goes wrong is told by `ordered_map`, in one sentence
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    logging.getLogger("tornado").setLevel(logging.CRITICAL)
+    if not re.fullmatch(r"[a-z]+://[^/:\s]+:\d{1,5}/?", address):
+        raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address}, tcp://host:port is needed")
+    try:
+        client = Client(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address} ({error})") from error
+    pool = client.get_executor(pure=False, retries=0)
+    try:
+        yield pool
+    finally:
+        with suppress(Exception):  # a lost scheduler cannot be told good-bye
+            client.close(timeout=2)
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End a pool at once; what its processes were at is lost."""
+    processes = _started(pool)
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.kill()
+
+
+def _started(pool: Executor) -> list:
+    """The local processes of a pool; none of a cluster."""
+    return list((getattr(pool, "_processes", None) or {}).values())
+
+
+@lru_cache
+def _processes(workers: int) -> ProcessPoolExecutor:
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_follow_the_parent)
+
+
+def _follow_the_parent() -> None:
+    """Leave interrupts to the parent process, and end with it, also when it was killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "this runs in a worker"
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def ordered_map(
+    pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False, stored: bool = False
+) -> list:
+    """Evaluate `task` on each argument with a progress bar.
+
+    Parameters
+    ----------
+    pool : Executor
+    task : callable
+        Picklable function of one argument.
+    arguments : sequence
+    title : str
+        Text of the progress bar.
+    quiet : bool
+        No progress bar.
+    stored : bool
+        The task simulates only through `store`: what is there is not sent to a worker.
+
+    Returns
+    -------
+    list
+        Results in the order of the arguments.
+
+    Raises
+    ------
+    InputError
+        When a local process was killed, a script is not guarded against being read by the local processes, or the Dask
+        scheduler or all its workers are lost for `PATIENCE`.
+    """
+    known = _known(task, arguments) if stored else {}
+    missing = [i for i in range(len(arguments)) if i not in known]
+    size = 1 if isinstance(pool, ProcessPoolExecutor) else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
+    batches = [missing[i : i + size] for i in range(0, len(missing), size)]
+    work = _here if isinstance(pool, ProcessPoolExecutor) else _elsewhere
+    try:
+        futures = {pool.submit(work, task, [arguments[i] for i in batch]): batch for batch in batches}
+        waiting, seen = set(futures), time.monotonic()
+        with tqdm(total=len(arguments), initial=len(known), desc=title, disable=quiet, leave=False) as bar:
+            while waiting:
+                done, waiting = wait(waiting, _LOOK)
+                for future in done:
+                    results, new = future.result()
+                    for name, content in new.items():
+                        store.put(name, content)
+                    known |= zip(futures[future], results, strict=True)
+                    bar.update(len(results))
+                if done or _there(pool):
+                    seen = time.monotonic()
+                elif time.monotonic() - seen > PATIENCE:
+                    raise InputError(_LOST)
+        return [known[i] for i in range(len(arguments))]
+    except (BrokenExecutor, CancelledError) as error:
+        if not isinstance(pool, ProcessPoolExecutor):
+            raise InputError(_LOST) from error
+        processes = _started(pool)
+        pool.shutdown()  # a process has no exit code before the pool has waited for it
+        if any(process.exitcode == _UNGUARDED for process in processes):
+            raise InputError(_READ_AGAIN) from None
+        raise InputError(_KILLED) from error
+    except Exception as error:
+        if type(error).__module__.partition(".")[0] == "distributed":
+            raise InputError(f"{_LOST} ({type(error).__name__})") from error
+        raise
+
+
+def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
+    """Results that need nothing but what is stored, by position."""
+    known: dict[int, object] = {}
+    if store.folder() is None:
+        return known
+    with store.only_stored():
+        for i, argument in enumerate(arguments):
+            with suppress(store.Missing):
+                known[i] = task(argument)
+    return known
+
+
+def _here(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
+    """Results of a batch; a local process stores by itself."""
+    return [task(argument) for argument in batch], {}
+
+
+def _elsewhere(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
+    """Results of a batch, and what the client is to store: the disk of another machine goes with it."""
+    with store.collected() as new:
+        return [task(argument) for argument in batch], new
+
+
+def _workers(pool: Executor) -> int:
+    """Number of the processes of a cluster, at least 1."""
+    client = getattr(pool, "_client", None)
+    return max(1, len(client.scheduler_info(n_workers=-1)["workers"])) if client is not None else 1
+
+
+_KILLED = "a process of the study was killed, by the system when memory ran out or by somebody; run again to resume"
+_READ_AGAIN = (
+    "the processes of a study read the script that starts it: there, what calls the library must stand below "
+    'if __name__ == "__main__":'
+)
+_LOST = "the Dask scheduler, or all its workers, are lost; start them and run again to resume"
+
+
+def _there(pool: Executor) -> bool:
+    """Whether somebody works: local processes tell by themselves, of a cluster the scheduler knows its workers."""
+    client = getattr(pool, "_client", None)
+    if client is None:
+        return True
+    try:
+        return bool(client.sync(client.scheduler.identity, callback_timeout=5)["workers"])
+    except Exception:  # whatever it is, nobody answers; time decides
+        return False

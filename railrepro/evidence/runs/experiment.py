@@ -1,0 +1,286 @@
+"""Experiments that can be sent to any worker: scenario, controller and changes, and the row of numbers they give.
+
+Notebooks and studies are lists of these; the executor decides where they run, and `store` whether they must.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.law import EstimateSettings
+from railrepro.control.registry import REGISTERED, guidance
+from railrepro.control.slip import SlipSettings
+from railrepro.errors import InputError
+from railrepro.estimation import sensors
+from railrepro.evidence.runs import sources, store, tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.simulation import metrics, ride, simulate
+from railrepro.simulation.scenarios import Scenario
+from railrepro.track import preview
+from railrepro.track.rough import fit, rough_track
+from railrepro.track.route import CELL
+from railrepro.track.table import load_track
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+_SERIES = {
+    **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
+    **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
+}
+_WHEEL = {"tau": "tau_{}_Nm", "fx": "fx_{}", "sx": "sx_{}"}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run to be made.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    controller : str
+        Key of `registry.REGISTERED`.
+    label : dict
+        Further columns of the row.
+    parameters : dict or None
+        Tuning parameters; None takes the tuned ones.
+    options, changes : dict
+        See `registry.guidance`.
+    vehicle, plant : dict
+        Vehicle parameters changed for car and controllers, and for the car alone (`parameters.load_vehicle`).
+    adhesion, estimate, fixed_share
+        See `simulate.run`.
+    irregular : dict
+        Arguments of `rough_track` besides the coordinates; empty is an ideal track.
+    preview : dict
+        What the controller knows of the irregularities, and the line that it plans with it: arguments of
+        `preview.known` and `preview.planned_line` besides the frame (`smoothing_m` is that of the line); empty is
+        nothing.
+    sensors : dict
+        Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
+    setting : str
+        Which tuned parameters are taken, see `tuning.load`.
+    substeps : int
+        See `simulate.run`.
+    ride : bool
+        Whether the row also has the figures of `ride.ride_summary`.
+    stride : int
+        Every n-th exchange of the front gear is kept as a series; 0 keeps none.
+    """
+
+    scenario: Scenario
+    controller: str
+    label: dict = field(default_factory=dict)
+    parameters: dict | None = None
+    options: dict = field(default_factory=dict)
+    changes: dict = field(default_factory=dict)
+    vehicle: dict = field(default_factory=dict)
+    plant: dict = field(default_factory=dict)
+    adhesion: AdhesionSettings | SlipSettings | None = None
+    estimate: EstimateSettings | None = None
+    fixed_share: float = 0.0
+    irregular: dict = field(default_factory=dict)
+    preview: dict = field(default_factory=dict)
+    sensors: dict = field(default_factory=dict)
+    setting: str = tuning.EQUAL
+    substeps: int = 1
+    ride: bool = False
+    stride: int = 0
+
+    def car(self) -> Vehicle:
+        """The car that is driven, with all changes."""
+        return load_vehicle(**self.vehicle | self.plant)
+
+    def tuned(self) -> dict:
+        """Tuning parameters of the controller."""
+        if self.parameters is not None:
+            return self.parameters
+        return tuning.load(self.controller, self.setting)["parameters"]
+
+    def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
+        """Irregularities, and the line that is planned with what is known of them; None where there is nothing."""
+        rough = None
+        if self.irregular:
+            if not isinstance(self.irregular, dict):
+                fit("irregular", self.irregular)
+            rough = _laid_rough(self.scenario.end_m, json.dumps(self.irregular, sort_keys=True))
+        if self.preview:
+            fit("preview", self.preview, _line, preview.known)
+            if rough is None:
+                raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
+        return rough, _line(rough, **self.preview) if self.preview else None
+
+    def run(self) -> simulate.Run:
+        """The simulation itself."""
+        rough, line = self.rails()
+        return simulate.run(
+            self.scenario,
+            guidance(self.controller, self.tuned(), self.options, **self.changes),
+            irregularities=rough,
+            line=line,
+            sensors=sensors.readings(**self.sensors) if self.sensors else None,
+            substeps=self.substeps,
+            vehicle=load_vehicle(**self.vehicle),
+            plant_vehicle=self.car(),
+            adhesion=self.adhesion,
+            estimate=self.estimate,
+            fixed_share=self.fixed_share,
+        )
+
+    def key(self, measure: Measure) -> str | None:
+        """Key of what a function measures of this run (`store.key`); None when it cannot be stored.
+
+        It holds the resolved values, not the names of vehicle, parameters, track and sensors, and the code that the run
+        and the function can reach.
+        """
+        built = REGISTERED[self.controller].build if self.controller in REGISTERED else None
+        if built is None or not built.__module__.startswith("railrepro."):
+            return None  # of a user's file
+        scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
+        track = load_track(self.scenario.track_file())
+        scenario["track"] = track.table.to_numpy(), track.design_speed
+        plan = self.tuned(), self.options, self.changes, self.adhesion, self.estimate, self.fixed_share
+        sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
+        cars = load_vehicle(**self.vehicle), self.car()
+        more = self.rails(), sensed, self.substeps, self.ride, self.stride
+        try:
+            return store.key(code(measure), self.controller, scenario, cars, plan, more)
+        except TypeError:
+            return None
+
+    def measured(self, measure: Measure) -> store.Entry:
+        """What a function measures of this run, from the store where it is there.
+
+        Parameters
+        ----------
+        measure : callable
+            (Run, Experiment) -> row of plain values and table of numbers or None; a function of a module, which uses
+            of the experiment what `key` holds.
+        """
+        name = self.key(measure)
+        return measure(self.run(), self) if name is None else store.entry(name, lambda: measure(self.run(), self))
+
+    def __call__(self) -> tuple[dict, pd.DataFrame | None]:
+        """Row of metrics and the kept series, see `row`."""
+        values, series = self.measured(_values)
+        row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
+        return row, None if series is None else series.assign(**self.label)
+
+    def row(self, run: simulate.Run) -> dict:
+        """Row of a run, see `values`."""
+        return {"scenario": self.scenario.name, "controller": self.controller, **self.label, **self.values(run)}
+
+    def values(self, run: simulate.Run) -> dict:
+        """Metrics of a run (SI); of a failed run the place instead of how well it followed."""
+        vehicle = self.car()
+        values = metrics.summary(run.series, vehicle.drive.torque_limit)
+        if run.failed:
+            values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
+        values |= metrics.longitudinal(run.series, self.scenario, vehicle)
+        if self.ride and not run.failed:
+            values |= ride.ride_summary(run.series, vehicle)
+        row = {name: value for name, (value, _) in values.items()}
+        row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
+        solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
+        row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
+        return row | {"fallbacks": sum(solve.fallback for solve in solves)}
+
+
+def sample_times(run: simulate.Run, experiment: Experiment, again: int) -> np.ndarray:
+    """Time of each sample of the slower controllers (s), the least of a run and of some more that go like it.
+
+    What a machine does besides lengthens one drive or the other, what a controller needs all of them.
+    """
+    runs = [run, *(experiment.run() for _ in range(again))]
+    found = [[solve.seconds for controller in each.controllers for solve in controller.stats] for each in runs]
+    return np.min([seconds for seconds in found if len(seconds) == len(found[0])], axis=0)
+
+
+@lru_cache(maxsize=8)
+def _laid_rough(end: float, irregular: str) -> pd.DataFrame:
+    """Irregularities up to a coordinate (m); tuning drives the same ones very often."""
+    return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular))
+
+
+def _line(rough: pd.DataFrame, share=1.0, smoothing_m=3.0, limit=5e-3, **errors) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and planned line with its derivatives, from what is known of the irregularities."""
+    believed = preview.known(rough, **errors)
+    return believed["p_m"].to_numpy(), preview.planned_line(believed, share, smoothing_m, limit)
+
+
+def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame:
+    """Every `stride`-th row of one gear with the unit in each column's name (contract of data/results)."""
+    rows = series.iloc[::stride]
+    columns = {"t_s": rows["t_s"]} | {new: rows[f"{gear}.{old}"] for old, new in _SERIES.items()}
+    columns |= {
+        name.format(side): rows[f"{gear}_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()
+    }
+    return pd.DataFrame(columns)
+
+
+Measure = Callable[[simulate.Run, Experiment], store.Entry]
+
+
+def _values(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """What the row of an experiment has, and the kept series."""
+    return experiment.values(run), tidy(run.series, experiment.stride) if experiment.stride else None
+
+
+@lru_cache
+def _source(module: str) -> str:
+    return inspect.getsource(sys.modules[module])
+
+
+@lru_cache
+def code(measure: Measure) -> list:
+    """Name of a measuring function, content of its module, and of all that a run can reach."""
+    own = [sources.parsed(_source(module))[0] for module in (__name__, measure.__module__)]
+    return [f"{measure.__module__}.{measure.__qualname__}", own, _reached()]
+
+
+@lru_cache
+def _reached() -> dict[str, str]:
+    """Content of the modules that a run can reach: those of the library that this module imports, and theirs."""
+    imported = [name for name in sources.parsed(_source(__name__))[1] if not name.startswith("railrepro.evidence")]
+    return sources.closure([f"import {name}" for name in imported])
+
+
+def _call(experiment: Experiment) -> store.Entry:
+    return experiment()
+
+
+def run_all(
+    experiments: Sequence[Experiment], title: str, quiet: bool = False
+) -> tuple[pd.DataFrame, pd.DataFrame | None]:
+    """Run experiments on the executor.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    title : str
+        Text of the progress bar.
+    quiet : bool
+        No progress bar.
+
+    Returns
+    -------
+    table : DataFrame
+        One row per experiment, in order.
+    series : DataFrame or None
+        Kept series with the column `controller`, or None.
+    """
+    with executor() as pool:
+        results = ordered_map(pool, _call, experiments, title, quiet, stored=True)
+    kept = [
+        series.assign(controller=experiment.controller)
+        for experiment, (_, series) in zip(experiments, results, strict=True)
+        if series is not None
+    ]
+    return pd.DataFrame([row for row, _ in results]), pd.concat(kept, ignore_index=True) if kept else None

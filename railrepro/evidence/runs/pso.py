@@ -1,0 +1,181 @@
+"""Particle swarm optimisation with a global best, constriction and reflecting bounds; seeded.
+
+Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2002 (chi = 0.7298, c1 = c2 = 2.05).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from railrepro.errors import InputError
+from railrepro.schema import is_number
+
+CONSTRICTION, ATTRACTION = 0.7298, 2.05
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One searched parameter.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        Bounds, inclusive.
+    scale : str
+        "linear", "log" (the swarm moves in log10) or "integer" (values are rounded).
+    """
+
+    name: str
+    low: float
+    high: float
+    scale: str = "linear"
+
+    def __post_init__(self):
+        if self.scale not in ("linear", "log", "integer"):
+            raise InputError(f"dimension {self.name}: scale {self.scale!r}, one of linear, log, integer is needed")
+        for bound in (self.low, self.high):
+            if not is_number(bound):
+                raise InputError(f"dimension {self.name}: bound {bound!r}, a finite number is needed")
+        whole = self.scale != "integer" or all(float(bound).is_integer() for bound in (self.low, self.high))
+        if not whole:
+            raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high}, whole numbers are needed")
+        if not self.low < self.high or (self.scale == "log" and self.low <= 0):
+            raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
+
+    def value(self, position: float) -> float:
+        """Parameter value at a position in [0, 1]."""
+        if self.scale == "log":
+            return float(self.low * (self.high / self.low) ** position)
+        value = self.low + position * (self.high - self.low)
+        return round(value) if self.scale == "integer" else float(value)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a swarm.
+
+    Attributes
+    ----------
+    best : dict
+        Parameter values of the best particle.
+    cost : float
+    history : DataFrame
+        Every evaluated particle: iteration, particle, cost and the parameter values.
+    """
+
+    best: dict[str, float]
+    cost: float
+    history: pd.DataFrame
+
+
+class Swarm:
+    """State of a swarm; `ask` gives parameter sets, `tell` takes their costs and moves the particles.
+
+    The random numbers of a move belong to (seed, iteration, particle), so a swarm does not depend on who evaluates it.
+    """
+
+    def __init__(self, dimensions: list[Dimension], particles: int, seed: int):
+        self.dimensions, self.seed, self.iteration = dimensions, seed, 0
+        shape = (particles, len(dimensions))
+        self.position = np.array([self._random(i, len(dimensions)) for i in range(particles)])
+        self.velocity = np.zeros(shape)
+        self.own_position, self.own_cost = self.position.copy(), np.full(particles, np.inf)
+        self.rows: list[dict] = []
+
+    def _random(self, particle: int, count: int) -> np.ndarray:
+        return np.random.default_rng((self.seed, self.iteration, particle)).random(count)
+
+    def ask(self) -> list[dict[str, float]]:
+        """Parameter values of all particles."""
+        return [
+            {d.name: d.value(x) for d, x in zip(self.dimensions, particle, strict=True)} for particle in self.position
+        ]
+
+    def tell(self, costs: list[float]) -> None:
+        """Take the costs of the particles of the last `ask` and move on to the next iteration."""
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        for i, (values, cost) in enumerate(zip(self.ask(), costs, strict=True)):
+            self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
+        better = costs < self.own_cost
+        self.own_cost = np.where(better, costs, self.own_cost)
+        self.own_position[better] = self.position[better]
+        self.iteration += 1
+        leader, n = self.own_position[np.argmin(self.own_cost)], len(self.dimensions)
+        for i in range(len(self.position)):
+            draw = self._random(i, 2 * n)
+            pull = ATTRACTION * draw[:n] * (self.own_position[i] - self.position[i])
+            pull += ATTRACTION * draw[n:] * (leader - self.position[i])
+            self.velocity[i] = np.clip(CONSTRICTION * (self.velocity[i] + pull), -0.5, 0.5)
+        self._move()
+
+    def _move(self) -> None:
+        moved = self.position + self.velocity
+        low, high = moved < 0, moved > 1
+        moved = np.where(low, -moved, np.where(high, 2 - moved, moved))
+        self.velocity = np.where(low | high, -0.5 * self.velocity, self.velocity)
+        self.position = np.clip(moved, 0, 1)
+
+    @property
+    def limits(self) -> list[float]:
+        """Best cost of each particle so far: what costs more does not change the swarm, however much more."""
+        return self.own_cost.tolist()
+
+    @property
+    def best(self) -> tuple[dict[str, float], float]:
+        """Parameter values and cost of the best particle so far."""
+        i = int(np.argmin(self.own_cost))
+        best = {d.name: d.value(x) for d, x in zip(self.dimensions, self.own_position[i], strict=True)}
+        return best, float(self.own_cost[i])
+
+    def stagnant(self, patience: int, tolerance: float = 1e-4) -> bool:
+        """True when the best cost has fallen by less than `tolerance` (relative) over `patience` iterations."""
+        if self.iteration <= patience:
+            return False
+        costs = pd.DataFrame(self.rows).groupby("iteration")["cost"].min().cummin().to_numpy()
+        return costs[-1] > (1 - tolerance) * costs[-1 - patience]
+
+
+def minimise(
+    evaluate: Callable[[list[dict], list[float]], list[float]],
+    dimensions: list[Dimension],
+    particles: int,
+    iterations: int,
+    seed: int,
+    patience: int = 1000,
+    report: Callable[[Swarm], None] = lambda swarm: None,
+) -> Outcome:
+    """Run a swarm to the end of its budget, or until it stagnates.
+
+    Parameters
+    ----------
+    evaluate : callable
+        (parameter sets, limits) -> costs, in order; a cost that is not finite counts as worst. Of a set that costs more
+        than its limit any number above the limit will do.
+    dimensions : list of Dimension
+    particles, iterations, seed : int
+    patience : int
+        Iterations without improvement before it stops.
+    report : callable
+        Called with the swarm after each iteration.
+
+    Returns
+    -------
+    Outcome
+    """
+    counts = {"particles": (particles, 1), "iterations": (iterations, 1), "patience": (patience, 1), "seed": (seed, 0)}
+    for name, (value, low) in counts.items():
+        if not isinstance(value, int) or isinstance(value, bool) or value < low:
+            raise InputError(f"swarm: {name} = {value!r}, a whole number from {low} is needed")
+    if not dimensions:
+        raise InputError("swarm: there are no dimensions, at least one is needed")
+    swarm = Swarm(dimensions, particles, seed)
+    while swarm.iteration < iterations and not swarm.stagnant(patience):
+        swarm.tell(evaluate(swarm.ask(), swarm.limits))
+        report(swarm)
+    best, cost = swarm.best
+    return Outcome(best, cost, pd.DataFrame(swarm.rows))

@@ -1,0 +1,174 @@
+"""Tuning of all lateral controllers by particle swarm, with the same cost and budget, in the settings of `tuning`.
+
+`python -m railrepro tune [setting …] [controller …]` tunes and writes data/tuned; an interrupted run
+goes on where it was. Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from railrepro import __version__, paths
+from railrepro.control.registry import REGISTERED
+from railrepro.errors import InputError
+from railrepro.evidence.runs import pso, store
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.runs.tuning import SETTINGS, TUNED, Task, load_task, origin, save
+from railrepro.simulation import metrics, simulate
+from railrepro.vehicle.parameters import load_vehicle
+
+
+def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """What the cost of a run needs.
+
+    Returns
+    -------
+    dict
+        Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the distance done;
+        whether it failed. Sensors see the displacement against the rails where they lie, so with them the error is
+        counted from there.
+    """
+    sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
+
+    def mean(metric):
+        return float(np.mean([metric(run.series, gear) for gear in simulate.GEARS]))
+
+    done = float(np.clip(np.nan_to_num(run.series["front.p"]).max() / experiment.scenario.end_m, 0, 1))
+    parts = {"rmse_y": mean(metrics.followed_rmse if sensed else metrics.rmse), "effort_du": mean(metrics.effort)}
+    if run.failed or not np.isfinite(sum(parts.values())):
+        return parts | {"activity_du": float("nan"), "done": done, "failed": True}, None
+    return parts | {"activity_du": mean(metrics.activity), "done": 1.0, "failed": False}, None
+
+
+def run_cost(parts: dict, cost: dict) -> float:
+    """Cost of a run (data/tuning.toml) from what it was `driven`."""
+    if parts["failed"]:
+        return cost["failure"] * (2 - parts["done"])
+    beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)
+    value = 1e3 * parts["rmse_y"] / cost["y_scale_mm"] + cost["weight"] * parts["effort_du"] / cost["du_scale_Nm"]
+    return value + cost["activity_weight"] * beyond
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Cost of parameter sets of one controller; picklable, so that any executor can run it."""
+
+    controller: str
+    task: Task
+
+    def __call__(self, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
+        """Mean cost over the runs, and the parts per run.
+
+        The last run, the hardest, comes first. Once the sum is beyond `limit`, the rest is left out and counts nothing:
+        the cost is then a lower bound.
+        """
+        quick, number = REGISTERED[self.controller].quick, len(self.task.runs)
+        costs, parts = [], []
+        for run in reversed(self.task.runs):
+            experiment = Experiment(
+                run.scenario, self.controller, parameters=parameters, options=quick, irregular=run.irregular,
+                plant=run.plant, sensors=run.sensors,
+            )  # fmt: skip
+            try:
+                part, _ = experiment.measured(driven)
+                cost = run_cost(part, self.task.cost)
+                part.pop("failed")
+            except (ArithmeticError, np.linalg.LinAlgError):
+                cost, part = 2 * self.task.cost["failure"], {"done": 0.0}
+            costs.append(cost)
+            parts.append({"run": run.name, "cost": cost, **part})
+            if sum(costs) > limit * number:
+                break
+        return sum(costs) / number, parts
+
+
+def _cost(evaluation: Evaluation, particle: tuple[dict, float]) -> float:
+    return evaluation(*particle)[0]
+
+
+def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
+    """Tune one controller with a swarm per seed; runs of an interrupted tuning are in the store.
+
+    Parameters
+    ----------
+    controller : str
+    task : Task
+    pool : concurrent.futures.Executor
+    quiet : bool
+        No progress bar.
+
+    Returns
+    -------
+    dict
+        The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm
+        found (`swarms`), `origin`, and under `history` the table of all evaluated particles.
+    """
+    budget, evaluation = task.budget, Evaluation(controller, task)
+    swarms, tables = [], []
+    for seed in budget["seeds"]:
+        name = f"{task.setting} {controller} {seed}"
+        bar = tqdm(total=budget["iterations"], desc=name, unit="iteration", disable=quiet)
+
+        def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
+            limited = list(zip(particles, limits, strict=True))
+            return ordered_map(pool, partial(_cost, evaluation), limited, controller, quiet=True, stored=True)
+
+        def report(swarm: pso.Swarm, bar=bar) -> None:
+            bar.n = swarm.iteration
+            bar.set_postfix_str(f"best cost {swarm.best[1]:.4f}")
+
+        outcome = pso.minimise(
+            evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
+            budget["patience"], report,
+        )  # fmt: skip
+        bar.close()
+        found = {"seed": seed, "cost": outcome.cost, "evaluations": len(outcome.history), "parameters": outcome.best}
+        swarms.append(found)
+        tables.append(outcome.history.assign(seed=seed))
+    best = min(swarms, key=lambda swarm: swarm["cost"])
+    cost, parts = ordered_map(pool, evaluation, [best["parameters"]], controller, quiet=True, stored=True)[0]
+    return {
+        "controller": controller,
+        "setting": task.setting,
+        "parameters": best["parameters"],
+        "cost": cost,
+        "runs": parts,
+        "swarms": swarms,
+        "origin": {"data": origin(controller, task, load_vehicle()), "version": __version__} | budget,
+        "history": pd.concat(tables, ignore_index=True),
+    }
+
+
+def main(names: list[str]) -> None:
+    """Tune the named controllers, or all, in the named settings, or all."""
+    settings = [name for name in names if name in SETTINGS] or list(SETTINGS)
+    wanted = [name for name in names if name not in SETTINGS]
+    known = load_task().dimensions
+    if set(wanted) - set(known):
+        unknown = min(set(wanted) - set(known))
+        raise InputError(
+            f"{unknown!r} is neither setting ({list(SETTINGS)}) nor a controller of tuning.toml ({sorted(known)})"
+        )
+    with executor() as pool:
+        for each in settings:
+            task = load_task(setting=each)
+            for name in wanted or task.searched:
+                if name in task.designed:
+                    print(f"{each} {name}: designed, nothing to tune")
+                    continue
+                begin = time.perf_counter()
+                result = tune(name, task, pool)
+                save(result, paths.ROOT / TUNED / each)
+                found = ", ".join(f"{swarm['cost']:.4f}" for swarm in result["swarms"])
+                seconds = time.perf_counter() - begin
+                print(
+                    f"{each} {name}: costs {found} after {len(result['history'])} evaluations, {seconds:.0f} s",
+                    flush=True,
+                )

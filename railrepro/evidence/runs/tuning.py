@@ -1,0 +1,259 @@
+"""What is tuned, for what, in which setting, and the tuned sets in data/tuned; `swarm` does the tuning.
+
+One ranking of controllers does not exist: it depends on what they are given. The settings are `paper` (perfect
+measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
+alike) and `loop` (all tuned alike behind sensors, noise, latency and filter).
+
+Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
+"""
+
+from __future__ import annotations
+
+import json
+import reprlib
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pandas as pd
+from pydantic import AfterValidator
+
+from railrepro import paths, schema
+from railrepro.control.registry import REGISTERED, guidance
+from railrepro.control.tuned import COUNT, EQUAL, SEED, TUNED, read
+from railrepro.control.tuned import LOOP as LOOP  # for those who take the settings from here
+from railrepro.control.tuned import SETTINGS as SETTINGS
+from railrepro.errors import InputError
+from railrepro.estimation.sensors import Inverter, load_loop
+from railrepro.evidence.runs import pso, store
+from railrepro.files import write
+from railrepro.schema import Number, above, between
+from railrepro.simulation.scenarios import Scenario, load_scenarios
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+
+@dataclass(frozen=True)
+class TuningRun:
+    """One run of the cost, as the arguments of `experiment.Experiment` have it.
+
+    Attributes
+    ----------
+    name : str
+    scenario : Scenario
+    irregular, plant, sensors : dict
+        Rails, what only the car has, and sensors; empty is an ideal track, the nominal car, perfect measurements.
+    """
+
+    name: str
+    scenario: Scenario
+    irregular: dict = field(default_factory=dict)
+    plant: dict = field(default_factory=dict)
+    sensors: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What swarms are asked to minimise in some setting; see data/tuning.toml.
+
+    Attributes
+    ----------
+    setting : str
+    budget, cost : dict
+    runs : tuple of TuningRun
+        The hardest last.
+    dimensions : dict
+        Controller -> list of `pso.Dimension`.
+    designed : dict
+        Controller -> parameters that are given, not searched.
+    """
+
+    setting: str
+    budget: dict
+    cost: dict
+    runs: tuple[TuningRun, ...]
+    dimensions: dict[str, list[pso.Dimension]]
+    designed: dict[str, dict] = field(default_factory=dict)
+
+    @property
+    def searched(self) -> list[str]:
+        """Controllers that a swarm tunes in this setting."""
+        return [name for name in self.dimensions if name not in self.designed]
+
+
+@schema.table
+class Budget:
+    """Size of a search, see data/tuning.toml."""
+
+    particles: COUNT
+    iterations: COUNT
+    patience: COUNT
+    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
+
+
+@schema.table
+class Cost:
+    """Scales of the cost, see data/tuning.toml."""
+
+    y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
+    du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
+    weight: Annotated[Number, between(0.0, 1e6)]
+    activity_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
+    activity_weight: Annotated[Number, between(0.0, 1e6)]
+    failure: Annotated[Number, above(0.0, 1e9)]
+
+
+@schema.table
+class RunEntry:
+    """A run in data/tuning.toml; keys that it does not name itself belong to its scenario."""
+
+    scenario: str
+    end_m: Annotated[Number, between(1.0, 1e5, "m")]
+    seed: SEED
+    irregular: dict[str, schema.Free] = field(default_factory=dict)
+    plant: dict[str, schema.Plain] = field(default_factory=dict)
+    inverter: dict[str, schema.Plain] = field(default_factory=dict)
+
+
+@schema.table
+class SettingEntry:
+    """Setting in data/tuning.toml."""
+
+    sensors: schema.Flag
+    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
+    designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
+
+
+def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
+    """Dimensions of a table of [low, high, scale], or the name of the controller that has the same."""
+    if set(bounds) == {"same_as"}:
+        return str(bounds["same_as"])
+    for name, bound in bounds.items():
+        if not (isinstance(bound, list) and len(bound) in (2, 3) and all(map(schema.is_number, bound[:2]))):
+            raise ValueError(f"has {name} = {reprlib.repr(bound)}, [low, high, scale] is needed")
+    return [pso.Dimension(name, *bound) for name, bound in bounds.items()]
+
+
+@schema.table
+class TaskFile:
+    """Content of data/tuning.toml."""
+
+    budget: Annotated[Budget, schema.AS_GIVEN]
+    cost: Annotated[Cost, schema.AS_GIVEN]
+    run: Annotated[dict[str, RunEntry], schema.NOT_EMPTY]
+    setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], schema.NOT_EMPTY]
+    controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], schema.NOT_EMPTY]
+
+
+def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
+    """The tuning task of a TOML file (default data/tuning.toml) in some setting; InputError on wrong entries."""
+    file = schema.location(path, paths.source("data/tuning.toml"))
+    content = schema.build(TaskFile, schema.read(file), file.name)
+    if setting not in content.setting:
+        raise InputError(
+            f"{file.name}: setting {reprlib.repr(setting)} is not known; there are {sorted(content.setting)}"
+        )
+    entry, known = content.setting[setting], load_scenarios()
+    runs = []
+    for name in entry.runs:
+        if name not in content.run:
+            raise InputError(
+                f"{file.name}: [setting.{setting}] has the run {reprlib.repr(name)}; there are {sorted(content.run)}"
+            )
+        runs.append(_run(name, content.run[name], known, entry.sensors, f"{file.name}: [run.{name}]"))
+    dimensions = {}
+    for name, bounds in content.controller.items():
+        if name not in REGISTERED:
+            raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(REGISTERED)}")
+        dimensions[name] = content.controller.get(bounds) if isinstance(bounds, str) else bounds
+        if not isinstance(dimensions[name], list) or not dimensions[name]:
+            raise InputError(f"{file.name}: [controller.{name}] has no bounds, nor has a controller that it is same_as")
+    for name, parameters in entry.designed.items():
+        if name not in dimensions:
+            raise InputError(f"{file.name}: [setting.{setting}.designed] has {name!r}; there are {sorted(dimensions)}")
+        guidance(name, parameters)
+    return Task(setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed)
+
+
+def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
+    if entry.scenario not in known:
+        raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
+    scenario = schema.build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
+    sensors = {}
+    if sensed or entry.inverter:
+        sensors = {"seed": entry.seed} | {f"inverter.{key}": value for key, value in entry.inverter.items()}
+        sensors |= {} if sensed else {"perfect": True}
+        unknown = set(entry.inverter) - {key.name for key in fields(Inverter)}
+        if unknown:
+            raise InputError(f"{where} has inverter.{min(unknown)}; there are {[key.name for key in fields(Inverter)]}")
+    return TuningRun(name, scenario, entry.irregular, entry.plant, sensors)
+
+
+def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
+    """Digest of the given numbers that the cost of a controller's parameters reads.
+
+    These are scenarios, tracks, rails, vehicle, sensors, cost, budget and own bounds. Names and remarks do not
+    count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
+    same; `is_current` says so, and 05_tuning recomputes its cost.
+    """
+    tracks, rails = (schema.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
+    sets = sorted({name for run in task.runs for name in (run.scenario.good, run.scenario.poor)})
+    car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
+    runs = []
+    for run in task.runs:
+        scenario = {k: v for k, v in vars(run.scenario).items() if k not in ("name", "track", "paper")}
+        rail = rails.get(str(run.irregular.get("spectrum")), None)
+        runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
+    loop = load_loop() if any(run.sensors for run in task.runs) else None
+    return store.digest(runs, car, loop, task.budget, task.cost, task.dimensions[controller])[:16]
+
+
+def is_current(controller: str, setting: str) -> bool:
+    """Whether a tuned set was searched with the numbers that stand in data/ today; designed sets are."""
+    task = _task_here(setting)
+    if controller in task.designed:
+        return True
+    return load(controller, setting)["origin"]["data"] == origin(controller, task, load_vehicle())
+
+
+@lru_cache
+def _task_here(setting: str) -> Task:
+    return load_task(setting=setting)
+
+
+def save(tuned: dict, folder: Path) -> None:
+    """Write a tuned set as JSON and its particles as CSV."""
+    content = {key: value for key, value in tuned.items() if key != "history"}
+    write(folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g"))
+    write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
+
+
+def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
+    """All evaluated particles of a controller: seed of the swarm, iteration, particle, cost, parameters."""
+    return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
+
+
+def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> dict:
+    """Tuned set of a controller in some setting; a designed set has only `controller`, `setting` and `parameters`.
+
+    Raises
+    ------
+    InputError
+        When there is none, or when it does not hold a tuned set of this controller.
+    """
+    task = _task_here(setting)
+    if controller in task.designed:
+        return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
+    content, name = read(controller, setting, folder), f"{controller}.json"
+    if controller not in task.dimensions:
+        raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
+    searched = {dimension.name for dimension in task.dimensions[controller]}
+    for parameters in (content["parameters"], *(swarm["parameters"] for swarm in content["swarms"])):
+        if set(parameters) != searched:
+            raise InputError(f"{name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
+    return content
+
+
+def tuned(controller: str, options: dict | None = None, setting: str = EQUAL, **changes):
+    """Guidance of a controller with its tuned parameters, see `registry.guidance`."""
+    return guidance(controller, load(controller, setting)["parameters"], options, **changes)

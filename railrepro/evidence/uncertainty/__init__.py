@@ -1,0 +1,1 @@
+"""How far a result depends on what the paper does not publish: robustness, history matching, margins."""

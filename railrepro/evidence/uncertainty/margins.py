@@ -1,0 +1,271 @@
+"""How far each tuned controller is from instability: what it survives, and its measured sensitivity.
+
+`python -m railrepro margins` writes data/results/margins.csv and sensitivity.csv. Nothing is
+linearised by hand: the loop runs as it is, with sampling, filter and latency, and is disturbed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from railrepro import paths
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.control import lateral
+from railrepro.control.registry import REGISTERED
+from railrepro.estimation.sensors import load_loop, readings
+from railrepro.evidence.runs import store, tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.experiment import Experiment, code
+from railrepro.files import write
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
+
+WINDOW, SETTLED = 4.0, 2.0
+"""Length of the window that is analysed and time before it (s); all frequencies are whole multiples of 1 / WINDOW."""
+FREQUENCIES = (
+    *(0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 14.0, 16.0),
+    *(18.0, 20.0, 24.0, 28.0, 32.0),
+)
+"""Frequencies of the disturbance (Hz)."""
+AMPLITUDE = 20.0
+"""Amplitude of each of its sines (N m), above what resolution does, below what limits do."""
+LINEAR = 0.5
+"""Share of the power of the answer that the disturbed frequencies hold in a stable loop, at least."""
+RAILS = {"dry": ("sine_tracking", 600.0), "poor": ("adhesion_loss", 600.0)}
+"""Scenario at 400 km/h and its end (m) by rail."""
+_KMH = (100.0, 200.0, 300.0, 400.0)
+
+
+class ProbedLaw:
+    """A 1 kHz law whose torque is disturbed by a sum of sines with Schroeder's phases; a `lateral.LateralLaw`.
+
+    Parameters
+    ----------
+    law : lateral.LateralLaw
+    amplitude : float
+        Of each sine (N m).
+    """
+
+    def __init__(self, law: lateral.LateralLaw, amplitude: float):
+        self._law, self._amplitude = law, amplitude
+        self.memory = (*law.memory, "probe.exchange")
+
+    def gains(self) -> dict[str, float]:
+        """See `LateralLaw.gains`."""
+        return {**self._law.gains(), "probe.amplitude": self._amplitude}
+
+    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+        """See `LateralLaw.torque`."""
+        du, following = self._law.torque(gear, road, memory, gain, model)
+        exchange = memory["probe.exchange"]
+        signal = gain["probe.amplitude"] * multisine(exchange * EXCHANGE_PERIOD, ca.sin)
+        return du + signal, following | {"probe.exchange": exchange + 1}
+
+
+class ProbedController(ProbedLaw):
+    """The same for a guidance with a slower controller."""
+
+    def __init__(self, law: lateral.LateralLaw, factory: lateral.Factory, amplitude: float):
+        super().__init__(law, amplitude)
+        self._factory = factory
+
+    def __call__(self, vehicle, route, gear: int) -> lateral.SlowController:
+        return self._factory(vehicle, route, gear)
+
+
+def multisine(t, sine: Callable = np.sin):
+    """Sum of sines of unit amplitude at times (s). Source: Schroeder 1970 (phases of low crest factor)."""
+    count = len(FREQUENCIES)
+    return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
+
+
+def probed(guidance, amplitude: float):
+    """A guidance with its torque disturbed, see `ProbedLaw`."""
+    law, factory = lateral.split(guidance)
+    return ProbedLaw(law, amplitude) if factory is None else ProbedController(law, factory, amplitude)
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Measured sensitivity of the loop of the front gear, broken at its differential torque.
+
+    Attributes
+    ----------
+    values : ndarray of complex, shape (len(FREQUENCIES),)
+        Torque over disturbance, S = 1 / (1 + L).
+    """
+
+    values: np.ndarray
+
+    @cached_property
+    def peak(self) -> float:
+        """Largest magnitude of S: its inverse is the smallest distance of L from -1."""
+        return float(np.abs(self.values).max())
+
+    @cached_property
+    def disk_margin(self) -> float:
+        """Symmetric disk margin: gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or phase by 2 atan(a / 2).
+
+        Source: Seiler, Packard and Gahinet 2020.
+        """
+        return float(1 / np.abs(self.values - 0.5).max())
+
+
+def sensitivity(guidance, speed_kmh: float, sensors: dict | None = None) -> Sensitivity | None:
+    """Sensitivity on the straight dry track, the difference of a run with and one without disturbance.
+
+    The noise of sensors is the same in both runs, so it does not enter.
+
+    Parameters
+    ----------
+    guidance : lateral.Guidance
+    speed_kmh : float
+    sensors : dict, optional
+        Arguments of `sensors.readings`.
+
+    Returns
+    -------
+    Sensitivity or None
+        None when a run fails, or when the loop does not answer at the frequencies of the disturbance: it is unstable.
+    """
+    end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
+    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
+    seen = readings(**sensors) if sensors else None
+    first, count, found = round(SETTLED / EXCHANGE_PERIOD), round(WINDOW / EXCHANGE_PERIOD), []
+    for amplitude in (0.0, AMPLITUDE):
+        run = simulate.run(scenario, probed(guidance, amplitude), sensors=seen)
+        if run.failed:
+            return None
+        found.append(run.series["front.du"].to_numpy()[: first + count])
+    answer = (found[1] - found[0])[first:] / AMPLITUDE
+    early, late = (np.sqrt(np.mean(half**2)) for half in np.split(answer, 2))
+    torque = np.fft.rfft(answer)
+    disturbance = np.fft.rfft(multisine((first + np.arange(count)) * EXCHANGE_PERIOD))
+    lines = np.round(np.array(FREQUENCIES) * WINDOW).astype(int)
+    answered = np.sum(np.abs(torque[lines]) ** 2) / np.sum(np.abs(torque) ** 2)
+    stable = answered > LINEAR and late < 2 * early
+    return Sensitivity(torque[lines] / disturbance[lines]) if stable else None
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is worsened until a controller leaves the rail.
+
+    Attributes
+    ----------
+    nominal, largest : float
+        Where the search begins and ends.
+    resolution : float
+    change : callable
+        Value -> changed arguments of `Experiment` (plant, sensors).
+    unit : str
+    """
+
+    nominal: float
+    largest: float
+    resolution: float
+    change: Callable[[float], dict]
+    unit: str
+
+
+QUANTITIES = {
+    "delay": Quantity(0.0, 15e-3, 1e-3, lambda value: {"sensors": {"inverter.delay": value}}, "s"),
+    "lag": Quantity(5e-3, 0.1, 2.5e-3, lambda value: {"plant": {"drive.lag": value}}, "s"),
+    "gain": Quantity(1.0, 5.0, 0.1, lambda value: {"sensors": {"inverter.gain": value}}, "-"),
+}
+"""Delay on top of that of the loop, lag of the drive, torque over what was told."""
+
+
+def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:
+    """Largest value of a quantity (SI) with which a run does not fail, by bisection; nan when the nominal does."""
+    if fails(quantity.nominal):
+        return float("nan")
+    low, high = quantity.nominal, quantity.largest
+    if not fails(high):
+        return high
+    while high - low > 1.01 * quantity.resolution:
+        steps = round((high - low) / quantity.resolution) // 2
+        middle = low + max(steps, 1) * quantity.resolution
+        low, high = (low, middle) if fails(middle) else (middle, high)
+    return low
+
+
+@dataclass(frozen=True)
+class Survival:
+    """Largest value of a quantity with which a tuned controller stays on a rail; picklable."""
+
+    setting: str
+    controller: str
+    rail: str
+    quantity: str
+
+    def __call__(self) -> float:
+        """The value, see `survived`."""
+        return survived(self._fails, QUANTITIES[self.quantity])
+
+    def _fails(self, value: float) -> bool:
+        name, end = RAILS[self.rail]
+        change = QUANTITIES[self.quantity].change(value)
+        sensors = {"seed": 101} | ({} if self.setting == tuning.LOOP else {"perfect": True}) | change.get("sensors", {})
+        quick = REGISTERED[self.controller].quick
+        experiment = Experiment(
+            load_scenario(name).but(end_m=end), self.controller, options=quick, setting=self.setting, sensors=sensors,
+            plant=change.get("plant", {}),
+        )  # fmt: skip
+        return experiment.measured(failed)[0]["failed"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Peaks of the sensitivity of a tuned controller at a speed; picklable."""
+
+    setting: str
+    controller: str
+    speed_kmh: float
+
+    def __call__(self) -> dict:
+        row = {"setting": self.setting, "controller": self.controller, "speed_kmh": self.speed_kmh}
+        parameters = tuning.load(self.controller, self.setting)["parameters"]
+        around = load_loop() if self.setting == tuning.LOOP else None
+        read = self.controller, self.speed_kmh, parameters, around, load_vehicle()
+        name = store.key(code(failed), "sensitivity", read)
+        return row | store.entry(name, self._peaks)[0]
+
+    def _peaks(self) -> store.Entry:
+        guidance = tuning.tuned(self.controller, REGISTERED[self.controller].quick, self.setting)
+        found = sensitivity(guidance, self.speed_kmh, {"seed": 101} if self.setting == tuning.LOOP else None)
+        peak, margin = (float("inf"), 0.0) if found is None else (found.peak, found.disk_margin)
+        return {"peak_sensitivity": peak, "disk_margin": margin}, None
+
+
+def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """Whether a run failed."""
+    return {"failed": run.failed}, None
+
+
+def _call(task):
+    return task()
+
+
+def main() -> None:
+    """Measure all tuned sets and write both tables."""
+    pairs = [(setting, name) for setting in tuning.SETTINGS for name in REGISTERED]
+    cases = [Survival(*pair, rail, what) for pair in pairs for rail in RAILS for what in QUANTITIES]
+    loops = [Measured(*pair, speed) for pair in pairs for speed in _KMH]
+    with executor() as pool:
+        largest = ordered_map(pool, _call, cases, "margins", stored=True)
+        peaks = ordered_map(pool, _call, loops, "sensitivity", stored=True)
+    rows = [
+        {**vars(case), "largest": value, "unit": QUANTITIES[case.quantity].unit}
+        for case, value in zip(cases, largest, strict=True)
+    ]
+    for name, table in {"margins": rows, "sensitivity": peaks}.items():
+        text = pd.DataFrame(table).to_csv(index=False, float_format="%.6g")
+        write(paths.product(f"data/results/{name}.csv"), text)

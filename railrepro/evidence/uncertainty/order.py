@@ -1,0 +1,183 @@
+"""Where the order turns: NMPC against inversions on curve entry T3 while one thing after the other is changed.
+
+`python -m railrepro order` writes data/results/order_turns.csv, one row per run. Every finished run is in the store, so
+an interrupted study goes on where it was. Serves the paper's Fig. 6.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from operator import call
+from pathlib import Path
+
+import pandas as pd
+
+from railrepro import paths
+from railrepro.control.registry import REGISTERED
+from railrepro.errors import InputError
+from railrepro.estimation.sensors import load_loop
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.uncertainty.robustness import rows as rows_of
+from railrepro.files import write
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.track.alignment import Alignment, alignments, superelevation_angle
+from railrepro.track.table import build_table, write_table
+from railrepro.vehicle.parameters import load_vehicle
+
+SCENARIO = "curve_entry_T3"
+CONTROLLERS = ("nmpc", "ndi", "ndi_integral")
+"""The paper's two, and the strongest that sees nothing of the road ahead."""
+SETTINGS = ("paper", "equal")
+SEEDS = (101, 102, 103)
+"""Of the noise; tuning used others."""
+_GROUPS = ("lateral", "gyro", "wheel_speed", "speed", "position")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One thing that is changed.
+
+    Attributes
+    ----------
+    unit : str
+    values : tuple
+        Numbers, or names of choices.
+    change : callable
+        Value -> changed arguments of `Experiment`.
+    controllers : tuple of str
+        Whom it concerns.
+    """
+
+    unit: str
+    values: tuple
+    change: Callable[[float | str], dict] = field(default=lambda value: {})
+    controllers: tuple[str, ...] = CONTROLLERS
+
+
+def _noisy(factor: float) -> dict:
+    """Sensors of the loop with a multiple of their noise, no bias and no latency, and the filter."""
+    loop = load_loop()
+    noise = {f"{group}.noise": factor * getattr(loop, group).noise for group in _GROUPS}
+    quiet = {f"{group}.bias": 0.0 for group in _GROUPS} | {"latency.measurement": 0.0, "latency.command": 0.0}
+    return {"sensors": noise | quiet | {"seed": 0}}
+
+
+CAR = {
+    "cone": {},
+    "S1002": {"plant": {"contact.profile": "s1002"}},
+    "cone, filter": {"sensors": {"perfect": True}},
+    "cone, loop": {"sensors": {"seed": 0}},
+}
+"""Profiles of the wheels; and what stands between the car and its controllers: nothing, the filter of the realistic
+loop with exact readings, all of that loop."""
+AXES = {
+    "bandwidth": Axis("over the tuned", (1 / 3, 0.5, 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0), controllers=CONTROLLERS[1:]),
+    "unbalanced acceleration": Axis("m/s2", (0.0, 0.15, 0.3, 0.4333, 0.65, 0.85, 1.0)),
+    "creep stiffness": Axis(
+        "over ours",
+        (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0),
+        lambda value: {"plant": {"contact.shear_modulus": value * load_vehicle().contact.shear_modulus}},
+    ),
+    "car": Axis("-", tuple(CAR), CAR.__getitem__),
+    "delay": Axis(
+        "ms",
+        (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0),
+        lambda value: {"sensors": {"perfect": True, "inverter.delay": 1e-3 * value}},
+    ),
+    "noise": Axis("over the sensors'", (0.0, 0.25, 0.5, 1.0, 2.0, 4.0), _noisy),
+}
+"""Everything is nominal but the axis. Delay and noise come behind the filter of the realistic loop: their zero is the
+choice "cone, filter"."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run; picklable.
+
+    Attributes
+    ----------
+    axis : str
+        Key of `AXES`.
+    value : float or str
+    setting, controller : str
+    parameters : tuple
+        (name, value) of the tuned set.
+    seed : int
+    scenario : str
+        Entry of data/scenarios.toml.
+    """
+
+    axis: str
+    value: float | str
+    setting: str
+    controller: str
+    parameters: tuple[tuple[str, float], ...]
+    seed: int = 0
+    scenario: str = SCENARIO
+
+    def experiment(self, scenario: Scenario) -> Experiment:
+        """The run, on a scenario whose track is laid."""
+        changed = dict(AXES[self.axis].change(self.value))
+        if noisy(changed):
+            changed["sensors"] = changed["sensors"] | {"seed": self.seed}
+        parameters = dict(self.parameters)
+        if self.axis == "bandwidth":
+            parameters |= {name: self.value * parameters[name] for name in ("pole", "frequency") if name in parameters}
+        quick = REGISTERED[self.controller].quick
+        return Experiment(scenario, self.controller, parameters=parameters, options=quick, **changed)
+
+    def __call__(self) -> dict:
+        """Numbers of the run; of one that left the rail only how it ended."""
+        with tempfile.TemporaryDirectory() as folder:
+            scenario = load_scenario(self.scenario)
+            if self.axis == "unbalanced acceleration":
+                file = Path(folder) / "canted.csv"
+                write_table(build_table(canted(alignments()[scenario.track], self.value)), file)
+                scenario = scenario.but(track=str(file))
+            row, _ = self.experiment(scenario)()
+        own = {"axis": self.axis, "value": self.value, "unit": AXES[self.axis].unit, "setting": self.setting}
+        own |= {"controller": self.controller, "seed": self.seed}
+        numbers = {"rmse_mm": 1e3 * row["rmse_y"], "drift_mm": 1e3 * row["mean_error_last_third"]}
+        numbers |= {"effort_Nm": float(row["effort_du"])}
+        return own | ({} if row["failed"] else numbers) | {"failed": bool(row["failed"]), "ended": row["ended"]}
+
+
+def noisy(changed: dict) -> bool:
+    """Whether changed arguments of `Experiment` bring noise, of which several realisations are driven."""
+    return "seed" in changed.get("sensors", {})
+
+
+def canted(track: Alignment, acceleration: float) -> Alignment:
+    """A curve entry with the cant that leaves an unbalanced acceleration (m/s2) at its design speed."""
+    if track.design_speed is None:
+        raise InputError(f"track {track.name}: has no design speed, so no cant follows from an acceleration")
+    start, ramp, arc = track.segments
+    angle = superelevation_angle(track.design_speed, 1 / arc.kappa[0], acceleration)
+    return replace(track, segments=(start, replace(ramp, phi=(0.0, angle)), replace(arc, phi=(angle, angle))))
+
+
+def case(axis: str, value: float | str, setting: str, controller: str, seed: int = 0, scenario: str = SCENARIO) -> Case:
+    """A run with a tuned set."""
+    tuned = tuple(tuning.load(controller, setting)["parameters"].items())
+    return Case(axis, value, setting, controller, tuned, seed, scenario)
+
+
+def cases(axes: Sequence[str] = tuple(AXES), settings: Sequence[str] = SETTINGS) -> list[Case]:
+    """All runs of some axes."""
+    found = []
+    for axis in axes:
+        for each in settings:
+            for name in AXES[axis].controllers:
+                for value in AXES[axis].values:
+                    seeds = SEEDS if noisy(AXES[axis].change(value)) else (0,)
+                    found += [case(axis, value, each, name, seed) for seed in seeds]
+    return found
+
+
+def main() -> None:
+    """Drive all of them and write the table."""
+    rows = rows_of(call, cases(), "where the order turns")
+    write(paths.product("data/results/order_turns.csv"), pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))

@@ -1,1 +1,0 @@
-"""Many runs: tuning, experiments, robustness, speed; serves the paper's section Multi-Body Simulation Results."""
