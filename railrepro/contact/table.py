@@ -6,7 +6,7 @@ contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
 
 A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
 the patch spans the jump. So geometry is averaged over the pressure of elastic half spaces at nominal load, which makes
-it continuous. The mean of the wheel's heights is the radius at which the patch rolls without longitudinal force.
+it continuous. The rolling radius is that at which the patch rolls without longitudinal force (`normal.Patch`).
 
 Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
 """
