@@ -141,6 +141,10 @@ LIBRARY = {
     "a share beyond all": (lambda: drive(fixed_share=1.5), "fixed_share = 1.5"),
     "a share that is no number": (lambda: drive(fixed_share=math.nan), "fixed_share = nan"),
     "a share that is a text": (lambda: drive(fixed_share="half"), "fixed_share is 'half'"),
+    "a run too long to log": (
+        lambda: simulate.run(scenario(track="T5", speed_kmh=0.5, end_m=600.0), NDI()),
+        r"600 m at 0.5 km/h take 4320 s, up to \d+ s fit into a log of 2 GiB",
+    ),
     "no substeps": (lambda: drive(substeps=0), "substeps = 0, a number from 1"),
     "half a substep": (lambda: drive(substeps=1.5), "substeps is 1.5, a whole number"),
     "substeps that are a truth value": (lambda: drive(substeps=True), "substeps is True"),
