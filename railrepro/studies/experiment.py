@@ -64,8 +64,8 @@ class Experiment:
         Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
     terms : str
         Which tuned parameters are taken, see `tuning.load`.
-    substeps : int
-        See `simulate.run`.
+    substeps : int, optional
+        See `simulate.run`; default 2 for ride figures on irregular rails, whose wheel loads need it, else 1.
     ride : bool
         Whether the row also has the figures of `ride.ride_summary`.
     stride : int
@@ -87,7 +87,7 @@ class Experiment:
     preview: dict = field(default_factory=dict)
     sensors: dict = field(default_factory=dict)
     terms: str = tuning.EQUAL
-    substeps: int = 1
+    substeps: int | None = None
     ride: bool = False
     stride: int = 0
 
@@ -116,7 +116,7 @@ class Experiment:
             irregularities=rough,
             line=_line(rough, **self.preview) if self.preview else None,
             sensors=sensors.readings(**self.sensors) if self.sensors else None,
-            substeps=self.substeps,
+            substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
             vehicle=load_vehicle(**self.vehicle),
             plant_vehicle=self.car(),
             adhesion=self.adhesion,

@@ -69,7 +69,7 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> t
         """Point of the irregular rail at `place`."""
         position, rotation = _frame(get, place)
         lateral, vertical, cross, gauge = (
-            get[name] + get["d" + name] * (place - get["p"]) for name in ("lateral", "vertical", "crosslevel", "gauge")
+            route.irregularity_in(get, name, place)[0] for name in ("lateral", "vertical", "crosslevel", "gauge")
         )
         return position + rotation @ ca.vertcat(0, half + lateral + side * gauge / 2, vertical + half * cross)
 

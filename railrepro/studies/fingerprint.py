@@ -16,10 +16,14 @@ import numpy as np
 
 from railrepro.model.control_model import control_model
 from railrepro.simulation.scenarios import Scenario
-from railrepro.track.route import Route
+from railrepro.track.irregularity import CHANNELS
+from railrepro.track.route import COLUMNS, Route
 from railrepro.vehicle.parameters import Vehicle
 
 _MOMENTS = 4
+_DERIVED = {f"{order}{channel}" for order in ("dd", "ddd") for channel in CHANNELS}
+_COUNTED = [i for i, name in enumerate(COLUMNS) if name not in _DERIVED]
+"""Columns of a route that count; the derived ones follow from values and slopes of neighbouring cells."""
 
 
 def fingerprint(scenarios: Sequence[Scenario], vehicle: Vehicle, *more) -> str:
@@ -66,10 +70,11 @@ def _model() -> list[str]:
 
 def _moments(route: Route) -> list[list]:
     """Mean size of each column of a route, and its moments over the way in millionths of it."""
-    sizes = np.abs(route.cells).mean(axis=0)
-    way = np.linspace(0.0, 1.0, len(route.cells))[:, None] ** np.arange(_MOMENTS)
+    cells = route.cells[:, _COUNTED]
+    sizes = np.abs(cells).mean(axis=0)
+    way = np.linspace(0.0, 1.0, len(cells))[:, None] ** np.arange(_MOMENTS)
     sizes = np.where(sizes < 1e-12, 0.0, sizes)  # what is left where zeros do not quite cancel
-    shares = (way.T @ route.cells / len(route.cells) / np.where(sizes > 0, sizes, np.inf)).T
-    return [[len(route.cells)]] + [
+    shares = (way.T @ cells / len(cells) / np.where(sizes > 0, sizes, np.inf)).T
+    return [[len(cells)]] + [
         [f"{size:.6e}", *(round(1e6 * share) for share in row)] for size, row in zip(sizes, shares, strict=True)
     ]

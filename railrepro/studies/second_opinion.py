@@ -51,7 +51,7 @@ class Case:
     irregular : bool
         Irregular rails.
     step : float
-        Step of Exudyn (s); irregular rails have a kink every half metre and need shorter ones.
+        Step of Exudyn (s); irregular rails need shorter ones.
     """
 
     name: str
