@@ -156,7 +156,7 @@ def lay(
     if irregularities is not None:
         columns |= _offsets(irregularities, p)
     if reference is not None:
-        columns |= dict(zip(_SET_POINT, _derivatives(reference, p), strict=True))
+        columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
         columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
     if poor is not None:
@@ -229,9 +229,10 @@ def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
     return inside * [*_cubic(values[:, index], p - at[index]), values[3, index]]
 
 
-def _derivatives(reference: ca.Function, p: np.ndarray) -> np.ndarray:
-    """Set point and its first three derivatives with respect to p, shape (4, n)."""
-    s = ca.SX.sym("p")
+@lru_cache(maxsize=32)
+def _derivatives(reference: ca.Function, track: Track) -> np.ndarray:
+    """Set point and its first three derivatives with respect to p at the cells of a track, shape (4, n)."""
+    p, s = _geometry(track)["p"], ca.SX.sym("p")
     terms = [reference(s)]
     for _ in range(3):
         terms.append(ca.jacobian(terms[-1], s))
@@ -248,6 +249,7 @@ def _within(s: ca.SX, start: float, end: float, fade: float) -> ca.SX:
     return _fade(s - start, fade) * (1 - _fade(s - end + fade, fade))
 
 
+@lru_cache
 def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
     """Sinusoidal lateral set point.
 
@@ -271,6 +273,7 @@ def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.in
     return ca.Function("sine", [s], [amplitude * window * ca.sin(2 * np.pi * (s - start) / period)])
 
 
+@lru_cache
 def sweep(
     amplitude: float, period_start: float, period_end: float, start: float, end: float, fade: float = 30.0
 ) -> ca.Function:
