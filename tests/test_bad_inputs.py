@@ -178,6 +178,7 @@ LIBRARY = {
     "irregularities in millimetres": (lambda: drive(irregularities=rough(vertical_m=3.0)), "vertical_m = 3 at p = 0 m"),
     "irregularities that are no numbers": (lambda: drive(irregularities=rough(gauge_m=math.nan)), "gauge_m = nan"),
     "irregularities out of order": (lambda: drive(irregularities=rough()[::-1]), "finite and increasing"),
+    "rails of one row": (lambda: drive(irregularities=rough().iloc[:1]), "have 1 row, at least 2"),
     "coordinates that are no numbers": (lambda: irregularities([0.0, math.nan, 2.0]), r"p\[1\] is nan"),
     "infinite coordinates": (lambda: irregularities([0.0, 1.0, math.inf]), r"p\[2\] is inf"),
     "coordinates out of order": (lambda: irregularities([0.0, 2.0, 1.0]), r"p\[2\] is 1.0, finite and increasing"),

@@ -215,6 +215,8 @@ def check(frame: pd.DataFrame) -> None:
     if missing:
         raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
     p = coordinates(frame["p_m"])
+    if p.size < 2:
+        raise InputError(f"irregularities have {p.size} row, at least 2 are needed")
     for column in CHANNELS.values():
         low, high = FLANGEWAY.get(column, (-LARGEST, LARGEST))
         inside = frame[column].between(low, high).to_numpy()
