@@ -15,7 +15,7 @@ from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import metrics, scenarios, simulate
+from railrepro.simulation import exchange, metrics, scenarios, simulate
 from railrepro.track import defects
 from railrepro.track.route import INDEX
 from railrepro.vehicle.parameters import load_vehicle
@@ -304,3 +304,19 @@ def test_the_first_place_outside_the_validity_of_a_model_is_told(column, value, 
     assert simulate._warnings(series, load_vehicle()) == ()
     series.loc[2:, column] = value
     assert simulate._warnings(series, load_vehicle()) == (f"{sentence} at t = 1.000 s, p = 20.0 m",)
+
+
+def test_the_log_of_a_run_grows_with_the_run():
+    """A run that may take a thousand years, ended by the track."""
+    scenario = scenarios.load_scenario("sine_tracking").but(end_m=20)
+    way = simulate.checked_route(scenario, load_vehicle())
+    coupled = simulate.start(scenario, NDI(), way, load_vehicle(), load_vehicle())
+    log = coupled.run(10**13)
+    assert coupled.ended and len(log) == coupled.exchanges + 1 < 2000
+
+
+def test_blocks_of_the_log_leave_no_seam(monkeypatch):
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=20)
+    whole = simulate.run(scenario, NDI()).series
+    monkeypatch.setattr(exchange, "_BLOCK", 7)
+    assert simulate.run(scenario, NDI()).series.equals(whole)
