@@ -325,6 +325,7 @@ def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
             f"{wheel}.nu_x": contact.creepage[0],
             f"{wheel}.nu_y": contact.creepage[1],
             f"{wheel}.spin": contact.spin,
+            f"{wheel}.M_spin": contact.spin_moment,
             f"{wheel}.angle": contact.angle,
         }
     for gear, suspension in suspensions.items():
