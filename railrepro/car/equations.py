@@ -83,7 +83,7 @@ PARAMETERS = (
 SLIP_FLOOR = 1.0
 """Speed below which the slip estimate is scaled by this value instead of the speed (m/s)."""
 HOLDING_SPEED = 0.2
-"""Circumferential wheel speed below which a braking torque follows the motion of its wheel and holds it at rest (m/s)."""
+"""Circumferential wheel speed below which a braking torque follows its wheel, to hold it at rest (m/s)."""
 
 
 def indices(*names: str) -> list[int]:
