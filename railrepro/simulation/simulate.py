@@ -31,6 +31,10 @@ from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 
+FLANGEWAY = 7e-3
+"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
+
+
 @dataclass(frozen=True)
 class Run:
     """Outcome of a simulation.
@@ -246,5 +250,8 @@ def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
     for gear in GEARS:
         beyond = series[f"{gear}.yaw_to_body"].abs() > vehicle.suspension.yaw_stop_angle
         first(beyond, f"{gear} gear is on its yaw end stop")
+        if vehicle.contact.profile == "cone":
+            aside = (series[f"{gear}.y"] - series[f"{gear}.rail_y"]).abs() > FLANGEWAY
+            first(aside, f"{gear} gear is where flanges would touch, cones have none")
         first(series[f"{gear}.v"] < equations.SLIP_FLOOR, f"{gear} gear is slower than the slip regularisation")
     return tuple(found)
