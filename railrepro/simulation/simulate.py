@@ -30,7 +30,6 @@ from railrepro.threads import one_thread
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-
 FLANGEWAY = 7e-3
 """Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
 
