@@ -32,6 +32,8 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 LARGEST_LOG = 2 * 2**30
 """Most bytes that the log of a run may take; while its series is made, memory holds it three times."""
+FLANGEWAY = 7e-3
+"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
 
 
 @dataclass(frozen=True)
@@ -252,5 +254,8 @@ def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
     for gear in GEARS:
         beyond = series[f"{gear}.yaw_to_body"].abs() > vehicle.suspension.yaw_stop_angle
         first(beyond, f"{gear} gear is on its yaw end stop")
+        if vehicle.contact.profile == "cone":
+            aside = (series[f"{gear}.y"] - series[f"{gear}.rail_y"]).abs() > FLANGEWAY
+            first(aside, f"{gear} gear is where flanges would touch, cones have none")
         first(series[f"{gear}.v"] < equations.SLIP_FLOOR, f"{gear} gear is slower than the slip regularisation")
     return tuple(found)
