@@ -59,7 +59,7 @@ def figures(rough, profile, substeps):
     vehicle = load_vehicle(**{"contact.profile": profile})
     series = simulate.run(scenario, NDI(), plant_vehicle=vehicle, irregularities=rough, substeps=substeps).series
     summary = ride.ride_summary(series, vehicle)
-    names = ("sum_y_over_limit", "wheel_unloading", "y_over_q", "wear_mean_front_le")
+    names = ("sum_y_over_limit", "wheel_unloading", "y_over_q", "creep_work")
     apart, sway = series["front.y"] - series["front.rail_y"], ride.weighted(series["floor_front.ay"], "Wd", 1e3)
     return np.array([series["front_le.N"].std(), apart.std(), sway.std(), *(summary[name][0] for name in names)])
 
