@@ -30,6 +30,13 @@ export JUPYTER_RUNTIME_DIR := $(CURDIR)/build/jupyter/runtime
 # Without stored byte code each of some hundred processes would compile the libraries that it imports, for seconds.
 unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
 
+# Where the cache of uv cannot be written, as without a home, there is one in build; pip says so itself and does without.
+ifneq ($(shell d="$${UV_CACHE_DIR:-$${XDG_CACHE_HOME:-$${HOME:-/nonexistent}/.cache}/uv}"; \
+    until test -e "$$d"; do d=$$(dirname "$$d"); done; test -w "$$d" && echo yes),yes)
+  export UV_CACHE_DIR := $(CURDIR)/build/uv
+  export PIP_NO_CACHE_DIR := 1
+endif
+
 # What make starts ends with it, also when only make is killed.
 ifndef RAILREPRO_LEADER
   export RAILREPRO_LEADER := $(shell echo $$PPID)
@@ -48,10 +55,13 @@ NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
 ONLY_SHOW := $(if $(findstring n,$(filter-out --%,$(firstword $(MAKEFLAGS)))),yes)
-# The rules end with their own hash; others, broken or cut off, are made again.
-INTACT := $(shell test -f $(RULES) && test "$$(tail -n 1 $(RULES))" = "RULES_HASH := $$(sed '$$d' $(RULES) | sha256sum | cut -c1-64)" && echo yes)
+# The rules end with their own hash; others, broken, cut off or somebody else's, are made again.
+INTACT := $(shell test -f $(RULES) && test -O $(RULES) && test -z "$$(find $(RULES) -perm /022)" && test "$$(tail -n 1 $(RULES))" = "RULES_HASH := $$(sed '$$d' $(RULES) | sha256sum | cut -c1-64)" && echo yes)
 
 ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
+  ifneq ($(shell for d in .venv .venv/bin; do test ! -e $$d || test -O $$d || echo $$d; done),)
+    $(error .venv belongs to another user and is not run; remove it, or clone into a folder of your own)
+  endif
   ifeq ($(INTACT),yes)
     include $(RULES)
   else ifdef MAKE_RESTARTS
@@ -98,11 +108,11 @@ test-all: $(VENV)  ## run the tests that take minutes, too
 test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their tests: Exudyn, do-mpc, Gymnasium
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_env.py
 
-faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived
-	$(PY) tests/faults.py
+faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived; SHORT=1 some of it
+	$(PY) tests/faults.py $(if $(SHORT),--short)
 
 lab: $(VENV)  ## open the notebooks in JupyterLab
-	$(PY) -m jupyterlab --notebook-dir=notebooks
+	$(PY) -m jupyterlab --notebook-dir=notebooks $(if $(filter 0,$(shell id -u)),--allow-root)
 
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
 	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))

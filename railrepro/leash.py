@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 LEADER = "RAILREPRO_LEADER"
 """Environment variable with the process number of the make that started all."""
@@ -31,14 +32,30 @@ def alive(process: int) -> bool:
         return True
 
 
+def descendants(process: int) -> list[int]:
+    """Processes that one has started, and those that they have; none on a system without /proc."""
+    children: dict[int, list[int]] = {}
+    for name in filter(str.isdigit, os.listdir("/proc") if os.path.isdir("/proc") else ()):
+        with suppress(OSError), open(f"/proc/{name}/stat") as file:
+            children.setdefault(int(file.read().rpartition(")")[2].split()[1]), []).append(int(name))
+    found = [process]
+    for parent in found:
+        found += children.get(parent, [])
+    return found[1:]
+
+
 def follow(leader: int, end: Callable[[], None] = lambda: os._exit(1)) -> None:
-    """End when another process does: from a thread call `end` then, and `os._exit` when it has not helped for 2 s."""
+    """End when another process does: from a thread call `end` then, and when it has not helped for
+    2 s `os._exit`, with all that this one has started."""
 
     def watch() -> None:
         while alive(leader):
             time.sleep(_LOOK)
         end()
         time.sleep(2.0)
+        for process in descendants(os.getpid()):  # some are in a long call and cannot look after themselves
+            with suppress(OSError):
+                os.kill(process, signal.SIGKILL)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="leash").start()

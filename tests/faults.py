@@ -1,8 +1,8 @@
 """Faults on purpose, in a small chain of notebooks: `make faults` prints what was tried and what survived it.
 
 Kills at random seconds and at every rename, a full disk, a planted cache, broken stamps and checkpoints, broken Dask.
-Survived means: one sentence where a person is told, products whole, nothing left behind, and the next run ends as if
-nothing had been.
+`make faults SHORT=1` tries some of them. Survived means: one sentence where a person is told, products whole, nothing
+left behind, and the next run ends as if nothing had been.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -321,6 +322,19 @@ def planted(folder: Path, whole: dict[str, str], how: str) -> None:
     check_next_run(folder, whole)
 
 
+def foreign_rules(folder: Path, whole: dict[str, str]) -> None:
+    """Make rules of another user, with their own hash: they are not run, nor with -n."""
+    rules = folder / "build/chain.mk"
+    text = "STAMPS :=\n$(shell touch build/run-by-make)\n"
+    for goals in (("-n", "figures"), ("figures",)):
+        rules.write_text(f"{text}RULES_HASH := {hashlib.sha256(text.encode()).hexdigest()}\n")
+        os.chown(rules, 65534, 65534)
+        run(folder, *goals)
+        if (folder / "build/run-by-make").exists():
+            raise Lost("they ran")
+    check_next_run(folder, whole)
+
+
 COMPILERS = {"fails": "exit 1", "writes nothing": "exit 0", "writes junk": 'echo junk > "$out"', "hangs": "sleep 600"}
 
 
@@ -387,6 +401,50 @@ def moved(folder: Path, whole: dict[str, str]) -> None:
         elsewhere.rename(folder)
 
 
+LONG_CALL = "sum(range(10**10))"
+"""Minutes in one call of C, during which no thread of the process comes to anything."""
+
+
+def kill_in_a_long_call(folder: Path, whole: dict[str, str]) -> None:
+    """Kill make where interrupts are ignored, as behind `&` in a shell, while a kernel cannot look after itself."""
+    notebook = folder / "notebooks/01_first.ipynb"
+    text = notebook.read_text()
+    notebook.write_text(text.replace("time.sleep(1.0)", f"paths.product('data/here').touch(); {LONG_CALL}"))
+    make_stale(folder)
+    ignores = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)
+    started = subprocess.Popen(
+        [*MAKE, "figures"], cwd=folder, env=clean({}), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        start_new_session=True, preexec_fn=ignores,
+    )  # fmt: skip
+    end = time.monotonic() + 60
+    while not list(folder.glob("build/staging/*/data/here")) and time.monotonic() < end:
+        time.sleep(0.1)
+    started.kill()
+    started.wait()
+    notebook.write_text(text)
+    wait_for_orphans(folder)
+    check_whole(folder, whole)
+    check_next_run(folder, whole)
+
+
+SHORT = ("kill make", "kill in a long call", "Ctrl-C number 1", "broken manifest cut off", "cache cut off",
+         "broken make rules of another user", "compiler writes junk")  # fmt: skip
+"""What a short run tries, each by kind and name, once."""
+
+
+def chosen_faults(folder: Path, small: Path | None, short: bool):
+    """`all_faults`, or those of a short run."""
+    left = {name for name in SHORT if os.getuid() == 0 or "another user" not in name}
+    for kind, name, call in all_faults(folder, small):
+        if not short:
+            yield kind, name, call
+        elif f"{kind} {name}" in left:
+            left.remove(f"{kind} {name}")
+            yield kind, name, call
+            if not left:
+                return
+
+
 def all_faults(folder: Path, small: Path | None):
     """Kind, name and call of every fault, in the order in which they are tried."""
     whole: dict[str, str] = {}
@@ -395,6 +453,7 @@ def all_faults(folder: Path, small: Path | None):
     for number in range(8):
         victim = ("make", "everything at once", "the notebook's process", "the kernel")[number % 4]
         yield "kill", victim, lambda v=victim, n=number: kill_at_random(folder, whole, v, n)
+    yield "kill", "in a long call", lambda: kill_in_a_long_call(folder, whole)
     for number in range(1, 20):
         for when in ("before", "after"):
             yield "kill", f"{when} rename {number}", lambda n=number, w=when: kill_at_a_rename(folder, whole, n, w)
@@ -402,6 +461,8 @@ def all_faults(folder: Path, small: Path | None):
         yield "Ctrl-C", f"number {number + 1}", lambda n=number: interrupt(folder, whole, n)
     for name in SPOILT:
         yield "broken", name, lambda n=name: broken_file(folder, whole, n)
+    if os.getuid() == 0:
+        yield "broken", "make rules of another user", lambda: foreign_rules(folder, whole)
     for how in ("cut off", "another object with its own hash", "open to others", "of another user"):
         if how != "of another user" or os.getuid() == 0:
             yield "cache", how, lambda h=how: planted(folder, whole, h)
@@ -433,15 +494,18 @@ def tested(case: str) -> None:
 def main() -> int:
     """Try all faults; 1 when one of them does not survive."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    if set(sys.argv[1:]) - {"--short"}:
+        sys.exit("faults takes --short or nothing")
+    short = "--short" in sys.argv
     parent = Path(tempfile.mkdtemp(prefix="railrepro-faults-"))
     mounted = parent / "small"
     mounted.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=12m", "railrepro-faults", str(mounted)]
-    small = subprocess.run(mount, capture_output=True).returncode == 0 if os.getuid() == 0 else False
+    small = subprocess.run(mount, capture_output=True).returncode == 0 if os.getuid() == 0 and not short else False
     tried: dict[str, list[int]] = {}
     begin = time.monotonic()
     try:
-        for kind, name, call in all_faults(toy(parent / "toy"), toy(mounted / "toy") if small else None):
+        for kind, name, call in chosen_faults(toy(parent / "toy"), toy(mounted / "toy") if small else None, short):
             count = tried.setdefault(kind, [0, 0])
             try:
                 told = call()
@@ -462,7 +526,7 @@ def main() -> int:
         print(f"{kind:10s} {number:5d} {survived:8d}")
     number, survived = (sum(column) for column in zip(*tried.values(), strict=True))
     print(f"{'all':10s} {number:5d} {survived:8d}   {(time.monotonic() - begin) / 60:.1f} min")
-    if not small:
+    if not small and not short:
         print("no full disk was tried: a small file system can be mounted by root only")
     return int(survived < number)
 
