@@ -48,6 +48,9 @@ VENV := .venv/ready-$(LOCK_HASH)
 # Sphinx, Typst and what they need come on top, and only for book and article; they share the pins of environment.lock.
 BOOK_LOCK := notebooks/book/book.lock
 BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell cat $(BOOK_LOCK) 2>&1 | sha256sum | cut -c1-16)
+# So do the packages of the extras `bench` and `learn`, which only some tests and tables need.
+EXTRAS_LOCK := tests/extras.lock
+EXTRAS := .venv/ready-extras-$(LOCK_HASH)-$(shell cat $(EXTRAS_LOCK) 2>&1 | sha256sum | cut -c1-16)
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
@@ -72,7 +75,7 @@ endif
 # Where there is no C compiler one comes as a Python package, with a pin of its own.
 COMPILER_LOCK := railrepro/compile/compiler.lock
 
-.PHONY: help figures chain check test test-slow test-all faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -101,6 +104,9 @@ test-slow: $(VENV)
 test-all: $(VENV)  ## run the tests that take minutes, too
 	@$(MAKE) --no-print-directory test
 	@$(MAKE) --no-print-directory test-slow
+
+test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their tests: Exudyn, do-mpc, Gymnasium
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_env.py
 
 faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived; SHORT=1 some of it
 	$(PY) tests/faults.py $(if $(SHORT),--short)
@@ -135,7 +141,7 @@ variants: $(VENV)  ## rerun the quick notebooks with other compilers and process
 bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` also a second opinion on the car
 	$(PY) -m railrepro bench
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro second-opinion; \
-	  else echo "no second opinion on the car: install the extra \`bench\` (exudyn) into .venv for it"; fi
+	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
 
 study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, where the order turns (long, resumes)
 	$(PY) -m railrepro probe
@@ -150,11 +156,13 @@ html: figures $(BOOK)  ## the book: executed notebooks, report and library refer
 strip: $(VENV)  ## remove outputs from the notebooks
 	$(PY) -m railrepro chain strip
 
-lock:  ## renew environment.lock from pyproject.toml
+lock:  ## renew environment.lock from pyproject.toml, and the locks that share its pins
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
 	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=$$d/venv/bin/uv; }; \
 	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --no-extra learn --format requirements-txt --no-emit-project --no-header \
-	    > $(CURDIR)/environment.lock; cd $(CURDIR); \
+	    > $(CURDIR)/environment.lock; \
+	  $$uv export -q --extra bench --extra learn --format requirements-txt --no-emit-project --no-header --no-annotate \
+	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' $(CURDIR)/environment.lock) > $(CURDIR)/$(EXTRAS_LOCK); cd $(CURDIR); \
 	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
 	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); \
 	  echo ziglang | $$uv pip compile -q --universal --no-annotate --no-header --generate-hashes - -o $(COMPILER_LOCK); rm -rf $$d
@@ -170,6 +178,8 @@ $(VENV): environment.lock pyproject.toml
 	# .venv would be set up first
 $(BOOK): $(VENV)
 	# the packages of the book would be installed
+$(EXTRAS): $(VENV)
+	# the packages of the extras would be installed
 else
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
@@ -189,6 +199,10 @@ $(VENV): environment.lock pyproject.toml
 
 $(BOOK): $(BOOK_LOCK) | $(VENV)
 	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(BOOK_LOCK)
+	@touch $@
+
+$(EXTRAS): $(EXTRAS_LOCK) | $(VENV)
+	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(EXTRAS_LOCK)
 	@touch $@
 
 $(RULES): notebooks/chain.toml railrepro/evidence/chain/graph.py | $(VENV)

@@ -1,9 +1,64 @@
-"""Model predictive control of railway running gears with driven independently rotating wheels, replicated."""
+"""Model predictive control of railway running gears with driven independently rotating wheels, replicated.
 
+What a first program needs, straight from here (`from railrepro import simulate, tuned`); a name is loaded when it is
+used first, so that the import costs nothing:
+
+- `simulate`: drive the car through a scenario, see `railrepro.simulation.simulate.run`
+- `load_scenario`, `Scenario`: data/scenarios.toml
+- `load_vehicle`, `Vehicle`: data/vehicle.toml
+- `load_track`, `lay`: data/tracks.toml, and a track as a route with set point and rails
+- `tuned`: a controller with its tuned parameters, data/tuned
+- `NDI`, `NMPC`, `LTVMPC`, `CreepMPC`: the controllers with parameters of one's own
+- `load_loop`, `Readings`: data/sensors.toml, and one draw of their noise
+- `SteppedCar`, `export_fmu`: the car alone, as an object and as a unit of FMI
+- `Export`: a controller to take away, as C or as a unit of FMI
+- `metrics`: error, effort and more of a run
+- `InputError`: what is raised for wrong input, one sentence
+"""
+
+import importlib
 import signal
 import sys
+from typing import Any
 
 __version__ = "0.2.0.dev0"
+
+FACADE = {
+    "simulate": "railrepro.simulation.simulate.run",
+    "load_scenario": "railrepro.simulation.scenarios.load_scenario",
+    "Scenario": "railrepro.simulation.scenarios.Scenario",
+    "load_vehicle": "railrepro.vehicle.parameters.load_vehicle",
+    "Vehicle": "railrepro.vehicle.parameters.Vehicle",
+    "load_track": "railrepro.track.table.load_track",
+    "lay": "railrepro.track.route.lay",
+    "tuned": "railrepro.control.tuned.tuned",
+    "NDI": "railrepro.control.ndi.NDI",
+    "NMPC": "railrepro.control.nmpc.NMPC",
+    "LTVMPC": "railrepro.control.ltv_mpc.LTVMPC",
+    "CreepMPC": "railrepro.control.creep_mpc.CreepMPC",
+    "load_loop": "railrepro.estimation.sensors.load_loop",
+    "Readings": "railrepro.estimation.sensors.Readings",
+    "SteppedCar": "railrepro.car.component.SteppedCar",
+    "export_fmu": "railrepro.car.fmu.export_fmu",
+    "Export": "railrepro.control.export.Export",
+    "metrics": "railrepro.simulation.metrics",
+    "InputError": "railrepro.errors.InputError",
+}
+"""Names of the package and where they live."""
+__all__ = ["FACADE", "__version__", *FACADE]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in FACADE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    room, _, own = FACADE[name].rpartition(".")
+    found = globals()[name] = getattr(importlib.import_module(room), own, None) or importlib.import_module(FACADE[name])
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *FACADE})
+
 
 _COMMAND = sys.argv[:1] == ["-m"] and any(
     part.removeprefix("-m").partition(".")[0] == __name__ for part in sys.orig_argv

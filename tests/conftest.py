@@ -7,6 +7,7 @@ import pytest
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("RAILREPRO_STORE", "off")  # tests run what they test
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("RAILREPRO_WORKERS", "1")
 

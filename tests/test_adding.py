@@ -84,7 +84,7 @@ if __name__ == "__main__":
     run = tuning.TuningRun("own", scenario)
     small = replace(task, runs=(run,), budget=task.budget | {"particles": 1, "iterations": 1, "seeds": [1]})
     with executor() as pool:
-        tuning.save(swarm.tune("own", small, pool, Path("build/tuning"), quiet=True), Path("build/tuned"))
+        tuning.save(swarm.tune("own", small, pool, quiet=True), Path("build/tuned"))
     vehicle = Path("data/vehicle.toml").read_text().replace("value = 0.46", "value = 0.45")
     Path("build/own.toml").write_text(vehicle)
     assert load_vehicle("build/own.toml") != load_vehicle()

@@ -55,6 +55,14 @@ def test_stated_noise_does_not_lock_or_spin_a_wheel(vehicle):
         assert np.abs(run.slip).max() < 0.3
 
 
+def test_a_bare_wheel_carries_its_share_of_the_car(vehicle):
+    """Newton for the mass on one wheel: v' = g f, summed over a second of traction and one of braking."""
+    demand = np.repeat([0.05, -0.05], 1000)
+    run = bare_wheel.simulate(vehicle, [bare_wheel.Case(LAW, vehicle.adhesion["dry"])], 20.0, demand)
+    gained = 1e-3 * 9.81 * np.cumsum(run.adhesion[:, 0])
+    assert run.speed[1:, 0] - 20.0 == pytest.approx(gained[:-1], abs=2e-3) and gained.max() > 0.2
+
+
 def test_braking_reaches_standstill_and_stays():
     car = SteppedCar("T5", 10 / 3.6)
     car.step(np.full(4, -4000.0), 6000)

@@ -41,6 +41,20 @@ def test_small_creepage_follows_kalker():
     assert force(0, 0, 1e-3)[1] == pytest.approx(-SHEAR * area**1.5 * KALKER[2] * 1e-3, rel=0.02)
 
 
+@pytest.mark.parametrize(("ratio", "nu_y", "spin"), [(1.0, 2e-3, 0.1), (0.5, 1e-3, 0.3), (3.0, -4e-3, -0.2)])
+def test_spin_force_is_that_of_the_published_polynomial(ratio, nu_y, spin):
+    """F_y = F nu_y/nu_C + F_yS with K_M in delta as Polach 1999 prints it; F is that of creepages without spin."""
+    a, b, friction, kalker = ratio * B, B, 0.4, creep.kalker_coefficients(ratio)
+    common, shifted = (LOAD, a, b, *kalker, SHEAR, 1.0, 1.0, friction, 1.0, 0.0, 0.0), nu_y + spin * a
+    found, rolling = (float(creep.polach(4e-3, y, w, *common)[1]) for y, w in ((nu_y, spin), (shifted, 0.0)))
+    spread = 1 + 6.3 * (1 - np.exp(-a / b))
+    eps = 8 / 3 * b * np.sqrt(a * b) / (LOAD * friction) * SHEAR * kalker[2] * abs(shifted) / spread
+    delta = (eps**2 - 1) / (eps**2 + 1)
+    k_m = eps * (delta**3 / 3 - delta**2 / 2 + 1 / 6) - np.sqrt((1 - delta**2) ** 3) / 3
+    expected = 9 / 16 * a * LOAD * friction * k_m * spread * spin / np.hypot(4e-3, shifted)
+    assert found - rolling * nu_y / shifted == pytest.approx(expected, rel=1e-3)
+
+
 def test_friction_bounds_the_force():
     generator = np.random.default_rng(0)
     for nu_x, nu_y, spin in generator.normal(0, (5e-3, 5e-3, 0.3), (200, 3)):

@@ -215,6 +215,24 @@ def test_a_filter_that_is_lost_begins_anew_and_counts(guide):
     assert np.isfinite(guide.plan(measured(50.0, 8e-3), 0.0)) and guide.restarts == 3
 
 
+def test_the_track_is_that_under_the_readings_which_are_older_than_the_place(guide):
+    """Six milliseconds from reading to torque, one of them the exchange; T3 curves from 25 m on, 423 m to 4250 m."""
+    guide.read(np.zeros(3), 6e-3)
+    guide.plan(measured(70.0), 0.0)
+    curvature, _ = guide._road(70.0, 0.0)
+    assert curvature == pytest.approx((100.0 - 5e-3 * 70.0 - 25.0) / 423.0 / 4250.0, rel=1e-6)
+
+
+def test_the_track_ahead_is_passed_at_the_speed_that_braking_leaves(guide):
+    """On the clothoid of T3 the curvature grows by one over 423 m times 4250 m in each metre."""
+    guide.plan(measured(70.0), 0.0)
+    _, ahead = guide._road(70.0, -1.5)
+    middle = (np.arange(ahead.shape[1]) + 0.5) * guide.period
+    within = 100.0 + 70.0 * middle < 440.0
+    expected = (70.0 - 1.5 * middle) ** 2 / 423.0 / 4250.0
+    assert ahead[1, within] == pytest.approx(expected[within], rel=1e-9) and within.sum() > 10
+
+
 def test_torque_is_held_at_rest(guide):
     held = guide.plan(measured(1.0, 1e-4), 0.0)
     assert held != 0.0

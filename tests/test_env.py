@@ -10,7 +10,7 @@ from railrepro.model.control_model import STATES
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 
-gymnasium = pytest.importorskip("gymnasium")
+gymnasium = pytest.importorskip("gymnasium", reason="the extra `learn` is installed by `make test-extras`")
 NAME = "railrepro.evidence.env.guidance:railrepro/Guidance-v0"
 SHORT = load_scenario("curve_entry_T3").but(end_m=160.0)
 

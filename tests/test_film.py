@@ -176,7 +176,10 @@ def test_knobs_at_rest_change_nothing_and_friction_mixes_the_rails():
     for name in knobs.CONTROLLERS:
         plain = simulate.run(scenario, tuned(name)).series
         assert np.array_equal(found[name].series["rear.y"], plain["rear.y"])
-    assert Knobs(friction=0.35, speed_kmh=200.0).scenario(scenario).poor_share[0][1] == pytest.approx(0.5)
+    slippery, grippy = (load_vehicle().adhesion[name].mu0 for name in (scenario.poor, scenario.good))
+    for friction in (slippery, 0.45, grippy):
+        share = Knobs(friction=friction, speed_kmh=200.0).scenario(scenario).poor_share[0][1]
+        assert share * slippery + (1 - share) * grippy == pytest.approx(friction)
     base, turned = (Knobs(r=r, horizon=h).parameters("nmpc", "paper") for r, h in ((1, 1), (10, 0.5)))
     assert turned == base | {"r": 10 * base["r"], "horizon_s": 0.5 * base["horizon_s"]}
 

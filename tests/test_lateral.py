@@ -232,6 +232,19 @@ def test_gains_of_a_triple_pole():
     assert [gains[k] for k in ("k0", "k1", "k2")] == pytest.approx([1000, 300, 30])
 
 
+@pytest.mark.parametrize(("share", "grows"), [(0.9, 1), (1.1, 0), (-0.9, 1), (-1.1, 0)])
+def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(share, grows):
+    """On the straight a triple pole p asks for the jerk p^3 e, which takes the torque r_0/b J p^3 e/v."""
+    pole, speed, inertia = 20.0, 30.0, 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
+    error = share * 4000.0 * 1.5 / 0.46 * speed / (inertia * pole**3)
+    model = dict.fromkeys(lateral.MODEL, 0.0) | {"J_eff": inertia, "r_0": 0.46, "b": 1.5, "tau_max": 4000.0}
+    gear, road = dict.fromkeys(lateral.GEAR, 0.0) | {"xdot": speed, "y_TrAx": -error}, dict.fromkeys(lateral.ROAD, 0.0)
+    guidance = NDI(pole, pole, 1.0, integral=0.1)
+    du, memory = guidance.torque(gear, road, {"integral": 0.0}, guidance.gains(), model)
+    assert float(du) == pytest.approx(share * 4000.0)
+    assert float(memory["integral"]) == pytest.approx(1e-3 * error * grows)
+
+
 def test_the_car_knows_nothing_of_control():
     loaded = "import sys, railrepro.car.component, railrepro.car.fmu; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()

@@ -72,6 +72,14 @@ def test_statements_that_cannot_all_hold_are_allowed_to_fail():
     assert found["statements"].tolist() == ["small large"]
 
 
+def test_doubt_of_the_emulator_makes_a_point_less_implausible():
+    """A miss of 3 with deviations of 0 and 4 of the emulator; both variances add up."""
+    emulators = {str(s): lambda x, s=s: (np.array([-3.0, 2.0]), np.full(2, s)) for s in (0.0, 4.0)}
+    allowed = matching.DISCREPANCY
+    found = matching.implausibility(emulators, np.zeros((2, 1)))
+    assert found == pytest.approx(np.array([[3 / allowed, 3 / np.hypot(4.0, allowed)], [0.0, 0.0]]))
+
+
 def test_the_emulator_tells_its_error():
     x = stats.qmc.Sobol(12, seed=4).random(128)
     y = np.sin(4 * x[:, 0]) + x[:, 1]

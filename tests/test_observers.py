@@ -1,5 +1,7 @@
 """The filter of a running gear: its model against the car, what it finds of creep and force, and in closed loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.ndi import NDI
 from railrepro.estimation import observers
 from railrepro.estimation.observers import LATERAL, lateral_matrices, stationary_gains
-from railrepro.estimation.sensors import Readings, load_loop
+from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.model.control_model import STATES
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -43,6 +45,29 @@ def test_the_filter_is_stable_and_sees_every_state(vehicle, speed):
     gain = np.array([[gains[f"lateral.{state}.{read}.{k}"] for read in ("y", "psi", "r")] for state in LATERAL])
     step = np.eye(5) + 1e-3 * a
     assert np.abs(np.linalg.eigvals(step - step @ gain @ c)).max() < 1
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0, 3.5, 26.0, 55.0, 120.0, 150.0])
+def test_gains_of_the_filter_are_linear_between_their_speeds_and_constant_beyond(vehicle, speed):
+    gains = stationary_gains(vehicle, load_loop())
+    for name in ("lateral.y.y", "lateral.beta.psi"):
+        at_nodes = [gains[f"{name}.{k}"] for k in range(len(observers.SPEEDS))]
+        assert observers._scheduled(name, speed, gains) == pytest.approx(np.interp(speed, observers.SPEEDS, at_nodes))
+
+
+@pytest.mark.parametrize(("course", "cant_rate"), [(0.0, 4e-4), (3e-3, 0.0), (-3e-3, 4e-4)])
+def test_the_filter_feels_the_gyroscopic_moment_of_rolling_wheels(vehicle, course, cant_rate):
+    """Nothing else acts: the angular momentum of both wheels and that of yaw stay together while the gear rolls."""
+    x = dict.fromkeys(observers.STATES, 0.0) | {"v": 100.0, "psi": 2e-3, "beta": course - 2e-3}
+    road = {"psi_Tr": 0.0, "psi_CB": 2e-3, "dpsi_dp": 0.0, "dpsi_dp_CB": 0.0, "dphi_dp": cant_rate}
+    commands = dict.fromkeys(("le", "ri"), [0.0] * 21)
+    gains = stationary_gains(vehicle, load_loop()) | Readings(load_loop()).gains(0)
+    turned = observers.advance(x, commands, road, gains)["r"] / 1e-3
+    # Running to the right the right wheel climbs on its cone and the left one sinks, by tan(delta) y each over b.
+    roll_rate = 100.0 * (cant_rate - 2 * np.tan(vehicle.wheel.cone_angle) * course / vehicle.gear.contact_base)
+    wheels = 2 * vehicle.wheel.spin_inertia * np.array([0.0, -100.0 / vehicle.wheel.radius, 0.0])
+    moment = -np.cross([roll_rate, 0.0, 0.0], wheels)[2]
+    assert turned == pytest.approx(moment / vehicle.gear.inertia_z, rel=0.03)
 
 
 def test_creep_angle_and_gyro_bias_are_told_apart_in_a_curve():
@@ -84,6 +109,14 @@ def test_prediction_pays(monkeypatch):
     without = drive(late, "sine_tracking", law=fast, end_m=400)
     effort = [metrics.effort(run.series) for run in (with_it, without)]
     assert without.failed or effort[1] > 1.5 * effort[0]
+
+
+def test_the_set_point_is_that_of_the_place_where_the_torque_will_act():
+    """The position is read for now; 8 ms pass on the way to the inverter, however old the other readings are."""
+    series = drive(replace(QUIET, latency=Latency(3e-3, 8e-3)), end_m=120.0).series
+    route, now = load_scenario("curve_entry_T3").route(), series["front.p"].to_numpy()
+    here, there = (route.reference_at(now + late * series["front.v"].to_numpy())[0] for late in (0.0, 8e-3))
+    assert series["front.y_ref"].to_numpy() == pytest.approx(there, abs=1e-6) and np.abs(here - there).max() > 1e-5
 
 
 def test_runs_belong_to_their_seed():

@@ -4,6 +4,7 @@ import ast
 import json
 import os
 import re
+import shutil
 import sys
 import types
 
@@ -29,6 +30,9 @@ def write_notebook(folder, cells, name="01_tiny"):
     metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
     content = {"cells": entries, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
     (folder / f"{name}.ipynb").write_text(json.dumps(content))
+
+
+SCENARIOS = paths.DATA / "scenarios.toml"
 
 
 @pytest.fixture
@@ -118,10 +122,60 @@ def test_a_broken_stamp_means_stale(tiny):
     notebook = graph.find("01_tiny")
     (tiny / "data/results").mkdir()
     (tiny / "data/results/out.csv").write_text("a\n1\n")
-    manifest.record(notebook, manifest.inputs_hash(notebook))
+    manifest.record(notebook, manifest.Inputs(notebook))
     assert manifest.is_fresh(notebook)
     (tiny / "build/stamps/01_tiny.json").write_text("{")
     assert not manifest.is_fresh(notebook)
+
+
+def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
+    shutil.copy(SCENARIOS, tiny / "data")
+    file = tiny / "data/scenarios.toml"
+    with (tiny / "notebooks/chain.toml").open("a") as chain:
+        chain.write('reads = ["data/scenarios.toml"]\n')
+    loads = "from railrepro.simulation.scenarios import load_scenario\nvalue = load_scenario('curve_entry_T1').end_m\n"
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], loads + CELLS[2]])
+    runner.refresh("01_tiny")
+    notebook, text = graph.find("01_tiny"), file.read_text()
+    assert manifest.is_fresh(notebook)
+    used = text.index("[curve_entry_T1]")
+    for changed, fresh in (
+        (text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"), True),
+        ("# a remark\n" + text, True),
+        (text[:used] + text[used:].replace("speed_kmh = 40", "speed_kmh = 41", 1), False),
+        (text.replace("speed_kmh = 280", "speed_kmh = 281"), True),
+        ("not TOML", False),
+    ):
+        assert changed != text
+        file.write_text(changed)
+        assert manifest.is_fresh(notebook) == fresh, changed[:80]
+    all_of_them = "from railrepro.simulation.scenarios import load_scenarios\nvalue = len(load_scenarios())\n"
+    file.write_text(text)
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], all_of_them + CELLS[2]])
+    runner.refresh("01_tiny")
+    assert manifest.is_fresh(notebook)
+    file.write_text(text.replace("speed_kmh = 280", "speed_kmh = 281"))
+    assert not manifest.is_fresh(notebook)
+
+
+def test_another_package_in_the_lock_makes_products_stale(tiny):
+    notebook = graph.find("01_tiny")
+    (tiny / "environment.lock").write_text("numpy==2.3.4\n")
+    manifest.record(notebook, manifest.Inputs(notebook))
+    assert manifest.is_fresh(notebook)
+    (tiny / "environment.lock").write_text("numpy==2.3.5\n")
+    assert not manifest.is_fresh(notebook)
+
+
+@pytest.mark.parametrize("lock", ["environment.lock", "tests/extras.lock", "notebooks/book/book.lock"])
+def test_a_lock_pins_by_hash_without_addresses_and_moves_no_package_of_the_environment(lock):
+    pins, own = (
+        re.findall(r"^([a-z][^=]*)==\S+.*\\\n    --hash=sha256:", (paths.ROOT / name).read_text(), re.M)
+        for name in ("environment.lock", lock)
+    )
+    text = (paths.ROOT / lock).read_text()
+    assert "://" not in text and len(own) == len(re.findall("^[a-zA-Z-]", text, re.M)) > 3
+    assert lock == "environment.lock" or not set(own) & set(pins)
 
 
 def test_stripping_keeps_source_and_tags_only(tiny):

@@ -7,6 +7,7 @@ import pytest
 from railrepro.control.registry import PAPER_TRIO
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.runs import tuning
+from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -75,6 +76,15 @@ def test_what_doing_nothing_gives():
     assert found["largest_error"] == pytest.approx(3e-3, rel=1e-3) and found["shortest_wave"] == 150.0
 
 
+def test_what_a_probe_measures_of_a_run_made_by_hand():
+    """Nine exchanges of 12 m: the error of the last three has the mean 1 mm."""
+    error = 1e-3 * np.array([0.0, 9.0, 9.0, 9.0, 9.0, -9.0, 1.0, -2.0, 4.0])
+    columns = {"front.p": 12.0 * np.arange(9), "front.y_ref": 2e-3, "front.y": 2e-3 + error, "front.du": 50.0}
+    found = probe.lateral(simulate.Run(pd.DataFrame(columns), "end of the run", False, ()))
+    expected = {"rmse_y": 6.880e-3, "largest_error": 9e-3, "mean_error_last_third": 1e-3, "effort_du": 50, "failed": 0}
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_probe_answers_statements():
     parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
     rows = probe.probe(probe.World(parameters), ["curve", "offset"])
@@ -89,4 +99,5 @@ def test_a_probe_answers_statements():
 def test_a_failed_run_tells_only_that_it_failed():
     parameters = {"pole": 60.0, "frequency": 60.0, "damping": 0.05}
     world = probe.World({"ndi": parameters}, vehicle={"drive.lag": 0.05})
-    assert probe.lateral(world.run(load_scenario("sine_tracking").but(end_m=200.0), "ndi")) == {"failed": 1.0}
+    run = world.experiment(load_scenario("sine_tracking").but(end_m=200.0), "ndi").run()
+    assert probe.lateral(run) == {"failed": 1.0}

@@ -1,4 +1,4 @@
-"""Swarm: published test functions, bounds, seeds, checkpoints."""
+"""Swarm: published test functions, bounds, seeds."""
 
 import numpy as np
 import pytest
@@ -42,28 +42,18 @@ def test_particles_stay_in_bounds_and_integers_are_whole():
     assert history["n"].iloc[-12:].max() == 40
 
 
+def test_a_particle_that_hits_a_wall_comes_back_half_as_fast():
+    swarm = Swarm(BOX, 2, seed=0)
+    swarm.position, swarm.velocity = np.array([[0.95, 0.5], [0.1, 0.5]]), np.array([[0.2, 0.1], [-0.3, 0.1]])
+    swarm._move()
+    assert swarm.position == pytest.approx(np.array([[0.85, 0.6], [0.2, 0.6]]))
+    assert swarm.velocity == pytest.approx(np.array([[-0.1, 0.1], [0.15, 0.1]]))
+
+
 def test_same_seed_same_swarm_another_seed_another():
     first, second, other = (minimise(sphere, BOX, 8, 10, seed=s).history for s in (5, 5, 6))
     assert first.equals(second)
     assert not first["a"].equals(other["a"])
-
-
-def test_a_broken_search_ends_like_the_unbroken_one(tmp_path):
-    whole = minimise(rastrigin, BOX, 10, 20, seed=2)
-    calls = 0
-
-    def breaks(sets, limits):
-        nonlocal calls
-        calls += 1
-        if calls == 8:
-            raise KeyboardInterrupt
-        return rastrigin(sets)
-
-    with pytest.raises(KeyboardInterrupt):
-        minimise(breaks, BOX, 10, 20, seed=2, checkpoint=tmp_path / "swarm.json")
-    resumed = minimise(rastrigin, BOX, 10, 20, seed=2, checkpoint=tmp_path / "swarm.json")
-    assert resumed.history.equals(whole.history)
-    assert resumed.best == whole.best
 
 
 def test_costs_beyond_the_limits_do_not_change_the_swarm():
@@ -74,12 +64,6 @@ def test_costs_beyond_the_limits_do_not_change_the_swarm():
     assert bounded.best == exact.best
     assert bounded.history[["a", "b"]].equals(exact.history[["a", "b"]])
     assert not bounded.history["cost"].equals(exact.history["cost"])
-
-
-def test_a_checkpoint_of_another_search_is_not_continued(tmp_path):
-    minimise(rastrigin, BOX, 10, 5, seed=2, checkpoint=tmp_path / "swarm.json", key="one")
-    other = minimise(sphere, BOX, 10, 5, seed=2, checkpoint=tmp_path / "swarm.json", key="two")
-    assert other.history.equals(minimise(sphere, BOX, 10, 5, seed=2).history)
 
 
 def test_failures_count_as_worst_and_never_lead():

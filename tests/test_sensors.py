@@ -63,6 +63,8 @@ def test_runs_and_gears_draw_their_own_noise():
     loop = load_loop()
     one, again, other, rear = (readings(50, loop, seed, gear) for seed, gear in ((1, 0), (1, 0), (2, 0), (1, 1)))
     assert np.array_equal(one, again)
+    biases = [Readings(loop, seed).gains(gear)["y_ahead.bias"] for seed, gear in ((1, 0), (2, 0), (1, 1))]
+    assert np.abs(np.diff([*biases, biases[0]])).min() > 1e-6
     for different in (other, rear):
         assert np.abs(np.corrcoef(one[:, 3], different[:, 3])[0, 1]) < 0.4
         assert not np.allclose(one, different, rtol=1e-6)
@@ -94,6 +96,13 @@ def test_readings_are_rounded_to_their_resolution():
     loop = load_loop(**{"lateral.resolution": 1e-3})
     found = readings(200, loop, move=lambda k, name: k * 1.3e-5)[:, :2]
     assert found / 1e-3 == pytest.approx(np.round(found / 1e-3), abs=1e-9) and np.unique(found).size > 2
+
+
+@pytest.mark.parametrize(("true", "read"), [(1.4e-3, 1e-3), (1.6e-3, 2e-3), (-0.4e-3, 0.0), (-0.6e-3, -1e-3)])
+def test_a_reading_is_the_nearest_step_of_its_resolution(true, read):
+    quiet = load_loop().perfect()
+    loop = sensors.replace(quiet, lateral=sensors.replace(quiet.lateral, resolution=1e-3))
+    assert readings(1, loop, move=lambda k, name: true)[0, :2] == pytest.approx(read, abs=1e-12)
 
 
 def test_a_slow_sensor_keeps_its_reading():

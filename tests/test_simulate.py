@@ -1,6 +1,6 @@
 """Co-simulation: whole runs, endings, warnings, scenario files."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -13,8 +13,11 @@ from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
+from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import metrics, scenarios, simulate
+from railrepro.track import defects
+from railrepro.track.route import INDEX
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -150,6 +153,53 @@ def test_a_slow_controller_gets_the_state_of_its_gear_and_its_torque_is_held():
     assert series["front.u_d"].max() > 20.0
 
 
+@dataclass
+class Step:
+    """A slow controller whose torque steps after some exchanges; keeps what it reads."""
+
+    period: float = 1e-3
+
+    def __post_init__(self):
+        self.seen, self.delays, self.asked = [], set(), 0
+
+    def read(self, readings, delay):
+        self.seen.append(np.array(readings))
+        self.delays.add(round(1e3 * delay, 9))
+
+    def plan(self, x_hat, u_d):
+        self.asked += 1
+        return 20.0 if self.asked <= 150 else 60.0
+
+
+@pytest.mark.parametrize(("measurement", "command"), [(0, 0), (4, 0), (3, 2)])
+def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque_acts(measurement, command):
+    """Counted in the log: the row whose displacement was read before the step, and the row in which torque rises."""
+    loop = replace(load_loop().perfect(), latency=Latency(1e-3 * measurement, 1e-3 * command))
+    scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
+    run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=Readings(loop))
+    guided, y = run.controllers[0], run.series["front.y"].to_numpy()
+    last = guided.seen[149][0]  # of the first torque that steps; there is no reading before the first exchange
+    seen = int(np.argmin(np.abs(y - last)))
+    assert y[seen] == pytest.approx(last, abs=1e-12) and (np.diff(y[100:170]) != 0).all()
+    acts = int(np.flatnonzero(run.series["front_le.tau"] > 20.01)[0]) - 1
+    assert guided.delays == {acts - seen}
+
+
+def test_sensors_measure_against_the_rails_wherever_these_lie():
+    """A bend of 3 mm to the right and back; the reading is that of the exchange before."""
+    p = np.arange(0.0, 80.0, 0.5)
+    rails = defects.lateral_offset(p, 5.0, 30.0, 3e-3, transition=8.0)
+    scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
+    sensors = Readings(load_loop().perfect())
+    run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=sensors, irregularities=rails)
+    place, (y, psi) = run.series["front.p"], run.series[["front.y", "front.psi_TrAx"]].to_numpy().T
+    aside = np.interp(place, p, rails["lateral_m"])
+    slope = np.diff(rails["lateral_m"])[(place / 0.5).astype(int)] / 0.5
+    read = np.array(run.controllers[0].seen)[:, :2].T
+    assert read == pytest.approx(np.array([y - aside, psi - slope])[:, : read.shape[1]], abs=1e-9)
+    assert aside.max() > 2e-3 and slope.max() > 4e-4
+
+
 @pytest.mark.parametrize(("periods", "found"), [((0.01, 0.005), r"\[5.0, 10.0\]"), ((0.0015, 0.0015), r"\[1.5\]"),
                                                 ((0.0, 0.0), r"\[0.0\]")])  # fmt: skip
 def test_slow_controllers_need_one_period_of_whole_exchanges(periods, found):
@@ -168,6 +218,12 @@ def braked(**changes):
     slow = {"track": "T5", "speed_kmh": 6.0, "end_m": 4.0, "force_kN": [[0, -20.0]]}
     brisk = AdhesionSettings(active=False, raise_step=100.0)
     return simulate.run(scenarios.load_scenario("sine_tracking").but(**slow | changes), NDI(), adhesion=brisk)
+
+
+def test_a_step_of_the_demand_comes_where_it_is_stated_and_lasts_to_the_next():
+    route = scenarios.load_scenario("sine_tracking").but(force_kN=[[10, 4.0], [20, -6.0]]).route()
+    force = route.rows_at(np.array([0.0, 9.9, 10.0, 19.9, 20.0, 90.0]))[:, INDEX["force"]]
+    assert force == pytest.approx([0.0, 0.0, 4e3, 4e3, -6e3, -6e3])
 
 
 def test_a_run_that_comes_to_rest_ends_after_ten_times_its_way_at_the_initial_speed():

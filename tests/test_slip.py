@@ -20,12 +20,13 @@ MODEL = {"tau_max": V.drive.torque_limit, "r_0": RADIUS, "J_Wy": INERTIA, "m_x_e
 
 
 @lru_cache
-def law():
+def law(mass=MODEL["m_x_eff"]):
     f, s, memory = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", len(SlipSettings.memory))
     f_star, v, ticks, gains = ca.SX.sym("f_star"), ca.SX.sym("v"), ca.SX.sym("t"), ca.SX.sym("gains", 13)
     known = dict(zip(SlipSettings.memory, ca.vertsplit(memory), strict=True))
     named = dict(zip((*SlipSettings().gains(), "nominal_load"), ca.vertsplit(gains), strict=True))
-    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, v, ticks, known, named, MODEL)
+    model = MODEL | {"m_x_eff": mass}
+    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, v, ticks, known, named, model)
     kept = ca.vertcat(*(kept[name] for name in SlipSettings.memory))
     return ca.Function("law", [f, s, f_star, v, ticks, gains, memory], [u, kept, segment])
 
@@ -75,6 +76,27 @@ def test_with_noise_it_finds_the_same():
 def test_without_seeking_it_holds_the_limit():
     settings = SlipSettings(start=0.008, seek=0.0, swing=0.0)
     assert ride(lambda t: "poor", 111.0, 0.2, settings)[-1, 2] == pytest.approx(0.008, rel=0.01)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_at_the_limit_the_torque_also_turns_the_wheel_as_fast_as_the_car_gains_speed(sign):
+    """Newton for half a car of 16 t and for a wheel that goes on rolling: v' = 2 F/m, J v'/r_0 = tau - r_0 F."""
+    mass, adhesion, settings = 16e3, 0.1, SlipSettings(seek=0.0, swing=0.0)
+    gains, memory, held = [*settings.gains().values(), LOAD], np.zeros(9), law(mass + 2 * INERTIA / RADIUS**2)
+    seen = [sign * adhesion] * 2, [-sign * settings.start] * 2
+    for k in range(3000):
+        u, memory, segment = held(*seen, sign * 0.2, 50.0, k, gains, memory)
+    force = adhesion * LOAD
+    assert float(segment) != 1
+    assert sign * float(u) == pytest.approx(RADIUS * force + INERTIA * 2 * force / mass / RADIUS, rel=1e-6)
+
+
+def test_a_rolling_wheel_whose_load_is_higher_than_nominal_is_not_held_back():
+    """Adhesion is force over true load: a tenth more of it is 290 N m here, the limit is but 260 N m away."""
+    gains, memory, demand = [*SlipSettings(swing=0.0).gains().values(), LOAD], np.zeros(9), 1.1 * 0.08
+    for k in range(3000):
+        u, memory, segment = law()([0.08] * 2, [-1e-3] * 2, demand, 12.0, k, gains, memory)
+    assert float(segment) == 1 and float(u) == pytest.approx(RADIUS * 1.1 * LOAD * 0.08)
 
 
 def test_braking_is_the_mirror_image_of_traction():

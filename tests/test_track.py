@@ -32,6 +32,13 @@ def test_superelevations_of_table_one(name, printed):
     assert round(superelevation(angle), 3) == printed
 
 
+def test_rails_of_an_own_track_differ_in_height_by_the_stated_superelevation(hill):
+    """The rails are 1.5 m apart along the sleeper; in a left-hand curve the left one is lower."""
+    _, _, roll, *_ = hill.interpolate(200.0)[:, 0]
+    sleeper = Rotation.from_euler("X", roll).apply([0.0, 1.5, 0.0])  # from left to right, z down
+    assert sleeper[2] == pytest.approx(-0.10, rel=1e-9)
+
+
 def test_turn_rate_of_the_track_frame_matches_differentiated_rotations(hill):
     """Curvature, cant ramp and gradient at once: R^T R' must be the plant's turn rate per metre."""
     h = 1e-5

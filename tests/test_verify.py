@@ -87,6 +87,14 @@ def test_each_metric_of_a_tidy_table_has_its_own_scale(tmp_path, header, differe
     assert not different or found.where == "value of rmse_y" and found.largest == pytest.approx(0.05)
 
 
+def test_a_column_is_as_large_as_its_largest_number_of_either_sign(tmp_path):
+    tolerance = {"relative": 1e-3, "image_rms": 2.0, "not_compared": []}
+    for name, small in (("old", 1.0), ("new", 1.05)):
+        (tmp_path / f"{name}.csv").write_text(f"torque\n-100\n{small}\n")
+    found = compare.compare(tmp_path / "old.csv", tmp_path / "new.csv", tolerance)
+    assert (found.same, found.near, found.different) == (1, 1, 0) and found.largest == pytest.approx(5e-4)
+
+
 @pytest.mark.parametrize("own", graph.verify_tolerance()["own"], ids=lambda own: f"{own['table']} {own['column']}")
 def test_an_own_tolerance_is_for_some_rows_of_a_product(own):
     tables = [paths.ROOT / name for notebook in graph.chain() for name in notebook.products if name.endswith(".csv")]

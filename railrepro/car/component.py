@@ -18,7 +18,7 @@ import pandas as pd
 from railrepro.car import equations
 from railrepro.car.stepper import CarStepper
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.contact.table import contact_table
+from railrepro.contact.table import ContactTable, contact_table
 from railrepro.errors import InputError
 from railrepro.schema import above, between, require
 from railrepro.track.route import Route, lay
@@ -34,6 +34,8 @@ DERAILED = 0.030
 _LARGEST = 1e7
 """No state of a car that moves grows beyond this (SI)."""
 _PLACE = equations.INDEX["front.s"]
+_TABLE_COLUMNS = ["shift_m", "effective_radius_m", "angle_rad", "rolling_radius_m", "rail_contact_m", "semi_axis_x_m"]
+_TABLE_COLUMNS += ["semi_axis_y_m", "c11", "c22", "c23", "c33", "normal_stiffness"]
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 
@@ -57,6 +59,20 @@ class Linearisation:
 class SteppedCar:
     """The multibody car on a route, advanced by the caller.
 
+    Parameters
+    ----------
+    route : Route or str
+        Or the name of a track.
+    speed : float
+        Initial speed (m/s).
+    vehicle : Vehicle, optional
+        Default: data/vehicle.toml.
+    good, poor : str
+        Adhesion sets of the rail and of its slippery places.
+    table : ContactTable, optional
+        Wheel-rail contact of all wheels; default that of the vehicle's profile. Its semi-axes hold at the vehicle's
+        `contact.nominal_load`.
+
     Attributes
     ----------
     model : Car
@@ -74,16 +90,25 @@ class SteppedCar:
     Raises
     ------
     InputError
-        Unknown track or adhesion set, impossible speed, or anything but a route and a vehicle.
+        Unknown track or adhesion set, impossible speed, or anything but a route, a vehicle and a contact table.
     """
 
-    def __init__(self, route: Route | str, speed: float, vehicle: Vehicle | None = None, good="dry", poor="poor"):
+    def __init__(
+        self,
+        route: Route | str,
+        speed: float,
+        vehicle: Vehicle | None = None,
+        good: str = "dry",
+        poor: str = "poor",
+        table: ContactTable | None = None,
+    ):
         vehicle = load_vehicle() if vehicle is None else vehicle
         self.route = lay(load_track(route)) if isinstance(route, str) else route
         require("route", self.route, Route)
         require("vehicle", vehicle, Vehicle)
         require("speed", speed, above(0.0, LARGEST_SPEED, "m/s"))
-        self.table, self.time = contact_table(vehicle.contact.profile, vehicle), 0.0
+        self.table, self.time = contact_table(vehicle.contact.profile, vehicle) if table is None else table, 0.0
+        _require_table(self.table)
         state = equations.rest_state(vehicle, self.table, speed)
         self._car = CarStepper(equations.parameter_vector(vehicle, good, poor), self.table, self.route, state)
         self.state, self.torque, self.parameters = self._car.state, self._car.torque, self._car.parameters
@@ -171,6 +196,20 @@ class SteppedCar:
             pd.DataFrame(c, outputs, states),
             pd.DataFrame(d, outputs, wheels),
         )
+
+
+def _require_table(table) -> None:
+    """Refuse what is no contact table with a uniform grid around zero and finite numbers, with an InputError."""
+    require("table", table, ContactTable)
+    missing = [name for name in _TABLE_COLUMNS if name not in table.frame]
+    if missing:
+        raise InputError(f"contact table {table.name}: column {missing[0]} is missing; needed are {_TABLE_COLUMNS}")
+    numbers = table.frame[_TABLE_COLUMNS].to_numpy(dtype=float)
+    step = np.diff(numbers[:, 0])
+    if not np.isfinite(numbers).all() or len(step) == 0 or not np.allclose(step, step[0], rtol=1e-6, atol=0.0):
+        raise InputError(f"contact table {table.name}: finite numbers on a uniform grid of shift_m are needed")
+    if not numbers[0, 0] < 0.0 < numbers[-1, 0]:
+        raise InputError(f"contact table {table.name}: shift_m must reach to both sides of zero")
 
 
 def _torques(torque) -> np.ndarray:

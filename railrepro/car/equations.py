@@ -25,7 +25,7 @@ from railrepro.car.integrator import Stages, rodas3
 from railrepro.car.kinematics import COORDINATES, Body, named
 from railrepro.car.suspension import PrimaryStage, Suspension
 from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
-from railrepro.compile.codegen import share_reciprocals
+from railrepro.compile.codegen import share_reciprocals, stored
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.errors import InputError
 from railrepro.track import route
@@ -152,7 +152,7 @@ class Car:
 
 @lru_cache(maxsize=2)
 def car(two_stage: bool = False) -> Car:
-    """Derive the equations of motion of the car as CasADi functions (about a second).
+    """The equations of motion of the car as CasADi functions; derived once (about a second), then stored.
 
     Parameters
     ----------
@@ -163,6 +163,12 @@ def car(two_stage: bool = False) -> Car:
     -------
     Car
     """
+    return Car(**_derived(bool(two_stage)))
+
+
+@stored
+def _derived(two_stage: bool) -> dict:
+    """Attributes of a `Car`."""
     states = TWO_STAGE_STATES if two_stage else STATES
     x = ca.SX.sym("x", len(states))
     u = ca.SX.sym("u", len(WHEELS))
@@ -238,7 +244,7 @@ def car(two_stage: bool = False) -> Car:
         name: ca.Function(name, inputs, [entry], {"cse": True}).n_instructions() for name, entry in forces.items()
     }
     kind = "two_stage_car" if two_stage else "car"
-    return Car(
+    return dict(
         states=states,
         rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
         step=share_reciprocals(

@@ -50,6 +50,12 @@ def functions(two_stage: bool = False) -> tuple[ca.Function, ca.Function, ca.Fun
     return car.coordinates, car.output, car.step
 
 
+@codegen.stored
+def _generated(two_stage: bool) -> str:
+    """C source of the functions."""
+    return codegen.source_text(functions(two_stage))
+
+
 def c_text() -> str:
     """Hand-written C around the generated functions."""
     return Path(codegen.__file__).with_name("call.h").read_text() + Path(__file__).with_name("car.c").read_text()
@@ -58,7 +64,7 @@ def c_text() -> str:
 @lru_cache(maxsize=2)
 def library(two_stage: bool = False) -> ctypes.CDLL | None:
     """The car as a shared object; None without a C compiler."""
-    loaded = codegen.library(functions(two_stage), c_text())
+    loaded = codegen.library(_generated(two_stage), c_text())
     if loaded is not None:
         loaded.car_run.restype = ctypes.c_longlong
     return loaded

@@ -110,8 +110,13 @@ def _machine(command: str, options: tuple[str, ...]) -> str:
     return "\n".join((_version(command), " ".join(options), platform.machine(), cpu))
 
 
+def identity(command: str) -> str:
+    """What the objects of a compiler depend on besides their source, see `_machine`."""
+    return _machine(command, flags())
+
+
 def cache_folder() -> Path:
-    """Folder of the compiled objects: `build/compiled`, or where that is not the user's own, one in the user's cache.
+    """Folder of the compiled objects: `build/compiled` of a checkout that is the user's own, else in the user's cache.
 
     Raises
     ------
@@ -122,11 +127,12 @@ def cache_folder() -> Path:
     """
     folder = paths.BUILD / "compiled"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
-            if folder.stat().st_mode & _OTHERS:
-                folder.chmod(0o755)
-            return folder
+        if not paths.INSTALLED:
+            folder.mkdir(parents=True, exist_ok=True)
+            if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
+                if folder.stat().st_mode & _OTHERS:
+                    folder.chmod(0o755)
+                return folder
     except OSError:
         pass  # a checkout that cannot be written is nothing wrong
     home = os.environ.get("XDG_CACHE_HOME", "")
@@ -208,7 +214,7 @@ def _digest(target: Path, content: bytes) -> str:
     return hashlib.sha256(target.name.encode() + b"\0" + content).hexdigest() + "\n"
 
 
-def _own(file: Path) -> bytes | None:
+def own_file(file: Path) -> bytes | None:
     """Content of a regular file that belongs to this user and that nobody else can write; None for anything else."""
     try:
         with open(os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as stream:
@@ -221,7 +227,7 @@ def _own(file: Path) -> bytes | None:
 
 def _intact(target: Path) -> bool:
     """Whether an object is there, the user's own, and what was stored."""
-    content, digest = _own(target), _own(target.with_suffix(".sha256"))
+    content, digest = own_file(target), own_file(target.with_suffix(".sha256"))
     return content is not None and digest is not None and digest.decode(errors="replace") == _digest(target, content)
 
 

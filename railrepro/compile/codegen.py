@@ -1,8 +1,8 @@
 """From CasADi functions to C source text, and from there to functions that are called.
 
-The only module of this room that the others import: `cache` compiles text and keeps the objects, `functions` binds
-them to buffers, `reciprocals` saves divisions. Without a C compiler `library` returns None and callers evaluate the
-same CasADi functions in CasADi's virtual machine.
+The only module of this room that the others import: `cache` compiles text and keeps the objects, `graphs` the functions
+that they come from, `functions` binds them to buffers, `reciprocals` saves divisions. Without a C compiler `library`
+returns None and callers evaluate the same CasADi functions in CasADi's virtual machine.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import casadi as ca
 
 from railrepro.compile.cache import CompilerError, build, compiler, do_without, flags
 from railrepro.compile.functions import Call, CompiledFunction, InterpretedFunction
+from railrepro.compile.graphs import stored
 from railrepro.compile.reciprocals import share_reciprocals
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "library",
     "share_reciprocals",
     "source_text",
+    "stored",
 ]
 
 
@@ -101,8 +103,8 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
 _loaded: list[ctypes.CDLL] = []
 
 
-def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL | None:
-    """Load CasADi functions (and extra C source) as one shared object.
+def library(functions: Sequence[ca.Function] | str, extra: str = "") -> ctypes.CDLL | None:
+    """Load CasADi functions, or their `source_text`, and extra C source as one shared object.
 
     Returns
     -------
@@ -117,7 +119,8 @@ def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL | 
     if compiler() is None:
         return None
     try:
-        _loaded.append(ctypes.CDLL(str(build(source_text(functions) + extra))))
+        text = functions if isinstance(functions, str) else source_text(functions)
+        _loaded.append(ctypes.CDLL(str(build(text + extra))))
     except CompilerError as error:
         if _loaded:
             raise

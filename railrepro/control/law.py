@@ -250,7 +250,7 @@ def _library(kind: lateral.Kind, sensed: bool, along: Longitudinal) -> ctypes.CD
     return codegen.library((function(kind, sensed, along),))
 
 
-@lru_cache
+@codegen.stored
 def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> ca.Function:
     """The 1 kHz law as a function.
 

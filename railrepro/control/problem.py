@@ -19,6 +19,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from railrepro.compile.codegen import stored
 from railrepro.errors import InputError
 from railrepro.model.control_model import (
     INPUTS,
@@ -31,8 +32,8 @@ from railrepro.model.control_model import (
     control_model,
     sensitivities,
 )
-from railrepro.model.derivation import PARAMETERS
 from railrepro.model.forecast import Forecast
+from railrepro.model.parameters import PARAMETERS
 from railrepro.schema import is_number
 
 TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "lateral_bound", "bound_weight")
@@ -86,7 +87,7 @@ def slack_on(side, x, t: Tuning):
     return side * (x[Y] - side * t.lateral_bound)
 
 
-@lru_cache
+@stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
     """One step of the prediction model with derivatives.
 

@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-import sympy as sp
 
+from railrepro.compile.codegen import stored
 from railrepro.errors import InputError
-from railrepro.model import derivation
+from railrepro.model.parameters import DISCREPANCIES, PARAMETERS
 from railrepro.vehicle.parameters import Vehicle
 
 STATES = ("x", "psi_Ax", "xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")
@@ -50,7 +50,7 @@ class ControlModel:
     rhs: ca.Function
     discrepancies: frozenset[str]
 
-    parameters = derivation.PARAMETERS
+    parameters = PARAMETERS
 
     @staticmethod
     def parameter_vector(vehicle: Vehicle) -> np.ndarray:
@@ -75,18 +75,23 @@ def control_model(variant: str = "corrected", discrepancies: Iterable[str] | Non
     variant : str
         "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3".
     discrepancies : iterable of str, optional
-        Instead of a variant: which entries of `derivation.DISCREPANCIES` to keep as printed.
+        Instead of a variant: which entries of `DISCREPANCIES` to keep as printed.
 
     Returns
     -------
     ControlModel
     """
     kept = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
-    if kept - set(derivation.DISCREPANCIES) - OUTSIDE:
+    if kept - set(DISCREPANCIES) - OUTSIDE:
         raise InputError(
-            f"discrepancies {sorted(kept)} are not all known; there are {sorted({*derivation.DISCREPANCIES, *OUTSIDE})}"
+            f"discrepancies {sorted(kept)} are not all known; there are {sorted({*DISCREPANCIES, *OUTSIDE})}"
         )
     return _control_model(kept - OUTSIDE)
+
+
+@lru_cache
+def _control_model(discrepancies: frozenset[str]) -> ControlModel:
+    return ControlModel(_rhs(tuple(sorted(discrepancies))), discrepancies)
 
 
 def kept_as_printed(variant: str) -> frozenset[str]:
@@ -94,21 +99,26 @@ def kept_as_printed(variant: str) -> frozenset[str]:
     if variant == "corrected":
         return frozenset()
     if variant == "printed":
-        return frozenset(derivation.DISCREPANCIES) | OUTSIDE
+        return frozenset(DISCREPANCIES) | OUTSIDE
     names = frozenset(name.strip() for name in variant.split(","))
-    if names - set(derivation.DISCREPANCIES) - OUTSIDE:
-        known = sorted({*derivation.DISCREPANCIES, *OUTSIDE})
+    if names - set(DISCREPANCIES) - OUTSIDE:
+        known = sorted({*DISCREPANCIES, *OUTSIDE})
         raise InputError(f"model variant {variant!r} is not known; there are corrected, printed and lists of {known}")
     return names
 
 
-@lru_cache
-def _control_model(discrepancies: frozenset[str]) -> ControlModel:
-    equations = derivation.equations(discrepancies)
+@stored
+def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
+    """Rates of the model, from the symbolic derivation, which is imported only where a graph is not stored."""
+    import sympy as sp
+
+    from railrepro.model import derivation
+
+    equations = derivation.equations(frozenset(discrepancies))
     state = [ca.SX.sym(name) for name in STATES]
     torque = [ca.SX.sym("tau_ri"), ca.SX.sym("tau_le")]
     theta = [ca.SX.sym(name) for name in THETA]
-    par = [ca.SX.sym(name) for name in derivation.PARAMETERS]
+    par = [ca.SX.sym(name) for name in PARAMETERS]
     _, psi, xdot, psidot, y, psi_r = state
     d = derivation
     symbols = [d.psi, d.xd, d.psid, d.y, *d.torques, *d.theta, *d.parameters]
@@ -123,8 +133,7 @@ def _control_model(discrepancies: frozenset[str]) -> ControlModel:
     psiddot = (m21 * h1 - m11 * h2) / determinant
     rates = (xdot, psidot, xddot, psiddot, xdot * ca.sin(psi_r), psidot - theta[1] * xdot)
     inputs = [ca.vertcat(*group) for group in (state, torque, theta, par)]
-    rhs = ca.Function("control_model", inputs, [ca.vertcat(*rates)], ["x", "u", "theta", "par"], ["dx"], {"cse": True})
-    return ControlModel(rhs, discrepancies)
+    return ca.Function("control_model", inputs, [ca.vertcat(*rates)], ["x", "u", "theta", "par"], ["dx"], {"cse": True})
 
 
 def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
@@ -168,7 +177,7 @@ def _step(model: ControlModel, method: str) -> tuple[ca.Function, list[ca.SX], t
     if method not in METHODS:
         raise InputError(f"discretisation {method!r} is not known; there are {METHODS}")
     x, u, theta = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("theta", len(THETA))
-    par, period = ca.SX.sym("par", len(derivation.PARAMETERS)), ca.SX.sym("T")
+    par, period = ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
     rate = model.rhs(x, u, theta, par)
     jacobians = [ca.jacobian(rate, x), ca.jacobian(rate, u)]
     rhs = ca.Function("rhs", [x, u, theta, par], [rate, *jacobians], {"cse": True})

@@ -13,30 +13,7 @@ from functools import lru_cache
 
 import sympy as sp
 
-DISCREPANCIES = {
-    "D1": "lateral constraint inserted into the kinetic energy before Lagrange (non-holonomic)",
-    "D2": "wheel energy with cross terms, (w_ri + w_le)^T J (w_ri + w_le) / 2",
-    "D3": "track yaw rate added to the absolute yaw rate in the wheel speeds",
-    "D7": "absolute roll used as deflection of the roll suspension",
-}
-
-PARAMETERS = (
-    "m",
-    "m_x",
-    "J_x",
-    "J_z",
-    "J_Wy",
-    "J_Wz",
-    "r_0",
-    "b",
-    "delta_0",
-    "k_sz",
-    "k_dz",
-    "k_sx",
-    "k_dx",
-    "g",
-)
-"""Mass, longitudinal mass without body share, residual inertias, wheel, geometry, suspension, gravity (SI)."""
+from railrepro.model.parameters import PARAMETERS
 
 m, m_x, J_x, J_z, J_Wy, J_Wz, r_0, b, delta_0, k_sz, k_dz, k_sx, k_dx, g = parameters = sp.symbols(
     " ".join(PARAMETERS), positive=True
@@ -157,7 +134,7 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
     Parameters
     ----------
     discrepancies : frozenset of str
-        Which of `DISCREPANCIES` to keep as printed; empty gives the corrected model.
+        Which of `parameters.DISCREPANCIES` to keep as printed; empty gives the corrected model.
 
     Returns
     -------

@@ -7,11 +7,11 @@ unless the printed forecast is asked for.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
+from railrepro.compile.codegen import stored
 from railrepro.model.control_model import STATES, THETA, XDOT, X
 from railrepro.track.route import COLUMNS, Route, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
@@ -52,7 +52,7 @@ def _motion(x_hat: ca.SX, u_d: ca.SX, t: ca.SX, gain: ca.SX) -> tuple[ca.SX, ca.
     return position + (speed + acceleration * driven / 2) * driven, speed + acceleration * driven
 
 
-@lru_cache
+@stored
 def functions() -> tuple[ca.Function, ca.Function]:
     """Forecast of one stage at t (s) from now.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy import signal
+import scipy
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.creep import adhesion_maximum
@@ -93,9 +93,9 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
 
     Rows of `EXCHANGE_PERIOD`; a Butterworth filter of fourth order, forth and back.
     """
-    sections = signal.butter(4, ACTIVITY, "highpass", fs=1 / EXCHANGE_PERIOD, output="sos")
+    sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / EXCHANGE_PERIOD, output="sos")
     du = series[f"{gear}.du"].to_numpy()
-    return float(np.sqrt(np.mean(signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)) ** 2)))
+    return float(np.sqrt(np.mean(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)) ** 2)))
 
 
 def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy import integrate, signal
+import scipy
 
 from railrepro.car.equations import FLOOR, GEARS, WHEELS
 from railrepro.errors import InputError
@@ -103,7 +103,7 @@ def low_pass(values, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
     Source: EN 14363 (cut-off read, slope of 24 dB per octave recalled).
     """
     single = cutoff / (np.sqrt(2) - 1) ** 0.25
-    return signal.sosfiltfilt(signal.butter(2, single, fs=rate, output="sos"), values)
+    return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
 
 def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarray:
@@ -137,7 +137,7 @@ def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarra
     if room < 0:
         raise InputError(f"a sliding mean over {window:g} m needs a longer run than the {p[-1] - p[0]:.3g} m found")
     starts = p[0] + step * np.arange(int(room / step + 1e-9) + 1)
-    total = integrate.cumulative_trapezoid(values, p, initial=0)
+    total = scipy.integrate.cumulative_trapezoid(values, p, initial=0)
     return (np.interp(starts + window, p, total) - np.interp(starts, p, total)) / window
 
 
@@ -324,7 +324,7 @@ def weighting_filter(name: str, rate: float) -> np.ndarray:
     if step is not None:
         f5, q5, f6, q6 = step
         factors.append(((f5 / f6) ** 2 * _quadratic(f5, q5), _quadratic(f6, q6)))
-    return np.array([np.concatenate(signal.bilinear(*factor, fs=rate)) for factor in factors])
+    return np.array([np.concatenate(scipy.signal.bilinear(*factor, fs=rate)) for factor in factors])
 
 
 def _quadratic(frequency: float, quality: float) -> np.ndarray:
@@ -355,7 +355,7 @@ def weighted(acceleration, name: str, rate: float) -> np.ndarray:
     """
     sections = weighting_filter(name, rate)
     values = np.asarray(acceleration, dtype=float)
-    return signal.sosfilt(sections, values, zi=signal.sosfilt_zi(sections) * values[0])[0]
+    return scipy.signal.sosfilt(sections, values, zi=scipy.signal.sosfilt_zi(sections) * values[0])[0]
 
 
 def weighted_rms(acceleration, name: str, rate: float) -> float:
@@ -442,8 +442,8 @@ def motor_energy(torque, speed, t) -> tuple[float, float, float]:
         itself, so that a differential torque drives on one side and brakes on the other.
     """
     power = np.multiply(torque, speed)
-    traction = float(np.sum(integrate.trapezoid(np.maximum(power, 0), t, axis=0)))
-    braking = float(np.sum(integrate.trapezoid(np.maximum(-power, 0), t, axis=0)))
+    traction = float(np.sum(scipy.integrate.trapezoid(np.maximum(power, 0), t, axis=0)))
+    braking = float(np.sum(scipy.integrate.trapezoid(np.maximum(-power, 0), t, axis=0)))
     return traction - braking, traction, braking
 
 

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.reads import Entries
 from railrepro.schema import Number, above, between, steps
 from railrepro.track import route
 from railrepro.track.alignment import CANT_BASE
@@ -140,7 +141,7 @@ class Scenario:
     def route(self, irregularities=None, line=None) -> route.Route:
         """Lay set point, adhesion, profiles and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
-        track = load_track(self._track())
+        track = load_track(self.track_file())
         self._check_ramps(track)
         way = route.lay(
             track,
@@ -166,7 +167,7 @@ class Scenario:
                 "must be longer"
             )
 
-    def _track(self) -> str:
+    def track_file(self) -> str:
         """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
@@ -211,12 +212,12 @@ def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
     for name, entry in content.items():
         if isinstance(entry, dict) and entry.setdefault("name", name) != name:
             raise InputError(f"{file.name}: [{name}] has the name {entry['name']!r}; its own key is its name")
-    return schema.build(dict[str, Scenario], content, file.name)
+    return Entries(schema.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
 
 
 def load_scenario(name: str, path: Path | str | None = None) -> Scenario:
     """One scenario by name; InputError lists the known names otherwise."""
     scenarios = load_scenarios(path)
-    if name not in tuple(scenarios):
+    if not isinstance(name, str) or name not in scenarios:
         raise InputError(f"scenario {name!r} is not known; there are {sorted(scenarios)}")
     return scenarios[name]

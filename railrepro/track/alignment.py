@@ -15,6 +15,7 @@ from typing import Annotated
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
+from railrepro.reads import Entries
 from railrepro.schema import Number, above, between
 
 GRAVITY = 9.81
@@ -148,4 +149,4 @@ def alignments(path: Path | str | None = None) -> dict[str, Alignment]:
     for name, entry in schema.read(file).items():
         kind = SegmentsEntry if isinstance(entry, dict) and "segments" in entry else CurveEntry
         found |= schema.build(dict[str, kind], {name: entry}, file.name)
-    return {name: entry.alignment(name) for name, entry in found.items()}
+    return Entries({name: entry.alignment(name) for name, entry in found.items()}, "data/tracks.toml")

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
-from scipy import signal
+import scipy
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
@@ -300,6 +300,8 @@ def band_standard_deviation(frame: pd.DataFrame, band: tuple[float, float] = D1)
         )
     values = frame.drop(columns="p_m")
     for kind, edge in (("highpass", widened / longest), ("lowpass", 1 / (widened * shortest))):
-        values = signal.sosfiltfilt(signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0)
+        values = scipy.signal.sosfiltfilt(
+            scipy.signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0
+        )
     margin = int(np.ceil(longest / step))
     return pd.Series(values[margin:-margin].std(axis=0), frame.columns.drop("p_m"))

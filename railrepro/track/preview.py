@@ -8,8 +8,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
+import scipy
 
 from railrepro.errors import InputError
 from railrepro.schema import above, between, require
@@ -47,10 +46,12 @@ def known(
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     values = channels.to_numpy()
     if smoothing_m > 0:
-        values = gaussian_filter1d(values, smoothing_m / sampling(frame), axis=0, mode="constant")
+        values = scipy.ndimage.gaussian_filter1d(values, smoothing_m / sampling(frame), axis=0, mode="constant")
     place = p - localisation_error_m
     inside = (place >= p[0]) & (place <= p[-1])
-    believed = (1 + amplitude_error) * inside[:, None] * CubicSpline(p, values)(np.clip(place, p[0], p[-1]))
+    believed = (
+        (1 + amplitude_error) * inside[:, None] * scipy.interpolate.CubicSpline(p, values)(np.clip(place, p[0], p[-1]))
+    )
     return pd.DataFrame({"p_m": p} | dict(zip(channels, believed.T, strict=True)))
 
 
@@ -94,7 +95,7 @@ def planned_line(frame: pd.DataFrame, share: float, smoothing_m: float, limit: f
         raise InputError("planned line: the irregularities do not begin and end within the limit, fade them first")
     low[ends] = high[ends] = 0.0
     line = _smoothest(share * lateral, low, high, (smoothing_m / step) ** 2)
-    spline = CubicSpline(frame["p_m"], line, bc_type="clamped")
+    spline = scipy.interpolate.CubicSpline(frame["p_m"], line, bc_type="clamped")
     return np.array([spline(frame["p_m"], order) for order in range(4)])
 
 

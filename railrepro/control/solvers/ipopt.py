@@ -15,7 +15,7 @@ from railrepro.control.problem import TUNING, Tuning
 from railrepro.control.solvers.condensed import COST, UNIT
 from railrepro.control.solvers.riccati import PlainHorizon
 from railrepro.model.control_model import STATES, THETA
-from railrepro.model.derivation import PARAMETERS
+from railrepro.model.parameters import PARAMETERS
 
 _N = len(STATES)
 _SCALES = {"x": 1.0, "psi_Ax": 1e-2, "xdot": 1.0, "psidot_Ax": 1e-2, "y_TrAx": 1e-3, "psi_TrAx": 1e-3}

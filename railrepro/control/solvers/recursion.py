@@ -8,10 +8,9 @@ Source: Rao, Wright and Rawlings 1998.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 
+from railrepro.compile.codegen import stored
 from railrepro.control.problem import (
     TUNING,
     Tuning,
@@ -49,7 +48,7 @@ def _back(matrix, vector, a, b, gap, state, torque, free=1, to_bound=0) -> tuple
     return cost, ca.densify(gradient + ca.mtimes(a.T, ahead + pb * feedforward)), ca.densify(feedback), feedforward
 
 
-@lru_cache
+@stored
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Last stage, one stage backward and one stage forward of the Riccati recursion about a trajectory."""
     n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
@@ -77,7 +76,7 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
     return terminal, backward, forward
 
 
-@lru_cache
+@stored
 def barrier(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
     """The same where weights and slopes stand for the bounds, `stands`: of the torque, then of the lateral position.
 

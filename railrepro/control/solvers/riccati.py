@@ -62,13 +62,19 @@ def _enum(names: Iterable[str]) -> str:
     return f"enum {{ {', '.join(names)} }};\n"
 
 
+@codegen.stored
+def _lanes(variant: str, discretisation: str) -> str:
+    """C of the model along a trajectory, several stages at a time."""
+    return codegen.lanes_text(dynamics(variant, discretisation), common=("u_d", "par", "T", "affine"))
+
+
 def c_text(variant: str, discretisation: str) -> str:
     """Hand-written C around the generated functions, to stand after call.h."""
     model = dynamics(variant, discretisation)
     extra = Path(codegen.__file__).with_name("lanes.h").read_text()
     extra += _enum(f"STATE_{name}" for name in STATES) + _enum(f"TUNING_{name}" for name in TUNING)
     extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
-    extra += codegen.lanes_text(model, common=("u_d", "par", "T", "affine"))
+    extra += _lanes(variant, discretisation)
     return extra + "".join(Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c"))
 
 

@@ -2,8 +2,10 @@
 
 Exudyn gets three floating bodies in inertial coordinates with four wheels on revolute joints, forms their equations of
 motion and integrates them. All forces come from positions and velocities in space: each spring between its two points,
-each wheel as a cone whose deepest point is searched along the curve of the rail. Only data (parameters, cells of the
-route, contact ellipse) and the scalar creep law are shared with `railrepro.car`.
+each wheel as a cone whose deepest point is searched along the curve of the rail. The rails, the contact ellipse and the
+creep forces are its own: the curvature integrated, Hertz's ellipse from Carlson's integrals, Kalker's coefficients from
+rows of his table, his linear force and moment reduced together. Only data are shared with the core: vehicle, segments
+of the track, samples of the irregularities.
 
 One convention decides curves under torque and must be the same in both: a rotational element of the suspension has the
 potential k e^2/2 of the product e of one axis of each body. The pitch reaction (e = x_carrier . z_body) therefore acts
@@ -20,16 +22,18 @@ from math import exp
 import casadi as ca
 import numpy as np
 import pandas as pd
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+from scipy.special import elliprd
 
-from railrepro.car.equations import WHEELS, rest_state
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.contact.creep import polach, spin_coefficient, spin_moment
-from railrepro.contact.table import cone_patch, contact_table
-from railrepro.track import route
+from railrepro.errors import InputError
+from railrepro.track.alignment import Alignment
 from railrepro.vehicle.parameters import Vehicle
 
 GEARS = ("front", "rear")
+WHEELS = tuple(f"{gear}_{side}" for gear in GEARS for side in ("le", "ri"))
 MEASURED = (
     *(f"{gear}.{name}" for name in ("y", "psi_TrAx") for gear in GEARS),
     *(f"{wheel}.{name}" for name in ("w", "N") for wheel in WHEELS),
@@ -38,11 +42,127 @@ STEP = 5e-4
 """Usual step of Exudyn's Runge-Kutta method (s)."""
 WHEEL_MASS = 400.0
 """Share of a wheel in the mass of a gear (kg); of no influence: the inertias of the gear contain the wheels."""
+CROWN_RADIUS = 0.3
+"""Radius of the rail across (m)."""
 _GAUSS = np.polynomial.legendre.leggauss(4)
+_CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
+_LINE = ("p", "x", "y", "z", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps")
+_STATION = (*_LINE, *(f"{'d' * order}{name}" for name in _CHANNELS for order in range(4)))
+_SPACING, _BEFORE, _AFTER = 0.5, 60.0, 400.0
+_POISSON = (0.0, 0.25, 0.5)
+_KALKER = np.array(
+    [
+        [(3.40, 4.12, 5.20), (3.40, 3.67, 3.98), (1.33, 1.47, 1.63), (1.21, 1.19, 1.16)],
+        [(3.51, 4.22, 5.30), (3.51, 3.81, 4.16), (1.44, 1.59, 1.77), (1.16, 1.11, 1.06)],
+        [(3.65, 4.36, 5.42), (3.65, 3.99, 4.39), (1.58, 1.75, 1.94), (1.10, 1.04, 0.954)],
+        [(3.82, 4.54, 5.58), (3.82, 4.21, 4.67), (1.76, 1.95, 2.18), (1.05, 0.965, 0.852)],
+        [(4.06, 4.78, 5.80), (4.06, 4.50, 5.04), (2.01, 2.23, 2.50), (1.01, 0.892, 0.751)],
+        [(4.37, 5.10, 6.11), (4.37, 4.90, 5.56), (2.35, 2.62, 2.96), (0.958, 0.819, 0.650)],
+    ]
+)
+"""C11, C22, C23 and C33 at b/a of 1, .9 .. .5, each for Poisson's ratio 0, .25 and .5 (Kalker 1990, Table E3)."""
+
+
+def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
+    """Contact ellipse of a cone on the crown of the rail at nominal load, and Kalker's coefficients.
+
+    Returns
+    -------
+    a, b : float
+        Semi-axes along and across the rail (m).
+    coefficients : ndarray, shape (4,)
+        c11, c22, c23, c33 (-); linear in b/a, their inverses a parabola over Poisson's ratio.
+
+    Source: Hertz's pressure as a layer potential, R_D of Carlson 1979; Kalker 1990, Table E3.
+    """
+    data, along = vehicle.contact, np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
+    modulus = data.young / (2 * (1 - data.poisson**2))
+
+    def curvatures(flat):
+        """Along and across the rail, times pi E a^3/N, of an ellipse with b = flat a."""
+        return elliprd(0, flat**2, 1), elliprd(0, 1, flat**2)
+
+    def mismatch(flat):
+        found = curvatures(flat)
+        return found[0] * (1 / CROWN_RADIUS) - found[1] * along
+
+    if not mismatch(0.5) * mismatch(1.0) <= 0:
+        raise InputError(f"wheel.radius = {vehicle.wheel.radius} m: b/a of the contact must be .5 to 1 for this car")
+    flat = brentq(mismatch, 0.5, 1.0, xtol=1e-12)
+    a = (data.nominal_load * curvatures(flat)[0] / (np.pi * modulus * along)) ** (1 / 3)
+    parabola = [np.prod([(data.poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
+    rows = 1 / np.tensordot(1 / _KALKER, parabola, axes=(2, 0))
+    ratios = np.linspace(1.0, 0.5, len(rows))[::-1]
+    return a, flat * a, np.array([np.interp(flat, ratios, column[::-1]) for column in rows.T])
+
+
+def creep(vehicle: Vehicle, load, nu_x, nu_y, spin, slip_speed) -> tuple[ca.SX, ...]:
+    """Forces along and across the rail (N) and moment about the normal (N m) on a wheel.
+
+    From its load (N), creepages (-, -, 1/m) and slip speed (m/s).
+
+    Kalker's linear force and moment, all reduced as Polach reduces their resultant.
+
+    Source: Kalker 1967 (linear theory); Polach 2005, eqs. (2) and (3); Shen, Hedrick and Elkins 1983 (direction).
+    """
+    a, b, (c11, c22, c23, c33) = patch(vehicle)
+    rail, area = vehicle.adhesion["dry"], a * b * ((load + 1) / vehicle.contact.nominal_load) ** (2 / 3)
+    root, unit = ca.sqrt(area), vehicle.contact.shear_modulus * area
+    along, across = unit * c11 * nu_x, unit * (c22 * nu_y + root * c23 * spin)
+    friction = rail.mu0 * ((1 - rail.a_ratio) * ca.exp(-rail.b_decay * slip_speed) + rail.a_ratio)
+    ratio = np.pi / 4 * ca.sqrt(along**2 + across**2 + 1e-6) / (friction * (load + 1))
+    reduced = (rail.k_a / (1 + (rail.k_a * ratio) ** 2) + ca.atan(rail.k_s * ratio) / ratio) / 2
+    return -reduced * along, -reduced * across, reduced * unit * root * (c23 * nu_y - root * c33 * spin)
+
+
+class Rails:
+    """The track in space by integration of its curvature, with the irregularities of its rails as splines.
+
+    Parameters
+    ----------
+    alignment : Alignment
+    irregularities : DataFrame, optional
+        p_m and the channels of the track centre, zero at both ends.
+    """
+
+    def __init__(self, alignment: Alignment, irregularities: pd.DataFrame | None = None):
+        ends = np.cumsum([0.0, *(segment.length for segment in alignment.segments)])
+        samples = [] if irregularities is None else irregularities["p_m"]
+        s = np.unique([*np.arange(-_BEFORE, ends[-1] + _AFTER, _SPACING), *ends, *samples])
+        at, (before, after) = dict.fromkeys(_STATION, np.zeros(len(s))), (s < 0, s >= ends[-1])
+        index = np.clip(np.searchsorted(ends, s, side="right") - 1, 0, len(alignment.segments) - 1)
+        for name in ("kappa", "phi", "eps"):
+            first, last = np.array([getattr(segment, name) for segment in alignment.segments])[index].T
+            rate = np.where(before | after, 0.0, (last - first) / np.diff(ends)[index])
+            at[name] = np.where(after, last, first + rate * (s - ends[index]))
+            at["d" + name] = rate
+        at["kappa"] = np.where(before, 0.0, at["kappa"])
+        h = np.diff(s)
+        turned = np.cumsum([0.0, *(at["kappa"][:-1] + at["dkappa"][:-1] * h / 2) * h])
+        at |= {"p": s, "psi": turned - turned[np.argmin(np.abs(s))]}
+        moved = np.zeros((3, len(h)))
+        for node, weight in zip(*_GAUSS, strict=True):
+            d = h * (1 + node) / 2
+            psi = at["psi"][:-1] + (at["kappa"][:-1] + at["dkappa"][:-1] * d / 2) * d
+            eps = at["eps"][:-1] + at["deps"][:-1] * d
+            moved += weight / 2 * h * np.array([np.cos(eps) * np.cos(psi), np.cos(eps) * np.sin(psi), -np.sin(eps)])
+        for name, steps in zip("xyz", moved, strict=True):
+            reached = np.cumsum([0.0, *steps])
+            at[name] = reached - reached[np.argmin(np.abs(s))]
+        if irregularities is not None:
+            inside = (s >= np.min(samples)) & (s < np.max(samples))
+            for name, column in _CHANNELS.items():
+                spline = CubicSpline(samples, irregularities[column], bc_type="clamped")
+                at |= {f"{'d' * order}{name}": np.where(inside, spline(s, order), 0.0) for order in range(4)}
+        self._stations, self._p = np.array([at[name] for name in _STATION]).T, s
+
+    def at(self, s) -> np.ndarray:
+        """Stations before the places s (m), shape (n, len(_STATION)): there the rails are known by derivatives."""
+        return self._stations[np.clip(np.searchsorted(self._p, s, side="right") - 1, 0, len(self._p) - 1)]
 
 
 def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Position (3) and rotation (3, 3) of the track frame at s, from a cell of the route by column."""
+    """Position (3) and rotation (3, 3) of the track frame at s, from a station by column."""
 
     def ahead(d):
         psi, eps = get["psi"] + (get["kappa"] + get["dkappa"] * d / 2) * d, get["eps"] + get["deps"] * d
@@ -56,7 +176,7 @@ def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(get["x"], get["y"], get["z"]) + d * travelled, ca.horzcat(x, y, ca.cross(x, y))
 
 
-def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
+def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
     """Force and torque about the wheel's centre (in space), and the normal force (N).
 
     The cone r = r0 - side tan(delta) eta stands on a line-shaped rail where the rail is deepest inside it. There the
@@ -68,8 +188,10 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> t
     def rail(place):
         """Point of the irregular rail at `place`."""
         position, rotation = _frame(get, place)
+        d = place - get["p"]
         lateral, vertical, cross, gauge = (
-            get[name] + get["d" + name] * (place - get["p"]) for name in ("lateral", "vertical", "crosslevel", "gauge")
+            get[name] + d * (get["d" + name] + d * (get["dd" + name] / 2 + d * get["ddd" + name] / 6))
+            for name in _CHANNELS
         )
         return position + rotation @ ca.vertcat(0, half + lateral + side * gauge / 2, vertical + half * cross)
 
@@ -94,15 +216,10 @@ def _contact(vehicle: Vehicle, side: int, get: dict, s, speed, axle, wheel) -> t
     elastic, rate = data.normal_stiffness * ca.fmax(depth(point), 0) ** 1.5, ca.dot(slide, normal)
     load = ca.fmax(elastic * (1 + data.normal_damping * rate), 0)
     rolling, slides = ca.sqrt(speed**2 + data.rest_speed**2), (ca.dot(slide, tangent), ca.dot(slide, lateral))
-    scale, (a, b, kalker) = ((load + 1) / data.nominal_load) ** (1 / 3), cone_patch(vehicle)
-    creep = (
-        *(v / rolling for v in slides), ca.dot(turn, normal) / rolling, load, scale * a, scale * b, *kalker,
-        data.shear_modulus, *vars(vehicle.adhesion["dry"]).values(),
-        ca.sqrt(slides[0] ** 2 + slides[1] ** 2 + 1e-12),
-    )  # fmt: skip
-    f_x, f_y = polach(*creep)
+    slip_speed = ca.norm_2(ca.vertcat(*slides, 1e-6))
+    f_x, f_y, moment = law(vehicle, load, *(v / rolling for v in slides), ca.dot(turn, normal) / rolling, slip_speed)
     force = f_x * tangent + f_y * lateral - load * normal
-    return force, ca.cross(arm, force) + spin_moment(*creep, float(spin_coefficient(a / b))) * normal, load
+    return force, ca.cross(arm, force) + moment * normal, load
 
 
 def _beyond(value, clearance):
@@ -145,25 +262,25 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
     return tuple(sum(parts) for parts in zip(*acting, strict=True))
 
 
-def forces(vehicle: Vehicle) -> ca.Function:
-    """Everything that acts on the bodies, from their motion in space.
+def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
+    """Everything that acts on the bodies, from their motion in space and a creep law like `creep`.
 
     Returns
     -------
     casadi.Function
-        (motion[18, 3], turns[3, 4], cells[ncol, 2], s[2], tau[4]) -> loads[6, 7], s[2], measured[12]. Motion of body,
+        (motion[18, 3], turns[3, 4], stations[n, 2], s[2], tau[4]) -> loads[6, 7], s[2], measured[12]. Motion of body,
         front and rear gear: position, velocity, angular velocity, rotation by columns; turns: angular velocity of the
-        wheels; cells and s of the gears, s a guess nearby; loads on body, gears, wheels: force and torque about the
+        wheels; stations and s of the gears, s a guess nearby; loads on body, gears, wheels: force and torque about the
         centre; measured: `MEASURED`.
     """
     motion, turns = ca.SX.sym("motion", 18, 3), ca.SX.sym("turns", 3, 4)
-    cells, guess, tau = ca.SX.sym("cells", len(route.COLUMNS), 2), ca.SX.sym("s", 2), ca.SX.sym("tau", 4)
+    stations, guess, tau = ca.SX.sym("stations", len(_STATION), 2), ca.SX.sym("s", 2), ca.SX.sym("tau", 4)
     parts = [(*ca.vertsplit(motion[:9, i], 3), ca.reshape(motion[9:, i], 3, 3)) for i in range(3)]
     loads = [ca.SX.zeros(6) for _ in range(7)]
     places, lateral, yaw, spins, normals = [], [], [], [], []
     for g, end in enumerate((1, -1)):
         gear, s = parts[1 + g], guess[g]
-        get = dict(zip(route.COLUMNS, ca.vertsplit(cells[:, g]), strict=True))
+        get = dict(zip(_STATION, ca.vertsplit(stations[:, g]), strict=True))
         for _ in range(3):
             position, rotation = _frame(get, s)
             s += ca.dot(rotation[:, 0], gear[0] - position)
@@ -178,35 +295,39 @@ def forces(vehicle: Vehicle) -> ca.Function:
         for i, side in ((2 * g, -1), (2 * g + 1, 1)):
             arm, speed = side * vehicle.gear.contact_base / 2 * axle, ca.dot(rotation[:, 0], gear[1])
             wheel = gear[0] + arm, gear[1] + ca.cross(gear[2], arm), turns[:, i]
-            force, torque, normal = _contact(vehicle, side, get, s, speed, axle, wheel)
+            force, torque, normal = _contact(vehicle, law, side, get, s, speed, axle, wheel)
             loads[3 + i] += ca.vertcat(force, torque - tau[i] * axle)
             loads[1 + g] += ca.vertcat(0, 0, 0, tau[i] * axle)
             spins, normals = [*spins, -ca.dot(axle, turns[:, i])], [*normals, normal]
     results = [ca.densify(ca.horzcat(*loads)), ca.vertcat(*places), ca.vertcat(*lateral, *yaw, *spins, *normals)]
-    return ca.Function("space_forces", [motion, turns, cells, guess, tau], results, {"cse": True})
+    return ca.Function("space_forces", [motion, turns, stations, guess, tau], results, {"cse": True})
 
 
 class ExudynCar:
     """The car in Exudyn: bodies, joints and loads by user functions; starts rolling with the front gear at s = 0."""
 
-    def __init__(self, vehicle: Vehicle, way: route.Route, speed: float):
+    def __init__(self, vehicle: Vehicle, rails: Rails, speed: float, law: Callable = creep):
         import exudyn
 
-        self._exu, self._lag, self._way = exudyn, vehicle.drive.lag, way
+        self._exu, self._lag, self._rails = exudyn, vehicle.drive.lag, rails
         self._container = exudyn.SystemContainer()
         self._mbs = self._container.AddSystem()
-        self._forces = codegen.compiled(forces(vehicle))
-        self._motion, self._turns, self._cells, self._s, self._tau = self._forces.arguments
-        rest = rest_state(vehicle, contact_table("cone", vehicle), speed)
+        self._forces = codegen.compiled(forces(vehicle, law))
+        self._motion, self._turns, self._stations, self._s, self._tau = self._forces.arguments
         body, gear, wheel = vehicle.body, vehicle.gear, vehicle.wheel
         wheels = 2 * (wheel.diametral_inertia + WHEEL_MASS * (gear.contact_base / 2) ** 2)
         carrier = (gear.inertia_x - wheels, gear.inertia_y, gear.inertia_z - wheels)
-        self._markers = self._floating(vehicle, rest, body.mass, (body.inertia_x, body.inertia_y, body.inertia_z), ())
-        for i, spins in ((12, -rest[36:38]), (24, -rest[38:40])):
-            self._markers += self._floating(vehicle, rest[i:], gear.mass - 2 * WHEEL_MASS, carrier, spins)
+        load = (body.mass / 4 + gear.mass / 2) * vehicle.gravity / np.cos(wheel.cone_angle)
+        sunk = (load / vehicle.contact.normal_stiffness) ** (2 / 3) / np.cos(wheel.cone_angle)
+        spin, half = speed / (wheel.radius - sunk), body.gear_spacing / 2
+        start = (-half, sunk - body.cg_height, speed)
+        self._markers = self._floating(vehicle, start, body.mass, (body.inertia_x, body.inertia_y, body.inertia_z), ())
+        for s in (0.0, -2 * half):
+            start = (s, sunk - wheel.radius, speed)
+            self._markers += self._floating(vehicle, start, gear.mass - 2 * WHEEL_MASS, carrier, (-spin, -spin))
         self._markers = [self._markers[i] for i in (0, 1, 4, 2, 3, 5, 6)]
-        self._s[:] = rest[[12, 24]]
-        self._cells[:] = way.rows_at(self._s).ravel()
+        self._s[:] = 0.0, -2 * half
+        self._stations[:] = rails.at(self._s).ravel()
         items = exudyn.itemInterface
         for number, marker in enumerate(self._markers):
             for kind, first in ((items.LoadForceVector, 0), (items.LoadTorqueVector, 3)):
@@ -214,14 +335,17 @@ class ExudynCar:
         self._mbs.Assemble()
 
     def _floating(self, vehicle: Vehicle, start, mass, inertia, spins) -> list:
-        """A rigid body on six joints to the ground and its wheels on revolute joints; their markers."""
+        """A rigid body on six joints to the ground and its wheels on revolute joints; their markers.
+
+        It starts at x and z (m) with a speed along x (m/s).
+        """
         exu, joint, wheel, n = self._exu, self._exu.JointType, vehicle.wheel, 6 + len(spins)
         ends = np.array([-1, 1]) * vehicle.gear.contact_base / 2
         node = exu.itemInterface.NodeGenericODE2(
             numberOfODE2Coordinates=n,
             referenceCoordinates=[0.0] * n,
-            initialCoordinates=[start[0], 0.0, start[2], *[0.0] * (n - 3)],
-            initialCoordinates_t=[start[6], *[0.0] * 5, *spins],
+            initialCoordinates=[start[0], 0.0, start[1], *[0.0] * (n - 3)],
+            initialCoordinates_t=[start[2], *[0.0] * 5, *spins],
         )
         rotor = np.diag([wheel.diametral_inertia, wheel.spin_inertia, wheel.diametral_inertia])
         slides = [joint.PrismaticX, joint.PrismaticY, joint.PrismaticZ]
@@ -279,13 +403,13 @@ class ExudynCar:
             self._evaluate(time)
             advance, self._s[:] = self._found - self._s, self._found
             if count % per_exchange == 0:
-                self._cells[:] = self._way.rows_at(self._s).ravel()
+                self._stations[:] = self._rails.at(self._s).ravel()
                 self._evaluate(time)
                 self._before, self._since = self._tau.copy(), time
                 log.append(self._measured.copy())
                 self._command = np.asarray(law(len(log) - 1, log[-1]))
-            # A step has one cell, that of its middle: a kink of the track then comes neither early nor late.
-            self._cells[:] = self._way.rows_at(self._s + advance / 2).ravel()
+            # A step has one station, that of its middle: a kink of the track then comes neither early nor late.
+            self._stations[:] = self._rails.at(self._s + advance / 2).ravel()
             count += 1
             return True
 

@@ -23,7 +23,7 @@ from railrepro.control.problem import TUNING, MPCSettings, Problem, Tuning
 from railrepro.control.solvers.condensed import COST, UNIT
 from railrepro.control.solvers.ipopt import SCALE, SLACK
 from railrepro.model.control_model import STATES, THETA
-from railrepro.model.derivation import PARAMETERS
+from railrepro.model.parameters import PARAMETERS
 from railrepro.vehicle.parameters import Vehicle
 
 OURS = "recursion"

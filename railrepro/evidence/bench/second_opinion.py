@@ -16,22 +16,26 @@ from tqdm import tqdm
 
 from railrepro import paths
 from railrepro.car.component import SteppedCar
-from railrepro.car.equations import WHEELS
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
-from railrepro.evidence.bench.exudyn_car import MEASURED, STEP, ExudynCar
+from railrepro.evidence.bench import exudyn_car
+from railrepro.evidence.bench.exudyn_car import GEARS, MEASURED, STEP, ExudynCar, Rails
 from railrepro.files import write
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
+from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SHORT_STEPS = 20
 """Steps of our car in an exchange when its own step error is to vanish."""
-_GUARD = 5.0
-"""Triple pole of the feedback that holds a replay on the recorded path (rad/s), far below those of the controllers."""
+GUIDED = tuple(f"{gear}.du" for gear in GEARS)
+_GUARD = 8.0
+"""Fourfold pole of the feedback that holds a replay on the recorded path (rad/s), far below those of the controllers.
+
+Laterally the cars are integrators: without the integral a torque that differs by 1 N m moves them by 1 mm."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class Case:
     irregular : bool
         Irregular rails.
     step : float
-        Step of Exudyn (s); irregular rails have a kink every half metre and need shorter ones.
+        Step of Exudyn (s); irregular rails excite the contact modes and need shorter ones.
     """
 
     name: str
@@ -89,56 +93,64 @@ class _Pulses:
         return self._amplitude * (1, -1, -1, 1)[phase] if 0 <= phase < 4 else 0.0
 
 
-def record(case: Case, vehicle: Vehicle) -> tuple[pd.DataFrame, route.Route]:
-    """Our car's run, one row per exchange (see `simulate.run`), and the route it went."""
+def record(case: Case, vehicle: Vehicle) -> tuple[pd.DataFrame, route.Route, Rails]:
+    """Our car's run, one row per exchange (see `simulate.run`), the route it went, and the same rails for Exudyn's."""
     scenario = load_scenario(case.scenario).but(**case.changes)
     rough = irregularities(np.arange(0.0, scenario.end_m, route.CELL)) if case.irregular else None
     guidance = (lambda _v, _w, gear: _Pulses(case.pulses, gear)) if case.pulses else NDI(integral=0.1)
     series = simulate.run(scenario, guidance, vehicle=vehicle, irregularities=rough).series
-    return series[series["t_s"] < case.seconds], scenario.route(rough)
+    return series[series["t_s"] < case.seconds], scenario.route(rough), Rails(alignments()[scenario.track], rough)
 
 
-def _guard(case: Case, series: pd.DataFrame, vehicle: Vehicle) -> Callable:
+class _Guard:
     """Replay of the recorded commands, plus (not for pulses) a soft feedback to the recorded path.
 
     The free lateral motion is neutral, so differences would add up for ever. Our own car at its usual step repeats its
     record exactly; its feedback is zero.
     """
-    commands = np.array(
-        [series[f"{w[:-3]}.tau_long"] + (1 if w.endswith("le") else -1) * series[f"{w[:-3]}.du"] for w in WHEELS]
-    ).T
-    path, speed, before = series[list(MEASURED[:4])].to_numpy(), series["front.v"].to_numpy(), np.zeros(2)
-    gain = (not case.pulses) * vehicle.wheel.radius / vehicle.gear.contact_base * vehicle.effective_yaw_inertia
 
-    def law(k: int, measured: np.ndarray) -> np.ndarray:
-        nonlocal before
-        y, yaw = np.split(path[k] - measured[:4], 2)
-        rate, before = (yaw - before) / EXCHANGE_PERIOD, yaw
-        du = gain * (_GUARD**3 / speed[k] * y + 3 * _GUARD**2 * yaw + 3 * _GUARD * rate)
-        return commands[k] + np.outer(du, (1, -1)).ravel()
+    def __init__(self, case: Case, series: pd.DataFrame, vehicle: Vehicle):
+        self._pulled = series[[f"{gear}.tau_long" for gear in GEARS]].to_numpy()
+        self._steered, self._added = series[list(GUIDED)].to_numpy(), np.zeros((len(series), 2))
+        self._path, self._speed = series[list(MEASURED[:4])].to_numpy(), series["front.v"].to_numpy()
+        self._gain = (not case.pulses) * vehicle.wheel.radius / vehicle.gear.contact_base
+        self._gain *= vehicle.effective_yaw_inertia
+        self._before, self._sum = np.zeros(2), np.zeros(2)
 
-    return law
+    def __call__(self, k: int, measured: np.ndarray) -> np.ndarray:
+        y, yaw = np.split(self._path[k] - measured[:4], 2)
+        rate, self._before = (yaw - self._before) / EXCHANGE_PERIOD, yaw
+        self._sum += _GUARD / 4 * EXCHANGE_PERIOD * y
+        steered = 4 * _GUARD**3 / self._speed[k] * (y + self._sum) + 6 * _GUARD**2 * yaw + 4 * _GUARD * rate
+        self._added[k] = self._gain * steered
+        return (self._pulled[k][:, None] + np.outer(self._steered[k] + self._added[k], (1, -1))).ravel()
+
+    def guided(self) -> dict[str, np.ndarray]:
+        """Differential torque commands, the feedback included (N m)."""
+        return dict(zip(GUIDED, (self._steered + self._added).T, strict=True))
 
 
-def replay(case: Case, vehicle: Vehicle | None = None) -> dict[str, pd.DataFrame]:
-    """Both cars through a case.
+def replay(case: Case, vehicle: Vehicle | None = None, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFrame]:
+    """Both cars, on cones, through a case; Exudyn's with a creep law of its own.
 
     Returns
     -------
     dict of DataFrame
-        "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per exchange, `MEASURED` (SI).
+        "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per exchange, `MEASURED` (SI)
+        and the differential torque commands `GUIDED` (N m), the feedback that holds a replay on its path included.
     """
-    vehicle = vehicle or load_vehicle()
-    series, way = record(case, vehicle)
+    vehicle = vehicle or load_vehicle(**{"contact.profile": "cone"})
+    series, way, rails = record(case, vehicle)
     speed = series["front.v"].iloc[0]
-    car, law, log = SteppedCar(way, speed, vehicle), _guard(case, series, vehicle), []
+    car, guard, log = SteppedCar(way, speed, vehicle), _Guard(case, series, vehicle), []
     for k in range(len(series)):
         outputs = car.outputs
         log.append(np.array([outputs[name] for name in MEASURED]))
-        car.step(law(k, log[-1]), SHORT_STEPS, EXCHANGE_PERIOD / SHORT_STEPS)
-    other = ExudynCar(vehicle, way, speed)
-    theirs = other.run(_guard(case, series, vehicle), len(series), case.step)
-    return {"exudyn": theirs, "1": series[list(MEASURED)], "0.05": pd.DataFrame(log, columns=MEASURED)}
+        car.step(guard(k, log[-1]), SHORT_STEPS, EXCHANGE_PERIOD / SHORT_STEPS)
+    short = pd.DataFrame(log, columns=MEASURED).assign(**guard.guided())
+    other, guard = ExudynCar(vehicle, rails, speed, law), _Guard(case, series, vehicle)
+    theirs = other.run(guard, len(series), case.step).assign(**guard.guided())
+    return {"exudyn": theirs, "1": series[[*MEASURED, *GUIDED]].reset_index(drop=True), "0.05": short}
 
 
 def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
@@ -149,9 +161,9 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
     DataFrame
         case, car_step_ms, quantity, largest (value of our signal), difference (largest), relative (their ratio; of all
         gears or wheels the worst), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the worst
-        one's difference), unit.
+        one's difference), step_error (largest difference of our own two runs to `largest`), unit.
     """
-    rows = []
+    rows, steps = [], [_signals(runs[key]) for key in ("1", "0.05")]
     for step in ("1", "0.05"):
         ours, theirs = (_signals(runs[key]) for key in (step, "exudyn"))
         for (quantity, unit), signals in ours.items():
@@ -159,8 +171,11 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
             worst = int(np.argmax(np.abs(error).max(axis=0) / size))
             largest, rms = np.abs(error[:, worst]).max(), np.sqrt(np.mean(error[:, worst] ** 2))
             beyond = np.mean(np.abs(error) > AGREEMENT * size)
-            rows.append((name, step, quantity, size[worst], largest, largest / size[worst], beyond, rms, unit))
-    columns = ("case", "car_step_ms", "quantity", "largest", "difference", "relative", "beyond", "rms", "unit")
+            coarse, fine = (run[quantity, unit][:, worst] for run in steps)
+            own = np.abs(coarse - fine).max() / size[worst]
+            rows.append((name, step, quantity, size[worst], largest, largest / size[worst], beyond, rms, own, unit))
+    columns = ("case", "car_step_ms", "quantity", "largest", "difference", "relative", "beyond", "rms")
+    columns += ("step_error", "unit")
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -168,7 +183,8 @@ def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
     """Quantity and unit -> signals of all gears or wheels, shape (n, 2 or 4)."""
     y, yaw, speed, load = np.split(run[list(MEASURED)].to_numpy(), (2, 4, 8), axis=1)
     signals = {("lateral position", "m"): y, ("yaw angle to the track", "rad"): yaw, ("wheel speed", "rad/s"): speed}
-    return signals | {("wheel speed, left - right", "rad/s"): speed[:, ::2] - speed[:, 1::2], ("wheel load", "N"): load}
+    signals |= {("wheel speed, left - right", "rad/s"): speed[:, ::2] - speed[:, 1::2], ("wheel load", "N"): load}
+    return signals | {("differential torque", "N m"): run[list(GUIDED)].to_numpy()}
 
 
 def main(names: list[str]) -> None:

@@ -5,18 +5,19 @@ Staleness is decided by content, never by time.
 
 from __future__ import annotations
 
-import ast
 import csv
 import hashlib
 import json
+import tomllib
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 from railrepro import paths
 from railrepro.errors import InputError
 from railrepro.evidence.chain.graph import Notebook
+from railrepro.evidence.runs import sources
 from railrepro.files import alone, write, written
+from railrepro.reads import ALL
 
 
 def _hash(data: bytes) -> str:
@@ -31,27 +32,6 @@ def file_hash(path: Path) -> str:
         return "missing"
 
 
-@cache
-def _imports(text: str) -> frozenset[str]:
-    """Names of railrepro modules that a piece of Python imports; none if it is not valid, it will fail when it runs."""
-    found: set[str] = set()
-    try:
-        tree = ast.parse(text)
-    except (SyntaxError, ValueError):
-        return frozenset()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names if alias.name.startswith("railrepro")}
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("railrepro"):
-            found |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return frozenset(found)
-
-
-def _module_file(module: str) -> Path | None:
-    base = paths.ROOT / Path(*module.split("."))
-    return next((f for f in (base.with_suffix(".py"), base / "__init__.py") if f.exists()), None)
-
-
 def cells(notebook: Notebook) -> list[dict]:
     """Cells of a notebook file; InputError when it cannot be read."""
     try:
@@ -61,24 +41,57 @@ def cells(notebook: Notebook) -> list[dict]:
         raise InputError(f"{notebook.path.name}: cannot be read as a notebook ({error!r})") from error
 
 
-def inputs_hash(notebook: Notebook, parameters: dict | None = None) -> str:
-    """Hash of all that a notebook's products depend on: cells, parameters, reads, imported modules, environment."""
-    content = cells(notebook)
-    parts: dict[str, object] = {"cells": [cell["source"] for cell in content]}
-    parts["parameters"] = notebook.parameters if parameters is None else parameters
-    code = [cell["source"] for cell in content if cell["cell_type"] == "code"]
-    pending, modules = [module for source in code for module in _imports(source)], {}
-    while pending:
-        file = _module_file(pending.pop())
-        if file is None or str(file) in modules:
-            continue
-        modules[str(file)] = file_hash(file)
-        pending += _imports(file.read_text(errors="replace"))
-    parts["modules"] = sorted((str(Path(f).relative_to(paths.ROOT)), h) for f, h in modules.items())
-    extra = sorted((paths.ROOT / "railrepro").rglob("*.[ch]"))
-    parts["files"] = [file_hash(paths.source(read)) for read in notebook.reads] + [file_hash(f) for f in extra]
-    parts["environment"] = file_hash(paths.ROOT / "environment.lock")
-    return _hash(json.dumps(parts, sort_keys=True).encode())
+class Inputs:
+    """All that a notebook's products depend on, as it is now: cells, parameters, reads, modules, environment.
+
+    Parameters
+    ----------
+    notebook : Notebook
+    parameters : dict, optional
+        Instead of those of the chain.
+    """
+
+    def __init__(self, notebook: Notebook, parameters: dict | None = None):
+        content = cells(notebook)
+        code = [cell["source"] for cell in content if cell["cell_type"] == "code"]
+        self._rest: dict[str, object] = {"cells": [cell["source"] for cell in content]}
+        self._rest["parameters"] = notebook.parameters if parameters is None else parameters
+        self._rest["code"] = sources.closure(code, paths.ROOT / "railrepro")
+        self._rest["environment"] = file_hash(paths.ROOT / "environment.lock")
+        self._reads = {read: _content(paths.source(read)) for read in notebook.reads}
+
+    def hash(self, entries: dict[str, list[str]] | None = None) -> str:
+        """Hash of the inputs; of a TOML file with known entries only these count, by value."""
+        known = entries or {}
+        reads = {read: _entries(content, known.get(read, [ALL])) for read, content in self._reads.items()}
+        return _hash(json.dumps(self._rest | {"reads": reads}, sort_keys=True).encode())
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError:
+        return b"missing"
+
+
+def _entries(content: bytes, names: list[str]) -> str:
+    """Hash of the named entries of a TOML file, of its bytes when all count or it cannot be read."""
+    if ALL not in names:
+        try:
+            table = tomllib.loads(content.decode())
+            return _hash(repr([(name, table.get(name)) for name in sorted(names)]).encode())
+        except (ValueError, RecursionError):
+            pass
+    return _hash(content)
+
+
+def entries_read(log: Path) -> dict[str, list[str]]:
+    """Entries by file that a run noted (`railrepro.reads`)."""
+    found: dict[str, set[str]] = {}
+    for line in _content(log).decode(errors="replace").splitlines() if log.exists() else ():
+        file, _, entry = line.partition("\t")
+        found.setdefault(file, set()).add(entry)
+    return {file: sorted(names) for file, names in sorted(found.items())}
 
 
 def products_hash(notebook: Notebook) -> dict[str, str]:
@@ -101,7 +114,11 @@ def _stamped(notebook: Notebook) -> dict | None:
 
 def is_fresh(notebook: Notebook) -> bool:
     """Whether inputs and products are those of the last successful run; without a readable stamp they are not."""
-    return _stamped(notebook) == {"inputs": inputs_hash(notebook), "products": products_hash(notebook)}
+    known = _stamped(notebook)
+    if known is None or not isinstance(known.get("entries"), dict):
+        return False
+    inputs = Inputs(notebook).hash(known["entries"])
+    return (known["inputs"], known["products"]) == (inputs, products_hash(notebook))
 
 
 def is_entered(notebook: Notebook) -> bool:
@@ -117,18 +134,21 @@ def enter_again(notebook: Notebook) -> None:
         _enter(notebook, known["products"], known["inputs"])
 
 
-def record(notebook: Notebook, inputs: str) -> None:
+def record(notebook: Notebook, inputs: Inputs, entries: dict[str, list[str]] | None = None) -> None:
     """Enter the products of a run into the manifests and stamp it as fresh.
 
     Parameters
     ----------
     notebook : Notebook
-    inputs : str
-        `inputs_hash` from before the run, so that an input edited meanwhile makes it stale.
+    inputs : Inputs
+        From before the run, so that an input edited meanwhile makes it stale.
+    entries : dict, optional
+        See `entries_read`; other files count as a whole.
     """
-    products = products_hash(notebook)
-    _enter(notebook, products, inputs)
-    write(_stamp(notebook), json.dumps({"inputs": inputs, "products": products}, indent=1))
+    products, digest = products_hash(notebook), inputs.hash(entries)
+    _enter(notebook, products, digest)
+    stamp = {"inputs": digest, "entries": entries or {}, "products": products}
+    write(_stamp(notebook), json.dumps(stamp, indent=1))
 
 
 _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")

@@ -14,10 +14,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from railrepro import paths
+from railrepro import paths, reads
 from railrepro.errors import InputError
 from railrepro.evidence.chain.graph import Notebook, chain, find
-from railrepro.evidence.chain.manifest import cells, enter_again, inputs_hash, is_entered, is_fresh, record
+from railrepro.evidence.chain.manifest import Inputs, cells, enter_again, entries_read, is_entered, is_fresh, record
 from railrepro.files import move, scratch, written
 
 
@@ -40,10 +40,14 @@ def refresh(name: str) -> None:
         enter_again(notebook)
         return
     print(f"{name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
-    inputs = inputs_hash(notebook)
-    begin = time.monotonic()
-    run_notebook(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
-    record(notebook, inputs)
+    inputs, begin, log = Inputs(notebook), time.monotonic(), paths.BUILD / "stamps" / f"{name}.reads"
+    with written():
+        log.parent.mkdir(parents=True, exist_ok=True)
+        log.unlink(missing_ok=True)
+    with _environment({reads.LOG: str(log)}):
+        run_notebook(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
+    record(notebook, inputs, entries_read(log))
+    log.unlink(missing_ok=True)
     print(f"{name}: done in {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
 
 

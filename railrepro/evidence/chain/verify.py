@@ -14,6 +14,7 @@ from railrepro import paths
 from railrepro.compile import cache
 from railrepro.errors import InputError
 from railrepro.evidence.chain import compare, graph, runner
+from railrepro.evidence.runs import store
 from railrepro.files import emptied, written
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
@@ -57,6 +58,7 @@ def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comp
     findings : list of str
         One line per notebook that failed and per product that differs; empty is good.
     """
+    os.environ[store.FOLDER] = "off"  # a rerun computes
     emptied(root)
     tolerance, total, findings = graph.verify_tolerance(), compare.Comparison(), []
     for notebook in notebooks:

@@ -25,7 +25,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
 from railrepro.errors import InputError
 from railrepro.evidence.claims.statements import BRAKE, LOSS, NDI, NOTHING, REGULAR, SOFT, SOFTEST, T3
-from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, tidy
 from railrepro.files import write
@@ -91,14 +91,14 @@ class World:
     r_factors: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
     poles: tuple[float, ...] = (8.0, 12.0, 25.0, 50.0)
 
-    def run(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> simulate.Run:
+    def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
         """A run of one of the controllers, with its own parameters unless others are given."""
         changes = {"variant": self.variant} if CONTROLLERS[controller].preview else {}
         return Experiment(
             scenario, controller, parameters=parameters or self.parameters[controller],
             options=CONTROLLERS[controller].quick, changes=changes, vehicle=self.vehicle,
             plant={"contact.profile": self.profile}, sensors=self.sensors, **more,
-        ).run()  # fmt: skip
+        )  # fmt: skip
 
     def car(self) -> Vehicle:
         """The car that is driven."""
@@ -157,6 +157,39 @@ def nothing(scenario: Scenario) -> dict[str, float]:
     return found | {"shortest_wave": float(min(waves))}
 
 
+def following(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """Metrics of how well a run follows its set point."""
+    return lateral(run), None
+
+
+def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """The same with what Fig. 6 shows, and every tenth row."""
+    values = lateral(run)
+    if run.failed:
+        return values, None
+    series = tidy(run.series, 10)
+    values |= {"delay": metrics.delay(run.series), "error_at_crests": error_at_crests(series)}
+    return values | {"torque_step": torque_step(series)}, series
+
+
+def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """The same with what Fig. 8 shows."""
+    values, series = lateral(run), tidy(run.series, 10)
+    if not run.failed:
+        found = metrics.longitudinal(run.series, experiment.scenario, experiment.car())
+        values |= {key: found[key][0] for key in ("largest_slip", "utilisation")}
+        values |= {"recovered_share": recovered_share(series)}
+    return values | {"regular_deviation": regular_deviation(series)}, None
+
+
+def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """Error and distance of a run to standstill; infinite when it does not come to that."""
+    stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
+    if not stopped:
+        return {"rmse_y": float("inf"), "stopping_distance": float("inf")}, None
+    return {"rmse_y": metrics.rmse(run.series), "stopping_distance": metrics.stopping_distance(run.series)}, None
+
+
 def lateral(run: simulate.Run) -> dict[str, float]:
     """Metrics of how well a run follows its set point."""
     if run.failed:
@@ -185,7 +218,7 @@ def _lateral(world: World, scenario: Scenario, label: str = "") -> Rows:
     label = label or scenario.name
     rows = _rows(label, NOTHING, nothing(scenario))
     for name in PAPER_TRIO:
-        rows += _rows(label, name, lateral(world.run(scenario, name)))
+        rows += _rows(label, name, world.experiment(scenario, name).measured(following)[0])
     return rows
 
 
@@ -194,12 +227,10 @@ def _curve(world: World, folder: Path) -> Rows:
     rows, series = _rows(T3, NOTHING, nothing(scenario)), {}
     expected = gyroscopic_torque(load_vehicle(**world.vehicle), scenario)
     for name in PAPER_TRIO:
-        run = world.run(scenario, name)
-        values = lateral(run)
-        if not run.failed:
-            series[name] = tidy(run.series, 10)
-            values |= {"delay": metrics.delay(run.series), "error_at_crests": error_at_crests(series[name])}
-            values |= {"gyroscopic_share": torque_step(series[name]) / expected}
+        values, table = world.experiment(scenario, name).measured(entering)
+        if table is not None:
+            series[name] = table
+            values |= {"gyroscopic_share": values.pop("torque_step") / expected}
         rows += _rows(T3, name, values)
     if {"nmpc", NDI} <= set(series):
         rows += _rows(T3, NDI, torque_shift(series["nmpc"], series[NDI]))
@@ -230,16 +261,11 @@ def _loss(world: World) -> Rows:
         "no slip control": ("nmpc", soft, {"adhesion": AdhesionSettings(active=False)}),
     }
     for label, (name, parameters, more) in cases.items():
-        run = world.run(scenario, name, parameters, **more)
-        values = lateral(run)
-        series = tidy(run.series, 10)
-        if not run.failed:
-            found = metrics.longitudinal(run.series, scenario, car)
-            values |= {key: found[key][0] for key in ("largest_slip", "utilisation")}
-            values |= {"recovered_share": recovered_share(series)}
+        values, _ = world.experiment(scenario, name, parameters, **more).measured(losing)
+        regular = {"regular_deviation": values.pop("regular_deviation")}
         rows += _rows(LOSS, label, values)
         if label == SOFT:
-            rows += _rows(LOSS, REGULAR, {"regular_deviation": regular_deviation(series)})
+            rows += _rows(LOSS, REGULAR, regular)
     return rows
 
 
@@ -249,22 +275,15 @@ def _brake(world: World) -> Rows:
     rows = _rows(BRAKE, NOTHING, nothing(scenario))
     nmpc = world.parameters["nmpc"]
     for factor in world.r_factors:
-        values = _braked(world.run(scenario, "nmpc", with_r_times(nmpc, factor)))
+        values, _ = world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)).measured(braked)
         rows += _rows(BRAKE, "sweep of R", {f"{key} {factor:g}": value for key, value in values.items()})
         compared = {1.0: "nmpc", 100.0: SOFTEST}.get(factor)
         rows += _rows(BRAKE, compared, values) if compared else []
     for pole in world.poles:
-        values = _braked(world.run(scenario, NDI, {"pole": pole, "frequency": pole, "damping": 1.0}))
+        parameters = {"pole": pole, "frequency": pole, "damping": 1.0}
+        values, _ = world.experiment(scenario, NDI, parameters).measured(braked)
         rows += _rows(BRAKE, "sweep of poles", {f"{key} {pole:g}": value for key, value in values.items()})
-    return rows + _rows(BRAKE, NDI, _braked(world.run(scenario, NDI)))
-
-
-def _braked(run: simulate.Run) -> dict[str, float]:
-    """Error and distance of a run to standstill; infinite when it does not come to that."""
-    stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
-    if not stopped:
-        return {"rmse_y": float("inf"), "stopping_distance": float("inf")}
-    return {"rmse_y": metrics.rmse(run.series), "stopping_distance": metrics.stopping_distance(run.series)}
+    return rows + _rows(BRAKE, NDI, world.experiment(scenario, NDI).measured(braked)[0])
 
 
 def gyroscopic_torque(vehicle: Vehicle, scenario: Scenario) -> float:
@@ -377,7 +396,7 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> p
         seeds = SEEDS if each == tuning.LOOP else (0,)
         tasks += [Nominal(each, 0, seed) for seed in seeds] + [Nominal(each, rank, seeds[0]) for rank in (1, 2)]
     with executor() as pool:
-        found = ordered_map(pool, _call, tasks, "nominal", quiet)
+        found = ordered_map(pool, _call, tasks, "nominal", quiet, stored=True)
     columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
     return pd.DataFrame([row for rows in found for row in rows], columns=columns)
 

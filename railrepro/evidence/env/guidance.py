@@ -38,6 +38,8 @@ EFFORT, FAILURE = 0.1, -100.0
 OFFSET = 1e-3
 """Largest lateral displacement at the start (m)."""
 _SIDEWAYS = 4 + len(AHEAD)
+_SIZE = 2 * (4 + 2 * len(AHEAD)) + 1
+"""Numbers of an observation."""
 _PITCH = 4
 """Points of the table of the road ahead per metre."""
 
@@ -69,7 +71,7 @@ class GuidanceEnv(gymnasium.Env):
         require("environment: scenario", self.scenario, Scenario)
         self.vehicle, self._sensors = load_vehicle(), sensors
         self.route = simulate.checked_route(self.scenario, self.vehicle)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2 * (4 + 2 * len(AHEAD)) + 1,), np.float32)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (_SIZE,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(GEARS),), np.float32)
         self._road = self._table()
         self._exchange = None
@@ -129,7 +131,7 @@ class GuidanceEnv(gymnasium.Env):
         return np.stack([*self.route.reference_at(p), curvature, self.vehicle.gravity * cant])
 
     def _observation(self) -> np.ndarray:
-        x, seen = self._exchange.measured_states(), np.empty(self.observation_space.shape, np.float32)
+        x, seen = self._exchange.measured_states(), np.empty(_SIZE, np.float32)
         gears, v = seen[:-1].reshape(len(GEARS), -1), x[:, XDOT, None]
         places = (x[:, X, None] + v * self._ahead - self.route.start) * _PITCH
         places = np.fmin(np.fmax(places, 0), self._road.shape[1] - 1).astype(int)

@@ -23,9 +23,9 @@ def draw(table: pd.DataFrame) -> Figure:
     figure, axes = figures.new_figure(height=2.8)
     cases, colors = (
         list(table["case"].unique()),
-        (figures.BLUE, figures.SKY, figures.GREEN, figures.PURPLE, figures.RED),
+        (figures.BLUE, figures.SKY, figures.GREEN, figures.PURPLE, figures.RED, figures.BLACK),
     )
-    for (quantity, rows), color, marker in zip(table.groupby("quantity", sort=False), colors, "osvD^", strict=True):
+    for (quantity, rows), color, marker in zip(table.groupby("quantity", sort=False), colors, "osvD^x", strict=False):
         place = rows["case"].map(cases.index)
         usual = rows["car_step_ms"].astype(float) == 1
         for chosen, face, label in ((usual, "none", None), (~usual, color, quantity)):

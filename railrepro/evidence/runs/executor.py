@@ -14,14 +14,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 
 from tqdm import tqdm
 
 from railrepro.errors import InputError
+from railrepro.evidence.runs import store
 
+BATCH = 32
+"""Most arguments of one task of a cluster: its client and scheduler need some milliseconds per task."""
 PATIENCE = 15.0
 """Time without scheduler or worker after which a cluster is lost (s)."""
 _LOOK = 1.0
@@ -116,7 +119,9 @@ def _follow_the_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
+def ordered_map(
+    pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False, stored: bool = False
+) -> list:
     """Evaluate `task` on each argument with a progress bar.
 
     Parameters
@@ -129,6 +134,8 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
         Text of the progress bar.
     quiet : bool
         No progress bar.
+    stored : bool
+        The task simulates only through `store`: what is there is not sent to a worker.
 
     Returns
     -------
@@ -141,20 +148,28 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
         When a local process was killed, a script is not guarded against being read by the local processes, or the Dask
         scheduler or all its workers are lost for `PATIENCE`.
     """
+    known = _known(task, arguments) if stored else {}
+    missing = [i for i in range(len(arguments)) if i not in known]
+    size = 1 if isinstance(pool, ProcessPoolExecutor) else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
+    batches = [missing[i : i + size] for i in range(0, len(missing), size)]
+    work = _here if isinstance(pool, ProcessPoolExecutor) else _elsewhere
     try:
-        futures: list[Future] = [pool.submit(task, argument) for argument in arguments]
+        futures = {pool.submit(work, task, [arguments[i] for i in batch]): batch for batch in batches}
         waiting, seen = set(futures), time.monotonic()
-        with tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
+        with tqdm(total=len(arguments), initial=len(known), desc=title, disable=quiet, leave=False) as bar:
             while waiting:
                 done, waiting = wait(waiting, _LOOK)
-                bar.update(len(done))
                 for future in done:
-                    future.result()
+                    results, new = future.result()
+                    for name, content in new.items():
+                        store.put(name, content)
+                    known |= zip(futures[future], results, strict=True)
+                    bar.update(len(results))
                 if done or _there(pool):
                     seen = time.monotonic()
                 elif time.monotonic() - seen > PATIENCE:
                     raise InputError(_LOST)
-        return [future.result() for future in futures]
+        return [known[i] for i in range(len(arguments))]
     except (BrokenExecutor, CancelledError) as error:
         if not isinstance(pool, ProcessPoolExecutor):
             raise InputError(_LOST) from error
@@ -167,6 +182,35 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error
         raise
+
+
+def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
+    """Results that need nothing but what is stored, by position."""
+    known: dict[int, object] = {}
+    if store.folder() is None:
+        return known
+    with store.only_stored():
+        for i, argument in enumerate(arguments):
+            with suppress(store.Missing):
+                known[i] = task(argument)
+    return known
+
+
+def _here(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
+    """Results of a batch; a local process stores by itself."""
+    return [task(argument) for argument in batch], {}
+
+
+def _elsewhere(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
+    """Results of a batch, and what the client is to store: the disk of another machine goes with it."""
+    with store.collected() as new:
+        return [task(argument) for argument in batch], new
+
+
+def _workers(pool: Executor) -> int:
+    """Number of the processes of a cluster, at least 1."""
+    client = getattr(pool, "_client", None)
+    return max(1, len(client.scheduler_info(n_workers=-1)["workers"])) if client is not None else 1
 
 
 _KILLED = "a process of the study was killed, by the system when memory ran out or by somebody; run again to resume"

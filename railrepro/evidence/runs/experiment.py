@@ -1,12 +1,14 @@
 """Experiments that can be sent to any worker: scenario, controller and changes, and the row of numbers they give.
 
-Notebooks and studies are lists of these; the executor decides where they run.
+Notebooks and studies are lists of these; the executor decides where they run, and `store` whether they must.
 """
 
 from __future__ import annotations
 
+import inspect
 import json
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -15,17 +17,18 @@ import pandas as pd
 
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import EstimateSettings
-from railrepro.control.registry import guidance
+from railrepro.control.registry import REGISTERED, guidance
 from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
-from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs import sources, store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track import preview
 from railrepro.track.rough import fit, rough_track
 from railrepro.track.route import CELL
+from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 _SERIES = {
@@ -95,12 +98,14 @@ class Experiment:
         """The car that is driven, with all changes."""
         return load_vehicle(**self.vehicle | self.plant)
 
-    def run(self) -> simulate.Run:
-        """The simulation itself."""
-        parameters = (
-            tuning.load(self.controller, self.setting)["parameters"] if self.parameters is None else self.parameters
-        )
-        law = guidance(self.controller, parameters, self.options, **self.changes)
+    def tuned(self) -> dict:
+        """Tuning parameters of the controller."""
+        if self.parameters is not None:
+            return self.parameters
+        return tuning.load(self.controller, self.setting)["parameters"]
+
+    def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
+        """Irregularities, and the line that is planned with what is known of them; None where there is nothing."""
         rough = None
         if self.irregular:
             if not isinstance(self.irregular, dict):
@@ -110,11 +115,16 @@ class Experiment:
             fit("preview", self.preview, _line, preview.known)
             if rough is None:
                 raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
+        return rough, _line(rough, **self.preview) if self.preview else None
+
+    def run(self) -> simulate.Run:
+        """The simulation itself."""
+        rough, line = self.rails()
         return simulate.run(
             self.scenario,
-            law,
+            guidance(self.controller, self.tuned(), self.options, **self.changes),
             irregularities=rough,
-            line=_line(rough, **self.preview) if self.preview else None,
+            line=line,
             sensors=sensors.readings(**self.sensors) if self.sensors else None,
             substeps=self.substeps,
             vehicle=load_vehicle(**self.vehicle),
@@ -124,12 +134,50 @@ class Experiment:
             fixed_share=self.fixed_share,
         )
 
+    def key(self, measure: Measure) -> str | None:
+        """Key of what a function measures of this run (`store.key`); None when it cannot be stored.
+
+        It holds the resolved values, not the names of vehicle, parameters, track and sensors, and the code that the run
+        and the function can reach.
+        """
+        built = REGISTERED[self.controller].build if self.controller in REGISTERED else None
+        if built is None or not built.__module__.startswith("railrepro."):
+            return None  # of a user's file
+        scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
+        track = load_track(self.scenario.track_file())
+        scenario["track"] = track.table.to_numpy(), track.design_speed
+        plan = self.tuned(), self.options, self.changes, self.adhesion, self.estimate, self.fixed_share
+        sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
+        cars = load_vehicle(**self.vehicle), self.car()
+        more = self.rails(), sensed, self.substeps, self.ride, self.stride
+        try:
+            return store.key(code(measure), self.controller, scenario, cars, plan, more)
+        except TypeError:
+            return None
+
+    def measured(self, measure: Measure) -> store.Entry:
+        """What a function measures of this run, from the store where it is there.
+
+        Parameters
+        ----------
+        measure : callable
+            (Run, Experiment) -> row of plain values and table of numbers or None; a function of a module, which uses
+            of the experiment what `key` holds.
+        """
+        name = self.key(measure)
+        return measure(self.run(), self) if name is None else store.entry(name, lambda: measure(self.run(), self))
+
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
         """Row of metrics and the kept series, see `row`."""
-        run = self.run()
-        return self.row(run), tidy(run.series, self.stride).assign(**self.label) if self.stride else None
+        values, series = self.measured(_values)
+        row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
+        return row, None if series is None else series.assign(**self.label)
 
     def row(self, run: simulate.Run) -> dict:
+        """Row of a run, see `values`."""
+        return {"scenario": self.scenario.name, "controller": self.controller, **self.label, **self.values(run)}
+
+    def values(self, run: simulate.Run) -> dict:
         """Metrics of a run (SI); of a failed run the place instead of how well it followed."""
         vehicle = self.car()
         values = metrics.summary(run.series, vehicle.drive.torque_limit)
@@ -138,8 +186,7 @@ class Experiment:
         values |= metrics.longitudinal(run.series, self.scenario, vehicle)
         if self.ride and not run.failed:
             values |= ride.ride_summary(run.series, vehicle)
-        row = {"scenario": self.scenario.name, "controller": self.controller, **self.label}
-        row |= {name: value for name, (value, _) in values.items()}
+        row = {name: value for name, (value, _) in values.items()}
         row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
         solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
         row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
@@ -178,7 +225,34 @@ def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame
     return pd.DataFrame(columns)
 
 
-def _call(experiment: Experiment):
+Measure = Callable[[simulate.Run, Experiment], store.Entry]
+
+
+def _values(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """What the row of an experiment has, and the kept series."""
+    return experiment.values(run), tidy(run.series, experiment.stride) if experiment.stride else None
+
+
+@lru_cache
+def _source(module: str) -> str:
+    return inspect.getsource(sys.modules[module])
+
+
+@lru_cache
+def code(measure: Measure) -> list:
+    """Name of a measuring function, content of its module, and of all that a run can reach."""
+    own = [sources.parsed(_source(module))[0] for module in (__name__, measure.__module__)]
+    return [f"{measure.__module__}.{measure.__qualname__}", own, _reached()]
+
+
+@lru_cache
+def _reached() -> dict[str, str]:
+    """Content of the modules that a run can reach: those of the library that this module imports, and theirs."""
+    imported = [name for name in sources.parsed(_source(__name__))[1] if not name.startswith("railrepro.evidence")]
+    return sources.closure([f"import {name}" for name in imported])
+
+
+def _call(experiment: Experiment) -> store.Entry:
     return experiment()
 
 
@@ -203,7 +277,7 @@ def run_all(
         Kept series with the column `controller`, or None.
     """
     with executor() as pool:
-        results = ordered_map(pool, _call, experiments, title, quiet)
+        results = ordered_map(pool, _call, experiments, title, quiet, stored=True)
     kept = [
         series.assign(controller=experiment.controller)
         for experiment, (_, series) in zip(experiments, results, strict=True)

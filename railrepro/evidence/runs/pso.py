@@ -1,25 +1,20 @@
-"""Particle swarm optimisation with a global best, constriction and reflecting bounds; seeded and resumable.
+"""Particle swarm optimisation with a global best, constriction and reflecting bounds; seeded.
 
 Source: Kennedy and Eberhart 1995; constriction factor after Clerc and Kennedy 2002 (chi = 0.7298, c1 = c2 = 2.05).
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from railrepro.errors import InputError
-from railrepro.files import write
 from railrepro.schema import is_number
 
 CONSTRICTION, ATTRACTION = 0.7298, 2.05
-_ARRAYS = ("position", "velocity", "own_position", "own_cost")
 
 
 @dataclass(frozen=True)
@@ -81,8 +76,7 @@ class Outcome:
 class Swarm:
     """State of a swarm; `ask` gives parameter sets, `tell` takes their costs and moves the particles.
 
-    The random numbers of a move belong to (seed, iteration, particle), so a swarm does not depend on who evaluates it,
-    and a swarm restored from its checkpoint goes on exactly as the unbroken one.
+    The random numbers of a move belong to (seed, iteration, particle), so a swarm does not depend on who evaluates it.
     """
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int):
@@ -145,30 +139,6 @@ class Swarm:
         costs = pd.DataFrame(self.rows).groupby("iteration")["cost"].min().cummin().to_numpy()
         return costs[-1] > (1 - tolerance) * costs[-1 - patience]
 
-    def save(self, path: Path, key: str) -> None:
-        """Write a checkpoint whole or not at all."""
-        state = {name: getattr(self, name).tolist() for name in _ARRAYS}
-        state |= {"key": key, "iteration": self.iteration, "rows": self.rows}
-        write(path, json.dumps(state | {"sha256": _digest(state)}))
-
-    def restore(self, path: Path, key: str) -> bool:
-        """Continue from a checkpoint of the same search; False when there is none that is whole."""
-        try:
-            state = json.loads(path.read_text(encoding="utf-8"))
-            whole = state.pop("sha256") == _digest(state) and state["key"] == key
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            return False
-        if not whole:
-            return False
-        for name in _ARRAYS:
-            setattr(self, name, np.array(state[name], dtype=float))
-        self.iteration, self.rows = state["iteration"], state["rows"]
-        return True
-
-
-def _digest(state: dict) -> str:
-    return hashlib.sha256(json.dumps(state).encode()).hexdigest()
-
 
 def minimise(
     evaluate: Callable[[list[dict], list[float]], list[float]],
@@ -176,8 +146,6 @@ def minimise(
     particles: int,
     iterations: int,
     seed: int,
-    checkpoint: Path | None = None,
-    key: str = "",
     patience: int = 1000,
     report: Callable[[Swarm], None] = lambda swarm: None,
 ) -> Outcome:
@@ -190,10 +158,6 @@ def minimise(
         than its limit any number above the limit will do.
     dimensions : list of Dimension
     particles, iterations, seed : int
-    checkpoint : Path, optional
-        File written after each iteration; an existing one of the same search is continued.
-    key : str
-        Identity of the search besides its own settings (hash of what `evaluate` depends on).
     patience : int
         Iterations without improvement before it stops.
     report : callable
@@ -209,15 +173,9 @@ def minimise(
             raise InputError(f"swarm: {name} = {value!r}, a whole number from {low} is needed")
     if not dimensions:
         raise InputError("swarm: there are no dimensions, at least one is needed")
-    settings = {"dimensions": [asdict(d) for d in dimensions], "particles": particles, "seed": seed}
-    identity = json.dumps([key, settings])
     swarm = Swarm(dimensions, particles, seed)
-    if checkpoint is not None:
-        swarm.restore(checkpoint, identity)
     while swarm.iteration < iterations and not swarm.stagnant(patience):
         swarm.tell(evaluate(swarm.ask(), swarm.limits))
-        if checkpoint is not None:
-            swarm.save(checkpoint, identity)
         report(swarm)
     best, cost = swarm.best
     return Outcome(best, cost, pd.DataFrame(swarm.rows))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,45 +17,43 @@ from tqdm import tqdm
 from railrepro import __version__, paths
 from railrepro.control.registry import REGISTERED
 from railrepro.errors import InputError
-from railrepro.evidence.runs import pso
+from railrepro.evidence.runs import pso, store
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.runs.tuning import SETTINGS, TUNED, Task, load_task, origin, save
 from railrepro.simulation import metrics, simulate
-from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import load_vehicle
 
 
-def run_cost(run: simulate.Run, scenario: Scenario, cost: dict, sensed: bool = False) -> tuple[float, dict]:
-    """Cost of one run.
-
-    Parameters
-    ----------
-    run : simulate.Run
-    scenario : Scenario
-    cost : dict
-        See data/tuning.toml.
-    sensed : bool
-        Sensors see the displacement against the rails where they lie, so the error is counted from there.
+def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """What the cost of a run needs.
 
     Returns
     -------
-    cost : float
-    parts : dict
-        Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the way done.
+    dict
+        Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the distance done;
+        whether it failed. Sensors see the displacement against the rails where they lie, so with them the error is
+        counted from there.
     """
+    sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
     def mean(metric):
         return float(np.mean([metric(run.series, gear) for gear in simulate.GEARS]))
 
-    done = float(np.clip(np.nan_to_num(run.series["front.p"]).max() / scenario.end_m, 0, 1))
+    done = float(np.clip(np.nan_to_num(run.series["front.p"]).max() / experiment.scenario.end_m, 0, 1))
     parts = {"rmse_y": mean(metrics.followed_rmse if sensed else metrics.rmse), "effort_du": mean(metrics.effort)}
     if run.failed or not np.isfinite(sum(parts.values())):
-        return cost["failure"] * (2 - done), parts | {"activity_du": float("nan"), "done": done}
-    parts |= {"activity_du": mean(metrics.activity), "done": 1.0}
+        return parts | {"activity_du": float("nan"), "done": done, "failed": True}, None
+    return parts | {"activity_du": mean(metrics.activity), "done": 1.0, "failed": False}, None
+
+
+def run_cost(parts: dict, cost: dict) -> float:
+    """Cost of a run (data/tuning.toml) from what it was `driven`."""
+    if parts["failed"]:
+        return cost["failure"] * (2 - parts["done"])
     beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)
     value = 1e3 * parts["rmse_y"] / cost["y_scale_mm"] + cost["weight"] * parts["effort_du"] / cost["du_scale_Nm"]
-    return value + cost["activity_weight"] * beyond, parts
+    return value + cost["activity_weight"] * beyond
 
 
 @dataclass(frozen=True)
@@ -80,8 +77,9 @@ class Evaluation:
                 plant=run.plant, sensors=run.sensors,
             )  # fmt: skip
             try:
-                sensed = bool(run.sensors) and not run.sensors.get("perfect", False)
-                cost, part = run_cost(experiment.run(), run.scenario, self.task.cost, sensed)
+                part, _ = experiment.measured(driven)
+                cost = run_cost(part, self.task.cost)
+                part.pop("failed")
             except (ArithmeticError, np.linalg.LinAlgError):
                 cost, part = 2 * self.task.cost["failure"], {"done": 0.0}
             costs.append(cost)
@@ -95,16 +93,14 @@ def _cost(evaluation: Evaluation, particle: tuple[dict, float]) -> float:
     return evaluation(*particle)[0]
 
 
-def tune(controller: str, task: Task, pool, folder: Path, quiet: bool = False) -> dict:
-    """Tune one controller with a swarm per seed, or go on with an interrupted tuning.
+def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
+    """Tune one controller with a swarm per seed; runs of an interrupted tuning are in the store.
 
     Parameters
     ----------
     controller : str
     task : Task
     pool : concurrent.futures.Executor
-    folder : Path
-        Checkpoints (`<setting>.<controller>.<seed>.json`).
     quiet : bool
         No progress bar.
 
@@ -115,7 +111,6 @@ def tune(controller: str, task: Task, pool, folder: Path, quiet: bool = False) -
         found (`swarms`), `origin`, and under `history` the table of all evaluated particles.
     """
     budget, evaluation = task.budget, Evaluation(controller, task)
-    own = origin(controller, task, load_vehicle())
     swarms, tables = [], []
     for seed in budget["seeds"]:
         name = f"{task.setting} {controller} {seed}"
@@ -123,7 +118,7 @@ def tune(controller: str, task: Task, pool, folder: Path, quiet: bool = False) -
 
         def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
             limited = list(zip(particles, limits, strict=True))
-            return ordered_map(pool, partial(_cost, evaluation), limited, controller, quiet=True)
+            return ordered_map(pool, partial(_cost, evaluation), limited, controller, quiet=True, stored=True)
 
         def report(swarm: pso.Swarm, bar=bar) -> None:
             bar.n = swarm.iteration
@@ -131,14 +126,14 @@ def tune(controller: str, task: Task, pool, folder: Path, quiet: bool = False) -
 
         outcome = pso.minimise(
             evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
-            folder / f"{name.replace(' ', '.')}.json", own + controller, budget["patience"], report,
+            budget["patience"], report,
         )  # fmt: skip
         bar.close()
         found = {"seed": seed, "cost": outcome.cost, "evaluations": len(outcome.history), "parameters": outcome.best}
         swarms.append(found)
         tables.append(outcome.history.assign(seed=seed))
     best = min(swarms, key=lambda swarm: swarm["cost"])
-    cost, parts = ordered_map(pool, evaluation, [best["parameters"]], controller, quiet=True)[0]
+    cost, parts = ordered_map(pool, evaluation, [best["parameters"]], controller, quiet=True, stored=True)[0]
     return {
         "controller": controller,
         "setting": task.setting,
@@ -146,7 +141,7 @@ def tune(controller: str, task: Task, pool, folder: Path, quiet: bool = False) -
         "cost": cost,
         "runs": parts,
         "swarms": swarms,
-        "origin": {"fingerprint": own, "version": __version__} | budget,
+        "origin": {"data": origin(controller, task, load_vehicle()), "version": __version__} | budget,
         "history": pd.concat(tables, ignore_index=True),
     }
 
@@ -169,7 +164,7 @@ def main(names: list[str]) -> None:
                     print(f"{each} {name}: designed, nothing to tune")
                     continue
                 begin = time.perf_counter()
-                result = tune(name, task, pool, paths.BUILD / "tuning")
+                result = tune(name, task, pool)
                 save(result, paths.ROOT / TUNED / each)
                 found = ", ".join(f"{swarm['cost']:.4f}" for swarm in result["swarms"])
                 seconds = time.perf_counter() - begin

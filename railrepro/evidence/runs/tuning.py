@@ -9,10 +9,9 @@ Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T
 
 from __future__ import annotations
 
-import hashlib
 import json
 import reprlib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,22 +21,16 @@ from pydantic import AfterValidator
 
 from railrepro import paths, schema
 from railrepro.control.registry import REGISTERED, guidance
+from railrepro.control.tuned import COUNT, EQUAL, SEED, TUNED, read
+from railrepro.control.tuned import LOOP as LOOP  # for those who take the settings from here
+from railrepro.control.tuned import SETTINGS as SETTINGS
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Inverter, load_loop
-from railrepro.evidence.runs import pso
-from railrepro.evidence.runs.fingerprint import fingerprint
+from railrepro.evidence.runs import pso, store
 from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation.scenarios import Scenario, load_scenarios
-from railrepro.track.irregularity import CHANNELS, irregularity_spectrum
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
-
-TUNED = "data/tuned"
-SETTINGS = ("paper", "equal", "loop")
-"""Settings of comparison, see data/tuning.toml."""
-EQUAL, LOOP = "equal", "loop"
-_COUNT = Annotated[int, between(1, 10**6)]
-_SEED = Annotated[int, between(0, 2**63)]
 
 
 @dataclass(frozen=True)
@@ -92,10 +85,10 @@ class Task:
 class Budget:
     """Size of a search, see data/tuning.toml."""
 
-    particles: _COUNT
-    iterations: _COUNT
-    patience: _COUNT
-    seeds: Annotated[tuple[_SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
+    particles: COUNT
+    iterations: COUNT
+    patience: COUNT
+    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
 
 
 @schema.table
@@ -116,7 +109,7 @@ class RunEntry:
 
     scenario: str
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
-    seed: _SEED
+    seed: SEED
     irregular: dict[str, schema.Free] = field(default_factory=dict)
     plant: dict[str, schema.Plain] = field(default_factory=dict)
     inverter: dict[str, schema.Plain] = field(default_factory=dict)
@@ -183,7 +176,7 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
 
 
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
-    if entry.scenario not in tuple(known):
+    if entry.scenario not in known:
         raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
     scenario = schema.build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
     sensors = {}
@@ -197,64 +190,35 @@ def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> T
 
 
 def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
-    """Fingerprint of what the cost of a controller's parameters reads: runs, vehicle, cost, own bounds, budget."""
-    numbers = [sorted((key, str(value)) for key, value in table.items()) for table in (task.budget, task.cost)]
-    bounds = [(d.name, float(d.low), float(d.high), d.scale) for d in task.dimensions[controller]]
-    around = [(run.irregular, _rails(run.irregular), run.plant, run.sensors) for run in task.runs]
-    loop = repr(load_loop()) if any(run.sensors for run in task.runs) else ""
-    scenarios = [run.scenario for run in task.runs]
-    return fingerprint(scenarios, vehicle, *numbers, bounds, around, loop, REGISTERED[controller].quick)
+    """Digest of the given numbers that the cost of a controller's parameters reads.
+
+    These are scenarios, tracks, rails, vehicle, sensors, cost, budget and own bounds. Names and remarks do not
+    count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
+    same; `is_current` says so, and 05_tuning recomputes its cost.
+    """
+    tracks, rails = (schema.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
+    sets = sorted({name for run in task.runs for name in (run.scenario.good, run.scenario.poor)})
+    car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
+    runs = []
+    for run in task.runs:
+        scenario = {k: v for k, v in vars(run.scenario).items() if k not in ("name", "track", "paper")}
+        rail = rails.get(str(run.irregular.get("spectrum")), None)
+        runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
+    loop = load_loop() if any(run.sensors for run in task.runs) else None
+    return store.digest(runs, car, loop, task.budget, task.cost, task.dimensions[controller])[:16]
 
 
-def _rails(irregular: dict) -> list[str]:
-    """What a file or a spectrum says about rails."""
-    if not irregular:
-        return []
-    if "file" in irregular:
-        return [hashlib.sha256(paths.source(irregular["file"]).read_bytes()).hexdigest()]
-    spectrum = irregular.get("spectrum", "erri_low")
-    return [f"{float(irregularity_spectrum(spectrum, channel, 0.5)):.9e}" for channel in CHANNELS]
-
-
-@lru_cache
-def _origin_here(controller: str, setting: str) -> str:
-    return origin(controller, _task_here(setting), load_vehicle())
+def is_current(controller: str, setting: str) -> bool:
+    """Whether a tuned set was searched with the numbers that stand in data/ today; designed sets are."""
+    task = _task_here(setting)
+    if controller in task.designed:
+        return True
+    return load(controller, setting)["origin"]["data"] == origin(controller, task, load_vehicle())
 
 
 @lru_cache
 def _task_here(setting: str) -> Task:
     return load_task(setting=setting)
-
-
-@schema.table
-class Origin(Budget):
-    """Where a tuned set comes from."""
-
-    fingerprint: str
-    version: str
-
-
-@schema.table
-class SwarmResult:
-    """What one swarm found."""
-
-    seed: _SEED
-    cost: Annotated[Number, between(0.0, 1e9)]
-    evaluations: _COUNT
-    parameters: dict[str, schema.Plain]
-
-
-@schema.table
-class TunedSet:
-    """Content of a file in data/tuned."""
-
-    controller: str
-    setting: Literal["paper", "equal", "loop"]
-    parameters: dict[str, schema.Plain]
-    cost: Annotated[Number, between(0.0, 1e9)]
-    runs: tuple[dict[str, schema.Free], ...]
-    swarms: Annotated[tuple[SwarmResult, ...], schema.NOT_EMPTY]
-    origin: Origin
 
 
 def save(tuned: dict, folder: Path) -> None:
@@ -275,33 +239,18 @@ def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     Raises
     ------
     InputError
-        When there is none, when it does not hold a tuned set of this controller, or when it was tuned for another
-        `origin`.
+        When there is none, or when it does not hold a tuned set of this controller.
     """
     task = _task_here(setting)
     if controller in task.designed:
         return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
-    file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
-    if not file.exists():
-        raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
-    content = schema.read(file)
-    found = schema.build(TunedSet, content, file.name)
-    if (found.controller, found.setting) != (controller, setting):
-        raise InputError(
-            f"{file.name}: holds a tuned set of {found.controller!r} in the setting {found.setting!r}, {controller!r} "
-            f"in {setting!r} is needed"
-        )
+    content, name = read(controller, setting, folder), f"{controller}.json"
     if controller not in task.dimensions:
-        raise InputError(f"{file.name}: tuning.toml has no bounds for {controller!r}")
-    if found.origin.fingerprint != _origin_here(controller, setting):
-        raise InputError(
-            f"{file.name}: was tuned for another vehicle, control model, cost or budget, other runs or bounds "
-            f"({found.origin.fingerprint}, here {_origin_here(controller, setting)}); `make tune` tunes again"
-        )
+        raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
     searched = {dimension.name for dimension in task.dimensions[controller]}
-    for parameters in (found.parameters, *(swarm.parameters for swarm in found.swarms)):
+    for parameters in (content["parameters"], *(swarm["parameters"] for swarm in content["swarms"])):
         if set(parameters) != searched:
-            raise InputError(f"{file.name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
+            raise InputError(f"{name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
     return content
 
 

@@ -1,13 +1,12 @@
 """`python -m railrepro leaderboard [controller …]` scores all controllers, those of examples/ too.
 
 Writes data/results/leaderboard.csv, without times, which depend on the machine, and the table of the README. Named
-controllers are entered beside those that are there. A finished controller is kept in build/score/leaderboard, so that
-an interrupted run goes on where it was; a change of library, data or file begins anew.
+controllers are entered beside those that are there. A finished controller is in the store, so that an interrupted run
+goes on where it was; a change of library, data or file begins anew.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import pandas as pd
 from railrepro import paths
 from railrepro.control.registry import REGISTERED
 from railrepro.errors import InputError
+from railrepro.evidence.runs import sources, store, tuning
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import Entry, entry
 from railrepro.evidence.score.page import LEADERBOARD
@@ -25,8 +25,6 @@ from railrepro.files import write
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- end of leaderboard -->"
 """Lines of the README between which the table stands."""
-_ROOMS = ("compile", "vehicle", "track", "contact", "model", "car", "estimation", "control", "simulation")
-_ROOMS += ("evidence/runs", "evidence/uncertainty", "evidence/score")
 _TOLD = {"error": ("error (mm)", 1e3), "effort_du": ("torque (N m)", 1.0), "delay_survived": ("delay (ms)", 1e3)}
 """Columns of the table, of the setting `loop`."""
 
@@ -38,35 +36,24 @@ def entries() -> list[Entry]:
 
 
 def table(chosen: list[Entry], names: tuple[str, ...] | None = None) -> pd.DataFrame:
-    """Score cards of some controllers below each other, from build/score/leaderboard where they are finished."""
-    return pd.concat([_kept(each, names) for each in chosen], ignore_index=True)
+    """Score cards of some controllers below each other, from the store where they are finished."""
+    return pd.concat([_scored(each, names) for each in chosen], ignore_index=True)
 
 
-def _kept(each: Entry, names: tuple[str, ...] | None) -> pd.DataFrame:
-    """Score card of a controller."""
-    file = paths.BUILD / "score" / "leaderboard" / f"{each.name}.csv"
-    own = Path(each.file).read_bytes() if each.file else b""
-    origin = hashlib.sha256(repr((_library(), suite.SEED, names)).encode() + own).hexdigest()
-    try:
-        head, _, text = file.read_text(encoding="utf-8").partition("\n")
-        digest = hashlib.sha256(text.encode()).hexdigest()
-        if head == f"{origin} {digest}":
-            return pd.read_csv(io.StringIO(text))
-    except (OSError, ValueError):
-        pass  # there is none, or none that can be read
-    found = card.tidy(score(each, suite.SEED, names), suite.SEED)
-    text = found[~found["metric"].str.startswith("sample")].to_csv(index=False, float_format="%.6g")
-    write(file, f"{origin} {hashlib.sha256(text.encode()).hexdigest()}\n{text}")
-    return pd.read_csv(io.StringIO(text))
+def _scored(each: Entry, names: tuple[str, ...] | None) -> pd.DataFrame:
+    """Score card of a controller without times, which depend on the machine."""
 
+    def compute() -> store.Entry:
+        found = card.tidy(score(each, suite.SEED, names), suite.SEED)
+        rows = found[~found["metric"].str.startswith("sample")]
+        return {"csv": rows.to_csv(index=False, float_format="%.6g")}, None
 
-def _library() -> str:
-    """Hash of all that a score depends on besides the file of a controller."""
-    files = [file for room in _ROOMS for file in (paths.ROOT / "railrepro" / room).rglob("*.*")]
-    files = [file for file in files if file.suffix != ".pyc"]
-    files += [*(paths.ROOT / "data").glob("*.toml"), *(paths.ROOT / "data/tuned").rglob("*.json")]
-    content = [(str(file.relative_to(paths.ROOT)), file.read_bytes()) for file in sorted(files)]
-    return hashlib.sha256(repr(content).encode()).hexdigest()
+    data = [file.read_text() for file in sorted((paths.ROOT / "data").glob("*.toml"))]
+    data += [file.read_text() for file in sorted((paths.ROOT / tuning.TUNED).rglob("*.json"))]
+    own = Path(each.file).read_text() if each.file else ""
+    reached = sources.closure(["import railrepro.evidence.score.run"])
+    row, _ = store.entry(store.key("score", each.name, own, data, reached, suite.SEED, names), compute)
+    return pd.read_csv(io.StringIO(row["csv"]))
 
 
 def markdown(found: pd.DataFrame) -> str:

@@ -18,13 +18,14 @@ from railrepro import paths
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
 from railrepro.control.registry import REGISTERED
-from railrepro.estimation.sensors import readings
-from railrepro.evidence.runs import tuning
+from railrepro.estimation.sensors import load_loop, readings
+from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.runs.experiment import Experiment, code
 from railrepro.files import write
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
 
 WINDOW, SETTLED = 4.0, 2.0
 """Length of the window that is analysed and time before it (s); all frequencies are whole multiples of 1 / WINDOW."""
@@ -214,11 +215,11 @@ class Survival:
         change = QUANTITIES[self.quantity].change(value)
         sensors = {"seed": 101} | ({} if self.setting == tuning.LOOP else {"perfect": True}) | change.get("sensors", {})
         quick = REGISTERED[self.controller].quick
-        run = Experiment(
+        experiment = Experiment(
             load_scenario(name).but(end_m=end), self.controller, options=quick, setting=self.setting, sensors=sensors,
             plant=change.get("plant", {}),
-        ).run()  # fmt: skip
-        return run.failed
+        )  # fmt: skip
+        return experiment.measured(failed)[0]["failed"]
 
 
 @dataclass(frozen=True)
@@ -230,11 +231,23 @@ class Measured:
     speed_kmh: float
 
     def __call__(self) -> dict:
+        row = {"setting": self.setting, "controller": self.controller, "speed_kmh": self.speed_kmh}
+        parameters = tuning.load(self.controller, self.setting)["parameters"]
+        around = load_loop() if self.setting == tuning.LOOP else None
+        read = self.controller, self.speed_kmh, parameters, around, load_vehicle()
+        name = store.key(code(failed), "sensitivity", read)
+        return row | store.entry(name, self._peaks)[0]
+
+    def _peaks(self) -> store.Entry:
         guidance = tuning.tuned(self.controller, REGISTERED[self.controller].quick, self.setting)
         found = sensitivity(guidance, self.speed_kmh, {"seed": 101} if self.setting == tuning.LOOP else None)
-        row = {"setting": self.setting, "controller": self.controller, "speed_kmh": self.speed_kmh}
         peak, margin = (float("inf"), 0.0) if found is None else (found.peak, found.disk_margin)
-        return row | {"peak_sensitivity": peak, "disk_margin": margin}
+        return {"peak_sensitivity": peak, "disk_margin": margin}, None
+
+
+def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
+    """Whether a run failed."""
+    return {"failed": run.failed}, None
 
 
 def _call(task):
@@ -247,8 +260,8 @@ def main() -> None:
     cases = [Survival(*pair, rail, what) for pair in pairs for rail in RAILS for what in QUANTITIES]
     loops = [Measured(*pair, speed) for pair in pairs for speed in _KMH]
     with executor() as pool:
-        largest = ordered_map(pool, _call, cases, "margins")
-        peaks = ordered_map(pool, _call, loops, "sensitivity")
+        largest = ordered_map(pool, _call, cases, "margins", stored=True)
+        peaks = ordered_map(pool, _call, loops, "sensitivity", stored=True)
     rows = [
         {**vars(case), "largest": value, "unit": QUANTITIES[case.quantity].unit}
         for case, value in zip(cases, largest, strict=True)

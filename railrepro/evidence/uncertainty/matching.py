@@ -2,8 +2,8 @@
 
 The paper's results are observations of a car that nobody published. History matching by waves: runs over a
 space-filling design, an emulator per statement with its error, points ruled out where a statement is implausible, the
-next runs in what is left. `python -m railrepro matching [small]` writes
-data/results/matching_*.csv and the named set `paper_like`; every finished run is kept in build/study, so an interrupted
+next runs in what is left. `python -m railrepro matching [small]` writes data/results/matching_*.csv and the named set
+`paper_like`; every finished run is in the store, so an interrupted
 matching goes on where it was.
 
 Source: Craig, Goldstein, Seheult and Smith 1997; Vernon, Goldstein and Bower 2010 (implausibility, waves).
@@ -30,7 +30,8 @@ from railrepro.evidence.claims.statements import Finding, MissingEvidence, State
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.uncertainty import emulator
-from railrepro.evidence.uncertainty.robustness import evidence, kept
+from railrepro.evidence.uncertainty.robustness import evidence
+from railrepro.evidence.uncertainty.robustness import rows as rows_of
 from railrepro.files import write
 from railrepro.vehicle.parameters import sample_ranges
 
@@ -472,7 +473,7 @@ def main(size: str = "committed") -> None:
     judged = rules()
 
     def run(points: list[Values]) -> list[dict[str, float]]:
-        rows = kept(Drive(), points, paths.BUILD / "study" / "matching", "matching", settings=TUNED_IN)
+        rows = rows_of(Drive(), points, "matching")
         return [margins(row, judged) for row in rows]
 
     problem = Problem(dimensions(), run)

@@ -1,7 +1,7 @@
 """Where the order turns: NMPC against inversions on curve entry T3 while one thing after the other is changed.
 
-`python -m railrepro order` writes data/results/order_turns.csv, one row per run. Every finished
-run is kept in build/study, so an interrupted study goes on where it was. Serves the paper's Fig. 6.
+`python -m railrepro order` writes data/results/order_turns.csv, one row per run. Every finished run is in the store, so
+an interrupted study goes on where it was. Serves the paper's Fig. 6.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.uncertainty.robustness import kept
+from railrepro.evidence.uncertainty.robustness import rows as rows_of
 from railrepro.files import write
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.track.alignment import Alignment, alignments, superelevation_angle
@@ -179,5 +179,5 @@ def cases(axes: Sequence[str] = tuple(AXES), settings: Sequence[str] = SETTINGS)
 
 def main() -> None:
     """Drive all of them and write the table."""
-    rows = kept(call, cases(), paths.BUILD / "study" / "order", "where the order turns", settings=SETTINGS)
+    rows = rows_of(call, cases(), "where the order turns")
     write(paths.product("data/results/order_turns.csv"), pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))

@@ -1,18 +1,15 @@
 """Heavy grids and samples behind the notebooks: stability over speed, friction and tuning; robustness of the verdicts.
 
 `python -m railrepro robustness [stability] [robustness]` writes data/results/stability_map.csv,
-robustness_samples.csv and robustness_claims.csv. Every finished run is kept in build/study, so an interrupted study
-goes on where it was. Serves the question what the paper's unpublished parameters decide.
+robustness_samples.csv and robustness_claims.csv. Every finished run is in the store, so an interrupted study goes on
+where it was. Serves the question what the paper's unpublished parameters decide.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,11 +24,10 @@ from railrepro.evidence.claims.probe import PARTS, World, probe
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.runs.fingerprint import fingerprint
-from railrepro.evidence.runs.swarm import run_cost
+from railrepro.evidence.runs.swarm import driven, run_cost
 from railrepro.files import write
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.vehicle.parameters import load_vehicle, sample_ranges
+from railrepro.vehicle.parameters import sample_ranges
 
 SAMPLES, REPLICATES, SEED = 8, 4, 2026
 """Samples per scrambled sequence, sequences, seed of the first."""
@@ -41,45 +37,10 @@ SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
 """What the studies drive, in variations."""
 
 
-def kept(
-    call: Callable, arguments: Sequence, folder: Path, title: str, quiet: bool = False,
-    settings: Sequence[str] = (tuning.EQUAL,),
-) -> list[dict]:  # fmt: skip
-    """Evaluate on the executor, one JSON file per finished argument; files of equal arguments are taken as they are.
-
-    `settings` are those whose tuned sets enter.
-    """
-    start = [tuning.load(name, each)["parameters"] for each in settings for name in PAPER_TRIO]
-    here = fingerprint([load_scenario(name) for name in SCENARIOS], load_vehicle(), start)
-    files = [folder / f"{hashlib.sha256((here + repr(a)).encode()).hexdigest()[:20]}.json" for a in arguments]
-    rows = [_stored(file) for file in files]
-    missing = [i for i, row in enumerate(rows) if row is None]
-    if missing:
-        with executor() as pool:
-            tasks = [(call, arguments[i], files[i]) for i in missing]
-            for i, row in zip(missing, ordered_map(pool, _keep, tasks, title, quiet), strict=True):
-                rows[i] = row
-    return rows
-
-
-def _stored(file: Path) -> dict | None:
-    """A finished row; None when there is none, or a broken one."""
-    try:
-        kept = json.loads(file.read_text(encoding="utf-8"))
-        return kept["row"] if kept["sha256"] == _digest(kept["row"]) else None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
-
-
-def _digest(row: dict) -> str:
-    return hashlib.sha256(json.dumps(row).encode()).hexdigest()
-
-
-def _keep(task: tuple[Callable, object, Path]) -> dict:
-    call, argument, file = task
-    row = json.loads(json.dumps(call(argument)))
-    write(file, json.dumps({"row": row, "sha256": _digest(row)}))
-    return row
+def rows(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list[dict]:
+    """Rows of a study, on the executor; runs of an interrupted one are in the store."""
+    with executor() as pool:
+        return ordered_map(pool, task, arguments, title, quiet, stored=True)
 
 
 def _row(experiment: Experiment) -> dict:
@@ -122,7 +83,7 @@ def stability(
         for slip in (None, SlipSettings()):
             own = label | {"controller": OURS if slip is None else f"{OURS}_slip"}
             experiments.append(Experiment(scenario, OURS, own, tuning.load(OURS)["parameters"], adhesion=slip))
-    return pd.DataFrame(kept(_row, experiments, paths.BUILD / "study" / "stability", "stability", quiet))
+    return pd.DataFrame(rows(_row, experiments, "stability", quiet))
 
 
 @dataclass(frozen=True)
@@ -198,9 +159,9 @@ def evaluate(sample: Sample) -> dict:
     )  # fmt: skip
     tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
     judged = replace(world, parameters=tuned, sensors=_sensors(sample.setting, JUDGING))
-    rows = probe(judged, PARTS, speeds=(80, 240, 400))
-    kept = {name: getattr(sample, name) for name in LABELS}
-    return kept | {"/".join(key): _plain(value) for *key, value in rows}
+    labels = {name: getattr(sample, name) for name in LABELS}
+    values = probe(judged, PARTS, speeds=(80, 240, 400))
+    return labels | {"/".join(key): _plain(value) for *key, value in values}
 
 
 LABELS = ("number", "replicate", "setting", "variant", "profile")
@@ -221,9 +182,8 @@ def _retuned(world: World, name: str, setting: str) -> dict:
     for scale in (0.1, 1.0, 10.0) if preview else (0.7, 1.0, 1.4):
         parameters = base | {key: base[key] * scale for key in (("r",) if preview else ("pole", "frequency"))}
         aware = replace(world, parameters={name: parameters}, sensors=_sensors(setting, TUNING))
-        cost = sum(
-            run_cost(aware.run(run.scenario, name), run.scenario, task.cost, setting == tuning.LOOP)[0] for run in runs
-        )
+        driven_runs = [aware.experiment(run.scenario, name).measured(driven)[0] for run in runs]
+        cost = sum(run_cost(parts, task.cost) for parts in driven_runs)
         best, chosen = (cost, parameters) if cost < best else (best, chosen)
     return chosen
 
@@ -350,9 +310,7 @@ def robustness(
         schema.require(what, number, schema.between(1, 4096), whole=True)
     samples = draw(count, replicates)
     samples += draw(count, 1, settings=(tuning.EQUAL,), variant="printed")
-    table = pd.DataFrame(
-        kept(evaluate, samples, paths.BUILD / "study" / "robustness", "robustness", quiet, tuning.SETTINGS)
-    )
+    table = pd.DataFrame(rows(evaluate, samples, "robustness", quiet))
     return table, verdicts(table, samples)
 
 

@@ -1,0 +1,111 @@
+"""Graphs that were built once: CasADi functions beside the compiled objects, for processes that need them again.
+
+A stored graph belongs to the code that built it. Its key is the content of every module of the library (`evidence` is
+above it and cannot reach a graph), the versions of Python and of what computes with symbols, and the arguments. A graph
+with another key, one that is broken, open to others or not the user's own is built again. It is data, never code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import zlib
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, TypeVar
+
+import casadi as ca
+
+from railrepro import files
+from railrepro.compile import cache
+from railrepro.errors import InputError
+
+_LIBRARY = Path(__file__).resolve().parent.parent
+_ABOVE = "evidence"
+_SYMBOLS = ("casadi", "numpy", "sympy")
+_KINDS = {"tuple": tuple, "list": list}
+Built = TypeVar("Built")
+
+
+@lru_cache(maxsize=1)
+def library_key() -> str:
+    """Hash of all modules of the library, of Python and of the packages that compute with symbols."""
+    content = hashlib.sha256(repr((sys.version, [version(name) for name in _SYMBOLS])).encode())
+    rooms = (folder for folder in _LIBRARY.iterdir() if folder.is_dir() and folder.name != _ABOVE)
+    for file in sorted([*_LIBRARY.glob("*.py"), *(file for room in rooms for file in room.rglob("*.py"))]):
+        content.update(f"\0{file.relative_to(_LIBRARY)}\0".encode() + file.read_bytes())
+    return content.hexdigest()
+
+
+def stored(build: Callable[..., Built]) -> Callable[..., Built]:
+    """Have a function look for what it built before, in this process (as `functools.cache`) and on disk.
+
+    Parameters
+    ----------
+    build : callable
+        Of arguments whose `repr` tells them apart, and of nothing else but code; it gives CasADi functions, texts,
+        numbers, and tuples, lists and dictionaries of them.
+
+    Raises
+    ------
+    ValueError
+        For a function of any other place than the library: the key would not know its code.
+    """
+    name = f"{build.__module__}.{build.__qualname__}"
+    if not name.startswith("railrepro.") or name.startswith(f"railrepro.{_ABOVE}"):
+        raise ValueError(f"{name} is not of the library; what it builds cannot be stored")
+
+    @lru_cache
+    @wraps(build)
+    def look(*arguments):
+        asked = hashlib.sha256(f"{name}{arguments!r}".encode()).hexdigest()[:24]
+        key = hashlib.sha256(f"{library_key()}{name}{arguments!r}".encode()).hexdigest()
+        try:
+            file = cache.cache_folder() / f"{asked}.graph"
+        except InputError:  # nowhere to store
+            return build(*arguments)
+        content = cache.own_file(file)
+        if content is not None and content[:128] == _head(key, content[128:]):
+            return _plain(json.loads(zlib.decompress(content[128:])))
+        built = build(*arguments)
+        packed = zlib.compress(json.dumps(_packed(built)).encode(), 1)
+        try:
+            files.write(file, _head(key, packed) + packed)
+            file.chmod(0o644)
+        except (InputError, OSError):
+            pass  # it is built again next time
+        return built
+
+    return look
+
+
+def _head(key: str, packed: bytes) -> bytes:
+    """Key and digest of what follows, 128 characters."""
+    return f"{key}{hashlib.sha256(packed).hexdigest()}".encode()
+
+
+def _packed(value: Any) -> Any:
+    """A value as JSON has it."""
+    if isinstance(value, ca.Function):
+        return {"function": value.serialize()}
+    if isinstance(value, dict):
+        return {"dict": [[key, _packed(entry)] for key, entry in value.items()]}
+    for name, kind in _KINDS.items():
+        if isinstance(value, kind):
+            return {name: [_packed(entry) for entry in value]}
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """What `_packed` packed."""
+    if not isinstance(value, dict):
+        return value
+    ((name, entry),) = value.items()
+    if name == "function":
+        return ca.Function.deserialize(entry)
+    if name == "dict":
+        return {key: _plain(each) for key, each in entry}
+    return _KINDS[name](_plain(each) for each in entry)

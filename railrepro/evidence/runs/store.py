@@ -1,0 +1,201 @@
+"""The one store of results: what was computed once is read again while data and code are the same.
+
+An entry belongs to all that a computation reads and to the code that it can reach (`sources`), the compiler and the
+packages. It lies in build/store, or in the folder `RAILREPRO_STORE`; "off" there neither reads nor writes. Entries are
+numbers and text, never code: what is broken, cut off or of another user is computed anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import platform
+import sys
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from railrepro import paths
+from railrepro.compile import cache
+from railrepro.errors import InputError
+from railrepro.files import write
+
+FOLDER = "RAILREPRO_STORE"
+_NUMERICS = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "GLIBC_TUNABLES")
+"""Environment variables that choose among kernels of NumPy, BLAS and the mathematical library."""
+Entry = tuple[dict, pd.DataFrame | None]
+"""A row of plain values, and a table of numbers or None."""
+
+
+class Missing(Exception):
+    """Nothing is stored, and nothing is to be computed (`only_stored`)."""
+
+
+def _plain(value) -> object:
+    """A value as lists of plain ones, the same for equal values; TypeError for what has no such form."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53:
+        return repr(float(value))
+    if value is None or isinstance(value, bool | int | float | str):
+        return repr(value)
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        return [str(value.dtype), value.shape, hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()]
+    if isinstance(value, pd.DataFrame):
+        return [[name, _plain(value[name].to_numpy())] for name in value]
+    if isinstance(value, dict):
+        return [[_plain(key), _plain(value[key])] for key in sorted(value, key=repr)]
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return [type(value).__qualname__, *([one.name, _plain(getattr(value, one.name))] for one in fields(value))]
+    raise TypeError(f"{type(value).__qualname__} has no stored form")
+
+
+def key(*parts) -> str:
+    """Key of a computation on this machine.
+
+    Parameters
+    ----------
+    parts : optional
+        All that it reads, code included: numbers, text, arrays, dataclasses, and lists and dictionaries of these.
+
+    Raises
+    ------
+    TypeError
+        When a part has no stored form, as a function of a user's file.
+    """
+    return digest(_machine(), *parts)
+
+
+def digest(*parts) -> str:
+    """The same whatever the machine."""
+    return hashlib.sha256(json.dumps(_plain(parts)).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _machine() -> list[str]:
+    """Compiler, packages, processor and kernels: what decides the last digits."""
+    command = cache.compiler()
+    compiler = cache.identity(command) if command else "interpreted"
+    lock = paths.ROOT / "environment.lock"
+    packages = hashlib.sha256(lock.read_bytes()).hexdigest() if lock.is_file() else np.__version__
+    return [compiler, packages, sys.version, platform.machine(), *(os.environ.get(name, "") for name in _NUMERICS)]
+
+
+def folder() -> Path | None:
+    """Folder of the entries; None when nothing is to be stored."""
+    given = os.environ.get(FOLDER, "")
+    if given == "off":
+        return None
+    if given and not os.path.isabs(given):
+        raise InputError(f"{FOLDER}={given!r}, an absolute folder or off is needed")
+    return Path(given) if given else paths.BUILD / "store"
+
+
+def _item(value):
+    """A number of NumPy as one of Python."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__qualname__} cannot be stored")
+
+
+def _packed(row: dict, table: pd.DataFrame | None) -> bytes:
+    stream = io.BytesIO()
+    arrays = {} if table is None else {f"{i}:{name}": table[name].to_numpy() for i, name in enumerate(table)}
+    np.savez(
+        stream, row=np.frombuffer(json.dumps([row, table is not None], default=_item).encode(), np.uint8), **arrays
+    )
+    return stream.getvalue()
+
+
+def _unpacked(content: bytes) -> Entry:
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        row, has_table = json.loads(arrays["row"].tobytes())
+        names = [name for name in arrays.files if name != "row"]
+        table = pd.DataFrame({name.partition(":")[2]: arrays[name] for name in names}) if has_table else None
+    return row, table
+
+
+_collected: dict[str, bytes] | None = None
+_only = False
+
+
+@contextmanager
+def collected() -> Iterator[dict[str, bytes]]:
+    """Hand over what is stored in a block, key -> content, instead of writing it: a worker elsewhere has no folder."""
+    global _collected
+    before, _collected = _collected, {}
+    try:
+        yield _collected
+    finally:
+        _collected = before
+
+
+@contextmanager
+def only_stored() -> Iterator[None]:
+    """`entry` raises `Missing` in a block instead of computing."""
+    global _only
+    before, _only = _only, True
+    try:
+        yield
+    finally:
+        _only = before
+
+
+def put(name: str, content: bytes) -> None:
+    """Store the content of an entry whole or not at all."""
+    if _collected is not None:
+        _collected[name] = content
+    elif (place := folder()) is not None:
+        write(place / name[:2] / f"{name[2:]}.npz", content)
+
+
+def _content(name: str) -> bytes | None:
+    """Stored content; None when there is none of this user."""
+    if _collected is not None and name in _collected:
+        return _collected[name]
+    place = folder()
+    return None if place is None else cache.own_file(place / name[:2] / f"{name[2:]}.npz")
+
+
+def entry(name: str, compute) -> Entry:
+    """What is stored under a key, else what `compute` gives, which is stored.
+
+    Parameters
+    ----------
+    name : str
+        See `key`.
+    compute : callable
+        () -> row and table or None. Values of the row are plain, columns of the table numbers.
+
+    Returns
+    -------
+    row : dict
+    table : DataFrame or None
+
+    Raises
+    ------
+    Missing
+        Within `only_stored`, when there is no entry.
+    """
+    content = _content(name)
+    if content is not None:
+        try:
+            return _unpacked(content)
+        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, RecursionError):
+            pass  # broken
+    if _only:
+        raise Missing(name)
+    row, table = compute()
+    content = _packed(row, table)
+    put(name, content)
+    return _unpacked(content)

@@ -1,0 +1,53 @@
+"""Which entries of a data file are read: noted for whoever asks, so that an entry that nobody reads changes nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import TypeVar
+
+LOG = "RAILREPRO_READS"
+"""Environment variable with the file in which a process and those that it starts note what they read."""
+ALL = "*"
+"""Stands for all entries of a file."""
+_noted: set[tuple[str, str, str]] = set()
+Value = TypeVar("Value")
+
+
+def _note(file: str, entry: str) -> None:
+    log = os.environ.get(LOG)
+    if log and (log, file, entry) not in _noted:
+        _noted.add((log, file, entry))
+        with open(log, "a", encoding="utf-8") as stream:
+            stream.write(f"{file}\t{entry}\n")
+
+
+class Entries(dict[str, Value]):
+    """Entries of a data file by name that note which of them are taken; going through them takes all."""
+
+    def __init__(self, entries: dict[str, Value], file: str):
+        super().__init__(entries)
+        self._file = file
+
+    def __getitem__(self, name: str) -> Value:
+        _note(self._file, name)
+        return super().__getitem__(name)
+
+    def __iter__(self) -> Iterator[str]:
+        _note(self._file, ALL)
+        return super().__iter__()
+
+    def keys(self):
+        """See `dict`."""
+        _note(self._file, ALL)
+        return super().keys()
+
+    def values(self):
+        """See `dict`."""
+        _note(self._file, ALL)
+        return super().values()
+
+    def items(self):
+        """See `dict`."""
+        _note(self._file, ALL)
+        return super().items()

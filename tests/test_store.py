@@ -1,0 +1,230 @@
+"""The store of results: no stored row outlives the code and data that made it, and none is lost without a reason."""
+
+import math
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import railrepro
+from railrepro.control.slip import SlipSettings
+from railrepro.evidence.claims import probe
+from railrepro.evidence.runs import experiment, sources, store, swarm, tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.experiment import Experiment, run_all
+from railrepro.simulation.scenarios import load_scenario
+
+PACKAGE = Path(railrepro.__file__).parent
+SHORT = Experiment(load_scenario("curve_entry_T3").but(end_m=8.0), "ndi", stride=100)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A store of one's own."""
+    monkeypatch.setenv("RAILREPRO_STORE", str(tmp_path / "store"))
+    return tmp_path / "store"
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """Experiments that were really simulated."""
+    seen, run = [], Experiment.run
+    monkeypatch.setattr(Experiment, "run", lambda self: seen.append(self) or run(self))
+    return seen
+
+
+def test_a_row_is_read_again_to_the_last_bit(folder, runs):
+    first, series = SHORT()
+    again, stored = SHORT()
+    assert len(runs) == 1 and len(list(folder.rglob("*.npz"))) == 1
+    assert repr(first) == repr(again)
+    pd.testing.assert_frame_equal(series, stored, check_exact=True)
+
+
+def test_stored_and_computed_rows_are_equal(folder, monkeypatch):
+    SHORT()
+    stored, series = SHORT()
+    monkeypatch.setenv("RAILREPRO_STORE", "off")
+    computed, own = SHORT()
+    assert {name: type(value) for name, value in stored.items()} == {
+        name: float if isinstance(value, float) else type(value) for name, value in computed.items()
+    }
+    assert all(a == b or (a != a and b != b) for a, b in zip(stored.values(), computed.values(), strict=True))
+    pd.testing.assert_frame_equal(series, own, check_exact=True)
+
+
+CHANGES = {
+    "speed": lambda e: replace(e, scenario=e.scenario.but(speed_kmh=279.0)),
+    "track": lambda e: replace(e, scenario=e.scenario.but(track="T4")),
+    "set point": lambda e: replace(e, scenario=e.scenario.but(set_point=e.scenario.set_point | {"amplitude_mm": 2.9})),
+    "rail": lambda e: replace(e, scenario=e.scenario.but(good="wet")),
+    "tuned set": lambda e: replace(e, setting="loop"),
+    "vehicle": lambda e: replace(e, vehicle={"suspension.c_y": 2e4}),
+    "plant": lambda e: replace(e, plant={"contact.profile": "s1002"}),
+    "sensors": lambda e: replace(e, sensors={"seed": 1}),
+    "seed": lambda e: replace(e, sensors={"seed": 2}),
+    "irregular rails": lambda e: replace(e, irregular={"seed": 1}),
+    "substeps": lambda e: replace(e, substeps=2),
+    "adhesion law": lambda e: replace(e, adhesion=SlipSettings()),
+    "share": lambda e: replace(e, fixed_share=0.1),
+    "series": lambda e: replace(e, stride=50),
+    "controller": lambda e: replace(e, controller="ndi_feedforward"),
+}
+
+
+def test_whatever_a_run_reads_is_in_its_key():
+    keys = {name: change(SHORT).key(probe.following) for name, change in CHANGES.items()}
+    assert len({*keys.values(), SHORT.key(probe.following), SHORT.key(probe.braked)}) == len(CHANGES) + 2
+    assert None not in keys.values()
+
+
+def test_names_that_change_nothing_are_not(tmp_path):
+    labelled = replace(SHORT, label={"case": "other"}, scenario=replace(SHORT.scenario, name="other"))
+    resolved = replace(SHORT, parameters=tuning.load("ndi")["parameters"], setting="loop")
+    assert labelled.key(probe.following) == resolved.key(probe.following) == SHORT.key(probe.following)
+    assert replace(SHORT, sensors={"seed": 1}).key(probe.following) != SHORT.key(probe.following)
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory):
+    """A copy of the package to be changed."""
+    place = tmp_path_factory.mktemp("copy") / "railrepro"
+    shutil.copytree(PACKAGE, place, ignore=shutil.ignore_patterns("__pycache__"))
+    return place
+
+
+def reached(package):
+    imported = [name for name in sources.parsed((package / "evidence/runs/experiment.py").read_text())[1]]
+    return sources.closure([f"import {n}" for n in imported if not n.startswith("railrepro.evidence")], package)
+
+
+def test_a_run_reaches_the_physics_and_not_the_report():
+    found = set(experiment._reached())
+    for name in ("contact/creep.py", "car/suspension.py", "car/car.c", "control/slip.py", "simulation/loop.c",
+                 "control/solvers/riccati.c", "estimation/observers.py", "track/route.py", "compile/lanes.h",
+                 "vehicle/parameters.py", "model/derivation.py", "simulation/metrics.py"):  # fmt: skip
+        assert f"railrepro/{name}" in found
+    assert not [name for name in found if "/evidence/" in name or "fmi" in name]
+
+
+@pytest.mark.parametrize("name", sorted(experiment._reached()))
+def test_a_changed_sign_anywhere_makes_another_key(name, copied):
+    file = copied.parent / name
+    text, before = file.read_text(), reached(copied)
+    changed = re.sub(r"(\w\)?) - (\w)", r"\1 + \2", text, count=1)
+    if changed == text:
+        changed = text + ("\n/* changed */\n" if file.suffix in (".c", ".h") else "\nCHANGED = True\n")
+    try:
+        file.write_text(changed)
+        # a sign may stand in a docstring: then nothing has changed
+        same = file.suffix == ".py" and sources.parsed(changed)[0] == sources.parsed(text)[0]
+        assert (reached(copied) == before) == same
+        file.write_text(text + "\n" + ("CHANGED = True\n" if file.suffix == ".py" else "/* changed */\n"))
+        assert reached(copied) != before
+    finally:
+        file.write_text(text)
+
+
+@pytest.mark.parametrize("name", ["evidence/report/figures.py", "evidence/film/page.html", "compile/fmi2.c"])
+def test_a_colour_or_the_export_leaves_all_keys(name, copied):
+    file = copied / name
+    text, before = file.read_text(), reached(copied)
+    file.write_text(text.replace("#", "# ", 1) + "\nCOLOUR = 1\n")
+    assert reached(copied) == before
+    file.write_text(text)
+
+
+def test_comments_and_docstrings_leave_all_keys():
+    one, other = ('def f(x):\n    """Sine."""\n    return -x  # sign\n', "def f(x):\n    return -x\n")
+    assert sources.parsed(one) == sources.parsed(other) != sources.parsed(other.replace("-x", "x"))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"junk" * 100, None])
+def test_broken_entries_are_computed_anew(content, folder, runs):
+    row, _ = SHORT()
+    (file,) = folder.rglob("*.npz")
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    assert repr(SHORT()[0]) == repr(row) and len(runs) == 2
+    assert file.read_bytes() == whole
+
+
+def test_entries_that_others_can_write_are_computed_anew(folder, runs):
+    SHORT()
+    (file,) = folder.rglob("*.npz")
+    file.chmod(0o666)
+    SHORT()
+    assert len(runs) == 2
+
+
+def test_pickled_content_is_never_loaded(folder):
+    class Planted:
+        def __reduce__(self):
+            return (pytest.fail, ("loaded as code",))
+
+    SHORT()
+    (file,) = folder.rglob("*.npz")
+    with file.open("wb") as stream:
+        np.savez(stream, row=np.array([Planted()], dtype=object))
+    SHORT()
+
+
+def test_switched_off_it_neither_reads_nor_writes(folder, runs, monkeypatch):
+    SHORT()
+    monkeypatch.setenv("RAILREPRO_STORE", "off")
+    SHORT()
+    assert len(runs) == 2 and len(list(folder.rglob("*.npz"))) == 1
+
+
+def test_stored_experiments_start_no_worker(folder, monkeypatch):
+    monkeypatch.setenv("RAILREPRO_WORKERS", "1")
+    experiments = [replace(SHORT, label={"n": n}, scenario=SHORT.scenario.but(end_m=8.0 + n)) for n in range(3)]
+    table, series = run_all(experiments[:2], "first", quiet=True)
+
+    class NoPool:
+        def submit(self, *_):
+            pytest.fail("a worker was asked")
+
+    results = ordered_map(NoPool(), experiment._call, experiments[:2], "again", quiet=True, stored=True)
+    assert [row["n"] for row, _ in results] == [0, 1] and len(list(folder.rglob("*.npz"))) == 2
+    more, _ = run_all(experiments, "more", quiet=True)
+    assert more[:2].equals(table) and len(list(folder.rglob("*.npz"))) == 3
+
+
+def test_an_evaluation_of_a_swarm_is_known_or_missing_as_a_whole(folder):
+    task = tuning.load_task()
+    run = replace(task.runs[2], scenario=task.runs[2].scenario.but(end_m=20.0))
+    evaluation = swarm.Evaluation("ndi", replace(task, runs=(run, replace(run, sensors={"seed": 1}))))
+    poles = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
+    with store.only_stored(), pytest.raises(store.Missing):
+        evaluation(poles)
+    cost = evaluation(poles)
+    with store.only_stored():
+        assert evaluation(poles) == cost and math.isfinite(cost[0])
+
+
+def test_what_a_machine_elsewhere_computes_is_stored_here(folder):
+    with store.collected() as new:
+        row, _ = SHORT()
+    assert not list(folder.rglob("*.npz")) and len(new) == 1
+    for name, content in new.items():
+        store.put(name, content)
+    with store.only_stored():
+        assert repr(SHORT()[0]) == repr(row)
+
+
+def test_a_controller_of_a_users_file_is_not_stored(folder, monkeypatch):
+    entry = replace(experiment.REGISTERED["ndi"], build=lambda settings: settings)
+    monkeypatch.setitem(experiment.REGISTERED, "own", entry)
+    assert replace(SHORT, controller="own").key(probe.following) is None
+
+
+def test_the_executor_and_the_store_give_the_same(folder, monkeypatch):
+    monkeypatch.setenv("RAILREPRO_WORKERS", "2")
+    with executor() as pool:
+        results = ordered_map(pool, experiment._call, [SHORT, SHORT], "two", quiet=True, stored=True)
+    assert repr(results[0][0]) == repr(SHORT()[0])

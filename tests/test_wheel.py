@@ -1,0 +1,84 @@
+"""The package without its checkout: a wheel in an empty folder elsewhere runs the first example of the README."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from contextlib import redirect_stdout
+from io import StringIO
+
+import pytest
+
+from railrepro import paths
+from railrepro.compile.cache import cache_folder
+
+PARTS = ("railrepro", "data", "pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Folder with nothing but the wheel, built from a source distribution."""
+    source, built, site = (tmp_path_factory.mktemp(name) for name in ("source", "built", "site"))
+    for part in PARTS:
+        copy = shutil.copytree if (paths.ROOT / part).is_dir() else shutil.copy
+        copy(paths.ROOT / part, source / part)
+    uv = [sys.executable, "-m", "uv", "build", "-q", "--offline", "--no-build-isolation", "--python", sys.executable]
+    subprocess.run([*uv, "--out-dir", str(built), str(source)], check=True)
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    return site
+
+
+def run(site, code, folder, **more):
+    """What a program prints in a folder that is also the home, with the packages of this environment and the wheel."""
+    foreign = ("RAILREPRO_ROOT", "RAILREPRO_OUTPUT", "XDG_CACHE_HOME")
+    known = {name: value for name, value in os.environ.items() if name not in foreign}
+    place = {"HOME": str(folder), "PYTHONPATH": str(site)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, env=known | place | more
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_first_example_runs_without_a_checkout_and_gives_the_same(site, tmp_path):
+    example = re.search(r"```python\n(.*?)```", (paths.ROOT / "README.md").read_text(), re.S).group(1)
+    with redirect_stdout(StringIO()) as here:
+        exec(example, {})
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/vehicle.toml").write_text("# a stray file changes nothing")
+    own = tmp_path / ".cache/railrepro/compiled"
+    shutil.copytree(
+        cache_folder(), own, ignore=shutil.ignore_patterns("*.lock", "*.scratch", ".*")
+    )  # saves a minute; what is found is that of the same generated source
+    own.chmod(0o700)
+    before = set(own.glob("*.so"))
+    ended, file = run(site, example + "\nimport railrepro\nprint(railrepro.__file__)", tmp_path).splitlines()
+    assert file == str(site / "railrepro/__init__.py")
+    assert ended == here.getvalue().strip()
+    assert set(own.glob("*.so")) == before
+    assert {path.name for path in tmp_path.iterdir()} == {"data", ".cache"}
+    assert not list(site.rglob("*.so"))
+
+
+def test_all_inputs_are_in_the_wheel_as_they_are(site):
+    inputs = {*paths.DATA.glob("*.toml"), *paths.DATA.glob("tuned/*/*.json"), paths.DATA / "LICENSE"}
+    carried = [file.relative_to(site / "railrepro/data") for file in (site / "railrepro/data").rglob("*")]
+    names = {file for file in carried if (site / "railrepro/data" / file).is_file()}
+    assert names == {file.relative_to(paths.DATA) for file in inputs}
+    assert all((site / "railrepro/data" / name).read_bytes() == (paths.DATA / name).read_bytes() for name in names)
+    code = {file.relative_to(paths.ROOT) for file in (paths.ROOT / "railrepro").rglob("*.[ch]")}
+    assert code == {file.relative_to(site) for file in site.rglob("*.[ch]")}
+
+
+def test_products_go_to_the_working_folder_or_where_they_are_redirected(site, tmp_path):
+    code = "from railrepro import paths; print(paths.product('data/results/a.csv'), paths.source('data/vehicle.toml'))"
+    inputs = site / "railrepro/data/vehicle.toml"
+    assert run(site, code, tmp_path) == f"{tmp_path}/data/results/a.csv {inputs}\n"
+    other = tmp_path / "other"
+    assert run(site, code, tmp_path, RAILREPRO_OUTPUT=str(other)) == f"{other}/data/results/a.csv {inputs}\n"
+    (other / "data/vehicle.toml").write_text("")
+    assert run(site, code, tmp_path, RAILREPRO_OUTPUT=str(other)).endswith(f" {other}/data/vehicle.toml\n")
