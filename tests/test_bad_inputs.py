@@ -141,6 +141,10 @@ LIBRARY = {
     "a share beyond all": (lambda: drive(fixed_share=1.5), "fixed_share = 1.5"),
     "a share that is no number": (lambda: drive(fixed_share=math.nan), "fixed_share = nan"),
     "a share that is a text": (lambda: drive(fixed_share="half"), "fixed_share is 'half'"),
+    "a run too long to log": (
+        lambda: simulate.run(scenario(track="T5", speed_kmh=0.5, end_m=600.0), NDI()),
+        r"600 m at 0.5 km/h take 4320 s, up to \d+ s fit into a log of 2 GiB",
+    ),
     "no substeps": (lambda: drive(substeps=0), "substeps = 0, a number from 1"),
     "half a substep": (lambda: drive(substeps=1.5), "substeps is 1.5, a whole number"),
     "substeps that are a truth value": (lambda: drive(substeps=True), "substeps is True"),
@@ -174,6 +178,7 @@ LIBRARY = {
     "irregularities in millimetres": (lambda: drive(irregularities=rough(vertical_m=3.0)), "vertical_m = 3 at p = 0 m"),
     "irregularities that are no numbers": (lambda: drive(irregularities=rough(gauge_m=math.nan)), "gauge_m = nan"),
     "irregularities out of order": (lambda: drive(irregularities=rough()[::-1]), "finite and increasing"),
+    "rails of one row": (lambda: drive(irregularities=rough().iloc[:1]), "have 1 row, at least 2"),
     "coordinates that are no numbers": (lambda: irregularities([0.0, math.nan, 2.0]), r"p\[1\] is nan"),
     "infinite coordinates": (lambda: irregularities([0.0, 1.0, math.inf]), r"p\[2\] is inf"),
     "coordinates out of order": (lambda: irregularities([0.0, 2.0, 1.0]), r"p\[2\] is 1.0, finite and increasing"),

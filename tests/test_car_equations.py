@@ -52,20 +52,29 @@ def energies(*arguments, **values):
         (4000.0, 20.0, LIMITED, 4000.0),
         (3000.0, 0.0, LIMITED, 3000.0),
         (-3000.0, 0.2, {}, -3000.0),
-        (-3000.0, 0.1, {}, -1500.0),
-        (-3000.0, 0.0, {}, 0.0),
-        (-3000.0, -0.1, {}, 0.0),
+        (-3000.0, -0.2, {}, 3000.0),
+        (-5000.0, -20.0, {}, 4000.0),
+        (-4000.0, -92.0, LIMITED, 450e3 / 200),
         (3000.0, 0.1, {}, 3000.0),
         (3000.0, -0.1, {}, 3000.0),
     ],
 )
 def test_the_drive_gives_what_torque_power_and_standstill_allow(command, rim_speed, overrides, given):
-    """4 kN m; 450 kW are 2250 N m at 200 rad/s; braking fades out below 0.2 m/s so that it holds the wheel."""
+    """4 kN m; 450 kW are 2250 N m at 200 rad/s; a braking torque is against the rotation, a driving one forward."""
     vehicle = load_vehicle(**overrides)
     arguments = case(vehicle, commands={"rear_le": command}, w__rear_le=rim_speed / 0.46, tau__rear_le=200.0)
     rate = np.array(equations.car().rate(*arguments)).ravel()
     assert rate[equations.INDEX["tau.rear_le"]] == pytest.approx((given - 200.0) / 0.005)
     assert rate[equations.indices("tau.front_le", "tau.front_ri", "tau.rear_ri")] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("mirror", [1, -1])
+@pytest.mark.parametrize(("rim_speed", "share"), [(0.2, 1.0), (0.1, 0.5), (0.02, 0.1), (0.0, 0.0)])
+def test_a_braking_torque_follows_its_wheel_to_rest_and_stays(vehicle, rim_speed, share, mirror):
+    """Torque over angle turned near standstill, the same forward and backward; the command is -3000 N m for both."""
+    state = {"w__rear_le": mirror * rim_speed / 0.46, "tau__rear_le": mirror * 200.0}
+    rate = np.array(equations.car().rate(*case(vehicle, commands={"rear_le": -3000.0}, **state))).ravel()
+    assert rate[equations.INDEX["tau.rear_le"]] == pytest.approx(mirror * share * (-3000.0 - 200.0) / 0.005)
 
 
 def test_at_the_start_no_body_is_accelerated(vehicle):

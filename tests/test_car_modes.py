@@ -166,3 +166,46 @@ def test_derived_springs_and_dampers_are_those_of_their_source():
     ):
         found = hand_modes([BODY.mass / 2], np.array([[2 * stiffness]]), np.array([[2 * damping]]))
         assert found == pytest.approx(np.array([[frequency, ratio]]), rel=0.02)
+
+
+WORN = load_vehicle(**{"contact.profile": "s1002"})
+
+
+def beside_the_middle(kmh, y=1e-6):
+    """The car on S1002, moved from the node of its contact table in the middle, after a tenth of a second."""
+    car = SteppedCar("T5", kmh / 3.6, WORN)
+    car.state[equations.indices("body.y", "front.y", "rear.y")] = y
+    car.step(exchanges=100)
+    return car
+
+
+def test_free_wheels_on_s1002_leave_the_middle_as_their_eigenvalue_says_because_of_spin():
+    car = beside_the_middle(160)
+    growth = np.linalg.eigvals(car.linearise().a.to_numpy()).real.max()
+    assert 1.0 < growth < 3.0
+    y = []
+    for _ in range(2):
+        car.step(exchanges=1000)
+        y.append(car.state[equations.INDEX["front.y"]])
+    assert np.log(y[1] / y[0]) == pytest.approx(growth, rel=0.03)  # both gears grow, 2 % apart
+    cone = SteppedCar("T5", 160 / 3.6, load_vehicle(**{"contact.profile": "cone"}))  # spin alike on both sides
+    cone.step(exchanges=100)
+    assert np.linalg.eigvals(cone.linearise().a.to_numpy()).real.max() < 1e-3
+
+
+def test_free_wheels_on_s1002_hunt_from_some_330_kmh_on():
+    """The car stays within the flanges below the speed at which a mode of 4 Hz loses its damping, and not above."""
+    damped, hunting = (np.linalg.eigvals(beside_the_middle(kmh).linearise().a.to_numpy()) for kmh in (300, 360))
+    for values, grows in ((damped, False), (hunting, True)):
+        pair = values[(values.imag > 6 * np.pi) & (values.imag < 12 * np.pi)]
+        assert 3.5 < pair[pair.real.argmax()].imag / (2 * np.pi) < 4.5
+        assert (pair.real.max() > 0.3) == grows and abs(pair.real.max()) > 0.3
+    reached = []
+    for kmh in (280, 360):
+        car = beside_the_middle(kmh, 1e-4)
+        car.step(exchanges=8000)
+        reached.append(0.0)
+        for _ in range(100):
+            car.step(exchanges=10)
+            reached[-1] = max(reached[-1], abs(car.state[equations.INDEX["front.y"]]))
+    assert reached[0] < 3e-3 and 6e-3 < reached[1] < 7e-3

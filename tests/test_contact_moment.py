@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rolling import rolling
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
@@ -13,8 +14,8 @@ KALKER = creep.kalker_coefficients(A / B)
 C33 = float(creep.spin_coefficient(A / B))
 
 
-def moment(nu_x, nu_y, spin):
-    law = (1.0, 1.0, 0.4, 1.0, 0.0, 0.0)
+def moment(nu_x, nu_y, spin, k_s=1.0):
+    law = (1.0, k_s, 0.4, 1.0, 0.0, 0.0)
     return float(creep.spin_moment(nu_x, nu_y, spin, LOAD, A, B, *KALKER, SHEAR, *law, C33))
 
 
@@ -32,6 +33,17 @@ def test_small_creepage_gives_kalkers_moment():
     assert moment(0, 1e-6, 0) == pytest.approx(SHEAR * area**1.5 * KALKER[2] * 1e-6, rel=0.01)
     assert moment(0, 0, 1e-4) == pytest.approx(-SHEAR * area**2 * C33 * 1e-4, rel=0.01)
     assert moment(1e-6, 0, 0) == 0.0
+
+
+@pytest.mark.parametrize("nu_y", [1e-4, 5e-4, 1e-3, 2e-3, 3e-3, 5e-3])
+def test_moment_of_lateral_creepage_fades_as_on_half_spaces(nu_y):
+    """Without the fade it is 1.03, 1.18, 1.39, 1.9, 9 times that of CONTACT at .1, .5, 1, 2, 5 per mille."""
+    assert moment(0, nu_y, 0) == pytest.approx(rolling((0, nu_y, 0), LOAD, A, B, 0.4, count=26)[2], rel=0.12, abs=2.5)
+
+
+def test_mirrored_creepage_mirrors_the_moment():
+    for k_s in (0.4, 1.0):
+        assert moment(1e-3, -2e-3, 0.1, k_s) == -moment(1e-3, 2e-3, -0.1, k_s) == moment(-1e-3, -2e-3, 0.1, k_s)
 
 
 def test_sliding_takes_the_moment_away():

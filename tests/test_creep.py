@@ -1,13 +1,15 @@
-"""Creep law: published peaks, Kalker's limit, bounds, symmetry, FASTSIM, finite derivatives."""
+"""Creep law: published peaks, Kalker's limit, bounds, symmetry, FASTSIM, half spaces, finite derivatives."""
 
 from dataclasses import astuple
+from itertools import product
 
 import casadi as ca
 import numpy as np
 import pytest
+from rolling import rolling
 
 from railrepro.contact import creep
-from railrepro.contact.table import CELL_COLUMNS, contact_table, in_cell
+from railrepro.contact.table import CELL_COLUMNS, cone_patch, contact_table, in_cell
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -41,28 +43,68 @@ def test_small_creepage_follows_kalker():
     assert force(0, 0, 1e-3)[1] == pytest.approx(-SHEAR * area**1.5 * KALKER[2] * 1e-3, rel=0.02)
 
 
-@pytest.mark.parametrize(("ratio", "nu_y", "spin"), [(1.0, 2e-3, 0.1), (0.5, 1e-3, 0.3), (3.0, -4e-3, -0.2)])
-def test_spin_force_is_that_of_the_published_polynomial(ratio, nu_y, spin):
-    """F_y = F nu_y/nu_C + F_yS with K_M in delta as Polach 1999 prints it; F is that of creepages without spin."""
-    a, b, friction, kalker = ratio * B, B, 0.4, creep.kalker_coefficients(ratio)
-    common, shifted = (LOAD, a, b, *kalker, SHEAR, 1.0, 1.0, friction, 1.0, 0.0, 0.0), nu_y + spin * a
-    found, rolling = (float(creep.polach(4e-3, y, w, *common)[1]) for y, w in ((nu_y, spin), (shifted, 0.0)))
-    spread = 1 + 6.3 * (1 - np.exp(-a / b))
-    eps = 8 / 3 * b * np.sqrt(a * b) / (LOAD * friction) * SHEAR * kalker[2] * abs(shifted) / spread
-    delta = (eps**2 - 1) / (eps**2 + 1)
-    k_m = eps * (delta**3 / 3 - delta**2 / 2 + 1 / 6) - np.sqrt((1 - delta**2) ** 3) / 3
-    expected = 9 / 16 * a * LOAD * friction * k_m * spread * spin / np.hypot(4e-3, shifted)
-    assert found - rolling * nu_y / shifted == pytest.approx(expected, rel=1e-3)
+@pytest.mark.parametrize("name", ["dry", "wet", "poor"])
+def test_spin_at_rest_leaves_kalkers_slopes(name):
+    """The slopes of a cone's wheel at rest, which decide critical speeds, are those of linear theory, reduced."""
+    vehicle = load_vehicle()
+    a, b, kalker = cone_patch(vehicle)
+    law, shear = vehicle.adhesion[name], vehicle.contact.shear_modulus
+    spin, step = np.tan(vehicle.wheel.cone_angle) / vehicle.wheel.radius, 1e-7
+
+    def at(nu_x, nu_y):
+        patch = (vehicle.contact.nominal_load, a, b, *kalker, shear)
+        return np.array(creep.polach(nu_x, nu_y, spin, *patch, *astuple(law), 0.0))
+
+    slopes = (at(-step, 0) - at(step, 0)) / (2 * step), (at(0, -step) - at(0, step)) / (2 * step)
+    linear = (law.k_a + law.k_s) / 2 * shear * a * b * np.diag(kalker[:2])
+    assert np.array(slopes) == pytest.approx(linear, rel=4e-3, abs=1.0)
+
+
+CASES = list(product((0.1, 0.4, 1.0), np.pi / 4 * np.array([-1, 0, 1, 2])))
+"""Size of the creepages, as their linear force over three times friction, and their direction."""
+
+
+@pytest.mark.parametrize("ratio", [0.7, 1.33, 2.0])
+@pytest.mark.parametrize(
+    ("spin", "force_limits", "moment_limits"),
+    [(0.0, (0.022, 0.03), (0.007, 0.03)), (0.02, (0.025, 0.05), (0.016, 0.03)), (0.08, (0.045, 0.11), (0.06, 0.1))],
+)
+def test_force_and_moment_agree_with_half_spaces(ratio, spin, force_limits, moment_limits):
+    """Mean and largest error over friction (and its size); spins of the cone, of S1002 on dry and on poor rail."""
+    friction, root = 0.3, 5.75e-3
+    a, b = root * np.sqrt(ratio), root / np.sqrt(ratio)
+    kalker, c33 = creep.kalker_coefficients(ratio), float(creep.spin_coefficient(ratio))
+    unit, wrong_force, wrong_moment = 3 * friction * LOAD / (SHEAR * a * b), [], []
+    for size, angle in CASES:
+        creepage = unit * size * np.array([np.cos(angle), np.sin(angle)]) / kalker[:2]
+        creepage = (*creepage, unit * spin / kalker[2] / root)
+        arguments = (*creepage, LOAD, a, b, *kalker, SHEAR, 1.0, 1.0, friction, 1.0, 0.0, 0.0)
+        ours = np.array([*creep.polach(*arguments), creep.spin_moment(*arguments, c33) / root])
+        error = (ours - rolling(creepage, LOAD, a, b, friction) / [1, 1, root]) / (friction * LOAD)
+        wrong_force.append(np.hypot(*error[:2]))
+        wrong_moment.append(abs(error[2]))
+    for errors, limits in ((wrong_force, force_limits), (wrong_moment, moment_limits)):
+        assert np.mean(errors) < limits[0] and np.max(errors) < limits[1]
 
 
 def test_friction_bounds_the_force():
     generator = np.random.default_rng(0)
-    for nu_x, nu_y, spin in generator.normal(0, (5e-3, 5e-3, 0.3), (200, 3)):
-        assert np.hypot(*force(nu_x, nu_y, spin)) <= 0.4 * LOAD * 1.0001
+    for law in ((1.0, 1.0, 0.4, 1.0, 0.0), (0.5, 1.0, 0.4, 1.0, 0.0)):
+        for nu_x, nu_y, spin in generator.normal(0, (5e-3, 5e-3, 0.3), (200, 3)):
+            assert np.hypot(*force(nu_x, nu_y, spin, law)) <= 0.4 * LOAD * 1.0001
 
 
 def test_reversed_creepage_reverses_the_force():
     assert force(1e-3, -2e-3, 0.1) == pytest.approx(-force(-1e-3, 2e-3, -0.1))
+
+
+def test_creepage_never_drives_the_contact():
+    generator = np.random.default_rng(1)
+    c33 = float(creep.spin_coefficient(A / B))
+    for nu_x, nu_y, spin in generator.normal(0, (2e-3, 2e-3, 0.5), (200, 3)):
+        arguments = nu_x, nu_y, spin, LOAD, A, B, *KALKER, SHEAR, 1.0, 0.4, 0.4, 1.0, 0.0, 0.0
+        power = np.dot([*creep.polach(*arguments), creep.spin_moment(*arguments, c33)], [nu_x, nu_y, spin])
+        assert power < 0
 
 
 def test_agrees_with_fastsim_at_the_spin_of_the_cone():

@@ -18,8 +18,9 @@ from railrepro.control import law
 from railrepro.control.ndi import NDI
 from railrepro.simulation import exchange
 from railrepro.track import route
+from railrepro.track.alignment import Alignment, Segment
 from railrepro.track.irregularity import irregularities
-from railrepro.track.table import load_track
+from railrepro.track.table import Track, build_table, load_track
 from railrepro.vehicle.parameters import load_vehicle
 
 KMH = 1 / 3.6
@@ -282,9 +283,41 @@ def test_jacobian_of_the_step_is_the_derivative_of_the_rate(two_stage):
 def test_braking_holds_the_car_at_standstill(vehicle):
     coupled = start(vehicle, speed=1.0, force=lambda p: np.full_like(p, -8e3))
     log = frame(coupled.run(8000), coupled)
-    assert abs(log["front.v"].iloc[-1]) < 0.02
-    assert log["front.v"].min() > -1e-3
+    assert abs(log["front.v"].iloc[-1]) < 1e-3
+    assert log["front.p"].max() - log["front.p"].iloc[-1] < 2e-3
     assert np.isfinite(log.to_numpy()).all()
+
+
+def _gradient(slope):
+    """300 m straight, rising for a positive slope (-)."""
+    straight = Segment(300.0, (0.0, 0.0), (0.0, 0.0), (slope, slope))
+    return route.lay(Track("gradient", build_table(Alignment("gradient", (straight,), None))))
+
+
+@pytest.mark.parametrize("slope", [0.01, -0.01])
+def test_the_brake_holds_the_car_on_a_gradient(vehicle, slope):
+    """Each wheel carries a quarter of the downhill force; up or down, the command is the same."""
+    weight = (vehicle.body.mass + 2 * vehicle.gear.mass) * vehicle.gravity
+    car = SteppedCar(_gradient(slope), 1.0, vehicle)
+    car.step(np.full(4, -4000.0), 5000)
+    rest = car.outputs["front.p"]
+    car.step(exchanges=5000)
+    assert abs(car.outputs["front.v"]) < 1e-4 and abs(car.outputs["front.p"] - rest) < 1e-3
+    held = weight * np.sin(slope) / 4 * vehicle.wheel.radius
+    assert np.mean([car.outputs[f"{wheel}.tau"] for wheel in equations.WHEELS]) == pytest.approx(held, rel=5e-3)
+
+
+@pytest.mark.parametrize("slope", [0.01, -0.01])
+def test_a_brake_beyond_its_limit_slides_with_that_limit(vehicle, slope):
+    """200 N m per wheel against the 361 N m that 10 per mille ask for: the rest accelerates downhill, either way."""
+    mass = vehicle.body.mass + 2 * vehicle.gear.mass
+    force = mass * vehicle.gravity * np.sin(slope) - np.sign(slope) * 4 * 200.0 / vehicle.wheel.radius
+    car = SteppedCar(_gradient(slope), 0.05, vehicle)
+    car.step(np.full(4, -200.0), 4000)
+    before = car.outputs["front.v"]
+    car.step(exchanges=4000)
+    expected = -4.0 * force / (mass + 4 * vehicle.wheel.spin_inertia / vehicle.wheel.radius**2)
+    assert car.outputs["front.v"] - before == pytest.approx(expected, rel=0.01)
 
 
 def test_a_wheel_that_lifts_carries_nothing_and_the_run_stays_finite(vehicle):

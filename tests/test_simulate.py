@@ -15,7 +15,7 @@ from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import metrics, scenarios, simulate
+from railrepro.simulation import exchange, metrics, scenarios, simulate
 from railrepro.track import defects
 from railrepro.track.route import INDEX
 from railrepro.vehicle.parameters import load_vehicle
@@ -285,6 +285,7 @@ def calm_series():
     """Four rows within the validity of all models."""
     columns = {f"{wheel}.{name}": value for wheel in equations.WHEELS for name, value in (("N", 7e4), ("angle", 0.03))}
     columns |= {f"{gear}.{name}": value for gear in GEARS for name, value in (("yaw_to_body", 0.01), ("v", 20.0))}
+    columns |= {f"{gear}.{name}": 0.0 for gear in GEARS for name in ("y", "rail_y")}
     return pd.DataFrame({"t_s": [0.0, 0.5, 1.0, 1.5], "front.p": [0.0, 10.0, 20.0, 30.0]} | columns)
 
 
@@ -297,10 +298,30 @@ def calm_series():
         ("rear.yaw_to_body", 0.0501, "rear gear is on its yaw end stop"),
         ("front.yaw_to_body", -0.0501, "front gear is on its yaw end stop"),
         ("rear.v", 0.99, "rear gear is slower than the slip regularisation"),
+        ("rear.y", -7.1e-3, "rear gear is where flanges would touch, cones have none"),
+        ("front.rail_y", 7.1e-3, "front gear is where flanges would touch, cones have none"),
     ],
 )
 def test_the_first_place_outside_the_validity_of_a_model_is_told(column, value, sentence):
     series = calm_series()
-    assert simulate._warnings(series, load_vehicle()) == ()
+    cone, worn = (load_vehicle(**{"contact.profile": profile}) for profile in ("cone", "s1002"))
+    assert simulate._warnings(series, cone) == ()
     series.loc[2:, column] = value
-    assert simulate._warnings(series, load_vehicle()) == (f"{sentence} at t = 1.000 s, p = 20.0 m",)
+    assert simulate._warnings(series, cone) == (f"{sentence} at t = 1.000 s, p = 20.0 m",)
+    assert simulate._warnings(series, worn) == (() if "cones" in sentence else simulate._warnings(series, cone))
+
+
+def test_the_log_of_a_run_grows_with_the_run():
+    """A run that may take a thousand years, ended by the track."""
+    scenario = scenarios.load_scenario("sine_tracking").but(end_m=20)
+    way = simulate.checked_route(scenario, load_vehicle())
+    coupled = simulate.start(scenario, NDI(), way, load_vehicle(), load_vehicle())
+    log = coupled.run(10**13)
+    assert coupled.ended and len(log) == coupled.exchanges + 1 < 2000
+
+
+def test_blocks_of_the_log_leave_no_seam(monkeypatch):
+    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=20)
+    whole = simulate.run(scenario, NDI()).series
+    monkeypatch.setattr(exchange, "_BLOCK", 7)
+    assert simulate.run(scenario, NDI()).series.equals(whole)

@@ -64,6 +64,40 @@ def test_linearisation_is_the_slope_of_rates_and_outputs():
     assert list(model.c.index) == list(model.d.index) == list(equations.car().outputs)
 
 
+@pytest.mark.parametrize("y", [0.0, 1e-4, 3e-4, 1e-3, -2e-3])
+def test_linearisation_at_a_node_of_the_contact_table_is_that_beside_it(y):
+    """S1002, whose nodes are 0.1 mm apart; a tie of the clamps at a node would halve slopes. Cells differ by 5 %."""
+    car = SteppedCar("T5", 20.0, load_vehicle(**{"contact.profile": "s1002"}))
+    state, places, slopes = car.state.copy(), equations.indices("front.y", "rear.y"), []
+    for apart in (-1e-7, 0.0, 1e-7):
+        car.state[:] = state
+        car.state[places] = y + apart
+        slopes.append(car.linearise().a.loc[[f"w.{wheel}" for wheel in equations.WHEELS], ["front.y", "rear.y"]])
+    before, at, after = (slope.to_numpy() for slope in slopes)
+    scale = np.abs(at).max()
+    low, high = np.minimum(before, after) - 2e-3 * scale, np.maximum(before, after) + 2e-3 * scale
+    assert ((at >= low) & (at <= high)).all()
+    assert np.abs(after - before).max() < 0.1 * scale
+
+
+@pytest.mark.parametrize(("profile", "tolerance"), [("cone", 0.005), ("s1002", 0.03)])
+def test_linearised_wheelset_runs_in_the_wave_of_klingel(profile, tolerance):
+    """Frequency v sqrt(2 conicity / (b r)) at low speed; the spin moment of S1002 slows it by 2 %."""
+    vehicle, speed = load_vehicle(**{"contact.profile": profile, "gear.axle_damping": 1e8}), 2.0
+    car = SteppedCar("T5", speed, vehicle)
+    names = [f"front.{name}" for name in ("y", "psi", "z", "phi", "vy", "vz", "wx", "wz")] + [
+        "w.front_le",
+        "w.front_ri",
+    ]
+    poles = np.linalg.eigvals(car.linearise().a.loc[names, names].to_numpy())
+    found = poles.imag[(poles.imag > 1e-3) & (np.abs(poles.real) < 0.1)]
+    table = car.table.frame[car.table.frame["shift_m"].abs() < 1.5e-4]
+    radius, shift = table["rolling_radius_m"], table["shift_m"]
+    conicity = np.ptp(radius) / np.ptp(shift)
+    expected = speed * np.sqrt(2 * conicity / (vehicle.gear.contact_base * radius.mean()))
+    assert found == pytest.approx([expected], rel=tolerance)
+
+
 def test_time_counts_the_steps_and_torques_are_held():
     car = SteppedCar("T5", 50.0)
     car.step(TORQUE, exchanges=3)

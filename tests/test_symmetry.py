@@ -10,8 +10,8 @@ from railrepro.evidence.runs.tuning import tuned
 from railrepro.simulation import metrics, scenarios, simulate
 from railrepro.track.route import INDEX
 
-ODD = ("psi", "kappa", "dkappa", "phi", "dphi", "y", "lateral", "dlateral", "crosslevel", "dcrosslevel")
-ODD += ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")
+ODD = ("psi", "kappa", "dkappa", "phi", "dphi", "y")
+ODD += tuple(f"{order}{name}" for name in ("lateral", "crosslevel", "y_ref") for order in ("", "d", "dd", "ddd"))
 
 
 def turned(route, angle=0.1):

@@ -82,8 +82,8 @@ PARAMETERS = (
 )
 SLIP_FLOOR = 1.0
 """Speed below which the slip estimate is scaled by this value instead of the speed (m/s)."""
-BRAKE_FADE = 0.2
-"""Circumferential wheel speed below which a braking torque fades out, so that it holds instead of reversing (m/s)."""
+HOLDING_SPEED = 0.2
+"""Circumferential wheel speed below which a braking torque follows its wheel, to hold it at rest (m/s)."""
 
 
 def indices(*names: str) -> list[int]:
@@ -214,7 +214,7 @@ def _derived(two_stage: bool) -> dict:
     spin_up = [
         (torques[wheel] + coupling[wheel] - wheels[wheel].moment[1]) / par["wheel.spin_inertia"] for wheel in WHEELS
     ]
-    lag = [(_available(commands[wheel], speeds[wheel], par) - torques[wheel]) / par["drive.lag"] for wheel in WHEELS]
+    lag = [_torque_rate(commands[wheel], speeds[wheel], torques[wheel], par) for wheel in WHEELS]
     framed = []
     for name, frame in frames.items():
         above, below = suspensions[name], primaries[name]
@@ -284,12 +284,20 @@ def _inertias(par: dict[str, ca.SX], two_stage: bool) -> dict[str, tuple[ca.SX, 
     return found | dict.fromkeys(GEARS, carrier) | dict.fromkeys(FRAMES.values(), frame)
 
 
-def _available(command: ca.SX, speed: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
-    """Motor torque that the drive can give for a command (N m): limits of torque and power, braking holds at rest."""
+def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
+    """Time derivative of a motor torque (N m/s): lag behind the command within the limits of torque and power.
+
+    A negative command brakes: its torque acts against the rotation, whatever its direction. Near standstill the lag
+    slows down with the wheel, so that the torque is a function of the angle turned, stays at rest what it was, and so
+    holds the wheel with anything up to the command.
+
+    Source: Dahl 1968, A Solid Friction Model (torque over angle near rest).
+    """
     limit = ca.fmin(par["drive.torque_limit"], par["drive.power_limit"] / ca.fmax(ca.fabs(speed), 1e-3))
     limited = ca.fmin(ca.fmax(command, -limit), limit)
-    fade = ca.fmin(ca.fmax(speed * par["wheel.radius"] / BRAKE_FADE, 0), 1)
-    return ca.if_else(limited < 0, limited * fade, limited)
+    turning = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par["wheel.radius"] / HOLDING_SPEED, 1), 1)
+    wanted = ca.if_else(speed < 0, ca.fabs(limited), limited)  # a positive command drives forward at any speed
+    return turning * (wanted - torque) / par["drive.lag"]
 
 
 def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
@@ -323,6 +331,7 @@ def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
             f"{wheel}.nu_x": contact.creepage[0],
             f"{wheel}.nu_y": contact.creepage[1],
             f"{wheel}.spin": contact.spin,
+            f"{wheel}.M_spin": contact.spin_moment,
             f"{wheel}.angle": contact.angle,
         }
     for gear, suspension in suspensions.items():

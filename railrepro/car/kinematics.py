@@ -53,11 +53,9 @@ class Section:
         self.psi, self.kappa, self.phi, self.dphi, self.eps, self.deps = route.track_in(cell, s)
         self.rotation = orientation(self.psi, self.eps, self.phi)
         self.position = ca.vertcat(cell["x"], cell["y"], cell["z"]) + self._travel(cell, d)
-        self.lateral = cell["lateral"] + cell["dlateral"] * d
-        self.vertical = cell["vertical"] + cell["dvertical"] * d
-        self.crosslevel = cell["crosslevel"] + cell["dcrosslevel"] * d
-        self.gauge = cell["gauge"] + cell["dgauge"] * d
-        self.irregularity_rates = {name: cell["d" + name] for name in CHANNELS}
+        irregularity = {name: route.irregularity_in(cell, name, s) for name in CHANNELS}
+        self.lateral, self.vertical, self.crosslevel, self.gauge = (value for value, _ in irregularity.values())
+        self.irregularity_rates = {name: slope for name, (_, slope) in irregularity.items()}
         self.poor = {"le": cell["poor_le"], "ri": cell["poor_ri"]}
         sin, cos = ca.sin, ca.cos
         self.turn_rate = ca.vertcat(

@@ -85,8 +85,8 @@ class CarStepper:
     compiled : bool
         False evaluates in CasADi's virtual machine.
     substeps : int
-        Steps in an exchange. One is enough for the motion; wheel loads within milliseconds of a kink of the rails need
-        more.
+        Steps in an exchange. One is enough for the motion and for ideal rails. On irregular rails it overestimates the
+        largest unloading of a wheel below 20 Hz by up to 1.3 %, two steps by 0.1 %.
 
     Attributes
     ----------

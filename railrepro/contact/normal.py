@@ -70,8 +70,11 @@ class Patch:
 
     Attributes
     ----------
-    position, height, slope : float
-        Lateral position (m), height of the wheel profile (m), slope of the wheel profile (-).
+    position, slope : float
+        Lateral position (m), slope of the wheel profile (-), which is that of the resultant force.
+    height : float
+        Height of the wheel profile (m) at which the wheel rolls without longitudinal force. Creep stiffness grows with
+        the area of contact, the power 2/3 of the load, and so does the weight of a strip along the rail.
     semi_axis_x, semi_axis_y : float
         Along and across the rail (m). The ellipse has the extent of the pressure along the rail and the area that
         Hertz's pressure would need for the same mean pressure.
@@ -130,7 +133,9 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     # of its squares.
     a = np.sqrt(5 * along @ x**2)
     b = 9 / (8 * np.pi * a) * pressure.sum() ** 2 / np.sum(pressure**2) * cell[0] * cell[1]
-    return Patch(across @ y, across @ np.interp(y, position, height), mean, a, b, approach)
+    stiffness = across ** (2 / 3)
+    rolling = stiffness @ np.interp(y, position, height) / stiffness.sum()
+    return Patch(across @ y, rolling, mean, a, b, approach)
 
 
 def half_space_pressure(gap: np.ndarray, load: float, cell, modulus: float, tolerance: float = 1e-6):

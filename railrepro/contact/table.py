@@ -7,7 +7,7 @@ contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
 
 A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
 the patch spans the jump. So geometry is averaged over the pressure of elastic half spaces at nominal load, which makes
-it continuous. The mean of the wheel's heights is the radius at which the patch rolls without longitudinal force.
+it continuous. The rolling radius is that at which the patch rolls without longitudinal force (`normal.Patch`).
 
 Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
 """
@@ -40,6 +40,8 @@ CELL_COLUMNS = (
 from the start, value and slope of the other quantities (SI)."""
 SHIFTS = np.arange(-150, 121) * 1e-4
 """Shifts of the table of S1002 on 60E1 (m)."""
+_BEYOND = 1e-12
+"""How far a cell goes on beyond its ends (m): at a node, also a rounded one, derivatives are those of the cell."""
 _LATERAL_STEP = 2e-5
 """Step of the profiles across the rail (m)."""
 
@@ -136,7 +138,7 @@ def in_cell(cell: dict, offset) -> dict:
     """
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)
-    held = m.fmin(m.fmax(offset, 0.0), cell["width"])
+    held = m.fmin(m.fmax(offset, -_BEYOND), cell["width"] + _BEYOND)
     slope = first + held * (2 * square + held * 3 * cube)
     beyond = slope * (offset - held)
     at = {name: cell[name] + cell[f"d{name}"] * held for name in _LINEAR}

@@ -19,6 +19,9 @@ from railrepro.compile import codegen
 from railrepro.control import law
 from railrepro.track.route import Route
 
+_BLOCK = 10_000
+"""Exchanges whose log is allocated at once."""
+
 
 class _Copy(ctypes.Structure):
     _fields_ = [("to", ctypes.c_void_p), ("from_", ctypes.c_void_p), ("n", ctypes.c_longlong)]
@@ -117,11 +120,16 @@ class Exchange:
             One row per exchange, taken before its step. m = n, or the run ended early: the last row then shows where,
             `ended` is true and `state` is that of the last row.
         """
-        rows = np.empty((n, len(self.columns)))
-        done = self._run_python(rows) if self._loop is None else self._run_compiled(rows)
-        self.exchanges += done
-        self.ended = done < n
-        return rows[: min(done + 1, n)]
+        blocks, run = [np.empty((0, len(self.columns)))], self._run_python if self._loop is None else self._run_compiled
+        for first in range(0, n, _BLOCK):
+            rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
+            done = run(rows)
+            self.exchanges += done
+            self.ended = done < len(rows)
+            blocks.append(rows[: done + 1])
+            if self.ended:
+                break
+        return np.concatenate(blocks)
 
     @property
     def time(self) -> float:

@@ -250,7 +250,10 @@ def flange_contacts(angle, p, threshold: float = FLANGE_ANGLE, gap: float = 1.0)
 
 
 def wear_number(force_x, force_y, creepage_x, creepage_y, moment=0.0, spin=0.0) -> np.ndarray:
-    """Wear number T-gamma of a wheel, the work lost in the contact per metre.
+    """Work that the creep forces of a wheel lose per metre; without its last two arguments the wear number T-gamma.
+
+    T-gamma is usually quoted without the work of spin. Where the contact is inclined, as on S1002, spin does a good
+    part of the work, and comparisons that leave it out can turn round.
 
     Parameters
     ----------
@@ -259,8 +262,7 @@ def wear_number(force_x, force_y, creepage_x, creepage_y, moment=0.0, spin=0.0) 
     creepage_x, creepage_y : array_like, shape (n,)
         Creepages (-), against which the forces act.
     moment, spin : array_like, optional
-        Spin moment on the wheel (N m) and spin creepage (1/m). The car has no spin moment (its creep law gives none);
-        T-gamma is usually quoted without it.
+        Spin moment on the wheel (N m) and spin creepage (1/m).
 
     Returns
     -------
@@ -273,25 +275,38 @@ def wear_number(force_x, force_y, creepage_x, creepage_y, moment=0.0, spin=0.0) 
     return -lost
 
 
-def along_the_way(values, p) -> tuple[float, float]:
-    """Mean and 95th percentile over the way (not over time, so that a slow stretch counts by its length).
+def creep_work(series: pd.DataFrame) -> dict[str, float]:
+    """Work of the creep forces per metre, means over the way and over the four wheels.
+
+    Parameters
+    ----------
+    series : DataFrame
+        p of both gears; Fx, Fy, nu_x, nu_y, M_spin, spin of each wheel.
+
+    Returns
+    -------
+    dict
+        `t_gamma` without and `creep_work` with the work of spin (N, that is J/m).
+    """
+    names = {"t_gamma": ("Fx", "Fy", "nu_x", "nu_y"), "creep_work": ("Fx", "Fy", "nu_x", "nu_y", "M_spin", "spin")}
+
+    def mean(wheel: str, needed: tuple[str, ...]) -> float:
+        lost = wear_number(*(series[f"{wheel}.{name}"] for name in needed))
+        return way_mean(lost, series[f"{wheel.split('_')[0]}.p"])
+
+    return {name: float(np.mean([mean(wheel, needed) for wheel in WHEELS])) for name, needed in names.items()}
+
+
+def way_mean(values, p) -> float:
+    """Mean over the way (not over time, so that a slow stretch counts by its length).
 
     Parameters
     ----------
     values : array_like, shape (n,)
     p : array_like, shape (n,)
         Track coordinate, never decreasing (m).
-
-    Returns
-    -------
-    mean, percentile : float
-        In the unit of the values.
     """
-    metres = np.gradient(np.asarray(p, dtype=float))
-    return (
-        float(np.average(values, weights=metres)),
-        float(np.quantile(values, 0.95, weights=metres, method="inverted_cdf")),
-    )
+    return float(np.average(values, weights=np.gradient(np.asarray(p, dtype=float))))
 
 
 def weighting_filter(name: str, rate: float) -> np.ndarray:
@@ -450,14 +465,15 @@ def motor_energy(torque, speed, t) -> tuple[float, float, float]:
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
     """All figures of a run: name -> (value, unit).
 
-    Forces, Y/Q and unloading are the largest of the run and of the wheels, flange contacts the sum over the wheels.
+    Forces, Y/Q and unloading are the largest of the run and of the wheels, flange contacts the sum over the wheels,
+    creep work is their mean.
 
     Parameters
     ----------
     series : DataFrame
-        t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x, nu_y, angle, w, tau of each wheel;
-        ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car body, as an accelerometer reads them. Columns are
-        called `front.p`, `front_le.N`, `floor_centre.az`.
+        t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x, nu_y, M_spin, spin, angle, w, tau
+        of each wheel; ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car body, as an accelerometer reads
+        them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
     vehicle : Vehicle
         The car itself (of a run with two vehicles the plant's).
 
@@ -474,11 +490,7 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
     t = series["t_s"].to_numpy()
     rate = (t.size - 1) / (t[-1] - t[0])
     found = _force_figures(series, static_wheel_load(vehicle), rate)
-    for wheel in WHEELS:
-        p = series[f"{wheel.split('_')[0]}.p"]
-        wear = wear_number(*(series[f"{wheel}.{name}"] for name in ("Fx", "Fy", "nu_x", "nu_y")))
-        mean, high = along_the_way(wear, p)
-        found |= {f"wear_mean_{wheel}": (mean, "N"), f"wear_p95_{wheel}": (high, "N")}
+    found |= {name: (work, "N") for name, work in creep_work(series).items()}
     found["comfort_duration"] = (float(t[-1] - t[0]), "s")
     for point in FLOOR:
         along, across, vertical = (series[f"{point}.{name}"].to_numpy() for name in ("ax", "ay", "az"))
@@ -494,7 +506,7 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
 
 
 def _check(series: pd.DataFrame) -> None:
-    names = ("N", "Fx", "Fy", "nu_x", "nu_y", "angle", "w", "tau")
+    names = ("N", "Fx", "Fy", "nu_x", "nu_y", "M_spin", "spin", "angle", "w", "tau")
     needed = ["t_s", *(f"{gear}.{name}" for gear in GEARS for name in ("p", "phi"))]
     needed += [f"{wheel}.{name}" for wheel in WHEELS for name in names]
     needed += [f"{point}.{name}" for point in FLOOR for name in ("ax", "ay", "az")]

@@ -30,6 +30,11 @@ from railrepro.threads import one_thread
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
+LARGEST_LOG = 2 * 2**30
+"""Most bytes that the log of a run may take; while its series is made, memory holds it three times."""
+FLANGEWAY = 7e-3
+"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -38,7 +43,7 @@ class Run:
     Attributes
     ----------
     series : DataFrame
-        One row per exchange (or every `stride`-th): t_s and the columns of `Exchange.columns` (SI).
+        One row per exchange: t_s and the columns of `Exchange.columns` (SI).
     ended : str
         Why the run ended, one sentence.
     failed : bool
@@ -107,7 +112,8 @@ def run(
     Raises
     ------
     InputError
-        An argument of another kind or beyond its range, or a vehicle that lacks an adhesion set of the scenario.
+        An argument of another kind or beyond its range, a vehicle that lacks an adhesion set of the scenario, or a way
+        so long that at the initial speed its log would exceed `LARGEST_LOG`.
     ArithmeticError
         When a lateral controller returns a torque that is not finite.
     """
@@ -122,14 +128,16 @@ def run(
     lateral_law, factory = lateral.split(guidance)
     route = checked_route(scenario, body, irregularities, line)
     exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
+    longest = _longest(route, scenario, len(exchange.columns))
     latency = vars(sensors.loop.latency).values() if sensors else ()
     with one_thread():
         controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
-        log = _drive(exchange, controllers, _longest(route, scenario), sum(latency) + EXCHANGE_PERIOD)
+        log = _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
-    series = series[np.isfinite(series).all(axis=1)]  # the row that is not finite is named in `ended`
+    if not np.isfinite(log[-1]).all():  # the run ends at such a row, which `ended` names
+        series = series[:-1]
     memory = dict(zip(exchange.control.memory, exchange.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy(), memory)
 
@@ -165,9 +173,15 @@ def start(
     return Exchange(parameters, tables, route, control, state, compiled, substeps)
 
 
-def _longest(route: Route, scenario: Scenario) -> int:
-    """Most exchanges a run may take: the way at a tenth of the initial speed, at least 10 s."""
-    return int(max(10.0, 10 * route.length / scenario.speed) / EXCHANGE_PERIOD)
+def _longest(route: Route, scenario: Scenario, columns: int) -> int:
+    """Most exchanges a run may take: the way at a tenth of the initial speed, at least 10 s, within `LARGEST_LOG`."""
+    seconds, fit = route.length / scenario.speed, LARGEST_LOG // (8 * columns)
+    if seconds / EXCHANGE_PERIOD > fit:
+        raise InputError(
+            f"scenario {scenario.name}: {route.length:g} m at {scenario.speed_kmh:g} km/h take {seconds:.0f} s, up to "
+            f"{fit * EXCHANGE_PERIOD:.0f} s fit into a log of {LARGEST_LOG / 2**30:g} GiB, drive it in parts"
+        )
+    return min(int(max(10.0, 10 * seconds) / EXCHANGE_PERIOD), fit)
 
 
 def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> np.ndarray:
@@ -240,5 +254,8 @@ def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
     for gear in GEARS:
         beyond = series[f"{gear}.yaw_to_body"].abs() > vehicle.suspension.yaw_stop_angle
         first(beyond, f"{gear} gear is on its yaw end stop")
+        if vehicle.contact.profile == "cone":
+            aside = (series[f"{gear}.y"] - series[f"{gear}.rail_y"]).abs() > FLANGEWAY
+            first(aside, f"{gear} gear is where flanges would touch, cones have none")
         first(series[f"{gear}.v"] < equations.SLIP_FLOOR, f"{gear} gear is slower than the slip regularisation")
     return tuple(found)

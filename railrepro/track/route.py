@@ -1,8 +1,10 @@
 """Everything laid along the way: track geometry, irregularities, lateral set point, adhesion and force demand.
 
-A route is a table of cells of uniform length. A cell holds values and slopes at its start, so that the compiled
+A route is a table of cells of uniform length. A cell holds values and derivatives at its start, so that the compiled
 simulation needs one row per body and a Taylor expansion inside the cell, which is exact for straight, clothoid and arc.
-Controllers read the same cells, so plant and preview agree about the road ahead (paper eq. (track), theta and y*).
+Set point and irregularities are cubics, of which the irregularities continue with value and slope into the next cell:
+a kink would ring the contact springs. Controllers read the same cells, so plant and preview agree about the road ahead
+(paper eq. (track), theta and y*).
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 import pandas as pd
+from scipy.interpolate import CubicSpline
 
 from railrepro.errors import InputError
 from railrepro.track.irregularity import CHANNELS, check
@@ -25,10 +28,16 @@ CELL = 0.5
 BEFORE, AFTER = 60.0, 400.0
 """Straight on beyond both ends of the track for trailing gears and previews (m)."""
 
-_SET_POINT = ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")
+
+def _orders(name: str) -> tuple[str, ...]:
+    """Columns of a cubic: its value and first three derivatives over p at the start of a cell."""
+    return tuple("d" * order + name for order in range(4))
+
+
+_SET_POINT = _orders("y_ref")
 COLUMNS = (
     *("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z"),
-    *("lateral", "dlateral", "vertical", "dvertical", "crosslevel", "dcrosslevel", "gauge", "dgauge"),
+    *(column for channel in CHANNELS for column in _orders(channel)),
     *_SET_POINT,
     *("poor_le", "poor_ri", "second_profile", "force"),
 )
@@ -89,8 +98,17 @@ def reference_in(cell: dict, p) -> tuple:
 
     Source: eq. (des_states), y*.
     """
-    d = p - cell["p"]
-    y, y1, y2, y3 = (cell[name] for name in ("y_ref", "dy_ref", "ddy_ref", "dddy_ref"))
+    return _cubic([cell[name] for name in _SET_POINT], p - cell["p"])
+
+
+def irregularity_in(cell: dict, channel: str, p) -> tuple:
+    """A channel of `railrepro.track.irregularity.CHANNELS` (m or rad) and its slope over p inside a cell."""
+    return _cubic([cell[name] for name in _orders(channel)], p - cell["p"])[:2]
+
+
+def _cubic(terms, d) -> tuple:
+    """Value, slope and second derivative at a distance d from where a cubic has the value and derivatives `terms`."""
+    y, y1, y2, y3 = terms
     return y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3
 
 
@@ -115,7 +133,7 @@ def lay(
     force : callable, optional
         Demanded longitudinal force F_x* per running gear over p (N), traction positive.
     irregularities : DataFrame, optional
-        p_m and the channels of `railrepro.track.irregularity.CHANNELS`; zero outside.
+        p_m and the channels of `railrepro.track.irregularity.CHANNELS`, joined by a cubic spline; zero outside.
     line : pair of ndarray, shapes (m,) and (4, m), optional
         Coordinates, and a set point with its first three derivatives there, which hold from one coordinate to the next
         and are zero outside; added to the reference. See `railrepro.track.preview.planned_line`.
@@ -138,7 +156,7 @@ def lay(
     if irregularities is not None:
         columns |= _offsets(irregularities, p)
     if reference is not None:
-        columns |= dict(zip(_SET_POINT, _derivatives(reference, p), strict=True))
+        columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
         columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
     if poor is not None:
@@ -169,13 +187,23 @@ def _geometry(track: Track) -> dict[str, np.ndarray]:
 
 
 def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarray]:
-    """Columns of the irregularities at p: values at the start of each cell and slopes to the next."""
+    """Columns of the irregularities at p: cubics through the values and slopes of a spline at the ends of each cell.
+
+    Source: de Boor, A Practical Guide to Splines, ch. IV (cubic Hermite interpolation).
+    """
     check(irregularities)
-    columns = {}
-    for name, column in CHANNELS.items():
-        value = np.interp(p, irregularities["p_m"], irregularities[column], left=0.0, right=0.0)
-        columns |= {name: value, "d" + name: np.append(np.diff(value), 0.0) / CELL}
-    return columns
+    at = irregularities["p_m"].to_numpy()
+    spline = CubicSpline(at, irregularities[list(CHANNELS.values())], bc_type="clamped")
+    p = np.append(p, p[-1] + CELL)
+    inside = ((p >= at[0]) & (p <= at[-1]))[:, None]
+    value, slope = inside * spline(p), inside * spline(p, 1)
+    secant, first, last = np.diff(value, axis=0) / CELL, slope[:-1], slope[1:]
+    terms = value[:-1], first, (6 * secant - 4 * first - 2 * last) / CELL, 6 * (first + last - 2 * secant) / CELL**2
+    return {
+        name: column
+        for channel, columns in zip(CHANNELS, np.moveaxis(terms, 2, 0), strict=True)
+        for name, column in zip(_orders(channel), columns, strict=True)
+    }
 
 
 def _pair(line) -> tuple[np.ndarray, np.ndarray]:
@@ -198,13 +226,13 @@ def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
     at, values = _pair(line)
     index = np.searchsorted(at, p + 1e-9, side="right") - 1
     inside, index = (index >= 0) & (p <= at[-1]), np.clip(index, 0, None)
-    d, (y, y1, y2, y3) = p - at[index], values[:, index]
-    return inside * [y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3, y3]
+    return inside * [*_cubic(values[:, index], p - at[index]), values[3, index]]
 
 
-def _derivatives(reference: ca.Function, p: np.ndarray) -> np.ndarray:
-    """Set point and its first three derivatives with respect to p, shape (4, n)."""
-    s = ca.SX.sym("p")
+@lru_cache(maxsize=32)
+def _derivatives(reference: ca.Function, track: Track) -> np.ndarray:
+    """Set point and its first three derivatives with respect to p at the cells of a track, shape (4, n)."""
+    p, s = _geometry(track)["p"], ca.SX.sym("p")
     terms = [reference(s)]
     for _ in range(3):
         terms.append(ca.jacobian(terms[-1], s))
@@ -221,6 +249,7 @@ def _within(s: ca.SX, start: float, end: float, fade: float) -> ca.SX:
     return _fade(s - start, fade) * (1 - _fade(s - end + fade, fade))
 
 
+@lru_cache
 def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
     """Sinusoidal lateral set point.
 
@@ -244,6 +273,7 @@ def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.in
     return ca.Function("sine", [s], [amplitude * window * ca.sin(2 * np.pi * (s - start) / period)])
 
 
+@lru_cache
 def sweep(
     amplitude: float, period_start: float, period_end: float, start: float, end: float, fade: float = 30.0
 ) -> ca.Function:

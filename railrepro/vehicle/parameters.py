@@ -214,7 +214,10 @@ class WheelRail:
 
 @schema.table
 class AdhesionSet:
-    """Parameters of Polach's creep law: reduction factors, friction at rest, its ratio and decay with slip speed."""
+    """Parameters of Polach's creep law: reduction factors, friction at rest, its ratio and decay with slip speed.
+
+    Creep stiffness at rest is (k_a + k_s)/2 of Kalker's; a k_s above k_a counts as k_a.
+    """
 
     k_a: _above(0.0, 1.0, "-")
     k_s: _above(0.0, 1.0, "-")

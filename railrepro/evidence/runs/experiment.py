@@ -67,8 +67,8 @@ class Experiment:
         Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
     setting : str
         Which tuned parameters are taken, see `tuning.load`.
-    substeps : int
-        See `simulate.run`.
+    substeps : int, optional
+        See `simulate.run`; default 2 for ride figures on irregular rails, whose wheel loads need it, else 1.
     ride : bool
         Whether the row also has the figures of `ride.ride_summary`.
     stride : int
@@ -90,7 +90,7 @@ class Experiment:
     preview: dict = field(default_factory=dict)
     sensors: dict = field(default_factory=dict)
     setting: str = tuning.EQUAL
-    substeps: int = 1
+    substeps: int | None = None
     ride: bool = False
     stride: int = 0
 
@@ -126,7 +126,7 @@ class Experiment:
             irregularities=rough,
             line=line,
             sensors=sensors.readings(**self.sensors) if self.sensors else None,
-            substeps=self.substeps,
+            substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
             vehicle=load_vehicle(**self.vehicle),
             plant_vehicle=self.car(),
             adhesion=self.adhesion,

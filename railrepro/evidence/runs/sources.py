@@ -44,11 +44,12 @@ def parsed(text: str) -> tuple[str, frozenset[str]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = {alias.name for alias in node.names}
-            found |= names | ({f"{_NAME}.{name}" for name in FACADE} if _NAME in names else set())  # any may follow
+            ours = any(name.partition(".")[0] == _NAME for name in names)
+            found |= names | ({f"{_NAME}.{name}" for name in FACADE} if ours else set())  # any may follow
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     content = hashlib.sha256(ast.dump(_without_docstrings(tree)).encode()).hexdigest()
-    homes = {home for name, home in FACADE.items() if f"{_NAME}.{name}" in found}
+    homes = {home for name, home in FACADE.items() if {f"{_NAME}.{name}", f"{_NAME}.*"} & found}
     found |= homes | {home.rpartition(".")[0] for home in homes}
     return content, frozenset(name for name in found if name.partition(".")[0] == _NAME)
 
