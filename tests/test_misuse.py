@@ -20,6 +20,8 @@ from railrepro import __main__ as command
 from railrepro import files, leash, paths
 from railrepro.car.component import SteppedCar
 from railrepro.compile import cache
+from railrepro.contact import points, profiles
+from railrepro.contact import table as contact
 from railrepro.control import lateral
 from railrepro.control.export import Export
 from railrepro.control.ndi import NDI
@@ -112,6 +114,16 @@ def task(old, new):
     return edited("tuning.toml", old, new, lambda path: tuning.load_task(path, "paper"))
 
 
+def points_of(text):
+    return file(text, points.read_pair, "pair.csv")
+
+
+def wheel(scale, missing=None):
+    """Points of a flat wheel from -60 to 60 mm, scaled."""
+    return "".join(f"wheel,{scale * 1.5 * i},{-1e-3 * abs(i)}\n" for i in range(-40, 41) if i != missing)
+
+
+POINTS = "part,lateral_mm,height_mm\n"
 ROUGH = "p_m,lateral_m,vertical_m,crosslevel_rad,gauge_m\n"
 GOOD = "".join(f"{p},0,0,0,0\n" for p in range(20))
 REFUSED = {
@@ -123,7 +135,7 @@ REFUSED = {
         planning(0.0, period=None),
         "lateral controller Plan: period is None, a number in s",
     ),
-    "a period that is a text": (planning(0.0, period="5 ms"), "period is '5 ms'"),
+    "a period that is a text": (planning(0.0, period="5 ms"), "period is '5 ms', a number in s"),
     "a controller without plan": (planning(0.0, plan=None), "lateral controller Plan: has no plan(x_hat, u_d)"),
     "a factory without arguments": (lambda _: simulate.run(scenario(), lambda: None), "cannot be called with (vehicle"),
     "a law that gives nothing": (law(None), "torque() returned None, a pair (du, memory by name)"),
@@ -134,7 +146,7 @@ REFUSED = {
         "lateral law Law: its torque is an expression of shape (2, 1)",
     ),
     "gains that are a list": (law((0.0, {}), [1]), "gains() gives [1], a table"),
-    "half a step": (lambda _: tuning.tuned("nmpc", steps=2.5), "2.5 steps of 0.005 s; whole steps"),
+    "half a step": (lambda _: tuning.tuned("nmpc", steps=2.5), "2.5 steps of 0.005 s; 2 or more"),
     "an export of a name": (lambda _: Export(NDI_LAW, "T3"), "export: route is 'T3'"),
     "an export of nothing": (lambda _: Export(NDI_LAW, None), "export: route is None"),
     "an export for a name": (lambda _: Export(NDI_LAW, lay(load_track("T3")), "v"), "export: vehicle is 'v'"),
@@ -192,6 +204,26 @@ REFUSED = {
     "two curves": (line("chainage_m,radius_m,curvature_1pm\n0,0,0\n9,0,0\n"), "one of them is needed"),
     "two cants": (line("chainage_m,radius_m,cant_m,cant_mm\n0,0,0,0\n9,0,0,0\n"), "one of them is needed"),
     "a chainage twice": (line("chainage_m,radius_m\n0,0\n9,0\n9,500\n"), "row 4, chainage_m does not increase"),
+    "no points": (points_of("part,lateral_mm\n"), "pair.csv: column height_mm is missing"),
+    "points of an axle": (
+        points_of("part,lateral_mm,height_mm\naxle,0,0\n"),
+        "part is ['axle'], ['wheel', 'rail'] are",
+    ),
+    "three points": (points_of(POINTS + "wheel,0,0\n" * 3), "pair.csv: wheel has 3 points, at least 50 are needed"),
+    "points in other units": (points_of(POINTS.replace("mm", "m") + wheel(1.0)), "reaches to 60 m, up to 0.2 m"),
+    "points to and fro": (points_of(POINTS + wheel(1.0) + wheel(1.0)), "wheel: lateral_mm does not go one way"),
+    "a wheel without flange": (
+        points_of(POINTS + wheel(0.5)),
+        "from -30.0 to 30.0 mm, -42 to 30 mm of its tape circle",
+    ),
+    "a gap in a wheel": (points_of(POINTS + wheel(1.0, missing=10)), "wheel has a gap of 3.0 mm, up to 2 mm"),
+    "a point that is a text": (points_of(POINTS + wheel(1.0) + "wheel,61,high\n"), "that is no finite number"),
+    "a flat rail": (points_of(POINTS + wheel(1.0).replace("wheel", "rail")), "rail reaches 0.0 mm below its top"),
+    "a pair that there is not": (vehicle(contact__profile="round"), "contact.profile is 'round', allowed are 'cone'"),
+    "a CSV of points that there is not": (
+        lambda _: contact.contact_table("nowhere.csv", load_vehicle()),
+        "nowhere.csv: cannot be read as CSV",
+    ),
     "a quality of foreign bytes": (quality(b"own = '\xe9'"), "irregularities.toml: cannot be read as TOML"),
     "no quality": (quality(""), "irregularities.toml: is empty"),
     "an unknown confidence": (
@@ -419,6 +451,21 @@ def test_a_track_of_chainage_and_radius_is_that_of_its_segments(tmp_path):
     assert table[["x_m", "y_m"]].iloc[-1].tolist() == pytest.approx(ends, abs=1e-5)
     assert 1.5 * np.sin(table["phi_rad"].min()) == pytest.approx(-0.12)
     assert table["dphi_dp_1pm"].abs().max() == pytest.approx(np.arcsin(0.08) / 200)
+
+
+def test_points_of_standard_profiles_give_the_contact_of_the_standard_ones(tmp_path, monkeypatch):
+    """Points every 0.3 mm on the wheel and 0.2 mm on the rail, to 10 nm; a rail has any origin."""
+    lateral_, (position, depth) = np.arange(-0.06, 0.058, 3e-4), profiles.inclined_rail(401)
+    parts = {"wheel": (lateral_, profiles.s1002(lateral_)[0]), "rail": (position - 0.8, 0.1 - depth)}
+    rows = [pd.DataFrame({"part": part, "lateral_mm": 1e3 * s, "height_mm": 1e3 * z}) for part, (s, z) in parts.items()]
+    pd.concat(rows).to_csv(tmp_path / "pair.csv", index=False, float_format="%.5f")
+    monkeypatch.setattr(contact, "SHIFTS", np.array([-4e-3, -2e-3, 0.0, 2e-3, 4e-3]))
+    material = 0.4601, 78480.0, 1.14e11, 9.2e10  # a radius of no other test: tables are cached
+    mine = contact.pair_table(*material, points.read_pair(tmp_path / "pair.csv")).frame
+    theirs = contact.pair_table(*material).frame
+    assert np.allclose(mine["rolling_radius_m"], theirs["rolling_radius_m"], rtol=0, atol=5e-6)
+    assert np.allclose(mine["angle_rad"], theirs["angle_rad"], rtol=0, atol=1e-3)
+    assert np.allclose(mine["semi_axis_y_m"], theirs["semi_axis_y_m"], rtol=0.03)
 
 
 def test_measured_irregularities_begin_at_a_chainage(tmp_path):

@@ -1,4 +1,5 @@
-"""Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, or S1002 on 60E1 at 1:40.
+"""Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, S1002 on 60E1
+at 1:40, or measured profiles.
 
 The plant needs, at each shift u (positive towards the flange): the radius of the equivalent wheel on a knife-edge rail
 (its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and
@@ -20,8 +21,10 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from railrepro import paths
 from railrepro.contact import normal, profiles
 from railrepro.contact.creep import elementary, kalker_coefficients, spin_coefficient
+from railrepro.contact.points import STANDARD, Pair, read_pair
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import Vehicle
 
@@ -144,14 +147,15 @@ def in_cell(cell: dict, offset) -> dict:
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
-    """Contact table of a profile pair ("cone" or "s1002") for a vehicle; see `ContactTable`."""
+    """Contact table of a profile pair ("cone", "s1002" or a CSV of `points`) for a vehicle; see `ContactTable`."""
     if profile == "cone":
         return _cone(vehicle)
-    if profile == "s1002":
-        material = vehicle.contact
-        modulus = normal.contact_modulus(material.young, material.poisson)
-        return s1002_table(vehicle.wheel.radius, material.nominal_load, modulus, material.normal_stiffness)
-    raise InputError(f"contact profile {profile!r} is not known; there are 'cone' and 's1002'")
+    if profile != "s1002" and not profile.endswith(".csv"):
+        raise InputError(f"contact profile {profile!r} is not known; there are 'cone', 's1002' and CSV files of points")
+    material = vehicle.contact
+    modulus = normal.contact_modulus(material.young, material.poisson)
+    pair = STANDARD if profile == "s1002" else read_pair(paths.source(profile))
+    return pair_table(vehicle.wheel.radius, material.nominal_load, modulus, material.normal_stiffness, pair)
 
 
 def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
@@ -222,17 +226,17 @@ class Section:
 
 
 @cache
-def _rail(step: float) -> tuple[np.ndarray, np.ndarray]:
+def _rail(step: float, pair: Pair) -> tuple[np.ndarray, np.ndarray]:
     """Uniform lateral grid over the rail head and its depth (m)."""
-    points, depth = profiles.inclined_rail()
+    points, depth = pair.laid()
     position = np.arange(np.ceil(points[0] / step), np.floor(points[-1] / step)) * step
     return position, np.interp(position, points, depth)
 
 
-def section(shift: float, step: float = _LATERAL_STEP) -> Section:
-    """S1002 on 60E1 at 1:40 with the wheel shifted towards its flange by `shift` (m); see `Section`."""
-    position, depth = _rail(step)
-    height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
+def section(shift: float, step: float = _LATERAL_STEP, pair: Pair = STANDARD) -> Section:
+    """A wheel, by default S1002 on 60E1 at 1:40, shifted towards its flange by `shift` (m); see `Section`."""
+    position, depth = _rail(step, pair)
+    height, slope = pair.wheel(position - profiles.TAPE_CIRCLE - shift)
     return Section(position, height, -slope, depth)
 
 
@@ -260,8 +264,8 @@ def rigid_contact(shifts, radius: float) -> pd.DataFrame:
 
 
 @cache
-def s1002_table(radius: float, load: float, modulus: float, stiffness: float) -> ContactTable:
-    """S1002 on 60E1 at 1:40, averaged over the elastic patch.
+def pair_table(radius: float, load: float, modulus: float, stiffness: float, pair: Pair = STANDARD) -> ContactTable:
+    """A pair of profiles, by default S1002 on 60E1 at 1:40, averaged over the elastic patch.
 
     The effective radius is the integral of the mean slope, so that at nominal load the normal forces of the patch have
     the resultant that the table gives. The Hertz stiffness is the same at every shift: one that changed with the shift
@@ -277,6 +281,7 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
         Contact modulus E* (Pa).
     stiffness : float
         Hertz stiffness (N/m^1.5).
+    pair : Pair
 
     Returns
     -------
@@ -287,7 +292,7 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
     """
     patches = []
     for shift in SHIFTS:
-        cut = section(shift)
+        cut = section(shift, pair=pair)
         patches.append(
             normal.elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
         )
@@ -295,7 +300,7 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
         np.array([getattr(patch, field.name) for patch in patches]) for field in fields(normal.Patch)
     )
     centre = int(np.argmin(np.abs(SHIFTS)))
-    cut = section(0.0)
+    cut = section(0.0, pair=pair)
     depth_at_contact = np.interp(position[centre], cut.position, cut.rail_depth)
     climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
     rolling = radius + height
@@ -315,7 +320,7 @@ def s1002_table(radius: float, load: float, modulus: float, stiffness: float) ->
         "normal_stiffness": stiffness,
         "approach_m": approach,
     }
-    return ContactTable("s1002", pd.DataFrame(columns))
+    return ContactTable(pair.name, pd.DataFrame(columns))
 
 
 def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> float:

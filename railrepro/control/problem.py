@@ -210,9 +210,7 @@ class MPCSettings:
                 "are needed"
             )
         if not isinstance(self.steps, Integral) or self.steps < 2 or self.period <= 0:
-            raise InputError(
-                f"MPC horizon: {self.steps} steps of {self.period} s; whole steps, 2 or more above 0 s are needed"
-            )
+            raise InputError(f"MPC horizon: {self.steps} steps of {self.period} s; 2 or more above 0 s are needed")
 
     def tuning(self) -> np.ndarray:
         """What the statement weighs with, shape (len(TUNING),)."""

@@ -53,23 +53,15 @@ class Lateral:
 
 
 @schema.table
-class Gyro:
-    """Yaw rate of the carrier; what is usual tells rad/s from degrees per second."""
+class Rate:
+    """Angular velocity: the gyroscope of the carrier, or the speed of a wheel.
+
+    What is usual tells rad/s from degrees per second.
+    """
 
     noise: _upto(1.0, "rad/s", (1e-5, 0.1))
     bias: _upto(1.0, "rad/s", (1e-6, 0.05))
     resolution: _upto(0.1, "rad/s", (1e-7, 0.01))
-    period: _PERIOD
-    dropout: _DROPOUT
-
-
-@schema.table
-class WheelSpeed:
-    """Angular velocity of a wheel."""
-
-    noise: _upto(1.0, "rad/s")
-    bias: _upto(1.0, "rad/s")
-    resolution: _upto(0.1, "rad/s")
     period: _PERIOD
     dropout: _DROPOUT
 
@@ -138,8 +130,8 @@ class Loop:
     """All that stands between the car and its controllers; the numbers live in data/sensors.toml."""
 
     lateral: Lateral
-    gyro: Gyro
-    wheel_speed: WheelSpeed
+    gyro: Rate
+    wheel_speed: Rate
     speed: Speed
     position: Position
     latency: Latency

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
@@ -19,7 +19,7 @@ from railrepro.schema import Number, above, between, steps
 from railrepro.track import route
 from railrepro.track.alignment import CANT_BASE
 from railrepro.track.table import Track, load_track
-from railrepro.vehicle.parameters import Vehicle
+from railrepro.vehicle.parameters import Vehicle, profile_name
 
 _AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm", usual=(0.05, 20.0))]
 """Beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm); a cone has no flange, but derails at 30 mm."""
@@ -92,7 +92,7 @@ class Scenario:
     poor_share_right: _SHARES = ()
     force_kN: Annotated[tuple, steps("force", -500.0, 500.0)] = ()
     set_point: _SET_POINT = field(default_factory=lambda: {"kind": "none"})
-    second_profile: Literal["cone", "s1002"] | None = None
+    second_profile: Annotated[str, AfterValidator(profile_name)] | None = None
     second_profile_share: _SHARES = ()
     stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
@@ -132,7 +132,7 @@ class Scenario:
                 raise InputError(f"scenario {self.name}: the adhesion set {name!r} is not known; there are {known}")
 
         amplitude = abs(self.set_point.get("amplitude_mm", 0.0))
-        if vehicle.contact.profile == "s1002" and amplitude > FLANGEWAY:
+        if vehicle.contact.profile != "cone" and amplitude > FLANGEWAY:
             raise InputError(
                 f"scenario {self.name}: set_point.amplitude_mm = {amplitude:g}, up to {FLANGEWAY:g} mm lie inside the "
                 "flangeway of S1002 on 60E1"

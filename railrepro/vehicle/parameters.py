@@ -66,6 +66,13 @@ def _from_zero(high: float, unit: str, usual: tuple[float, float] = (0.0, math.i
     return Annotated[float, Parameter(0.0, high, unit, closed=True, usual=usual)]
 
 
+def profile_name(name: str) -> str:
+    """Name of a pair of profiles; ValueError for others."""
+    if name not in ("cone", "s1002") and not name.endswith(".csv"):
+        raise ValueError(f"is {name!r}, allowed are 'cone', 's1002' or the path of a CSV of points")
+    return name
+
+
 _PLAIN = Parameter(0.0, 0.0, "-")
 _STIFF, _DAMPED = (1e3, 1e9), (50.0, 1e7)
 """Usual magnitudes, a thousand times more or less is another unit."""
@@ -193,7 +200,7 @@ class Drive:
 
 @schema.table
 class WheelRail:
-    """Material and regularisation of the wheel-rail contact; `profile` is "cone" or "s1002"."""
+    """Material and regularisation of the wheel-rail contact; `profile`: "cone", "s1002", a CSV (`contact.points`)."""
 
     young: _above(1e9, 1e12, "Pa")
     poisson: _from_zero(0.5, "-")
@@ -202,7 +209,7 @@ class WheelRail:
     normal_stiffness: _above(0.0, 1e13, "N/m^1.5")
     normal_damping: _from_zero(1e3, "s/m")
     rest_speed: _above(0.0, 1.0, "m/s")
-    profile: Annotated[Literal["cone", "s1002"], _PLAIN]
+    profile: Annotated[str, AfterValidator(profile_name), _PLAIN]
 
 
 @schema.table
