@@ -22,11 +22,11 @@ class PID:
     def gains(self):
         return {"pole": self.pole, "share": self.share}
 
-    def torque(self, gear, road, memory, gain, model):
+    def torque(self, gear, track_ahead, memory, gain, model):
         v, w = gear["xdot"], gain["pole"]
-        error = road["y_ref"] - gear["y_TrAx"]  # m
-        rate = v * (road["dy_ref"] - gear["psi_TrAx"])  # m/s
-        turning = gear["psidot_Ax"] - v * road["dpsi_dp"]  # rad/s, against the track
+        error = track_ahead["y_ref"] - gear["y_TrAx"]  # m
+        rate = v * (track_ahead["dy_ref"] - gear["psi_TrAx"])  # m/s
+        turning = gear["psidot_Ax"] - v * track_ahead["dpsi_dp"]  # rad/s, against the track
         jerk = w**3 * (error + gain["share"] * w * memory["integral"]) + 3 * w**2 * rate - 3 * w * v * turning
         du = model["r_0"] / model["b"] * model["J_eff"] * jerk / v  # N m
         return du, {"integral": memory["integral"] + EXCHANGE * error}

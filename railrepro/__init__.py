@@ -63,6 +63,6 @@ def __dir__() -> list[str]:
 _COMMAND = sys.argv[:1] == ["-m"] and any(
     part.removeprefix("-m").partition(".")[0] == __name__ for part in sys.orig_argv
 )
-# A command of this package imports for seconds: Ctrl-C ends it without a traceback until `errors.told` takes over.
+# A command of this package imports for seconds: Ctrl-C ends it without a traceback until `report_errors` takes over.
 if _COMMAND and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
-from railrepro.errors import InputError, told
+from railrepro.errors import InputError, report_errors
 
 PROGRAM = "python -m railrepro"
 
@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code, see `errors.told`; 2 after wrong arguments. What is no number is printed.
+        Exit code, see `errors.report_errors`; 2 after wrong arguments. What is no number is printed.
     """
     chosen = vars(parser().parse_args(arguments))
     module, _, name = chosen.pop("call").partition(":")
@@ -119,7 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
             print(result)
         return 0
 
-    return told(run)
+    return report_errors(run)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 
-from railrepro import leash
+from railrepro import parent_death
 
 
 class InputError(ValueError):
@@ -16,7 +16,7 @@ class InputError(ValueError):
         super().__init__(" ".join(message.splitlines()))
 
 
-def told(command: Callable[[], int | None]) -> int:
+def report_errors(command: Callable[[], int | None]) -> int:
     """Run a command; what stops it is told in one sentence.
 
     Returns
@@ -28,7 +28,7 @@ def told(command: Callable[[], int | None]) -> int:
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see the package
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        leash.follow_make()
+        parent_death.follow_make()
         return command() or 0
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -82,10 +82,10 @@ def run(folder: Path, *goals: str, code: int | None = 0, seconds: float = 120, *
     done = subprocess.run(
         [*MAKE, *goals], cwd=folder, env=clean(environment), capture_output=True, text=True, timeout=seconds
     )
-    told = done.stdout + done.stderr
-    if "Traceback" in told or (code is not None and done.returncode != code):
-        raise Lost(f"make {' '.join(goals)} ended with {done.returncode}: {told[-1500:]}")
-    return told
+    said = done.stdout + done.stderr
+    if "Traceback" in said or (code is not None and done.returncode != code):
+        raise Lost(f"make {' '.join(goals)} ended with {done.returncode}: {said[-1500:]}")
+    return said
 
 
 def clean(changes: dict) -> dict:
@@ -133,8 +133,8 @@ def check_next_run(folder: Path, whole: dict[str, str]) -> None:
         raise Lost("the next run gives other products")
     if leftovers(folder):
         raise Lost(f"left behind: {leftovers(folder)}")
-    told = run(folder, "figures")
-    if "running" in told:
+    said = run(folder, "figures")
+    if "running" in said:
         raise Lost("what was whole ran again")
 
 
@@ -153,10 +153,10 @@ def wait_for_orphans(folder: Path) -> None:
     while processes(folder) and time.monotonic() < end:
         time.sleep(0.1)
     if left := processes(folder):
-        told = [Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()[:80] for process in left]
+        said = [Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()[:80] for process in left]
         for process in left:
             os.kill(process, signal.SIGKILL)
-        raise Lost(f"orphans after 5 s: {told}")
+        raise Lost(f"orphans after 5 s: {said}")
 
 
 def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int) -> str:
@@ -186,10 +186,10 @@ def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int
     if victim in ("make", "everything at once"):
         started.wait()
         wait_for_orphans(folder)
-    told = started.communicate(timeout=60)[1]
+    said = started.communicate(timeout=60)[1]
     wait_for_orphans(folder)
-    if "Traceback" in told:
-        raise Lost(told[-1500:])
+    if "Traceback" in said:
+        raise Lost(said[-1500:])
     check_whole(folder, whole)
     check_next_run(folder, whole)
     return f"after {moment:.1f} s"
@@ -256,10 +256,10 @@ def interrupt(folder: Path, whole: dict[str, str], number: int) -> str:
         started.wait(moment)
     except subprocess.TimeoutExpired:
         os.killpg(started.pid, signal.SIGINT)
-    told = started.communicate(timeout=30)[1]
+    said = started.communicate(timeout=30)[1]
     wait_for_orphans(folder)
     strange = [
-        line for line in told.splitlines()
+        line for line in said.splitlines()
         if not line.startswith(("make", "interrupted", "01_", "02_")) and "notebooks are stale" not in line
     ]  # fmt: skip
     if strange:
@@ -361,11 +361,11 @@ def full_disk(folder: Path, whole: dict[str, str], room: int) -> str:
             stream.write(b"\0" * max(0, free.f_bavail * free.f_frsize - room))
     except OSError:
         pass
-    told = run(folder, "figures", code=None)
+    said = run(folder, "figures", code=None)
     check_whole(folder, whole)
     ballast.unlink()
     check_next_run(folder, whole)
-    sentences = [line for line in told.splitlines() if line.startswith("error: ") or "rror" in line]
+    sentences = [line for line in said.splitlines() if line.startswith("error: ") or "rror" in line]
     return sentences[0][:90] if sentences else "enough"
 
 
@@ -508,15 +508,15 @@ def main() -> int:
         for kind, name, call in chosen_faults(toy(parent / "toy"), toy(mounted / "toy") if small else None, short):
             count = tried.setdefault(kind, [0, 0])
             try:
-                told = call()
+                said = call()
             except (Lost, subprocess.TimeoutExpired) as error:
                 count[0] += 1
                 print(f"LOST      {kind:9s} {name}: {error}", flush=True)
                 continue
-            if told is not False:
+            if said is not False:
                 count[0] += 1
                 count[1] += 1
-                print(f"survived  {kind:9s} {name} {told if isinstance(told, str) else ''}".rstrip(), flush=True)
+                print(f"survived  {kind:9s} {name} {said if isinstance(said, str) else ''}".rstrip(), flush=True)
     finally:
         if small:
             subprocess.run(["umount", "-l", str(mounted)])

@@ -306,9 +306,9 @@ def test_a_stepped_car_that_leaves_the_rail_says_so_once():
     car = SteppedCar("T3", 77.8)
     car.step([300, -300, 300, -300], exchanges=100)
     assert car.left_rail == ""
-    with pytest.warns(UserWarning, match=r"gear left the rail, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as told:
+    with pytest.warns(UserWarning, match=r"gear left the rail, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as said:
         car.step(exchanges=400)
-    assert [str(warning.message) for warning in told] == [car.left_rail] and told[0].filename == __file__
+    assert [str(warning.message) for warning in said] == [car.left_rail] and said[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         car.step(exchanges=10)
@@ -343,8 +343,8 @@ def interrupted(folder, *command):
     process = subprocess.Popen([sys.executable, *command], env=environment, cwd=folder, preexec_fn=listens, **pipes)
     assert process.stdout.readline() == "here\n"
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=30)
-    return process.returncode, told
+    _, said = process.communicate(timeout=30)
+    return process.returncode, said
 
 
 HERE = "print('here', flush=True); time.sleep(60)"

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro import files, leash, paths
+from railrepro import files, parent_death, paths
 from railrepro.compile import cache, codegen
 from railrepro.errors import InputError
 
@@ -226,8 +226,8 @@ def test_where_there_is_no_compiler_the_packaged_one_is_taken(tmp_path, monkeypa
     """A compiler in the path comes first. The package is played by a script that hands over to the real one."""
     zig, packaged = tmp_path / "lib/python3.11/site-packages/ziglang/zig", tmp_path / "bin/cc"
     zig.parent.mkdir(parents=True)
-    told = 'cc)\nshift; for a; do shift; case "$a" in -mcpu=baseline) ;; *) set -- "$@" "$a";; esac; done'
-    zig.write_text(f'#!/bin/sh\ncase $1 in {told}\nexec {codegen.compiler()} "$@";; esac\nexit 3\n')
+    said = 'cc)\nshift; for a; do shift; case "$a" in -mcpu=baseline) ;; *) set -- "$@" "$a";; esac; done'
+    zig.write_text(f'#!/bin/sh\ncase $1 in {said}\nexec {codegen.compiler()} "$@";; esac\nexit 3\n')
     zig.chmod(0o755)
     packaged.parent.mkdir()
     shutil.copy(paths.ROOT / "railrepro/compile/packaged-cc", packaged)
@@ -269,7 +269,7 @@ def test_a_compilation_ends_with_the_process_that_asked_for_it(tmp_path):
     process.kill()
     process.wait()
     for _ in range(100):
-        if not leash.alive(int(log.read_text())):
+        if not parent_death.alive(int(log.read_text())):
             return
         time.sleep(0.05)
     raise AssertionError("the compiler outlives its parent by 5 s")

@@ -28,8 +28,8 @@ class Probe:
     def gains(self):
         return self._scales
 
-    def torque(self, gear, road, memory, gain, model):
-        groups = ((gear, lateral.GEAR), (road, lateral.ROAD), (model, lateral.MODEL))
+    def torque(self, gear, track_ahead, memory, gain, model):
+        groups = ((gear, lateral.GEAR), (track_ahead, lateral.ROAD), (model, lateral.MODEL))
         seen = sum(gain[name] * group[name] for group, names in groups for name in names)
         return seen, {"calls": memory["calls"] + 1}
 

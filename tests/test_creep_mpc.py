@@ -38,13 +38,13 @@ def test_first_move_is_that_of_the_whole_optimisation(delay, sent):
     free, forced = start[:n].copy(), np.zeros((n, horizon))
     y, by_move = [], []
     for k in range(10 * horizon):
-        road, sample = ahead[min(k // 10, settings.steps)], (k - late) // 10
+        track_ahead, sample = ahead[min(k // 10, settings.steps)], (k - late) // 10
         old = before[min(-sample - 1, sent - 1)] if sample < 0 else before[0]
-        free = fine.a @ free + fine.d @ start[n:] + fine.b * old + fine.e @ road[: len(KNOWN)]
+        free = fine.a @ free + fine.d @ start[n:] + fine.b * old + fine.e @ track_ahead[: len(KNOWN)]
         torque = (np.arange(horizon) <= sample).astype(float)
         forced = fine.a @ forced + np.outer(fine.b, torque)
         if k % 10 == 9:
-            y.append(free[0] - road[-1])
+            y.append(free[0] - track_ahead[-1])
             by_move.append(forced[0].copy())
     weight = np.sqrt(settings.error)
     system = np.vstack([weight * np.array(by_move), np.sqrt(settings.change) * np.eye(horizon)])
@@ -219,14 +219,14 @@ def test_the_track_is_that_under_the_readings_which_are_older_than_the_place(gui
     """Six milliseconds from reading to torque, one of them the exchange; T3 curves from 25 m on, 423 m to 4250 m."""
     guide.read(np.zeros(3), 6e-3)
     guide.plan(measured(70.0), 0.0)
-    curvature, _ = guide._road(70.0, 0.0)
+    curvature, _ = guide._track_ahead(70.0, 0.0)
     assert curvature == pytest.approx((100.0 - 5e-3 * 70.0 - 25.0) / 423.0 / 4250.0, rel=1e-6)
 
 
 def test_the_track_ahead_is_passed_at_the_speed_that_braking_leaves(guide):
     """On the clothoid of T3 the curvature grows by one over 423 m times 4250 m in each metre."""
     guide.plan(measured(70.0), 0.0)
-    _, ahead = guide._road(70.0, -1.5)
+    _, ahead = guide._track_ahead(70.0, -1.5)
     middle = (np.arange(ahead.shape[1]) + 0.5) * guide.period
     within = 100.0 + 70.0 * middle < 440.0
     expected = (70.0 - 1.5 * middle) ** 2 / 423.0 / 4250.0

@@ -28,9 +28,9 @@ def inversion(env, pole=15.0):
         gear = dict(zip(STATES, x, strict=True))
         (y_ref,), (slope,) = env.route.reference_at(gear["x"])
         _, (curvature,), *_ = env.route.track_at(gear["x"])
-        road = {"y_ref": y_ref, "dy_ref": slope, "ddy_ref": 0.0, "dddy_ref": 0.0, "dpsi_dp": curvature}
+        track_ahead = {"y_ref": y_ref, "dy_ref": slope, "ddy_ref": 0.0, "dddy_ref": 0.0, "dpsi_dp": curvature}
         gains = ndi.NDI(pole, pole, 1.0, derivatives=1).gains()
-        jerk = ndi.wanted_jerk(gear | {"xddot": 0.0}, road, 0.0, gains)
+        jerk = ndi.wanted_jerk(gear | {"xddot": 0.0}, track_ahead, 0.0, gains)
         torques.append(model["r_0"] / model["b"] * model["J_eff"] * float(jerk) / gear["xdot"])
     return np.array(torques, dtype=np.float32) / env.vehicle.drive.torque_limit
 

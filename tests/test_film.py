@@ -13,7 +13,7 @@ from railrepro.car.component import SteppedCar
 from railrepro.errors import InputError
 from railrepro.evidence.chain import weblinks
 from railrepro.evidence.film import knobs, movie, page, scene
-from railrepro.evidence.film.knobs import Knobs
+from railrepro.evidence.film.knobs import Parameters
 from railrepro.evidence.runs.tuning import tuned
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -28,7 +28,7 @@ class HandsOff:
     def gains(self):
         return {}
 
-    def torque(self, gear, road, memory, gain, model):
+    def torque(self, gear, track_ahead, memory, gain, model):
         return 0.0, {}
 
 
@@ -114,7 +114,7 @@ def test_a_run_that_ends_early_stays_where_it_ended():
     found = scene.compose(scenario, runs, load_vehicle(), 40, "one derails")
     rows = [len(shot.table) for shot in found.shots]
     assert runs["nmpc"].failed and rows[1] < rows[0] == found.times.size and found.still() < rows[1]
-    assert "left the rail" in found.shots[1].told and found.scales["y_mm"] == scene.WIDEST
+    assert "left the rail" in found.shots[1].said and found.scales["y_mm"] == scene.WIDEST
     assert len(shown(page.html(found))["shots"][1]["columns"]["front.y_mm"]) == rows[1]
 
 
@@ -157,7 +157,7 @@ class Counting:
     def gains(self):
         return {}
 
-    def torque(self, gear, road, memory, gain, model):
+    def torque(self, gear, track_ahead, memory, gain, model):
         return memory["count"], {"count": memory["count"] + 1}
 
 
@@ -172,15 +172,15 @@ def test_a_delayed_torque_is_the_same_later(delay):
 
 def test_knobs_at_rest_change_nothing_and_friction_mixes_the_rails():
     scenario = load_scenario("curve_entry_T3").but(end_m=60.0)
-    found = knobs.turned(scenario, Knobs())
+    found = knobs.turned(scenario, Parameters())
     for name in knobs.CONTROLLERS:
         plain = simulate.run(scenario, tuned(name)).series
         assert np.array_equal(found[name].series["rear.y"], plain["rear.y"])
     slippery, grippy = (load_vehicle().adhesion[name].mu0 for name in (scenario.poor, scenario.good))
     for friction in (slippery, 0.45, grippy):
-        share = Knobs(friction=friction, speed_kmh=200.0).scenario(scenario).poor_share[0][1]
+        share = Parameters(friction=friction, speed_kmh=200.0).scenario(scenario).poor_share[0][1]
         assert share * slippery + (1 - share) * grippy == pytest.approx(friction)
-    base, turned = (Knobs(r=r, horizon=h).parameters("nmpc", "paper") for r, h in ((1, 1), (10, 0.5)))
+    base, turned = (Parameters(r=r, horizon=h).parameters("nmpc", "paper") for r, h in ((1, 1), (10, 0.5)))
     assert turned == base | {"r": 10 * base["r"], "horizon_s": 0.5 * base["horizon_s"]}
 
 
@@ -190,7 +190,7 @@ def test_knobs_at_rest_change_nothing_and_friction_mixes_the_rails():
 )
 def test_a_knob_beyond_its_range_is_refused(wrong, sentence):
     with pytest.raises(InputError, match=sentence):
-        Knobs(**wrong).scenario(load_scenario("curve_entry_T3"))
+        Parameters(**wrong).scenario(load_scenario("curve_entry_T3"))
 
 
 def test_a_slider_drives_both_again_and_tells_what_is_wrong():
@@ -203,9 +203,9 @@ def test_a_slider_drives_both_again_and_tells_what_is_wrong():
         return curves(runs)
 
     scenario = load_scenario("curve_entry_T3").but(end_m=40.0)
-    sliders, told, _ = panel(scenario, "equal", draw).children
+    sliders, said, _ = panel(scenario, "equal", draw).children
     poles = next(slider for slider in sliders.children if "poles" in slider.description)
     poles.value = 0.5
-    assert len(drawn) == 2 and "end of the run" in told.value
+    assert len(drawn) == 2 and "end of the run" in said.value
     first, second = (runs["ndi"].series["front.y"].to_numpy() for runs in drawn)
     assert first.size == second.size and np.abs(first - second).max() > 1e-6

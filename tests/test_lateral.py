@@ -29,7 +29,7 @@ class Own:
     def gains(self):
         return self._gains
 
-    def torque(self, gear, road, memory, gain, model):
+    def torque(self, gear, track_ahead, memory, gain, model):
         return self._torque(gear, gain), {"past": gear["y_TrAx"]}
 
 
@@ -217,12 +217,12 @@ def test_the_wanted_jerk_is_that_of_the_error_dynamics():
     gear = {"xdot": v, "xddot": acceleration, "psi_TrAx": psi_r, "y_TrAx": y}
     gear["psidot_Ax"] = (over_time(y, 2) - acceleration * psi_r) / v + v * curvature
     names = ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")
-    road = {name: ca.substitute(value, place, p) for name, value in zip(names, set_point, strict=True)}
-    road["dpsi_dp"] = curvature
+    track_ahead = {name: ca.substitute(value, place, p) for name, value in zip(names, set_point, strict=True)}
+    track_ahead["dpsi_dp"] = curvature
     gain = NDI(pole=20.0, frequency=30.0, damping=0.7, integral=0.1, derivatives=3).gains()
-    wanted = over_time(road["y_ref"], 3) + gain["ki"] * integral
-    wanted += sum(gain[f"k{i}"] * over_time(road["y_ref"] - y, i) for i in range(3))
-    both = ca.Function("both", [t], [ndi.wanted_jerk(gear, road, integral, gain), wanted])
+    wanted = over_time(track_ahead["y_ref"], 3) + gain["ki"] * integral
+    wanted += sum(gain[f"k{i}"] * over_time(track_ahead["y_ref"] - y, i) for i in range(3))
+    both = ca.Function("both", [t], [ndi.wanted_jerk(gear, track_ahead, integral, gain), wanted])
     found, expected = map(float, both(0.3))
     assert found == pytest.approx(expected, rel=1e-10)
 
@@ -238,9 +238,12 @@ def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(s
     pole, speed, inertia = 20.0, 30.0, 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
     error = share * 4000.0 * 1.5 / 0.46 * speed / (inertia * pole**3)
     model = dict.fromkeys(lateral.MODEL, 0.0) | {"J_eff": inertia, "r_0": 0.46, "b": 1.5, "tau_max": 4000.0}
-    gear, road = dict.fromkeys(lateral.GEAR, 0.0) | {"xdot": speed, "y_TrAx": -error}, dict.fromkeys(lateral.ROAD, 0.0)
+    gear, track_ahead = (
+        dict.fromkeys(lateral.GEAR, 0.0) | {"xdot": speed, "y_TrAx": -error},
+        dict.fromkeys(lateral.ROAD, 0.0),
+    )
     guidance = NDI(pole, pole, 1.0, integral=0.1)
-    du, memory = guidance.torque(gear, road, {"integral": 0.0}, guidance.gains(), model)
+    du, memory = guidance.torque(gear, track_ahead, {"integral": 0.0}, guidance.gains(), model)
     assert float(du) == pytest.approx(share * 4000.0)
     assert float(memory["integral"]) == pytest.approx(1e-3 * error * grows)
 

@@ -25,7 +25,7 @@ class RateFeedback:
     def gains(self):
         return {"k": self._gain}
 
-    def torque(self, gear, road, memory, gain, model):
+    def torque(self, gear, track_ahead, memory, gain, model):
         return -gain["k"] * gear["psidot_Ax"], {}
 
 

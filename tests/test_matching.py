@@ -168,7 +168,7 @@ def test_an_unknown_size_is_told():
 def test_a_planted_car_is_found_by_its_runs():
     """Statements made from the runs of a hidden car are matched with the true simulator; the car stays inside."""
     space = tuple(d for d in matching.CHOICES if d.name.startswith(("triple pole", "R of the MPC", "amplitude")))
-    drive, hidden = matching.Drive(("curve",)), np.array([0.3, 0.6, 0.5])
+    drive, hidden = matching.ProbeTask(("curve",)), np.array([0.3, 0.6, 0.5])
     truth = matching.evidence(drive(Problem(space, list).values(hidden)))
     made = {}
     for identity in ("C04", "C05", "C11"):

@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 from railrepro import __main__ as command
-from railrepro import files, leash, paths
+from railrepro import files, parent_death, paths
 from railrepro.car.component import SteppedCar
 from railrepro.compile import cache
 from railrepro.contact import points, profiles
@@ -60,7 +60,7 @@ class Law:
     def __init__(self, answer, gains=None):
         self.answer, self.gains = answer, lambda: {} if gains is None else gains
 
-    def torque(self, gear, road, memory, gain, model):
+    def torque(self, gear, track_ahead, memory, gain, model):
         return self.answer
 
 
@@ -304,9 +304,9 @@ def at_the_end():
 @pytest.mark.parametrize("what", WARNED)
 def test_warned_of_in_one_sentence(what, tmp_path):
     call, sentence = WARNED[what]
-    with pytest.warns(UserWarning) as told:
+    with pytest.warns(UserWarning) as said:
         call(tmp_path)
-    said = [str(warning.message) for warning in told]
+    said = [str(warning.message) for warning in said]
     assert len(said) == 1 and sentence in said[0] and len(said[0].splitlines()) == 1, said
 
 
@@ -413,8 +413,8 @@ def test_a_compiler_that_there_is_not_is_told(monkeypatch, capsys):
 
 HOLDING = """
 import os, subprocess, sys
-from railrepro import leash
-leash.follow(int(sys.argv[1]), lambda: None)
+from railrepro import parent_death
+parent_death.follow(int(sys.argv[1]), lambda: None)
 child = subprocess.Popen([sys.executable, "-c", "sum(range(10**11))"])
 print(child.pid, flush=True)
 child.wait()
@@ -428,13 +428,13 @@ def test_what_is_in_a_long_call_ends_with_who_started_it():
         [sys.executable, "-c", HOLDING, str(leader.pid)], env=environment, stdout=subprocess.PIPE, text=True
     )
     child = int(holder.stdout.readline())
-    assert child in leash.descendants(os.getpid())
+    assert child in parent_death.descendants(os.getpid())
     leader.communicate(b"\n")
     assert holder.wait(timeout=30) == 1
     end = time.monotonic() + 10
-    while leash.alive(child) and time.monotonic() < end:
+    while parent_death.alive(child) and time.monotonic() < end:
         time.sleep(0.1)
-    assert not leash.alive(child)
+    assert not parent_death.alive(child)
 
 
 def test_a_track_of_chainage_and_radius_is_that_of_its_segments(tmp_path):

@@ -59,10 +59,10 @@ def test_gains_of_the_filter_are_linear_between_their_speeds_and_constant_beyond
 def test_the_filter_feels_the_gyroscopic_moment_of_rolling_wheels(vehicle, course, cant_rate):
     """Nothing else acts: the angular momentum of both wheels and that of yaw stay together while the gear rolls."""
     x = dict.fromkeys(observers.STATES, 0.0) | {"v": 100.0, "psi": 2e-3, "beta": course - 2e-3}
-    road = {"psi_Tr": 0.0, "psi_CB": 2e-3, "dpsi_dp": 0.0, "dpsi_dp_CB": 0.0, "dphi_dp": cant_rate}
+    track_ahead = {"psi_Tr": 0.0, "psi_CB": 2e-3, "dpsi_dp": 0.0, "dpsi_dp_CB": 0.0, "dphi_dp": cant_rate}
     commands = dict.fromkeys(("le", "ri"), [0.0] * 21)
     gains = stationary_gains(vehicle, load_loop()) | Readings(load_loop()).gains(0)
-    turned = observers.advance(x, commands, road, gains)["r"] / 1e-3
+    turned = observers.advance(x, commands, track_ahead, gains)["r"] / 1e-3
     # Running to the right the right wheel climbs on its cone and the left one sinks, by tan(delta) y each over b.
     roll_rate = 100.0 * (cant_rate - 2 * np.tan(vehicle.wheel.cone_angle) * course / vehicle.gear.contact_base)
     wheels = 2 * vehicle.wheel.spin_inertia * np.array([0.0, -100.0 / vehicle.wheel.radius, 0.0])

@@ -87,7 +87,7 @@ def test_what_a_probe_measures_of_a_run_made_by_hand():
 
 def test_a_probe_answers_statements():
     parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
-    rows = probe.probe(probe.World(parameters), ["curve", "offset"])
+    rows = probe.probe(probe.ProbeSetup(parameters), ["curve", "offset"])
     evidence = statements.Evidence({row[:3]: row[3] for row in rows})
     for identity in ("C04", "C05", "C08", "C09", "C10", "C11", "C12", "C42", "C47"):
         assert np.isfinite(statements.find(identity, evidence).value), identity
@@ -98,6 +98,6 @@ def test_a_probe_answers_statements():
 
 def test_a_failed_run_tells_only_that_it_failed():
     parameters = {"pole": 60.0, "frequency": 60.0, "damping": 0.05}
-    world = probe.World({"ndi": parameters}, vehicle={"drive.lag": 0.05})
+    world = probe.ProbeSetup({"ndi": parameters}, vehicle={"drive.lag": 0.05})
     run = world.experiment(load_scenario("sine_tracking").but(end_m=200.0), "ndi").run()
     assert probe.lateral(run) == {"failed": 1.0}

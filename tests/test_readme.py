@@ -16,9 +16,9 @@ def test_errors_of_ours_and_of_the_best_other(row):
     found = pd.read_csv(paths.ROOT / "data/results/creep_mpc_metrics.csv")
     found = found[(found["form"] == "lateral") & (found["metric"] == "rmse_y") & (found["scenario"] == CASES[row])]
     line = re.search(rf"^\| {re.escape(row)}: RMSE of y \(mm\) \|(.*)\|$", (paths.ROOT / "README.md").read_text(), re.M)
-    told = [float(cell) for cell in line.group(1).split("|")]
+    said = [float(cell) for cell in line.group(1).split("|")]
     measured = []
     for setting in ("equal", "loop"):
         values = 1e3 * found[found["setting"] == setting].set_index("controller")["value"]
         measured += [values.drop("creep_mpc").min(), values["creep_mpc"]]
-    assert told == pytest.approx(measured, abs=5.1e-4)
+    assert said == pytest.approx(measured, abs=5.1e-4)

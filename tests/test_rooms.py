@@ -11,7 +11,7 @@ import railrepro
 from railrepro import paths
 from railrepro.evidence.runs.sources import parsed
 
-CORE = ("tried", "leash", "paths", "clock", "threads", "reads", "errors", "schema", "files")
+CORE = ("tried", "parent_death", "paths", "clock", "threads", "reads", "errors", "schema", "files")
 CORE += ("compile", "vehicle", "track", "contact", "estimation", "model", "car", "control", "simulation")
 EVIDENCE = ("runs", "claims", "bench", "uncertainty", "report", "env", "film", "score", "chain")
 LISTED = (*CORE, *(f"evidence.{room}" for room in EVIDENCE))

@@ -30,7 +30,7 @@ class Mine:
     memory = ()
     def gains(self):
         return {{}}
-    def torque(self, gear, road, memory, gain, model):
+    def torque(self, gear, track_ahead, memory, gain, model):
         {}
 """
 BOTH = SLOW.format("return 0.0") + LAW.format("return 0, {}").replace("Mine", "Other")
@@ -65,11 +65,11 @@ PID = str(paths.ROOT / "examples/pid.py")
 
 @pytest.mark.parametrize("what", FAULTS)
 def test_a_fault_is_a_line_and_no_points(what, tmp_path):
-    text, told = FAULTS[what]
+    text, said = FAULTS[what]
     file = tmp_path / "own.py"
     file.write_text(text)
     row = Trial(Entry("own", str(file)), CASE, processor=1.0, wall=4.0 if "sleep(9)" in text else 100.0)()
-    assert told in row["failure"] and "\n" not in row["failure"]
+    assert said in row["failure"] and "\n" not in row["failure"]
     table = card.judged([row])
     assert table["points"].tolist() == [0.0]
     assert page.html("own", table, card.tidy(table, 1), 1).count("<td>") > 10
@@ -157,8 +157,8 @@ def test_what_cannot_be_driven_at_all_is_not_driven_through_the_suite(tmp_path, 
     table = pd.read_csv(tmp_path / "score/mine.csv")
     scores = table[table["metric"] == "score"]["value"]
     assert (scores == 0).all() and len(scores) == 3
-    told = capsys.readouterr().out
-    assert told.count("does not import: mine.py, line 1: ModuleNotFoundError") == 30
+    said = capsys.readouterr().out
+    assert said.count("does not import: mine.py, line 1: ModuleNotFoundError") == 30
     assert "<script" not in (tmp_path / "score/mine.html").read_text()
 
 

@@ -232,8 +232,8 @@ def test_a_run_that_comes_to_rest_ends_after_ten_times_its_way_at_the_initial_sp
     assert not run.failed
     assert run.series["front.v"].iloc[-1] == pytest.approx(0.0, abs=0.02)
     slow = run.series[run.series["front.v"] < 1.0].iloc[0]
-    told = f"front gear is slower than the slip regularisation at t = {slow['t_s']:.3f} s, p = {slow['front.p']:.1f} m"
-    assert told in run.warnings
+    said = f"front gear is slower than the slip regularisation at t = {slow['t_s']:.3f} s, p = {slow['front.p']:.1f} m"
+    assert said in run.warnings
 
 
 def test_a_run_ends_at_its_stop_speed_and_at_its_end():

@@ -25,7 +25,7 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
-from railrepro import files, leash, paths
+from railrepro import files, parent_death, paths
 from railrepro.errors import InputError
 
 _PORTABLE = "-ffp-contract=off"
@@ -238,15 +238,15 @@ def _compile(command: list[str], text: str, target: Path, scratch: Path, seconds
     source, output, mark = scratch / "source.c", scratch / "object.so", f"railrepro_{target.stem}"
     source.write_text(f"{text}\nint {mark}(void) {{ return 42; }}\n")
     try:
-        code, told = leash.run([*command, str(source), "-o", str(output), "-lm"], seconds)
+        code, on_stderr = parent_death.run([*command, str(source), "-o", str(output), "-lm"], seconds)
         if code or not output.is_file():
-            kept = target.with_suffix(".failed.c")
-            files.write(kept, text)
+            stored = target.with_suffix(".failed.c")
+            files.write(stored, text)
             raise CompilerError(
-                f"{command[0]} refused the generated source {kept}: {told.strip()[:300] or 'no object'}"
+                f"{command[0]} refused the generated source {stored}: {on_stderr.strip()[:300] or 'no object'}"
             )
         # in a process of its own: junk can end the one that loads it
-        if leash.run([sys.executable, "-I", "-S", "-c", _TRIAL, str(output), mark], seconds)[0]:
+        if parent_death.run([sys.executable, "-I", "-S", "-c", _TRIAL, str(output), mark], seconds)[0]:
             raise CompilerError(f"the C compiler {command[0]} gave an object that cannot be loaded")
     except TimeoutError as error:
         raise CompilerError(f"the C compiler {command[0]} {error}") from error

@@ -145,7 +145,7 @@ class CreepGuide:
             self.missed += 1
             self._seen[model.X] += self._seen[model.XDOT] * self.period
         v = float(self._seen[model.XDOT])
-        curvature, ahead = self._road(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
+        curvature, ahead = self._track_ahead(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
         read = self._seen[[model.Y, model.PSI_TRAX, model.PSIDOT_AX]] if self._read is None else self._read.copy()
         read[-1] -= v * curvature
         sound = bool(np.isfinite(self.state).all() and np.isfinite(self.sent).all()) and not (
@@ -187,7 +187,7 @@ class CreepGuide:
         self.sent[:] = self.sent[0] if np.isfinite(self.sent[0]) else 0.0
         self.state[STATES.index("tau")] = self.sent[0]
 
-    def _road(self, speed: float, acceleration: float) -> tuple[float, np.ndarray]:
+    def _track_ahead(self, speed: float, acceleration: float) -> tuple[float, np.ndarray]:
         """Curvature here (1/m); known inputs in the middle of each step and set point at its end, (6, steps + 1)."""
         t = self._times
         driven = np.minimum(t, speed / -acceleration) if acceleration < 0 else t
@@ -199,8 +199,8 @@ class CreepGuide:
         kappa, dkappa, phi, dphi, heading, apart, y_ref, slope = columns[:, 1:]
         v = speed + acceleration * driven[1:]
         side, set_point = self._vehicle.gravity * phi - v**2 * kappa, y_ref + self.period / 2 * v * slope
-        road = np.array([side, v**2 * dkappa, v * dphi, heading, v * apart, set_point])
-        return columns[0, 0], road
+        track_ahead = np.array([side, v**2 * dkappa, v * dphi, heading, v * apart, set_point])
+        return columns[0, 0], track_ahead
 
 
 _READ = [STATES.index(name) for name in READ]

@@ -46,7 +46,9 @@ class LateralLaw(Protocol):
     def gains(self) -> dict[str, float]:
         """Its run-time numbers by name."""
 
-    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def torque(
+        self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict
+    ) -> tuple[ca.SX, dict[str, ca.SX]]:
         """Differential torque (N m) and next memory from symbols by name, see `GEAR`, `ROAD`, `MODEL`."""
 
 
@@ -86,7 +88,7 @@ class Held:
         """See `LateralLaw.gains`."""
         return {}
 
-    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
         return gear["held"], {}
 
@@ -159,7 +161,7 @@ class Kind:
 
     @property
     def function(self) -> ca.Function:
-        """(gear, road, memory, gains, model) -> du, memory_next; vectors in the order of the names."""
+        """(gear, track_ahead, memory, gains, model) -> du, memory_next; vectors in the order of the names."""
         return ca.Function.deserialize(self.text)
 
 
@@ -190,7 +192,9 @@ def kind(law: LateralLaw) -> Kind:
     if not isinstance(getattr(law, "memory", None), tuple | list):
         raise InputError(f"lateral law {owner}: memory is {getattr(law, 'memory', None)!r}, a tuple of names is needed")
     if not _takes(law.torque, 5):
-        raise InputError(f"lateral law {owner}: torque() cannot be called with (gear, road, memory, gain, model)")
+        raise InputError(
+            f"lateral law {owner}: torque() cannot be called with (gear, track_ahead, memory, gain, model)"
+        )
     memory = tuple(law.memory)
     for name, value in gains.items():
         if not isinstance(value, int | float) or not isfinite(value):

@@ -113,17 +113,17 @@ class ControlLaw:
     kind: lateral.Kind
     gains: np.ndarray
     sensed: bool = False
-    along: Longitudinal = AdhesionSettings
+    longitudinal_law: Longitudinal = AdhesionSettings
 
     @property
     def memory(self) -> tuple[str, ...]:
         """Names of the states of the law."""
-        return memory_names(self.kind, self.sensed, self.along)
+        return memory_names(self.kind, self.sensed, self.longitudinal_law)
 
     @property
     def function(self) -> ca.Function:
         """See `function`."""
-        return function(self.kind, self.sensed, self.along)
+        return function(self.kind, self.sensed, self.longitudinal_law)
 
     @property
     def record(self) -> tuple[str, ...]:
@@ -132,7 +132,7 @@ class ControlLaw:
 
     def library(self) -> ctypes.CDLL | None:
         """The law as a shared object; None without a C compiler."""
-        return _library(self.kind, self.sensed, self.along)
+        return _library(self.kind, self.sensed, self.longitudinal_law)
 
 
 def check_settings(adhesion=None, estimate=None, fixed_share=0.0, sensors=None) -> None:
@@ -208,17 +208,19 @@ def control_law(
         for g, gear in enumerate(GEARS):
             gains |= {f"{gear}.sensor.{name}": value for name, value in sensors.gains(g).items()}
         gains |= {f"filter.{name}": value for name, value in observers.stationary_gains(vehicle, sensors.loop).items()}
-    along = type(adhesion)
-    numbers = [gains[name] for name in gain_names(kind, sensed, along)]
-    return ControlLaw(kind, np.array(numbers, dtype=float), sensed, along)
+    longitudinal_law = type(adhesion)
+    numbers = [gains[name] for name in gain_names(kind, sensed, longitudinal_law)]
+    return ControlLaw(kind, np.array(numbers, dtype=float), sensed, longitudinal_law)
 
 
-def gain_names(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> tuple[str, ...]:
+def gain_names(
+    kind: lateral.Kind, sensed: bool = False, longitudinal_law: Longitudinal = AdhesionSettings
+) -> tuple[str, ...]:
     """Names of the run-time gains."""
     seeing = (*(f"{gear}.sensor.{n}" for gear in GEARS for n in GAINS), *(f"filter.{n}" for n in observers.GAINS))
     return (
         *(f"lateral.{name}" for name in kind.gains),
-        *along().gains(),
+        *longitudinal_law().gains(),
         "adhesion.torque_per_adhesion",
         *EstimateSettings().gains(),
         *("fixed_share", "nominal_load"),
@@ -228,12 +230,14 @@ def gain_names(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = A
     )
 
 
-def memory_names(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> tuple[str, ...]:
+def memory_names(
+    kind: lateral.Kind, sensed: bool = False, longitudinal_law: Longitudinal = AdhesionSettings
+) -> tuple[str, ...]:
     """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m).
 
     With sensors `front.seen.y_TrAx` and so on are the states that the controllers saw last.
     """
-    own = (*along.memory, *ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
+    own = (*longitudinal_law.memory, *ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
     if sensed:
         own += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN, *READ)
     return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in own))
@@ -246,12 +250,14 @@ def record_names(sensed: bool = False) -> tuple[str, ...]:
 
 
 @lru_cache
-def _library(kind: lateral.Kind, sensed: bool, along: Longitudinal) -> ctypes.CDLL | None:
-    return codegen.library((function(kind, sensed, along),))
+def _library(kind: lateral.Kind, sensed: bool, longitudinal_law: Longitudinal) -> ctypes.CDLL | None:
+    return codegen.library((function(kind, sensed, longitudinal_law),))
 
 
 @codegen.stored
-def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = AdhesionSettings) -> ca.Function:
+def function(
+    kind: lateral.Kind, sensed: bool = False, longitudinal_law: Longitudinal = AdhesionSettings
+) -> ca.Function:
     """The 1 kHz law as a function.
 
     Returns
@@ -260,7 +266,11 @@ def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = Adh
         (measured, cells of both gears, held[2], gains, memory) -> command[4] (N m), memory, record, margins; a run goes
         on while all margins are positive.
     """
-    names = {"y": MEASURED, "gains": gain_names(kind, sensed, along), "memory": memory_names(kind, sensed, along)}
+    names = {
+        "y": MEASURED,
+        "gains": gain_names(kind, sensed, longitudinal_law),
+        "memory": memory_names(kind, sensed, longitudinal_law),
+    }
     symbols = {name: ca.SX.sym(name, len(entries)) for name, entries in names.items()}
     y, gain, old = (_named(names[name], symbols[name]) for name in names)
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
@@ -273,37 +283,37 @@ def function(kind: lateral.Kind, sensed: bool = False, along: Longitudinal = Adh
         for g, gear in enumerate(GEARS)
     }
     places = {gear: sights[gear].place if sensed else states[gear]["x"] for gear in GEARS}
-    roads = {gear: _road(cells[gear], places[gear]) for gear in GEARS}
+    roads = {gear: _track_ahead(cells[gear], places[gear]) for gear in GEARS}
     body = {name: (roads["front"][name] + roads["rear"][name]) / 2 for name in ("psi_Tr", "dpsi_dp")}
 
     new, record, command = {"ticks": old["ticks"] + 1}, {}, []
     for g, gear in enumerate(GEARS):
         own, sight = owns[gear], sights[gear]
-        road = roads[gear] | {"psi_CB": body["psi_Tr"], "dpsi_dp_CB": body["dpsi_dp"]}
+        track_ahead = roads[gear] | {"psi_CB": body["psi_Tr"], "dpsi_dp_CB": body["dpsi_dp"]}
         if sensed:
-            state, estimates = sight.look(road)
+            state, estimates = sight.look(track_ahead)
         else:
             state, estimates = states[gear], _estimates(gear, g, y, old["ticks"], own, gain)
         f_star = cells[gear]["force"] / (2 * gain["nominal_load"])
         f, s = ([estimates[f"{kind_}_hat_{i}"] for i in range(2)] for kind_ in ("f", "s"))
-        if along is SlipSettings:
-            u_d, kept, segment = slip.base_torque(f, s, f_star, state["xdot"], old["ticks"], own, gain, model)
+        if longitudinal_law is SlipSettings:
+            u_d, stored, segment = slip.base_torque(f, s, f_star, state["xdot"], old["ticks"], own, gain, model)
         else:
-            u_d, kept, segment = base_torque(f, s, f_star, state["xdot"], own, gain, model["tau_max"])
+            u_d, stored, segment = base_torque(f, s, f_star, state["xdot"], own, gain, model["tau_max"])
 
         state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
-        wanted, following = _lateral(kind, state, road, own, gain, model)
+        wanted, following = _lateral(kind, state, track_ahead, own, gain, model)
         wanted *= _fade(state["xdot"], GUIDANCE_FADE)
         tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, model["tau_max"], gain["fixed_share"])
         if sensed:
-            tau_le, tau_ri = sight.send(tau_le, tau_ri, road)
-            kept |= sight.kept
+            tau_le, tau_ri = sight.send(tau_le, tau_ri, track_ahead)
+            stored |= sight.stored
             record |= {f"{gear}.{name}": state[name.removeprefix("seen.")] for name in SEEN}
             for what, values in (("f", f), ("s", s)):
                 record |= {f"{gear}.seen.{what}_{side}": value for side, value in zip(SIDES, values, strict=True)}
         command += [tau_le, tau_ri]
-        new |= {f"{gear}.{name}": value for name, value in (estimates | kept | following).items()}
-        values = (u_d, du, tau_long, f_star, segment, road["y_ref"])
+        new |= {f"{gear}.{name}": value for name, value in (estimates | stored | following).items()}
+        values = (u_d, du, tau_long, f_star, segment, track_ahead["y_ref"])
         record |= {f"{gear}.{name}": value for name, value in zip(_RECORDED, values, strict=True)}
     margins = {f"{gear}.lateral": gain["limit.lateral"] - ca.fabs(states[gear]["y_TrAx"]) for gear in GEARS}
     margins["track_end"] = gain["limit.track_end"] - states["front"]["x"]
@@ -338,29 +348,29 @@ class _Sight:
         until = EXCHANGE_PERIOD * self._gain["command"]
         self.place = self._readings["p"] + until * self._readings["v"]
 
-    def look(self, road: dict) -> tuple[dict, dict]:
+    def look(self, track_ahead: dict) -> tuple[dict, dict]:
         """States by name, and estimates of adhesion and slip."""
         line, names = _part(self._own, "sensor"), range(LONGEST)
         sent_before = {side: [line[f"tau_{side}.{k}"] for k in names] for side in SIDES}
         seen, self._filter = observers.observe(
-            self._readings, sent_before, road, self._ticks, self._gain, _part(self._own, "filter")
+            self._readings, sent_before, track_ahead, self._ticks, self._gain, _part(self._own, "filter")
         )
         state = {name: seen[name] for name in ("xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")}
-        state |= {"x": self.place, "psi_Ax": road["psi_Tr"] + seen["psi_TrAx"]}
-        self.kept = {f"seen.{name}": state[name] for name in STATES}
+        state |= {"x": self.place, "psi_Ax": track_ahead["psi_Tr"] + seen["psi_TrAx"]}
+        self.stored = {f"seen.{name}": state[name] for name in STATES}
         planes = self._readings["y_ahead"], self._readings["y_behind"]
-        self.kept |= {"read.y_TrAx": sum(planes) / 2, "read.psi_TrAx": (planes[0] - planes[1]) / self._gain["base"]}
-        self.kept |= {"read.psidot_Ax": self._readings["psidot_Ax"]}
+        self.stored |= {"read.y_TrAx": sum(planes) / 2, "read.psi_TrAx": (planes[0] - planes[1]) / self._gain["base"]}
+        self.stored |= {"read.psidot_Ax": self._readings["psidot_Ax"]}
         sides = tuple(enumerate(SIDES))
         return state, {f"{what}_hat_{i}": seen[f"{what}_{side}"] for what in ("f", "s") for i, side in sides}
 
-    def send(self, tau_le, tau_ri, road: dict) -> tuple:
+    def send(self, tau_le, tau_ri, track_ahead: dict) -> tuple:
         """Torques that arrive in this exchange (N m); what is kept for the next one is then in `kept`."""
         line = _part(self._own, "sensor")
         lines = {side: sent(tau, f"tau_{side}", line) for side, tau in (("le", tau_le), ("ri", tau_ri))}
-        following = observers.advance(self._filter, lines, road, self._gain)
-        self.kept |= self._lines | {f"filter.{name}": value for name, value in following.items()}
-        self.kept |= {f"sensor.tau_{side}.{k}": tau for side, taus in lines.items() for k, tau in enumerate(taus)}
+        following = observers.advance(self._filter, lines, track_ahead, self._gain)
+        self.stored |= self._lines | {f"filter.{name}": value for name, value in following.items()}
+        self.stored |= {f"sensor.tau_{side}.{k}": tau for side, taus in lines.items() for k, tau in enumerate(taus)}
         return tuple(arriving(lines[side], self._gain) for side in SIDES)
 
 
@@ -373,10 +383,12 @@ def _named(names: tuple[str, ...], vector: ca.SX) -> dict[str, ca.SX]:
     return dict(zip(names, ca.vertsplit(vector), strict=True))
 
 
-def _lateral(kind: lateral.Kind, state: dict, road: dict, own: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+def _lateral(
+    kind: lateral.Kind, state: dict, track_ahead: dict, own: dict, gain: dict, model: dict
+) -> tuple[ca.SX, dict]:
     """Torque of the lateral law (N m) and its next memory."""
     memory = [f"lateral.{name}" for name in kind.memory]
-    groups = ((state, lateral.GEAR), (road, lateral.ROAD), (own, memory))
+    groups = ((state, lateral.GEAR), (track_ahead, lateral.ROAD), (own, memory))
     groups += ((gain, [f"lateral.{name}" for name in kind.gains]), (model, lateral.MODEL))
     du, following = kind.function(*(ca.vertcat(*(group[name] for name in names)) for group, names in groups))
     return du, dict(zip(memory, ca.vertsplit(following), strict=True))
@@ -387,7 +399,7 @@ def _fade(v: ca.SX, speed: float) -> ca.SX:
     return ca.fmin(ca.fmax(v / speed, 0), 1)
 
 
-def _road(cell: dict, p: ca.SX) -> dict:
+def _track_ahead(cell: dict, p: ca.SX) -> dict:
     """Track and set point at a gear from its cell, but for the car body's heading; see `lateral.ROAD`."""
     psi, kappa, phi, dphi, eps, deps = track_in(cell, p)
     y_ref, dy_ref, ddy_ref = reference_in(cell, p)

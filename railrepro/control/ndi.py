@@ -64,23 +64,25 @@ class NDI:
             **{f"ff{i}": float(self.derivatives >= i) for i in (1, 2, 3)},
         }
 
-    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def torque(
+        self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict
+    ) -> tuple[ca.SX, dict[str, ca.SX]]:
         """Differential torque that gives the lateral error its wanted third-order dynamics; see `LateralLaw.torque`.
 
         The integral rests while the torque is beyond its limit.
         """
-        du = inverse(wanted_jerk(gear, road, memory["integral"], gain), gear, road, model)
+        du = inverse(wanted_jerk(gear, track_ahead, memory["integral"], gain), gear, track_ahead, model)
         free = ca.fabs(du) < model["tau_max"]
-        error = road["y_ref"] - gear["y_TrAx"]
+        error = track_ahead["y_ref"] - gear["y_TrAx"]
         return du, {"integral": memory["integral"] + ca.if_else(free, EXCHANGE_PERIOD * error, 0)}
 
 
-def wanted_jerk(gear: dict, road: dict, integral, gain: dict):
+def wanted_jerk(gear: dict, track_ahead: dict, integral, gain: dict):
     """Third derivative of y (m/s^3) that the error dynamics ask for.
 
     Parameters
     ----------
-    gear, road : dict of SX
+    gear, track_ahead : dict of SX
         See `railrepro.control.lateral.GEAR` and `ROAD`.
     integral : SX
         Integral of y* - y (m s).
@@ -88,14 +90,14 @@ def wanted_jerk(gear: dict, road: dict, integral, gain: dict):
         See `NDI.gains`.
     """
     v, vdot, psi_r = gear["xdot"], gear["xddot"], gear["psi_TrAx"]
-    psidot_r = gear["psidot_Ax"] - v * road["dpsi_dp"]
+    psidot_r = gear["psidot_Ax"] - v * track_ahead["dpsi_dp"]
     ydot = v * psi_r
     yddot = v * psidot_r + vdot * psi_r
-    ref1 = v * road["dy_ref"]
-    ref2 = v**2 * road["ddy_ref"] + vdot * road["dy_ref"]
-    ref3 = v**3 * road["dddy_ref"] + 3 * v * vdot * road["ddy_ref"]
+    ref1 = v * track_ahead["dy_ref"]
+    ref2 = v**2 * track_ahead["ddy_ref"] + vdot * track_ahead["dy_ref"]
+    ref3 = v**3 * track_ahead["dddy_ref"] + 3 * v * vdot * track_ahead["ddy_ref"]
     return (
-        gain["k0"] * (road["y_ref"] - gear["y_TrAx"])
+        gain["k0"] * (track_ahead["y_ref"] - gear["y_TrAx"])
         + gain["k1"] * (gain["ff1"] * ref1 - ydot)
         + gain["k2"] * (gain["ff2"] * ref2 - yddot)
         + gain["ff3"] * ref3
@@ -103,7 +105,7 @@ def wanted_jerk(gear: dict, road: dict, integral, gain: dict):
     )
 
 
-def inverse(jerk, gear: dict, road: dict, model: dict):
+def inverse(jerk, gear: dict, track_ahead: dict, model: dict):
     """Differential torque (N m) under which y has a third derivative (m/s^3); see `wanted_jerk`.
 
     The weight's yaw stiffness, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
@@ -112,14 +114,14 @@ def inverse(jerk, gear: dict, road: dict, model: dict):
     Source: corrected yaw equation to first order (`railrepro.model.derivation.linearised_yaw_equation`).
     """
     v, vdot = gear["xdot"], gear["xddot"]
-    ydot, psidot_r = v * gear["psi_TrAx"], gear["psidot_Ax"] - v * road["dpsi_dp"]
+    ydot, psidot_r = v * gear["psi_TrAx"], gear["psidot_Ax"] - v * track_ahead["dpsi_dp"]
     psiddot_r = (jerk - 2 * vdot * psidot_r) / ca.fmax(v, 1.0)
-    psiddot = psiddot_r + road["ddpsi_dp"] * v**2 + road["dpsi_dp"] * vdot
-    roll_rate = road["dphi_dp"] * v - model["gamma"] * ydot
+    psiddot = psiddot_r + track_ahead["ddpsi_dp"] * v**2 + track_ahead["dpsi_dp"] * vdot
+    roll_rate = track_ahead["dphi_dp"] * v - model["gamma"] * ydot
     moment = (
         model["J_eff"] * psiddot
-        + model["k_sz"] * (gear["psi_Ax"] - road["psi_CB"])
-        + model["k_dz"] * (gear["psidot_Ax"] - v * road["dpsi_dp_CB"])
+        + model["k_sz"] * (gear["psi_Ax"] - track_ahead["psi_CB"])
+        + model["k_dz"] * (gear["psidot_Ax"] - v * track_ahead["dpsi_dp_CB"])
         - 2 * model["J_Wy"] * v / model["r_0"] * roll_rate
         + model["J_Wy"] * model["b"] * v * model["tan_delta"] / model["r_0"] ** 3 * ydot
     )

@@ -143,7 +143,7 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
     return gains | {f"model.{name}": float(value) for name, value in zip(MODEL, values, strict=True)}
 
 
-def observe(readings: dict, commands: dict, road: dict, ticks, gain: dict, memory: dict) -> tuple[dict, dict]:
+def observe(readings: dict, commands: dict, track_ahead: dict, ticks, gain: dict, memory: dict) -> tuple[dict, dict]:
     """What the filter of a gear makes of new readings.
 
     Parameters
@@ -152,7 +152,7 @@ def observe(readings: dict, commands: dict, road: dict, ticks, gain: dict, memor
         By `sensors.SIGNALS`, as late as they are.
     commands : dict of SX
         Torques that were sent to the wheels by side (N m), newest first; that of this exchange is not among them.
-    road : dict of SX
+    track_ahead : dict of SX
         dpsi_dp, dphi_dp, psi_Tr, psi_CB, dpsi_dp_CB where the gear is, see `railrepro.control.lateral.ROAD`.
     ticks : SX
         Exchanges since the start; the filter begins with the first readings.
@@ -183,7 +183,7 @@ def observe(readings: dict, commands: dict, road: dict, ticks, gain: dict, memor
         x[f"force_{side}"] += gain["wheel.force"] * surprise
     x["creep"] += gain["creep_pole"] * (x["beta"] - x["creep"])
 
-    y, psi, r = _predicted(x, commands, road, gain, model)
+    y, psi, r = _predicted(x, commands, track_ahead, gain, model)
     estimates = {"y_TrAx": y, "psi_TrAx": psi + x["creep"], "psidot_Ax": r, "xdot": v}
     for side in ("le", "ri"):
         estimates[f"f_{side}"] = x[f"force_{side}"] / gain["nominal_load"]
@@ -191,16 +191,16 @@ def observe(readings: dict, commands: dict, road: dict, ticks, gain: dict, memor
     return estimates, x
 
 
-def advance(x: dict, commands: dict, road: dict, gain: dict) -> dict:
+def advance(x: dict, commands: dict, track_ahead: dict, gain: dict) -> dict:
     """State of the filter an exchange later; parameters as of `observe`, this exchange's torques among the commands."""
     model = {name: gain[f"model.{name}"] for name in MODEL}
     h, following = EXCHANGE_PERIOD, dict(x)
     following["y"] += h * x["v"] * (x["psi"] + x["beta"])
-    following["psi"] += h * (x["r"] - x["v"] * road["dpsi_dp"])
-    following["r"] += h * _yaw_acceleration(x, road, model)
+    following["psi"] += h * (x["r"] - x["v"] * track_ahead["dpsi_dp"])
+    following["r"] += h * _yaw_acceleration(x, track_ahead, model)
     for side in ("le", "ri"):
-        torque, told = x[f"tau_{side}"], late(commands[side], gain["measurement"] + gain["command"])
-        following[f"tau_{side}"] += (1 - ca.exp(-h / model["lag"])) * (told - torque)
+        torque, commanded = x[f"tau_{side}"], late(commands[side], gain["measurement"] + gain["command"])
+        following[f"tau_{side}"] += (1 - ca.exp(-h / model["lag"])) * (commanded - torque)
         mean = (torque + following[f"tau_{side}"]) / 2
         following[f"w_{side}"] += h / model["J_Wy"] * (mean - model["r_0"] * x[f"force_{side}"])
     return following
@@ -215,33 +215,33 @@ def _scheduled(name: str, v, gain: dict):
     return value
 
 
-def _yaw_acceleration(x: dict, road: dict, model: dict):
+def _yaw_acceleration(x: dict, track_ahead: dict, model: dict):
     """Yaw acceleration under the creep forces of both wheels, springs, dampers and gyroscopic moment (rad/s2)."""
     v = x["v"]
     turning = model["b"] / 2 * (x["force_le"] - x["force_ri"])
-    turning -= model["k_sz"] * (road["psi_Tr"] + x["psi"] - road["psi_CB"])
-    turning -= model["k_dz"] * (x["r"] - v * road["dpsi_dp_CB"])
-    roll_rate = v * (road["dphi_dp"] - model["gamma"] * (x["psi"] + x["beta"]))
+    turning -= model["k_sz"] * (track_ahead["psi_Tr"] + x["psi"] - track_ahead["psi_CB"])
+    turning -= model["k_dz"] * (x["r"] - v * track_ahead["dpsi_dp_CB"])
+    roll_rate = v * (track_ahead["dphi_dp"] - model["gamma"] * (x["psi"] + x["beta"]))
     return (turning + 2 * model["J_Wy"] * v / model["r_0"] * roll_rate) / model["J_z"]
 
 
-def _predicted(x: dict, commands: dict, road: dict, gain: dict, model: dict) -> tuple:
+def _predicted(x: dict, commands: dict, track_ahead: dict, gain: dict, model: dict) -> tuple:
     """Position, yaw and yaw rate when a torque of this exchange will arrive.
 
     The yaw acceleration that was found goes on; torques that are on their way change it as on rolling wheels.
     """
     steps = 5
     h = gain["prediction"] / steps
-    y, psi, r, v, yaw = x["y"], x["psi"], x["r"], x["v"], _yaw_acceleration(x, road, model)
+    y, psi, r, v, yaw = x["y"], x["psi"], x["r"], x["v"], _yaw_acceleration(x, track_ahead, model)
     motor = {side: x[f"tau_{side}"] for side in ("le", "ri")}
     before = motor["le"] - motor["ri"]
     for k in range(steps):
         age = gain["measurement"] + gain["command"] - (k + 0.5) * h / EXCHANGE_PERIOD
         for side in motor:
-            told = late(commands[side], ca.fmax(age - 0.5, 0))
-            motor[side] += (1 - ca.exp(-h / model["lag"])) * (told - motor[side])
+            commanded = late(commands[side], ca.fmax(age - 0.5, 0))
+            motor[side] += (1 - ca.exp(-h / model["lag"])) * (commanded - motor[side])
         change = model["b"] / (2 * model["r_0"] * model["J_eff"]) * (motor["le"] - motor["ri"] - before)
         y += h * v * (psi + x["beta"])
-        psi += h * (r - v * road["dpsi_dp"])
+        psi += h * (r - v * track_ahead["dpsi_dp"])
         r += h * (yaw + change)
     return y, psi, r

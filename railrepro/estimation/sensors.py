@@ -265,7 +265,7 @@ def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict
     kept : dict of SX
         Next memory.
     """
-    readings, kept = {}, {}
+    readings, stored = {}, {}
     for i, signal in enumerate(SIGNALS):
         noisy = truth[signal] + gain[f"{signal}.bias"]
         noisy += gain[f"{signal}.noise"] * gaussian(gain["seed"], len(SIGNALS) * gear + i, ticks)
@@ -278,12 +278,12 @@ def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict
         fresh = ca.logic_or(ticks < 0.5, ca.logic_and(due > before, ca.logic_not(lost)))
         newest = ca.if_else(fresh, coarse, memory[f"{signal}.0"])
         if signal == "p":
-            readings[signal], kept[f"{signal}.0"] = newest, newest
+            readings[signal], stored[f"{signal}.0"] = newest, newest
             continue
         line = [newest, *(ca.if_else(ticks < 0.5, newest, memory[f"{signal}.{k}"]) for k in range(LONGEST))]
         readings[signal] = late(line, gain["measurement"])
-        kept |= {f"{signal}.{k}": value for k, value in enumerate(line)}
-    return readings, kept
+        stored |= {f"{signal}.{k}": value for k, value in enumerate(line)}
+    return readings, stored
 
 
 def sent(torque, signal: str, memory: dict) -> list:

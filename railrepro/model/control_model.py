@@ -81,12 +81,12 @@ def control_model(variant: str = "corrected", discrepancies: Iterable[str] | Non
     -------
     ControlModel
     """
-    kept = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
-    if kept - set(DISCREPANCIES) - OUTSIDE:
+    stored = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
+    if stored - set(DISCREPANCIES) - OUTSIDE:
         raise InputError(
-            f"discrepancies {sorted(kept)} are not all known; there are {sorted({*DISCREPANCIES, *OUTSIDE})}"
+            f"discrepancies {sorted(stored)} are not all known; there are {sorted({*DISCREPANCIES, *OUTSIDE})}"
         )
-    return _control_model(kept - OUTSIDE)
+    return _control_model(stored - OUTSIDE)
 
 
 @lru_cache

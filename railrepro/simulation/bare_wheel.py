@@ -91,7 +91,7 @@ def _exchange() -> ca.Function:
         seen[name] = x[f"{name}_hat"] + pole * (measured - x[f"{name}_hat"])
     gain = case | {"adhesion.torque_per_adhesion": case["load"] * case["radius"]}
     f_hat, s_hat = ([seen[name]] * 2 for name in ("f", "s"))
-    u, kept, segment = base_torque(f_hat, s_hat, f_star, x["v"], x, gain, case["tau_max"])
+    u, stored, segment = base_torque(f_hat, s_hat, f_star, x["v"], x, gain, case["tau_max"])
 
     w_, v_, u_ = ca.SX.sym("w"), ca.SX.sym("v"), ca.SX.sym("u")
     f_, _ = _grip(w_, v_, case, factor)
@@ -101,7 +101,7 @@ def _exchange() -> ca.Function:
     for _ in range(_SUBSTEPS):
         faster, stiffness, f = rate(w, v, u, factor, case_)
         w, v = w + h * faster / (1 - h * stiffness), v + h * case["gravity"] * f
-    new = kept | {"w": w, "v": v, "f_hat": seen["f"], "s_hat": seen["s"], "tick": x["tick"] + 1}
+    new = stored | {"w": w, "v": v, "f_hat": seen["f"], "s_hat": seen["s"], "tick": x["tick"] + 1}
     outputs = ca.vertcat(f_now, s_now, u, x["v"], segment)
     inputs = [state, f_star, factor, case_]
     return ca.Function("bare_wheel", inputs, [ca.vertcat(*(new[name] for name in _STATE)), outputs], {"cse": True})

@@ -189,7 +189,7 @@ class Primary:
 
 
 @schema.table
-class Drive:
+class ProbeTask:
     """Wheel motor."""
 
     torque_limit: _above(0.0, 1e5, "N m", (50.0, 1e5))
@@ -242,7 +242,7 @@ class Vehicle:
     wheel: Wheel
     suspension: Suspension
     primary: Primary
-    drive: Drive
+    drive: ProbeTask
     contact: WheelRail
     adhesion: Annotated[dict[str, AdhesionSet], AfterValidator(lambda sets: dict(sorted(sets.items())))]
     environment: Environment

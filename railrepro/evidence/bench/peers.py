@@ -202,8 +202,8 @@ class Peer:
         of, s, at = self._argument, problem.settings, self._stated
         steps, x_d = s.steps, problem.ahead.x_d
         first = (problem.x_hat - x_d[0]) / SCALE
-        road = [x_d.ravel(), problem.ahead.theta[:-1].ravel(), problem.parameters]
-        of("p")[:] = np.concatenate([first, *road, s.tuning(), [problem.u_d]])
+        track_ahead = [x_d.ravel(), problem.ahead.theta[:-1].ravel(), problem.parameters]
+        of("p")[:] = np.concatenate([first, *track_ahead, s.tuning(), [problem.u_d]])
         low, high = of("lbx"), of("ubx")
         low[:], high[:] = -np.inf, np.inf
         low[at.torques], high[at.torques] = -problem.bound / UNIT, problem.bound / UNIT

@@ -12,13 +12,13 @@ from typing import ClassVar
 
 from jupyter_client.manager import AsyncKernelManager
 
-from railrepro import leash
+from railrepro import parent_death
 from railrepro.files import write
 
 PARENT = "RAILREPRO_KERNEL_PARENT"
 """Environment variable with the number of the process that a kernel ends with."""
 _SETTINGS = f"""import os, runpy
-runpy.run_path({leash.__file__!r})["follow"](int(os.environ["{PARENT}"]))
+runpy.run_path({parent_death.__file__!r})["follow"](int(os.environ["{PARENT}"]))
 c = get_config()
 c.IPKernelApp.log_level = 50
 """
@@ -31,7 +31,7 @@ class Kernel(AsyncKernelManager):
 
     @staticmethod
     def prepare(folder: Path) -> None:
-        """Write the settings that a kernel reads when it starts: no notices, and a leash."""
+        """Write the settings that a kernel reads when it starts: no notices, and the end with its parent."""
         write(folder / "profile_default" / "ipython_kernel_config.py", _SETTINGS)
 
     async def _async_start_kernel(self, **options) -> None:

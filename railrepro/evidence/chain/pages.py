@@ -135,9 +135,9 @@ def _is_chapter(name: str) -> bool:
 def _with_figures(cell: dict) -> list[dict]:
     """A code cell, and in place of the images of the figures that it saves the saved files with captions."""
     saved = _SAVED.findall(cell["source"])
-    kept = [output for output in cell.get("outputs", []) if not (saved and _is_figure(output))]
+    stored = [output for output in cell.get("outputs", []) if not (saved and _is_figure(output))]
     shown = [_markdown(_figure(name), name) for name in saved]
-    return [cell | {"outputs": kept}, *shown]
+    return [cell | {"outputs": stored}, *shown]
 
 
 def _is_figure(output: dict) -> bool:

@@ -72,8 +72,8 @@ def _thrice(e: Evidence) -> Evidence:
     changed = _changed(e, change)
     if any(controller == "sweep of poles" for _, controller, _ in e.metrics):
         sweep = {k: v for k, v in e.metrics.items() if k[1] == "sweep of R"}
-        kept = {k: v for k, v in changed.metrics.items() if k[1] != "sweep of poles"}
-        return replace(changed, metrics=kept | {(s, "sweep of poles", m): v for (s, _, m), v in sweep.items()})
+        stored = {k: v for k, v in changed.metrics.items() if k[1] != "sweep of poles"}
+        return replace(changed, metrics=stored | {(s, "sweep of poles", m): v for (s, _, m), v in sweep.items()})
     return changed
 
 

@@ -54,7 +54,7 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class World:
+class ProbeSetup:
     """A car, its controllers, and what the paper leaves open about its experiments.
 
     Attributes
@@ -126,7 +126,7 @@ Rows = list[tuple[str, str, str, float]]
 """Scenario, controller, metric, value."""
 
 
-def probe(world: World, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SPEEDS) -> Rows:
+def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SPEEDS) -> Rows:
     """Drive a world and measure it.
 
     Returns
@@ -208,12 +208,12 @@ def _rows(scenario: str, controller: str, values: dict[str, float]) -> Rows:
     return [(scenario, controller, name, float(value)) for name, value in values.items()]
 
 
-def _straightforward(world: World, track: int) -> Scenario:
+def _straightforward(world: ProbeSetup, track: int) -> Scenario:
     lengths = {1: 80.0, 2: 400.0, 4: 700.0}
     return load_scenario(f"curve_entry_T{track}").but(good=world.good, end_m=lengths[track])
 
 
-def _lateral(world: World, scenario: Scenario, label: str = "") -> Rows:
+def _lateral(world: ProbeSetup, scenario: Scenario, label: str = "") -> Rows:
     """How the paper's three controllers follow a scenario."""
     label = label or scenario.name
     rows = _rows(label, NOTHING, nothing(scenario))
@@ -222,7 +222,7 @@ def _lateral(world: World, scenario: Scenario, label: str = "") -> Rows:
     return rows
 
 
-def _curve(world: World, folder: Path) -> Rows:
+def _curve(world: ProbeSetup, folder: Path) -> Rows:
     scenario = world.curve(folder)
     rows, series = _rows(T3, NOTHING, nothing(scenario)), {}
     expected = gyroscopic_torque(load_vehicle(**world.vehicle), scenario)
@@ -237,18 +237,18 @@ def _curve(world: World, folder: Path) -> Rows:
     return rows
 
 
-def _sine(world: World, speed: int) -> Rows:
+def _sine(world: ProbeSetup, speed: int) -> Rows:
     scenario = load_scenario("sine_tracking").but(good=world.good, speed_kmh=float(speed), end_m=300.0)
     return _lateral(world, scenario, f"sine_tracking {speed}")
 
 
-def _offset(world: World) -> Rows:
+def _offset(world: ProbeSetup) -> Rows:
     """A set point of 5 mm that stays: the crest of a wave of kilometres."""
     point = {"kind": "sine", "amplitude_mm": 5.0, "period_m": 8000.0, "start_m": -1850.0}
     return _lateral(world, load_scenario("sine_tracking").but(good=world.good, end_m=300.0, set_point=point), "offset")
 
 
-def _loss(world: World) -> Rows:
+def _loss(world: ProbeSetup) -> Rows:
     """Fig. 8: NMPC as tuned and with R x 10, NDI, and NMPC without slip control."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
     rows = _rows(LOSS, NOTHING, nothing(scenario) | {"slip_at_maximum": slip_at_maximum(scenario, car)})
@@ -269,7 +269,7 @@ def _loss(world: World) -> Rows:
     return rows
 
 
-def _brake(world: World) -> Rows:
+def _brake(world: ProbeSetup) -> Rows:
     """Fig. 9: sweeps of R and of NDI's poles, and the settings that are compared."""
     scenario = load_scenario(BRAKE).but(speed_kmh=world.brake_kmh, good=world.good)
     rows = _rows(BRAKE, NOTHING, nothing(scenario))
@@ -375,7 +375,7 @@ class Nominal:
             swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
             parameters[name] = swarms[self.rank]["parameters"] if self.rank < len(swarms) else tuned["parameters"]
         sensors = {"seed": self.seed} if self.setting == tuning.LOOP else {}
-        world = World(parameters, sensors=sensors, brake_kmh=160.0, **WIDE)
+        world = ProbeSetup(parameters, sensors=sensors, brake_kmh=160.0, **WIDE)
         # braking takes most of the time: once per setting
         parts = PARTS if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
         return [(*row, UNITS.get(row[2], "-"), self.setting, self.rank, self.seed) for row in probe(world, parts)]

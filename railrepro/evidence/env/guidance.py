@@ -73,7 +73,7 @@ class GuidanceEnv(gymnasium.Env):
         self.route = simulate.checked_route(self.scenario, self.vehicle)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (_SIZE,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(GEARS),), np.float32)
-        self._road = self._table()
+        self._track_ahead = self._table()
         self._exchange = None
         self._ahead = np.array((0.0, *AHEAD))
 
@@ -134,8 +134,8 @@ class GuidanceEnv(gymnasium.Env):
         x, seen = self._exchange.measured_states(), np.empty(_SIZE, np.float32)
         gears, v = seen[:-1].reshape(len(GEARS), -1), x[:, XDOT, None]
         places = (x[:, X, None] + v * self._ahead - self.route.start) * _PITCH
-        places = np.fmin(np.fmax(places, 0), self._road.shape[1] - 1).astype(int)
-        y_ref, slope, curvature, lift = self._road[:, places]
+        places = np.fmin(np.fmax(places, 0), self._track_ahead.shape[1] - 1).astype(int)
+        y_ref, slope, curvature, lift = self._track_ahead[:, places]
         aside = 1e3 * (y_ref - x[:, Y, None])
         gears[:, 0], gears[:, 4:_SIDEWAYS] = aside[:, 0], aside[:, 1:]
         gears[:, 1] = 1e3 * (slope[:, 0] - x[:, PSI_TRAX])

@@ -26,7 +26,7 @@ CONTROLLERS = ("nmpc", "ndi")
 
 
 @dataclass(frozen=True)
-class Knobs:
+class Parameters:
     """What is turned; 1 and None leave a number as it was tuned, or as the scenario has it.
 
     Attributes
@@ -77,7 +77,7 @@ class Knobs:
         raise InputError(f"controller {controller!r} has no knobs; there are {list(CONTROLLERS)}")
 
 
-def turned(scenario: Scenario, knobs: Knobs, setting: str = tuning.EQUAL) -> dict[str, simulate.Run]:
+def turned(scenario: Scenario, knobs: Parameters, setting: str = tuning.EQUAL) -> dict[str, simulate.Run]:
     """Runs of `CONTROLLERS` with the knobs where they are."""
     driven = knobs.scenario(scenario)
     laws = {name: guidance(name, knobs.parameters(name, setting)) for name in CONTROLLERS}
@@ -109,9 +109,9 @@ class _Late:
         """See `LateralLaw.gains`."""
         return {**self._law.gains(), "late.exchanges": self._seconds / EXCHANGE_PERIOD}
 
-    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
-        du, following = self._law.torque(gear, road, memory, gain, model)
+        du, following = self._law.torque(gear, track_ahead, memory, gain, model)
         line = [du, *(memory[f"late.{k}"] for k in range(LONGEST))]
         return late(line, gain["late.exchanges"]), following | {f"late.{k}": line[k] for k in range(LONGEST)}
 

@@ -9,7 +9,7 @@ from matplotlib import animation
 
 from railrepro.errors import InputError
 from railrepro.evidence.film.picture import Picture
-from railrepro.evidence.film.scene import Film
+from railrepro.evidence.film.scene import Comparison
 from railrepro.files import written
 
 RATE = 8
@@ -26,7 +26,7 @@ def coder() -> tuple[str, str]:
     raise InputError("no movie: neither ffmpeg nor Pillow is here; the page needs neither")
 
 
-def save(film: Film, folder: Path, name: str) -> Path:
+def save(film: Comparison, folder: Path, name: str) -> Path:
     """Write the movie FOLDER/NAME.mp4 or .gif, whole or not at all; its path."""
     suffix, writer = coder()
     target, part = folder / f"{name}.{suffix}", folder / f".{name}.part.{suffix}"

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro.evidence.film.scene import AHEAD, BEHIND, Film
+from railrepro.evidence.film.scene import AHEAD, BEHIND, Comparison
 
 DECIMALS = {"p_m": 2, "v_kmh": 1, "tau_Nm": 0, "du_Nm": 0, "adhesion_percent": 1, "t_s": 3}
 """Decimals of a quantity, by the end of a column's name; all others have three."""
 _TEMPLATE = Path(__file__).with_name("page.html")
 
 
-def content(film: Film) -> dict:
+def content(film: Comparison) -> dict:
     """What the page draws: title, t_s, scales, way, and per shot its columns; rounded to `DECIMALS`."""
     shots = [
-        {"controller": shot.controller, "label": shot.label, "color": shot.color, "told": shot.told}
+        {"controller": shot.controller, "label": shot.label, "color": shot.color, "told": shot.report_errors}
         | {"columns": _columns(shot.table.drop(columns="t_s"))}
         for shot in film.shots
     ]
@@ -29,14 +29,14 @@ def content(film: Film) -> dict:
     return {"title": film.title, "t_s": times, "scales": scales, "way": _columns(film.way), "shots": shots} | seen
 
 
-def html(film: Film) -> str:
+def html(film: Comparison) -> str:
     """The page."""
     numbers = json.dumps(content(film), separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     page = _TEMPLATE.read_text(encoding="utf-8")
     return page.replace("{{title}}", escape(film.title)).replace("{{film}}", numbers)
 
 
-def frame(film: Film, height: int = 900) -> str:
+def frame(film: Comparison, height: int = 900) -> str:
     """The page inside another one, a notebook's output or a chapter of the book; `height` in pixels."""
     look = f"width:100%;height:{height}px;border:0"
     inner = f'title="film: {escape(film.title)}" style="{look}" srcdoc="{escape(html(film))}"'

@@ -10,7 +10,7 @@ from IPython.display import clear_output, display
 from matplotlib.figure import Figure
 
 from railrepro.errors import InputError
-from railrepro.evidence.film.knobs import Knobs, turned
+from railrepro.evidence.film.knobs import Parameters, turned
 from railrepro.evidence.report import figures
 from railrepro.simulation.scenarios import Scenario
 from railrepro.simulation.simulate import Run
@@ -41,17 +41,17 @@ def _window(runs: dict[str, Run]) -> tuple[float, float]:
 
 def panel(scenario: Scenario, setting: str, draw: Callable[[dict[str, Run]], Figure] = curves) -> widgets.Widget:
     """Sliders, a line that tells how the runs went and how long they took, and the curves, which follow the sliders."""
-    sliders, told, shown = _sliders(scenario), widgets.HTML(), widgets.Output()
+    sliders, status, shown = _sliders(scenario), widgets.HTML(), widgets.Output()
 
     def follow(_change=None) -> None:
         begin = time.perf_counter()
         try:
-            runs = turned(scenario, Knobs(**{name: slider.value for name, slider in sliders.items()}), setting)
+            runs = turned(scenario, Parameters(**{name: slider.value for name, slider in sliders.items()}), setting)
         except InputError as error:
-            told.value = str(error)
+            status.value = str(error)
             return
         ended = "; ".join(f"<b>{name}</b>: {run.ended}" for name, run in runs.items())
-        told.value = f"{ended} ({time.perf_counter() - begin:.1f} s for both)"
+        status.value = f"{ended} ({time.perf_counter() - begin:.1f} s for both)"
         figure = draw(runs)
         with shown:
             clear_output(wait=True)
@@ -60,7 +60,7 @@ def panel(scenario: Scenario, setting: str, draw: Callable[[dict[str, Run]], Fig
     for slider in sliders.values():
         slider.observe(follow, "value")
     follow()
-    return widgets.VBox([widgets.HBox(list(sliders.values()), layout={"flex_flow": "row wrap"}), told, shown])
+    return widgets.VBox([widgets.HBox(list(sliders.values()), layout={"flex_flow": "row wrap"}), status, shown])
 
 
 def _sliders(scenario: Scenario) -> dict[str, widgets.Widget]:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from railrepro.car.equations import GEARS, SIDES, WHEELS
-from railrepro.evidence.film.scene import AHEAD, BEHIND, Film, Shot
+from railrepro.evidence.film.scene import AHEAD, BEHIND, Comparison, Frame
 from railrepro.evidence.report import figures
 
 TAIL = 0.4
@@ -25,7 +25,7 @@ class Picture:
     figure : Figure
     """
 
-    def __init__(self, film: Film):
+    def __init__(self, film: Comparison):
         self.figure, whole = figures.new_figure(height=5.4, width=7.0)
         whole.remove()
         grid = self.figure.add_gridspec(2 + len(_TRACES), 2, height_ratios=(1.1, 2.2, *(0.75 for _ in _TRACES)))
@@ -45,7 +45,7 @@ class Picture:
 class _Stage:
     """Plan view and creep circles of one shot."""
 
-    def __init__(self, film: Film, shot: Shot, plan: Axes, dials: Axes):
+    def __init__(self, film: Comparison, shot: Frame, plan: Axes, dials: Axes):
         self.shot, self._film, self._plan = shot, film, plan
         self._values = {str(name): shot.table[name].to_numpy() for name in shot.table}
         self._half = 4 * film.scales["y_mm"]
@@ -92,7 +92,7 @@ class _Stage:
 class _Dial:
     """Creep circle, adhesion gauge and torque bar of one wheel, in units of the largest bound of the film."""
 
-    def __init__(self, film: Film, shot: Shot, wheel: str, axis: Axes):
+    def __init__(self, film: Comparison, shot: Frame, wheel: str, axis: Axes):
         gear, side = wheel.split("_")
         self._wheel, self._scales = wheel, film.scales
         self._x, self._y = (1.85 if gear == "front" else -1.95), (-1.55 if side == "le" else 1.45)
@@ -134,7 +134,7 @@ class _Dial:
 class _Traces:
     """Curves of both shots over time with a cursor."""
 
-    def __init__(self, film: Film, axes: list[Axes]):
+    def __init__(self, film: Comparison, axes: list[Axes]):
         self._film, self._cursors = film, [axis.axvline(0.0, color="0.2", linewidth=0.7) for axis in axes]
         for axis, (name, label) in zip(axes, _TRACES.items(), strict=True):
             for shot, style in zip(film.shots, _STYLES, strict=True):
@@ -152,13 +152,13 @@ class _Traces:
             cursor.set_xdata([time, time])
 
 
-def _trace(shot: Shot, name: str) -> np.ndarray:
+def _trace(shot: Frame, name: str) -> np.ndarray:
     if name == "adhesion":
         return shot.table[[f"{wheel}.adhesion_percent" for wheel in WHEELS]].to_numpy().max(axis=1)
     return shot.table[name].to_numpy()
 
 
-def draw(film: Film, frame: int | None = None) -> Figure:
+def draw(film: Comparison, frame: int | None = None) -> Figure:
     """A frame as a figure; default `Film.still`."""
     picture = Picture(film)
     picture.show(film.still() if frame is None else frame)

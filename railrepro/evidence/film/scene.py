@@ -39,7 +39,7 @@ WIDEST = 10.0
 
 
 @dataclass(frozen=True)
-class Shot:
+class Frame:
     """One controller's run as it is drawn.
 
     Attributes
@@ -56,11 +56,11 @@ class Shot:
     label: str
     color: str
     table: pd.DataFrame
-    told: str
+    report_errors: str
 
 
 @dataclass(frozen=True)
-class Film:
+class Comparison:
     """Runs of one scenario side by side.
 
     Attributes
@@ -74,7 +74,7 @@ class Film:
     """
 
     title: str
-    shots: tuple[Shot, ...]
+    shots: tuple[Frame, ...]
     way: pd.DataFrame
     times: np.ndarray
 
@@ -97,7 +97,7 @@ class Film:
         return first + int(np.argmax(np.ptp(y[:, first : max(rows - first, first + 1)], axis=0)))
 
 
-def film(scenario: str, controllers: tuple[str, ...], setting: str = tuning.EQUAL, frames: int = FRAMES) -> Film:
+def film(scenario: str, controllers: tuple[str, ...], setting: str = tuning.EQUAL, frames: int = FRAMES) -> Comparison:
     """Drive two controllers through a scenario and put the runs side by side.
 
     Parameters
@@ -127,7 +127,7 @@ def film(scenario: str, controllers: tuple[str, ...], setting: str = tuning.EQUA
     return compose(driven, runs, load_vehicle(), frames, f"{scenario} in the setting {setting}")
 
 
-def compose(scenario: Scenario, runs: Mapping[str, Run], vehicle: Vehicle, frames: int, title: str) -> Film:
+def compose(scenario: Scenario, runs: Mapping[str, Run], vehicle: Vehicle, frames: int, title: str) -> Comparison:
     """A film of finished runs.
 
     Parameters
@@ -149,10 +149,10 @@ def compose(scenario: Scenario, runs: Mapping[str, Run], vehicle: Vehicle, frame
     stride, way = max(longest // frames, 1), scenario.route()
     times = np.arange(0, longest, stride) * EXCHANGE_PERIOD
     shots = tuple(_shot(name, run, stride, scenario, way, vehicle) for name, run in runs.items())
-    return Film(title, shots, _way(way), times)
+    return Comparison(title, shots, _way(way), times)
 
 
-def _shot(name: str, run: Run, stride: int, scenario: Scenario, way: Route, vehicle: Vehicle) -> Shot:
+def _shot(name: str, run: Run, stride: int, scenario: Scenario, way: Route, vehicle: Vehicle) -> Frame:
     look, rows = CONTROLLER_STYLE[name], run.series.iloc[::stride].reset_index(drop=True)
     columns = {"t_s": rows["t_s"], "v_kmh": 3.6 * rows["front.v"]}
     for gear in GEARS:
@@ -164,8 +164,8 @@ def _shot(name: str, run: Run, stride: int, scenario: Scenario, way: Route, vehi
         speed = rows[f"{wheel.split('_')[0]}.v"].to_numpy()
         largest = metrics.adhesion_limit(speed, _poor(rows, wheel, way), scenario, vehicle)
         columns[f"{wheel}.adhesion_percent"] = 100 * adhesion / largest
-    told = f"RMSE of y {1e3 * metrics.rmse(run.series):.2f} mm; {run.ended}"
-    return Shot(name, look["label"], look["color"], pd.DataFrame(columns), told)
+    report_errors = f"RMSE of y {1e3 * metrics.rmse(run.series):.2f} mm; {run.ended}"
+    return Frame(name, look["label"], look["color"], pd.DataFrame(columns), report_errors)
 
 
 def _poor(rows: pd.DataFrame, wheel: str, way: Route) -> np.ndarray:

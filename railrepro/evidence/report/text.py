@@ -474,10 +474,10 @@ def _effect(own: pd.DataFrame) -> str:
     if own.empty:
         return "no run depends on it"
     lost = own["lost"].fillna(False).astype(bool)
-    kept, parts = own[~lost], []
-    if len(kept):
-        worst = kept.loc[kept["rmse_change"].abs().idxmax()]
-        effort = kept.loc[kept["effort_change"].abs().idxmax()]
+    stored, parts = own[~lost], []
+    if len(stored):
+        worst = stored.loc[stored["rmse_change"].abs().idxmax()]
+        effort = stored.loc[stored["effort_change"].abs().idxmax()]
         parts.append(f"RMSE {100 * worst['rmse_change']:+.1f} % ({worst['scenario']})")
         parts.append(f"torque {100 * effort['effort_change']:+.1f} % ({effort['scenario']})")
     if lost.any():

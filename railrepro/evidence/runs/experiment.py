@@ -278,9 +278,9 @@ def run_all(
     """
     with executor() as pool:
         results = ordered_map(pool, _call, experiments, title, quiet, stored=True)
-    kept = [
+    stored = [
         series.assign(controller=experiment.controller)
         for experiment, (_, series) in zip(experiments, results, strict=True)
         if series is not None
     ]
-    return pd.DataFrame([row for row, _ in results]), pd.concat(kept, ignore_index=True) if kept else None
+    return pd.DataFrame([row for row, _ in results]), pd.concat(stored, ignore_index=True) if stored else None

@@ -139,9 +139,9 @@ class _Counted:
         lateral.kind(law)  # tells what is wrong with it, before it is counted
         self._law, self.memory, self.gains = law, (*law.memory, NOT_FINITE), law.gains
 
-    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
-        answer = self._law.torque(gear, road, memory, gain, model)
+        answer = self._law.torque(gear, track_ahead, memory, gain, model)
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], dict)):
             return answer  # `lateral.kind` tells what is wrong
         du, following = answer

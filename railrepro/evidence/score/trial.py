@@ -98,8 +98,8 @@ class Trial:
         seconds = sample_times(run, experiment, again) if run.controllers else _call_times(law)
         row |= {"sample_median": float(np.median(seconds)), "sample_p99": float(np.quantile(seconds, 0.99))}
         row["sample_max"] = float(np.max(seconds))
-        kept = tidy(run.series, STRIDE)[["p_m", "y_m", "y_ref_m", "du_Nm"]]
-        return row | {"series": {name: kept[name].round(7).tolist() for name in kept}}
+        stored = tidy(run.series, STRIDE)[["p_m", "y_m", "y_ref_m", "du_Nm"]]
+        return row | {"series": {name: stored[name].round(7).tolist() for name in stored}}
 
     def _margins(self) -> dict:
         """Smallest over the rails of what is survived of each quantity."""

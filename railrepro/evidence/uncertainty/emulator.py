@@ -92,14 +92,14 @@ def fit(x: np.ndarray, y: np.ndarray) -> Emulator:
         inputs were chosen: with more inputs than runs some seem to matter by chance.
     """
     found, spread = _fitted(x, y), max(float(y.std()), 1e-12)
-    missed, told = np.zeros(len(y)), np.ones(len(y))
+    missed, report_errors = np.zeros(len(y)), np.ones(len(y))
     folds = np.random.default_rng(len(y)).permutation(len(y)) % FOLDS  # every eighth of a Sobol sequence is a slab
     for fold in range(FOLDS):
         out = folds == fold
         mean, deviation = _fitted(x[~out], y[~out])(x[out])
-        missed[out], told[out] = y[out] - mean, np.maximum(deviation, 1e-12)
+        missed[out], report_errors[out] = y[out] - mean, np.maximum(deviation, 1e-12)
     error = float(np.sqrt(np.mean(missed**2)))
-    inflation = max(1.0, float(np.sqrt(np.mean((missed / told) ** 2))))
+    inflation = max(1.0, float(np.sqrt(np.mean((missed / report_errors) ** 2))))
     return replace(found, deviation=found.deviation * inflation, error=error / spread)
 
 
@@ -137,8 +137,8 @@ def _active(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     strength = np.abs((ranks - ranks.mean()) @ centred) / np.maximum(size, 1e-12)
     strength = np.maximum(*np.split(strength, 2))
     order = np.argsort(-strength, kind="stable")[:MOST_ACTIVE]
-    kept = order[strength[order] > CHANCE / np.sqrt(len(y))]
-    active = kept if kept.size else order[:1]
+    stored = order[strength[order] > CHANCE / np.sqrt(len(y))]
+    active = stored if stored.size else order[:1]
     return active, strength[active] / strength[active].max()
 
 

@@ -61,9 +61,9 @@ class ProbedLaw:
         """See `LateralLaw.gains`."""
         return {**self._law.gains(), "probe.amplitude": self._amplitude}
 
-    def torque(self, gear: dict, road: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
-        du, following = self._law.torque(gear, road, memory, gain, model)
+        du, following = self._law.torque(gear, track_ahead, memory, gain, model)
         exchange = memory["probe.exchange"]
         signal = gain["probe.amplitude"] * multisine(exchange * EXCHANGE_PERIOD, ca.sin)
         return du + signal, following | {"probe.exchange": exchange + 1}

@@ -25,7 +25,7 @@ from railrepro import paths, schema
 from railrepro.control.registry import PAPER_TRIO
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.probe import World, probe
+from railrepro.evidence.claims.probe import ProbeSetup, probe
 from railrepro.evidence.claims.statements import Finding, MissingEvidence, Statement
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.pso import Dimension
@@ -319,7 +319,7 @@ def dimensions() -> tuple[Dimension, ...]:
     return (*(Dimension(key, *map(float, pair)) for key, pair in ranges.items()), *CHOICES)
 
 
-def world(values: Mapping[str, float]) -> World:
+def world(values: Mapping[str, float]) -> ProbeSetup:
     """The car, controllers and experiments of a point; what is not named stays nominal."""
     v = dict(values)
     names = {d.name for d in CHOICES}
@@ -347,11 +347,13 @@ def world(values: Mapping[str, float]) -> World:
         "sensors": delayed if delay else None,
     }  # fmt: skip
     sweeps = {"r_factors": (1.0, 10.0, 100.0), "poles": (8.0, 20.0, 50.0), "brake_kmh": 60.0}
-    return World(parameters, vehicle, **sweeps, **{key: value for key, value in given.items() if value is not None})
+    return ProbeSetup(
+        parameters, vehicle, **sweeps, **{key: value for key, value in given.items() if value is not None}
+    )
 
 
 @dataclass(frozen=True)
-class Drive:
+class ProbeTask:
     """Runs of the car at some values, as "scenario/controller/metric" -> value; picklable.
 
     Attributes
@@ -391,7 +393,7 @@ class PaperLike:
     fails: tuple[str, ...]
 
 
-def paper_like() -> World:
+def paper_like() -> ProbeSetup:
     """Car, controllers and experiments that come closest to the paper's statements, see `best`."""
     file = paths.source("data/results/paper_like.json")
     if not file.exists():
@@ -423,11 +425,11 @@ def best(problem: Problem, matched: Matched) -> dict:
 
 
 def _sentence(row) -> str:
-    told = f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; "
+    report_errors = f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; "
     if np.isfinite(row.second):
-        return told + f"{names_of_choice(row.what)[1]} in {100 * row.second:.0f} % of what is left"
+        return report_errors + f"{names_of_choice(row.what)[1]} in {100 * row.second:.0f} % of what is left"
     low, high, least, most = (f"{float(f'{x:.3g}'):g}" for x in (row.low, row.high, row.prior_low, row.prior_high))
-    return told + f"plausible are {low} to {high} of {least} to {most}"
+    return report_errors + f"plausible are {low} to {high} of {least} to {most}"
 
 
 def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFrame:
@@ -473,7 +475,7 @@ def main(size: str = "committed") -> None:
     judged = rules()
 
     def run(points: list[Values]) -> list[dict[str, float]]:
-        rows = rows_of(Drive(), points, "matching")
+        rows = rows_of(ProbeTask(), points, "matching")
         return [margins(row, judged) for row in rows]
 
     problem = Problem(dimensions(), run)

@@ -20,7 +20,7 @@ from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_tim
 from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.probe import PARTS, World, probe
+from railrepro.evidence.claims.probe import PARTS, ProbeSetup, probe
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
@@ -153,7 +153,7 @@ def evaluate(sample: Sample) -> dict:
     dict
         The sample's number, replicate, setting, variant and profile, and "scenario/controller/metric" -> value.
     """
-    world = World(
+    world = ProbeSetup(
         {}, dict(sample.vehicle), sample.profile, sample.good, sample.variant, sample.amplitude_mm,
         sample.period_start_m, sample.period_end_m, sample.clothoid_factor,
     )  # fmt: skip
@@ -171,7 +171,7 @@ def _sensors(setting: str, seed: int) -> dict:
     return {"seed": seed} if setting == tuning.LOOP else {}
 
 
-def _retuned(world: World, name: str, setting: str) -> dict:
+def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
     """The best of three scales of a controller's tuned set, by the cost of tuning; designed sets stay as they are."""
     task, base = tuning.load_task(setting=setting), tuning.load(name, setting)["parameters"]
     if name in task.designed:

@@ -1,6 +1,6 @@
 """Processes that end with those who started them, also when these were killed; run as a script it holds one command.
 
-As a script it is used without the library: `python leash.py PARENT COMMAND …`.
+As a script it is used without the library: `python parent_death.py PARENT COMMAND …`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def follow(leader: int, end: Callable[[], None] = lambda: os._exit(1)) -> None:
                 os.kill(process, signal.SIGKILL)
         os._exit(1)
 
-    threading.Thread(target=watch, daemon=True, name="leash").start()
+    threading.Thread(target=watch, daemon=True, name="parent death").start()
 
 
 def follow_make() -> None:
@@ -93,14 +93,14 @@ def run(command: Sequence[str], seconds: float) -> tuple[int, str]:
         held, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
     )
     try:
-        _, told = process.communicate(timeout=seconds)
+        _, on_stderr = process.communicate(timeout=seconds)
     except BaseException as error:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         if isinstance(error, subprocess.TimeoutExpired):
             raise TimeoutError(f"took longer than {seconds:g} s") from None
         raise
-    return process.returncode, told.decode(errors="replace")
+    return process.returncode, on_stderr.decode(errors="replace")
 
 
 def _hold(parent: int, command: Sequence[str]) -> int:
