@@ -99,7 +99,8 @@ def copied(tmp_path_factory):
 
 def reached(package):
     imported = [name for name in sources.parsed((package / "evidence/runs/experiment.py").read_text())[1]]
-    return sources.closure([f"import {n}" for n in imported if not n.startswith("railrepro.evidence")], package)
+    parts = [name.rpartition(".") for name in imported if "." in name and not name.startswith("railrepro.evidence")]
+    return sources.closure([f"from {room} import {name}" for room, _, name in parts], package)
 
 
 def test_a_run_reaches_the_physics_and_not_the_report():

@@ -249,7 +249,8 @@ def code(measure: Measure) -> list:
 def _reached() -> dict[str, str]:
     """Content of the modules that a run can reach: those of the library that this module imports, and theirs."""
     imported = [name for name in sources.parsed(_source(__name__))[1] if not name.startswith("railrepro.evidence")]
-    return sources.closure([f"import {name}" for name in imported])
+    parts = [name.rpartition(".") for name in imported if "." in name]
+    return sources.closure([f"from {room} import {name}" for room, _, name in parts])
 
 
 def _call(experiment: Experiment) -> store.Entry:
