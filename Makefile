@@ -170,7 +170,7 @@ lock:  ## renew environment.lock from pyproject.toml, and the locks that share i
 clean:  ## remove executed notebooks, stamps and reports of runs
 	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify build/chain.mk
 
-distclean: clean  ## also remove the environment and compiled code
+distclean: clean  ## also remove the environment, compiled code and stored results
 	rm -rf build .venv
 
 ifeq ($(ONLY_SHOW),yes)

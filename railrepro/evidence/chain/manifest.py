@@ -14,7 +14,7 @@ from pathlib import Path
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.evidence.chain.graph import Notebook
+from railrepro.evidence.chain.graph import Notebook, chain
 from railrepro.evidence.runs import sources
 from railrepro.files import alone, write, written
 from railrepro.reads import ALL
@@ -167,9 +167,10 @@ def _rows(file: Path) -> dict[str, dict]:
 def _manifests(notebook: Notebook, products: dict[str, str], inputs: str) -> Iterator[tuple[Path, str | None]]:
     """Both manifests with what they should hold, or None where they do."""
     seed = "" if notebook.seed is None else str(notebook.seed)
+    others = {other.name for other in chain()} - {notebook.name}
     for folder in ("data", "figures"):
         file = paths.ROOT / folder / "MANIFEST.csv"
-        rows = {path: row for path, row in _rows(file).items() if row["made_by"] != notebook.name}
+        rows = {path: row for path, row in _rows(file).items() if row["made_by"] in others}
         for product, digest in products.items():
             if product.startswith(folder + "/"):
                 rows[product] = dict(zip(_COLUMNS, (product, digest, notebook.name, inputs, seed), strict=True))
