@@ -82,6 +82,11 @@ def test_whatever_a_run_reads_is_in_its_key():
     assert None not in keys.values()
 
 
+@pytest.mark.parametrize("name", sorted(experiment.REGISTERED))
+def test_every_registered_controller_is_stored(name):
+    assert replace(SHORT, controller=name).key(probe.following) is not None
+
+
 def test_names_that_change_nothing_are_not(tmp_path):
     labelled = replace(SHORT, label={"case": "other"}, scenario=replace(SHORT.scenario, name="other"))
     resolved = replace(SHORT, parameters=tuning.load("ndi")["parameters"], setting="loop")

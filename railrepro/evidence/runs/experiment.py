@@ -10,7 +10,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pandas as pd
@@ -140,8 +140,7 @@ class Experiment:
         It holds the resolved values, not the names of vehicle, parameters, track and sensors, and the code that the run
         and the function can reach.
         """
-        built = REGISTERED[self.controller].build if self.controller in REGISTERED else None
-        if built is None or not built.__module__.startswith("railrepro."):
+        if self.controller not in REGISTERED or not _is_ours(REGISTERED[self.controller].build):
             return None  # of a user's file
         scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
         track = load_track(self.scenario.track_file())
@@ -223,6 +222,12 @@ def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame
         name.format(side): rows[f"{gear}_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()
     }
     return pd.DataFrame(columns)
+
+
+def _is_ours(build: Callable) -> bool:
+    """Whether a factory, with what it is given, comes from this package."""
+    parts = (build.func, *build.args) if isinstance(build, partial) else (build,)
+    return all(part.__module__.partition(".")[0] == "railrepro" for part in parts if callable(part))
 
 
 Measure = Callable[[simulate.Run, Experiment], store.Entry]
