@@ -167,7 +167,7 @@ def test_energy_balance_on_irregular_rails(vehicle):
 def mirror(name):
     """Name of the same quantity on the other side of the track and its sign there."""
     odd = {"y", "psi", "phi", "vy", "wx", "wz", "psi_Ax", "psi_TrAx", "psidot_Ax", "yaw_to_body", "y_ref", "du"}
-    odd |= {"Fy", "nu_y", "spin", "rail_y", "sway", "ay"}
+    odd |= {"Fy", "nu_y", "spin", "M_spin", "rail_y", "sway", "ay"}
     other = name.replace("_le", "_*").replace("_ri", "_le").replace("_*", "_ri")
     return other, -1 if name.split(".")[1] in odd else 1
 
