@@ -17,7 +17,7 @@ from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import exchange, metrics, scenarios, simulate
 from railrepro.track import defects
-from railrepro.track.route import INDEX
+from railrepro.track.route import COLUMNS, INDEX, irregularity_in
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -193,8 +193,9 @@ def test_sensors_measure_against_the_rails_wherever_these_lie():
     sensors = Readings(load_loop().perfect())
     run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=sensors, irregularities=rails)
     place, (y, psi) = run.series["front.p"], run.series[["front.y", "front.psi_TrAx"]].to_numpy().T
-    aside = np.interp(place, p, rails["lateral_m"])
-    slope = np.diff(rails["lateral_m"])[(place / 0.5).astype(int)] / 0.5
+    cells = dict(zip(COLUMNS, scenario.route(rails).rows_at(place).T, strict=True))
+    aside, slope = irregularity_in(cells, "lateral", place)[:2]
+    assert aside == pytest.approx(np.interp(place, p, rails["lateral_m"]), abs=2e-4)
     read = np.array(run.controllers[0].seen)[:, :2].T
     assert read == pytest.approx(np.array([y - aside, psi - slope])[:, : read.shape[1]], abs=1e-9)
     assert aside.max() > 2e-3 and slope.max() > 4e-4

@@ -66,7 +66,7 @@ def test_linearisation_is_the_slope_of_rates_and_outputs():
 
 @pytest.mark.parametrize("y", [0.0, 1e-4, 3e-4, 1e-3, -2e-3])
 def test_linearisation_at_a_node_of_the_contact_table_is_that_beside_it(y):
-    """S1002, whose nodes are 0.1 mm apart; a tie of the clamps at a node would halve slopes. Cells differ by up to 13 %."""
+    """S1002, whose nodes are 0.1 mm apart; a tie of the clamps at a node would halve slopes. Cells differ by 13 %."""
     car = SteppedCar("T5", 20.0, load_vehicle(**{"contact.profile": "s1002"}))
     state, places, slopes = car.state.copy(), equations.indices("front.y", "rear.y"), []
     for apart in (-1e-7, 0.0, 1e-7):

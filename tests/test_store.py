@@ -189,7 +189,7 @@ def test_switched_off_it_neither_reads_nor_writes(folder, runs, monkeypatch):
 def test_stored_experiments_start_no_worker(folder, monkeypatch):
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     experiments = [replace(SHORT, label={"n": n}, scenario=SHORT.scenario.but(end_m=8.0 + n)) for n in range(3)]
-    table, series = run_all(experiments[:2], "first", quiet=True)
+    first = [one() for one in experiments[:2]]
 
     class NoPool:
         def submit(self, *_):
@@ -197,8 +197,9 @@ def test_stored_experiments_start_no_worker(folder, monkeypatch):
 
     results = ordered_map(NoPool(), experiment._call, experiments[:2], "again", quiet=True, stored=True)
     assert [row["n"] for row, _ in results] == [0, 1] and len(list(folder.rglob("*.npz"))) == 2
+    experiments[2]()
     more, _ = run_all(experiments, "more", quiet=True)
-    assert more[:2].equals(table) and len(list(folder.rglob("*.npz"))) == 3
+    assert more[:2].equals(pd.DataFrame([row for row, _ in first])) and len(list(folder.rglob("*.npz"))) == 3
 
 
 def test_an_evaluation_of_a_swarm_is_known_or_missing_as_a_whole(folder):

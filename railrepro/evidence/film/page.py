@@ -19,7 +19,7 @@ _TEMPLATE = Path(__file__).with_name("page.html")
 def content(film: Comparison) -> dict:
     """What the page draws: title, t_s, scales, way, and per shot its columns; rounded to `DECIMALS`."""
     shots = [
-        {"controller": shot.controller, "label": shot.label, "color": shot.color, "told": shot.report_errors}
+        {"controller": shot.controller, "label": shot.label, "color": shot.color, "told": shot.summary}
         | {"columns": _columns(shot.table.drop(columns="t_s"))}
         for shot in film.shots
     ]

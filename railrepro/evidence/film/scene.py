@@ -56,7 +56,7 @@ class Frame:
     label: str
     color: str
     table: pd.DataFrame
-    report_errors: str
+    summary: str
 
 
 @dataclass(frozen=True)
@@ -164,8 +164,8 @@ def _shot(name: str, run: Run, stride: int, scenario: Scenario, way: Route, vehi
         speed = rows[f"{wheel.split('_')[0]}.v"].to_numpy()
         largest = metrics.adhesion_limit(speed, _poor(rows, wheel, way), scenario, vehicle)
         columns[f"{wheel}.adhesion_percent"] = 100 * adhesion / largest
-    report_errors = f"RMSE of y {1e3 * metrics.rmse(run.series):.2f} mm; {run.ended}"
-    return Frame(name, look["label"], look["color"], pd.DataFrame(columns), report_errors)
+    summary = f"RMSE of y {1e3 * metrics.rmse(run.series):.2f} mm; {run.ended}"
+    return Frame(name, look["label"], look["color"], pd.DataFrame(columns), summary)
 
 
 def _poor(rows: pd.DataFrame, wheel: str, way: Route) -> np.ndarray:
