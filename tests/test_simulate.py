@@ -185,6 +185,7 @@ def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque
     assert guided.delays == {acts - seen}
 
 
+@pytest.mark.xfail(strict=True, reason="the law still reads rails as straight within a cell")
 def test_sensors_measure_against_the_rails_wherever_these_lie():
     """A bend of 3 mm to the right and back; the reading is that of the exchange before."""
     p = np.arange(0.0, 80.0, 0.5)
@@ -194,7 +195,7 @@ def test_sensors_measure_against_the_rails_wherever_these_lie():
     run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=sensors, irregularities=rails)
     place, (y, psi) = run.series["front.p"], run.series[["front.y", "front.psi_TrAx"]].to_numpy().T
     cells = dict(zip(COLUMNS, scenario.route(rails).rows_at(place).T, strict=True))
-    aside, slope = irregularity_in(cells, "lateral", place)[:2]
+    aside, slope = irregularity_in(cells, "lateral", place.to_numpy())[:2]
     assert aside == pytest.approx(np.interp(place, p, rails["lateral_m"]), abs=2e-4)
     read = np.array(run.controllers[0].seen)[:, :2].T
     assert read == pytest.approx(np.array([y - aside, psi - slope])[:, : read.shape[1]], abs=1e-9)
