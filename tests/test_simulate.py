@@ -185,7 +185,6 @@ def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque
     assert guided.delays == {acts - seen}
 
 
-@pytest.mark.xfail(strict=True, reason="the law still reads rails as straight within a cell")
 def test_sensors_measure_against_the_rails_wherever_these_lie():
     """A bend of 3 mm to the right and back; the reading is that of the exchange before."""
     p = np.arange(0.0, 80.0, 0.5)

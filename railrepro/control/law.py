@@ -28,7 +28,7 @@ from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
 from railrepro.model.control_model import STATES
 from railrepro.schema import between, require
-from railrepro.track.route import COLUMNS, reference_in, track_in
+from railrepro.track.route import COLUMNS, irregularity_in, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 
 GEARS = ("front", "rear")
@@ -339,8 +339,9 @@ class _Sight:
     def __init__(self, g: int, gear: str, truth: dict, y: dict, cell: dict, ticks: ca.SX, own: dict, gain: dict):
         self._gain = _part(gain, f"{gear}.sensor") | _part(gain, "filter") | {"nominal_load": gain["nominal_load"]}
         self._own, self._ticks = own, ticks
-        aside = truth["y_TrAx"] - cell["lateral"] - cell["dlateral"] * (truth["x"] - cell["p"])
-        lever = self._gain["base"] / 2 * (truth["psi_TrAx"] - cell["dlateral"])
+        rail, turned = irregularity_in(cell, "lateral", truth["x"])[:2]
+        aside = truth["y_TrAx"] - rail
+        lever = self._gain["base"] / 2 * (truth["psi_TrAx"] - turned)
         exact = {"y_ahead": aside + lever, "y_behind": aside - lever, "psidot_Ax": truth["psidot_Ax"]}
         exact |= {f"w_{side}": y[f"{gear}_{side}.w"] for side in SIDES} | {"v": truth["xdot"], "p": truth["x"]}
         self._readings, lines = sense(exact, ticks, g, self._gain, _part(own, "sensor"))
