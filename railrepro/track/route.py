@@ -168,11 +168,9 @@ def lay(
         columns["second_profile"] = second_profile(p)
     for name, value in columns.items():
         cells[:, INDEX[name]] = value
-    if not np.isfinite(cells).all():
-        row, column = np.argwhere(~np.isfinite(cells))[0]
-        raise InputError(
-            f"route: {COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}, a finite number is needed"
-        )
+    for row, column in np.argwhere(~np.isfinite(cells))[:1]:
+        found = f"{COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}"
+        raise InputError(f"route: {found}, a finite number is needed")
     return Route(cells, track.length)
 
 
