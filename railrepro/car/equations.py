@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -103,7 +104,7 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
         if name not in tuple(vehicle.adhesion):
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
 
-    def value(key: str) -> float:
+    def value(key: str) -> Any:
         head, *rest = key.split(".")
         if head == "adhesion":
             return getattr(vehicle.adhesion[good if rest[0] == "good" else poor], rest[1])
@@ -235,7 +236,7 @@ def _derived(two_stage: bool) -> dict:
     kind = "two_stage_car" if two_stage else "car"
     inputs, names, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
     step = ca.Function(f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], cse)
-    y, energy = (stages.resolve(ca.vertcat(*entries)) for entries in (outputs.values(), energies))
+    y, energy = stages.resolve(ca.vertcat(*outputs.values())), stages.resolve(ca.vertcat(*energies))
     return dict(
         states=states,
         rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
@@ -332,7 +333,7 @@ def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
 
     Source: eqs. (parameters) and (kalker): psi_Ax, psi_TrAx, y_TrAx; f_x, s_x.
     """
-    out = {}
+    out: dict[str, ca.SX] = {}
     for name in GEARS:
         gear = bodies[name]
         out |= {
@@ -374,7 +375,7 @@ def _floor(body: Body, feels: dict[str, ca.SX], par: dict[str, ca.SX]) -> dict[s
 
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rigid body).
     """
-    out = {}
+    out: dict[str, ca.SX] = {}
     for point, place in FLOOR.items():
         lever = ca.vertcat(place * par["body.gear_spacing"], 0, par["body.cg_height"] - par["body.floor_height"])
         swing = ca.cross(feels["turning"], lever) + ca.cross(body.w, ca.cross(body.w, lever))

@@ -199,7 +199,7 @@ def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarra
     terms = value[:-1], first, (6 * secant - 4 * first - 2 * last) / CELL, 6 * (first + last - 2 * secant) / CELL**2
     return {
         name: column
-        for channel, columns in zip(CHANNELS, np.moveaxis(terms, 2, 0), strict=True)
+        for channel, columns in zip(CHANNELS, np.moveaxis(np.array(terms), 2, 0), strict=True)
         for name, column in zip(_orders(channel), columns, strict=True)
     }
 
