@@ -1,4 +1,4 @@
-"""README's "How to add", done to the letter in a copy of the checkout: everything works and stays tuned."""
+"""The guide's page on adding, done to the letter in a copy of the checkout: everything works and stays tuned."""
 
 import os
 import re
@@ -118,7 +118,9 @@ def python(folder, *arguments):
 
 
 def test_what_is_added_works_and_leaves_the_tuned_sets_valid(copy):
-    example, slower = re.findall(r"```python\n(.*?)```", (paths.ROOT / "README.md").read_text(), re.DOTALL)[-2:]
+    example, slower = re.findall(r"```python\n(.*?)```", (paths.NOTEBOOKS / "book/adding.md").read_text(), re.DOTALL)[
+        -2:
+    ]
     (copy / "railrepro/control/own.py").write_text(example[example.index("class") : example.index("scenario =")])
     registry = copy / "railrepro/control/registry.py"
     insert(registry, "from railrepro.control.problem", "from railrepro.control.own import StateFeedback\n")

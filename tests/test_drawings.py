@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 
-from railrepro.evidence.report import drawings
+from railrepro.evidence.report import drawings, perspective
+from railrepro.vehicle.parameters import load_vehicle
 
 SYMBOLS = {
     "running_gear": (
@@ -64,3 +65,30 @@ def test_right_and_down_are_where_a_reader_from_behind_expects_them():
     assert level(1.0, 0.0) == pytest.approx((2.0, 2.0)) and level(0.0, 1.0) == pytest.approx((1.0, 1.0))
     canted = drawings.Place((0.0, 0.0), np.radians(10))
     assert canted(1.0)[1] < 0 and canted(0.0, 1.0)[0] < 0
+
+
+def test_what_is_farther_away_is_drawn_smaller_and_the_aimed_point_is_in_the_centre():
+    view = perspective.View((9.0, 6.5, -2.1), (-2.6, 0.0, -1.2), 8.4, (3.3, 1.72))
+    near, far = (np.ptp(view([(x, 0.0, -1.0), (x, 0.0, 0.0)])[:, 1]) for x in (0.0, -14.0))
+    assert near > 1.5 * far > 0
+    assert view((-2.6, 0.0, -1.2)) == pytest.approx((3.3, 1.72))
+    right, up = view((-2.6, -0.1, -1.2)) - view.centre, view((-2.6, 0.0, -1.3)) - view.centre
+    assert right[0] > 0 and up[1] > 0  # the eye looks back at the car: its left is on the right of the paper
+
+
+def test_wheels_of_the_perspective_stand_on_the_rails():
+    vehicle = load_vehicle()
+    for gear in (0.0, -vehicle.body.gear_spacing):
+        left, right = (np.array(perspective.contact(vehicle, gear, side)) for side in (-1, 1))
+        assert right[1] - left[1] == vehicle.gear.contact_base and left[2] == right[2] == 0.0
+
+
+def test_names_of_the_perspective_are_large_inside_and_apart():
+    figure = perspective.car()
+    figure.canvas.draw()
+    boxes = {text.get_text(): text.get_window_extent() for text in figure.axes[0].texts if text.get_text()}
+    page = figure.bbox
+    assert {"car body", "front running gear", "rear running gear", "wheel motor"} <= set(boxes)
+    assert [t for t, b in boxes.items() if b.x0 < 0 or b.y0 < 0 or b.x1 > page.x1 or b.y1 > page.y1] == []
+    assert [pair for pair in combinations(boxes, 2) if boxes[pair[0]].overlaps(boxes[pair[1]])] == []
+    plt.close(figure)

@@ -33,10 +33,9 @@ class Own:
         return self._torque(gear, gain), {"past": gear["y_TrAx"]}
 
 
-def blocks(heading):
-    """Fenced Python blocks of a section of the README."""
-    section = (paths.ROOT / "README.md").read_text().split(f"\n## {heading}\n")[1].split("\n## ")[0]
-    return re.findall(r"```python\n(.*?)```", section, flags=re.DOTALL)
+def blocks(page):
+    """Fenced Python blocks of a page of the users' guide."""
+    return re.findall(r"```python\n(.*?)```", (paths.NOTEBOOKS / "book" / page).read_text(), flags=re.DOTALL)
 
 
 def test_the_examples_of_the_library_run_as_they_stand(tmp_path, monkeypatch):
@@ -44,17 +43,17 @@ def test_the_examples_of_the_library_run_as_they_stand(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
     names = {}
-    for block in blocks("The library"):
-        exec(compile(block, "README.md", "exec"), names)
+    for block in blocks("using.md"):
+        exec(compile(block, "page", "exec"), names)
     assert not names["run"].failed and (tmp_path / "car.fmu").exists()
     assert names["car"].left_rail == "" and 1e-3 < names["car"].outputs["front.y"] < 5e-3
     assert 0 < names["row"]["rail_rmse_y"] < 2e-3 and names["row"]["n_mv_floor_front"] > 0
 
 
-def test_the_examples_of_the_readme_run_as_they_stand():
+def test_controllers_of_the_guide_run_as_they_stand():
     names = {}
-    for block in blocks("How to add"):
-        exec(compile(block, "README.md", "exec"), names)
+    for block in blocks("adding.md"):
+        exec(compile(block, "page", "exec"), names)
         assert not names["run"].failed
         assert names["run"].ended.startswith("end of the run")
     assert {"StateFeedback", "Preview"} <= set(names)

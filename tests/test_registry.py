@@ -1,7 +1,11 @@
 """Names of controllers and set-ups: one home, known to figures, tables and studies."""
 
+from itertools import combinations
+
+import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import to_rgb
 
 from railrepro import paths
 from railrepro.control import registry
@@ -19,9 +23,13 @@ def test_groups_are_made_of_registered_controllers_in_their_order():
     assert set(registry.PREDICTIVE) | set(registry.INVERSIONS) == set(order)
 
 
-def test_every_controller_has_a_look_of_its_own():
-    looks = [str(figures.CONTROLLER_STYLE[name]) for name in registry.CONTROLLERS]
-    assert len(set(looks)) == len(looks)
+def test_every_controller_has_a_colour_a_line_and_a_marker_of_its_own():
+    looks = [figures.LOOKS[name] for name in registry.CONTROLLERS]
+    assert len({look.color for look in looks}) == len({look.marker for look in looks}) == len(looks)
+    assert len({look.label for look in looks}) == len(looks)
+    for one, other in combinations(looks, 2):  # in grey: another line, or clearly darker
+        lightness = [np.dot(to_rgb(look.color), (0.299, 0.587, 0.114)) for look in (one, other)]
+        assert one.linestyle != other.linestyle or abs(lightness[0] - lightness[1]) > 0.25, (one.label, other.label)
 
 
 def test_set_up_of_the_adhesion_experiment_is_called_the_same_in_its_table():

@@ -226,7 +226,8 @@ def board(monkeypatch, tmp_path):
     monkeypatch.setattr(leaderboard, "score", scored)
     monkeypatch.setenv("RAILREPRO_STORE", str(tmp_path / "store"))
     monkeypatch.setattr(leaderboard.sources, "closure", lambda _: {"library": "this one"})
-    (tmp_path / "README.md").write_text(f"before\n\n{leaderboard.BEGIN}\nold\n{leaderboard.END}\n\nafter\n")
+    (tmp_path / leaderboard.PAGE).parent.mkdir(parents=True)
+    (tmp_path / leaderboard.PAGE).write_text(f"before\n\n{leaderboard.BEGIN}\nold\n{leaderboard.END}\n\nafter\n")
     (tmp_path / "mine.py").write_text(LAW.format("return 0, {}"))
     return asked
 
@@ -255,24 +256,24 @@ def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_pa
     table = pd.read_csv(tmp_path / "data/results/board.csv")
     assert list(dict.fromkeys(table["controller"])) == ["ndi", "mine"]
     assert not table.duplicated(["scenario", "controller", "metric", "setting"]).any()
-    text = (tmp_path / "README.md").read_text()
+    text = (tmp_path / leaderboard.PAGE).read_text()
     assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
     assert "| `mine` | 50.0 | 50.0 | 50.0 | 0 | 1.25 | – | – |" in text
 
 
-def test_a_readme_without_a_place_for_the_leaderboard_is_told_and_nothing_is_written(board, tmp_path):
-    (tmp_path / "README.md").write_text("nothing\n")
-    with pytest.raises(InputError, match=r"README.md: the lines .* are missing"):
+def test_a_page_without_a_place_for_the_leaderboard_is_refused_and_nothing_is_written(board, tmp_path):
+    (tmp_path / leaderboard.PAGE).write_text("nothing\n")
+    with pytest.raises(InputError, match=r"benchmark.md: the lines .* are missing"):
         leaderboard.main(["ndi"])
     assert not (tmp_path / "data/results/board.csv").exists()
 
 
-def test_the_readme_shows_the_committed_leaderboard():
-    text, file = (paths.ROOT / "README.md").read_text(), paths.ROOT / page.LEADERBOARD
+def test_the_page_shows_the_committed_leaderboard():
+    text, file = (paths.ROOT / leaderboard.PAGE).read_text(), paths.ROOT / page.LEADERBOARD
     if not file.exists():
         assert f"{leaderboard.BEGIN}\n{leaderboard.END}\n" in text  # `make leaderboard` fills it
     else:
-        assert leaderboard.in_readme(text, pd.read_csv(file)) == text
+        assert leaderboard.in_page(text, pd.read_csv(file)) == text
 
 
 @pytest.mark.parametrize("name", ["nmpc", "creep_mpc"])

@@ -13,8 +13,11 @@ from railrepro.evidence.report import figures
 
 TAIL = 0.4
 """How long the trace of a creep force stays (s)."""
-_TRACES = {"front.y_mm": "y (mm)", "front.du_Nm": "$\\Delta u$ (N m)", "adhesion": "adhesion (%)"}
-_STYLES = ("-", "-.")
+_TRACES = {"front.y_mm": "$y$ (mm)", "front.du_Nm": "$\\Delta u$ (N m)", "adhesion": "adhesion\nutilisation (%)"}
+_KEY = (
+    "solid circle: friction limit now, dotted: largest of the run; dot: creep force (forward to the right), "
+    f"line: its last {TAIL:g} s\nupright bar: adhesion utilisation; lying bar: wheel torque, from the middle"
+)
 
 
 class Picture:
@@ -26,13 +29,14 @@ class Picture:
     """
 
     def __init__(self, film: Comparison):
-        self.figure, whole = figures.new_figure(height=5.4, width=7.0)
+        self.figure, whole = figures.new_figure(height=5.6, width=7.0)
         whole.remove()
         grid = self.figure.add_gridspec(2 + len(_TRACES), 2, height_ratios=(1.1, 2.2, *(0.75 for _ in _TRACES)))
         self._stages = []
         for i, shot in enumerate(film.shots):
             plan, dials = (self.figure.add_subplot(grid[row, i]) for row in range(2))
             self._stages.append(_Stage(film, shot, plan, dials))
+        self.figure.text(0.5, 0.435, _KEY, fontsize=6.5, ha="center", va="top", linespacing=1.3)
         self._traces = _Traces(film, [self.figure.add_subplot(grid[2 + i, :]) for i in range(len(_TRACES))])
 
     def show(self, frame: int) -> None:
@@ -58,13 +62,15 @@ class _Stage:
             self._plan.axhline(side, color="0.45", linewidth=1.5, zorder=0)
         drawn = {"color": shot.color, "solid_capstyle": "butt"}
         self._poor = [self._plan.plot([], [], color=figures.SKY, linewidth=2.5)[0] for _ in SIDES]
-        (self._wanted,) = self._plan.plot([], [], color=figures.BLACK, linestyle=":")
-        (self._gone,) = self._plan.plot([], [], color=shot.color, linewidth=0.7)
+        (self._wanted,) = self._plan.plot([], [], color=figures.BLACK, linestyle=":", label="set point")
+        (self._gone,) = self._plan.plot([], [], color=shot.color, linewidth=0.7, label="path of the front gear")
         self._axles = [self._plan.plot([], [], linewidth=1.5, **drawn)[0] for _ in GEARS]
         self._wheels = [self._plan.plot([], [], linewidth=4, **drawn)[0] for _ in WHEELS]
         (self._sleepers,) = self._plan.plot([], [], color="0.9", linewidth=2, zorder=-1)
         self._dials = {wheel: _Dial(film, shot, wheel, dials) for wheel in WHEELS}
         dials.set(xlim=(-3.3, 3.9), ylim=(3.0, -2.95), aspect="equal")
+        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "borderpad": 0}
+        plan.legend(ncols=2, fontsize=6, handlelength=1.5, columnspacing=1.0, **place)
 
     def show(self, k: int) -> None:
         value, way, half = {name: column[k] for name, column in self._values.items()}, self._film.way, self._half
@@ -111,10 +117,10 @@ class _Dial:
         self._torque = Rectangle((self._x, self._y + 1.1), 0, 0.13, color=shot.color)
         axis.add_patch(self._gauge)
         axis.add_patch(self._torque)
-        name = f"{gear} {'left' if side == 'le' else 'right'}"
+        name = f"{gear} gear, {'left' if side == 'le' else 'right'} wheel"
         axis.text(self._x, self._y - 1.08, name, fontsize=6, ha="center", va="bottom")
         self._used = axis.text(self._x + 1.42, self._y + 0.95, "", fontsize=6)
-        self._told = axis.text(self._x + 1.1, self._y + 1.2, "", fontsize=6, va="center")
+        self._told = axis.text(self._x + 1.15, self._y + 1.25, "", fontsize=6, va="center")
 
     def show(self, k: int, values: dict[str, np.ndarray]) -> None:
         own = {name.removeprefix(f"{self._wheel}."): value for name, value in values.items()}
@@ -137,13 +143,15 @@ class _Traces:
     def __init__(self, film: Comparison, axes: list[Axes]):
         self._film, self._cursors = film, [axis.axvline(0.0, color="0.2", linewidth=0.7) for axis in axes]
         for axis, (name, label) in zip(axes, _TRACES.items(), strict=True):
-            for shot, style in zip(film.shots, _STYLES, strict=True):
-                axis.plot(shot.table["t_s"], _trace(shot, name), color=shot.color, linestyle=style, linewidth=0.8)
+            for shot in film.shots:
+                look = figures.CONTROLLER_STYLE[shot.controller] | {"linewidth": 0.9}
+                axis.plot(shot.table["t_s"], _trace(shot, name), **look)
             axis.set(ylabel=label, xlim=(0, film.times[-1]))
             axis.yaxis.label.set_size(6.5)
             axis.tick_params(labelsize=6, labelbottom=axis is axes[-1])
         table = max((shot.table for shot in film.shots), key=len)
-        axes[0].plot(table["t_s"], table["front.y_ref_mm"], color=figures.BLACK, linestyle=":", linewidth=0.8)
+        axes[0].plot(table["t_s"], table["front.y_ref_mm"], **figures.CONTROLLER_STYLE["set point"])
+        axes[0].legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.95), fontsize=6, borderpad=0)
         axes[-1].set_xlabel("time (s)", fontsize=6.5)
 
     def show(self, frame: int) -> None:

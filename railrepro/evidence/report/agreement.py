@@ -20,7 +20,7 @@ def draw(table: pd.DataFrame) -> Figure:
     table : DataFrame
         See `railrepro.evidence.bench.second_opinion.compare`.
     """
-    figure, axes = figures.new_figure(height=2.8)
+    figure, axes = figures.new_figure(height=3.0)
     cases, colors = (
         list(table["case"].unique()),
         (figures.BLUE, figures.SKY, figures.GREEN, figures.PURPLE, figures.RED, figures.BLACK),
@@ -31,7 +31,11 @@ def draw(table: pd.DataFrame) -> Figure:
         for chosen, face, label in ((usual, "none", None), (~usual, color, quantity)):
             look = {"markersize": 4, "markeredgewidth": 0.7, "color": color, "markerfacecolor": face}
             axes.plot(rows["relative"][chosen], place[chosen], marker, **look, label=label)
-    axes.axvline(AGREEMENT, color=figures.BLACK, linestyle=":", linewidth=0.8)
+    axes.axvline(AGREEMENT, color=figures.BLACK, linestyle=":", linewidth=0.8, label=f"agreement, {AGREEMENT:.0%}")
+    short = table["car_step_ms"].astype(float).min()
+    for face, step in (("0.3", short), ("none", 1)):
+        look = {"color": "0.3", "markerfacecolor": face, "markersize": 4, "markeredgewidth": 0.7}
+        axes.plot([], [], "o", **look, label=f"car at steps of {step:g} ms")
     axes.set(xscale="log", xlabel="largest difference / largest value (-)", yticks=range(len(cases)), yticklabels=cases)
     axes.invert_yaxis()
     figure.legend(loc="outside lower center", ncols=2)

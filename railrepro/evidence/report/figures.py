@@ -1,11 +1,13 @@
 """One look for all figures, and files that come out byte-identical.
 
-Colours are Okabe-Ito's, fixed by meaning and doubled by line style, so that figures stay readable in grey.
+Colours are Okabe-Ito's, one per controller, doubled by line style and marker, so that figures stay readable in grey.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from string import ascii_lowercase
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -23,27 +25,38 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
 )
 _DPI = 250
 BROWN = "#8C6D31"
-CONTROLLER_STYLE = {
-    "set point": {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "set point"},
-    "nmpc": {"color": BLUE, "linestyle": "-", "linewidth": 1.0, "label": "NMPC"},
-    "nmpc_observer": {"color": GREEN, "linestyle": "-", "linewidth": 0.8, "label": "NMPC, offset observer"},
-    "ltv_mpc": {"color": ORANGE, "linestyle": "--", "linewidth": 1.0, "label": "LTV-MPC"},
-    "ltv_mpc_printed": {
-        "color": PURPLE,
-        "linestyle": (0, (1, 1)),
-        "linewidth": 1.0,
-        "label": "LTV-MPC as printed",
-    },
-    "ndi": {"color": RED, "linestyle": "-.", "linewidth": 1.0, "label": "NDI"},
-    "ndi_feedforward": {
-        "color": BROWN,
-        "linestyle": (0, (5, 1, 1, 1)),
-        "linewidth": 1.0,
-        "label": "NDI, set-point rates",
-    },
-    "ndi_integral": {"color": SKY, "linestyle": (0, (3, 1)), "linewidth": 1.0, "label": "NDI, rates and integral"},
-    "creep_mpc": {"color": BLACK, "linestyle": "-", "linewidth": 1.2, "label": "CreepMPC (ours)"},
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a controller is drawn in every figure and film: by colour, by line style and by marker."""
+
+    label: str
+    color: str
+    linestyle: str | tuple
+    marker: str
+    linewidth: float = 1.0
+
+
+LOOKS = {
+    "set point": Look("set point", BLACK, ":", "", 1.2),
+    "nmpc": Look("NMPC", BLUE, "-", "o"),
+    "nmpc_observer": Look("NMPC, offset observer", GREEN, (0, (7, 1.5)), "^"),
+    "ltv_mpc": Look("LTV-MPC", ORANGE, "--", "s"),
+    "ltv_mpc_printed": Look("LTV-MPC as printed", PURPLE, (0, (1, 1)), "d"),
+    "ndi": Look("NDI", RED, "-.", "D"),
+    "ndi_feedforward": Look("NDI, set-point rates", BROWN, (0, (5, 1, 1, 1)), "P"),
+    "ndi_integral": Look("NDI, rates and integral", SKY, (0, (3, 1)), "X"),
+    "creep_mpc": Look("CreepMPC (ours)", BLACK, "-", "*", 1.4),
 }
+"""One look per controller."""
+CONTROLLER_STYLE = {
+    name: {"color": look.color, "linestyle": look.linestyle, "linewidth": look.linewidth, "label": look.label}
+    for name, look in LOOKS.items()
+}
+"""The same as options of a line."""
+SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
+"""Of the settings of comparison, where the colour is that of a controller."""
 _STYLE = {
     "font.family": "STIXGeneral",
     "mathtext.fontset": "stix",
@@ -75,10 +88,23 @@ def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: floa
     return figure, axes
 
 
-def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
+def points(name: str, **options) -> dict:
+    """Look of a controller as options of a plot of unconnected markers."""
+    look = LOOKS[name]
+    size = 7.0 if look.marker == "*" else 4.5
+    return {
+        "color": look.color,
+        "marker": look.marker,
+        "linestyle": "",
+        "markersize": size,
+        "label": look.label,
+    } | options
+
+
+def save_figure(figure: Figure, name: str, data: pd.DataFrame, letters: bool = True) -> None:
     """Write figures/NAME as pdf, svg and png, and the plotted data as csv, and show it in a notebook.
 
-    Equal content gives equal bytes.
+    Equal content gives equal bytes. Where there are several panels, each has its letter.
 
     Parameters
     ----------
@@ -87,6 +113,8 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
         figNN_name.
     data : DataFrame
         What is plotted, tidy, units in the column names.
+    letters : bool
+        Whether panels are lettered.
     """
     from IPython import get_ipython  # the library does without it
     from IPython.display import display
@@ -96,12 +124,22 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
         "svg": {"Date": None},
         "png": {"Software": None},
     }
+    if letters:
+        _letter(figure)
     _fix_layout(figure)
     for suffix, entries in metadata.items():
         figure.savefig(paths.product(f"figures/{name}.{suffix}"), dpi=_DPI, metadata=entries)
     data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")
     if get_ipython() is not None:
         display(figure)
+
+
+def _letter(figure: Figure) -> None:
+    """Letters a, b, … above the upper left corner of the panels, when there are several."""
+    panels = [axis for axis in figure.axes if axis.get_visible() and axis.axison and axis.get_label() != "<colorbar>"]
+    look = {"fontsize": 8, "fontweight": "bold", "ha": "right", "va": "bottom"}
+    for letter, axis in zip(ascii_lowercase, panels if len(panels) > 1 else (), strict=False):
+        axis.annotate(letter, (0, 1), (-3, 4), xycoords="axes fraction", textcoords="offset points", **look)
 
 
 def _fix_layout(figure: Figure) -> None:

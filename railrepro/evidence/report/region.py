@@ -15,6 +15,7 @@ from railrepro.errors import InputError
 from railrepro.evidence.report import figures
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.uncertainty.matching import choice, names_of_choice
+from railrepro.vehicle.parameters import describe
 
 _BINS = 10
 
@@ -70,25 +71,39 @@ def draw(
             else:
                 _pair(axis, survivors, prior[column], prior[row], marked or {})
             axis.set_xlabel(_label(prior[column]) if i == len(names) - 1 else "")
-            axis.set_ylabel(_label(prior[row]) if j == 0 and i > 0 else "")
+            axis.set_ylabel("density (-)" if i == j else _label(prior[row]) if j == 0 else "")
             axis.tick_params(labelbottom=i == len(names) - 1, labelleft=j == 0 and i > 0)
-    if marked and len(names) > 1:
-        figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="upper right")
+    _legend(figure, axes)
     return figure, survivors[names]
+
+
+def _legend(figure: Figure, axes: np.ndarray) -> None:
+    """One entry for each thing drawn, in the empty corner."""
+    panels = (axes[0, 0], axes[1, 0]) if len(axes) > 1 else (axes[0, 0],)
+    entries = [axis.get_legend_handles_labels() for axis in panels]
+    handles, labels = ([item for entry in entries for item in entry[i]] for i in (0, 1))
+    figure.legend(handles, labels, loc="upper right")
 
 
 def _label(dimension: Dimension) -> str:
     """Name of a direction in short lines; the names of a choice stand at the axis."""
     name = dimension.name.rpartition(" (")[0] if _choices(dimension) else dimension.name
-    return textwrap.fill((name or dimension.name).replace(".", ": ").replace("_", " "), 16)
+    words = (name or dimension.name).replace(".", ": ").replace("_", " ")
+    return textwrap.fill(words if _choices(dimension) or "(" in words else f"{words} ({_unit(dimension)})", 18)
+
+
+def _unit(dimension: Dimension) -> str:
+    """Unit of a parameter of the car; ratios have none."""
+    entries = describe().set_index("key")["unit"]
+    return str(entries.get(dimension.name, "-"))
 
 
 def _pair(axis: Axes, survivors: pd.DataFrame, x: Dimension, y: Dimension, marked: Mapping[str, Mapping]) -> None:
-    look = {"markersize": 1.8, "markeredgewidth": 0, "alpha": 0.5, "color": figures.BLUE, "label": "what is left"}
+    look = {"markersize": 1.8, "markeredgewidth": 0, "alpha": 0.5, "color": figures.BLUE, "label": "non-implausible"}
     axis.plot(_spread(survivors, x), _spread(survivors, y), "o", **look)
     for (name, point), marker in zip(marked.items(), "*Ds", strict=False):
         if x.name in point and y.name in point:
-            look = {"color": figures.RED, "markersize": 7, "markeredgecolor": "white", "markeredgewidth": 0.5}
+            look = {"color": figures.BLACK, "markersize": 7, "markeredgecolor": "white", "markeredgewidth": 0.5}
             axis.plot(point[x.name], point[y.name], marker, label=name, clip_on=False, **look)
     _span(axis, x, "x")
     _span(axis, y, "y")
@@ -115,9 +130,12 @@ def _density(axis: Axes, values: pd.Series, dimension: Dimension) -> None:
     edges = np.linspace(scaled(low), scaled(high), bins + 1)
     share = np.histogram(scaled(values), edges)[0] * bins / len(values)
     shown = np.exp(edges) if dimension.scale == "log" else edges
-    axis.stairs(share, shown, fill=True, color=figures.SKY)
-    axis.axhline(1.0, color=figures.BLACK, linestyle="--", linewidth=0.7)
+    axis.stairs(share, shown, fill=True, color=figures.SKY, label="density relative to the prior")
+    axis.axhline(1.0, color=figures.BLACK, linestyle="--", linewidth=0.7, label="the prior")
     axis.set_ylim(0, max(2.0, 1.1 * share.max()))
+    axis.yaxis.tick_right()
+    axis.yaxis.set_label_position("right")
+    axis.tick_params(labelright=True)
     _span(axis, dimension, "x")
 
 

@@ -502,7 +502,7 @@ def _elsewhere() -> list[str]:
         "",
         *rows_of(rows, ["table", "numbers", "apart by at most", "because"]),
         "",
-        "Which computers and compilers were tried is told in the README.",
+        "The computers and compilers that were tried are listed in `notebooks/book/reproducibility.md`.",
     ]
 
 

@@ -1,6 +1,6 @@
 """`python -m railrepro leaderboard [controller …]` scores all controllers, those of examples/ too.
 
-Writes data/results/leaderboard.csv, without times, which depend on the machine, and the table of the README. Named
+Writes data/results/leaderboard.csv, without times, which depend on the machine, and the table of PAGE. Named
 controllers are entered beside those that are there. A finished controller is in the store, so that an interrupted run
 goes on where it was; a change of library, data or file begins anew.
 """
@@ -24,7 +24,8 @@ from railrepro.evidence.score.run import score
 from railrepro.files import write
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- end of leaderboard -->"
-"""Lines of the README between which the table stands."""
+PAGE = "notebooks/book/benchmark.md"
+"""Page with the table, and its lines between which the table stands."""
 _TOLD = {"error": ("error (mm)", 1e3), "effort_du": ("torque (N m)", 1.0), "delay_survived": ("delay (ms)", 1e3)}
 """Columns of the table, of the setting `loop`."""
 
@@ -71,8 +72,8 @@ def markdown(found: pd.DataFrame) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def in_readme(text: str, found: pd.DataFrame) -> str:
-    """Text of the README with the table of a ranking.
+def in_page(text: str, found: pd.DataFrame) -> str:
+    """Text of the page with the table of a ranking.
 
     Raises
     ------
@@ -82,7 +83,7 @@ def in_readme(text: str, found: pd.DataFrame) -> str:
     before, begin, rest = text.partition(f"{BEGIN}\n")
     _, end, after = rest.partition(END)
     if not (begin and end):
-        raise InputError(f"README.md: the lines {BEGIN} and {END}, between which the leaderboard stands, are missing")
+        raise InputError(f"{PAGE}: the lines {BEGIN} and {END}, between which the leaderboard stands, are missing")
     return f"{before}{begin}{markdown(found)}\n{end}{after}"
 
 
@@ -92,8 +93,8 @@ def main(names: list[str]) -> None:
     if names and file.exists():
         others = pd.read_csv(file)
         found = pd.concat([others[~others["controller"].isin(found["controller"])], found], ignore_index=True)
-    readme = paths.source("README.md")
-    text = in_readme(readme.read_text(encoding="utf-8"), found)
+    page = paths.source(PAGE)
+    text = in_page(page.read_text(encoding="utf-8"), found)
     write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
-    write(paths.product("README.md"), text)
+    write(paths.product(PAGE), text)
     print(card.ranking(found).round(1).to_string())

@@ -1,0 +1,50 @@
+"""Overview of the verdicts as a figure: statement by setting of comparison."""
+
+from __future__ import annotations
+
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from railrepro import paths
+from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, UNTESTABLE
+from railrepro.evidence.report import figures
+from railrepro.evidence.runs import tuning
+
+_MARKS = {
+    REPRODUCED: {"marker": "o", "markerfacecolor": figures.BLUE, "markeredgecolor": figures.BLUE},
+    PARTLY: {"marker": "o", "fillstyle": "left", "markerfacecoloralt": "white", "color": figures.BLUE},
+    NOT: {"marker": "x", "markeredgecolor": figures.RED, "markeredgewidth": 1.2},
+    UNTESTABLE: {"marker": "_", "markeredgecolor": "0.5"},
+}
+
+
+def short_names() -> pd.Series:
+    """Name of each statement of data/claims.toml in a few words, by id (data/statement_names.csv)."""
+    return pd.read_csv(paths.source("data/statement_names.csv")).set_index("id")["short"]
+
+
+def verdicts(claims: pd.DataFrame) -> Figure:
+    """Verdict on each statement by setting; what no tuned controller enters has one verdict in a column of its own.
+
+    Parameters
+    ----------
+    claims : DataFrame
+        data/results/claims.csv: id, kind, setting, verdict.
+    """
+    judged = claims[claims["kind"] == "statement"].assign(setting=claims["setting"].fillna(""))
+    columns, names = [*tuning.SETTINGS, ""], short_names()
+    rows = list(dict.fromkeys(judged["id"]))
+    figure, axes = figures.new_figure(height=0.13 * len(rows) + 0.7)
+    for (identity, setting), group in judged.groupby(["id", "setting"], sort=False):
+        look = {"linestyle": "", "markersize": 4.5} | _MARKS[group["verdict"].iloc[0]]
+        axes.plot(columns.index(setting), rows.index(identity), **look)
+    axes.set_yticks(range(len(rows)), names[rows], fontsize=6.5)
+    axes.set_xticks(range(len(columns)), [*tuning.SETTINGS, "independent\nof setting"])
+    axes.xaxis.tick_top()
+    axes.set(xlim=(-0.5, len(columns) - 0.5), ylim=(len(rows) - 0.4, -0.6))
+    axes.tick_params(length=0)
+    used = [(name, look) for name, look in _MARKS.items() if name in set(judged["verdict"])]
+    handles = [Line2D([], [], linestyle="", markersize=4.5, label=name, **look) for name, look in used]
+    figure.legend(handles=handles, ncols=4, loc="outside lower center", handletextpad=0.2, columnspacing=1.0)
+    return figure

@@ -1,0 +1,43 @@
+"""The overviews: every verdict and every score is drawn where it belongs, statements by short names."""
+
+import pandas as pd
+import pytest
+from matplotlib import pyplot as plt
+
+from railrepro.evidence.claims import statements
+from railrepro.evidence.report import overview
+from railrepro.evidence.score import card, picture
+
+CLAIMS = pd.DataFrame(
+    [("C03", "statement", "paper", "reproduced"), ("C03", "statement", "loop", "not reproduced"),
+     ("C13", "statement", None, "partly"), ("C43", "calibrated", None, "not testable")],
+    columns=["id", "kind", "setting", "verdict"],
+)  # fmt: skip
+
+
+def test_every_statement_has_a_short_name_of_its_own():
+    names = overview.short_names()
+    assert set(statements.load()) <= set(names.index)
+    assert names.is_unique and names.str.len().between(8, 36).all()
+
+
+def test_verdicts_stand_in_the_row_of_the_statement_and_the_column_of_the_setting():
+    figure = overview.verdicts(CLAIMS)
+    axes = figure.axes[0]
+    drawn = {tuple(float(v[0]) for v in line.get_data()): line.get_marker() for line in axes.lines}
+    assert drawn == {(0, 0): "o", (2, 0): "x", (3, 1): "o"}
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(overview.short_names()[["C03", "C13"]])
+    assert [text.get_text() for text in figure.legends[0].texts] == ["reproduced", "partly", "not reproduced"]
+    plt.close(figure)
+
+
+def test_the_leaderboard_is_drawn_in_the_order_of_its_score():
+    scores = {"pid": (10.0, 20.0, 15.0), "ndi": (40.0, 30.0, 35.0)}
+    rows = [(card.ALL, name, "score", value, setting) for name, values in scores.items()
+            for setting, value in zip(("equal", "loop", card.ALL), values, strict=True)]  # fmt: skip
+    rows += [(card.ALL, name, "failures", 0.0, setting) for name in ("pid", "ndi") for setting in ("equal", "loop")]
+    figure = picture.leaderboard(pd.DataFrame(rows, columns=["scenario", "controller", "metric", "value", "setting"]))
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["NDI", "pid (example)"]
+    assert [bar.get_width() for bar in axes.patches] == pytest.approx([35.0, 15.0])
+    plt.close(figure)
