@@ -22,15 +22,16 @@ needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="there is
 @needs_compiler
 def test_lanes_equal_single_evaluations():
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
-    wide = ca.vertcat(ca.sin(x[0]) / x[1], -ca.cos(x[1]) * p[0] - 2 * x[0] + x[1] ** 2, 1 / x[1], 3.5 + p[1])
+    chosen = ca.if_else(ca.logic_and(x[0] < x[1], ca.logic_not(p[0] > 1)), ca.fmin(x[0], 0.8) ** 0.3, ca.exp(-x[1]))
+    wide = ca.vertcat(ca.sin(x[0]) / x[1], -ca.cos(x[1]) * p[0] - 2 * x[0] + x[1] ** 2, 1 / x[1], 3.5 + p[1], chosen)
     function = ca.Function("several", [x, p], [wide, ca.tan(p[0] * x[0])], ["x", "p"], ["first", "second"])
-    headers = "".join((paths.ROOT / "railrepro" / "compile" / name).read_text() for name in ("call.h", "lanes.h"))
+    headers = (paths.ROOT / "railrepro" / "compile" / "call.h").read_text() + codegen.lanes_header()
     entry = """
 void run(const double *x, const double *p, double *first, double *second) {
-  lanes_t in[2], out[4], last[1];
+  lanes_t in[2], out[5], last[1];
   for (int i = 0; i < LANES; ++i) for (int j = 0; j < 2; ++j) in[j][i] = x[2 * i + j];
   several_lanes(in, p, out, last);
-  for (int i = 0; i < LANES; ++i) for (int j = 0; j < 4; ++j) first[4 * i + j] = out[j][i];
+  for (int i = 0; i < LANES; ++i) for (int j = 0; j < 5; ++j) first[5 * i + j] = out[j][i];
   for (int i = 0; i < LANES; ++i) second[i] = last[0][i];
 }
 int count(void) { return LANES; }
@@ -38,7 +39,7 @@ int count(void) { return LANES; }
     library = codegen.library([function], headers + codegen.lanes_text(function, common=["p"]) + entry)
     n = library.count()
     sets, common = np.random.default_rng(0).uniform(0.5, 1.5, (n, 2)), np.array([0.3, -0.7])
-    first, second = np.zeros((n, 4)), np.zeros(n)
+    first, second = np.zeros((n, 5)), np.zeros(n)
     library.run(*(ctypes.c_void_p(array.ctypes.data) for array in (sets, common, first, second)))
     for values, one, other in zip(sets, first, second, strict=True):
         exact = [np.array(result).ravel() for result in function(values, common)]
@@ -57,8 +58,8 @@ enum { N = 6, N_THETA = 9, N_CELL = 24, N_A = 12, STATE_y_TrAx = 4, TUNING_perio
 static void prediction_lanes(const lanes_t *x, const lanes_t *du, const double *u_d, const lanes_t *theta,
                              const double *par, const double *period, const double *affine, lanes_t *x_next, lanes_t *a,
                              lanes_t *b) {
-  for (int i = 0; i < N; ++i) x_next[i] = x[i] + *period * (*du + *u_d) + theta[i] * par[i], b[i] = lanes(*affine);
-  for (int i = 0; i < N_A; ++i) a[i] = lanes(1.0);
+  for (int i = 0; i < N; ++i) x_next[i] = x[i] + *period * (*du + *u_d) + theta[i] * par[i], b[i] = lanes_all(*affine);
+  for (int i = 0; i < N_A; ++i) a[i] = lanes_all(1.0);
 }
 """
 
@@ -69,14 +70,15 @@ SOLVERS = ["control/solvers/riccati.c", "control/solvers/interior.c"]
 @pytest.mark.parametrize("command", ["gcc", "clang"])
 @pytest.mark.parametrize(
     "parts",
-    [["car/car.c"], ["simulation/loop.c"], ["compile/lanes.h", GENERATED, *SOLVERS]],
+    [["car/car.c"], ["simulation/loop.c"], ["compile/lanes.h", "compile/elementary.c", GENERATED, *SOLVERS]],
     ids=lambda parts: parts[-1],
 )
 def test_hand_written_c_compiles_without_warning(tmp_path, command, parts):
     if shutil.which(command) is None:
         pytest.skip(f"there is no {command}")
     library = paths.ROOT / "railrepro"
-    texts = [part if part is GENERATED else (library / part).read_text() for part in ["compile/call.h", *parts]]
+    parts = ["compile/elementary.c", "compile/call.h", *parts]
+    texts = [part if part is GENERATED else (library / part).read_text() for part in parts]
     source = tmp_path / "source.c"
     source.write_text("\n".join(texts))
     # the headers offer functions that not every file uses; vectors are passed within one file only

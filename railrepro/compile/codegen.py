@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from pathlib import Path
 
 import casadi as ca
 
@@ -26,6 +27,7 @@ __all__ = [
     "compiled",
     "compiler",
     "flags",
+    "lanes_header",
     "lanes_text",
     "library",
     "share_reciprocals",
@@ -34,19 +36,41 @@ __all__ = [
 ]
 
 
+_ROOM = Path(__file__).parent
+ELEMENTARY = (_ROOM / "elementary.c").read_text()
+"""C of elementary functions that takes the place of the system's, see its head."""
+
+
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """C source of CasADi functions, with their work-size and sparsity companions."""
+    """C source of CasADi functions on `ELEMENTARY`, with their work-size and sparsity companions."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
-    return generator.dump()
+    return ELEMENTARY + generator.dump()
+
+
+def lanes_header() -> str:
+    """C that functions of `lanes_text` need, to stand after `source_text`."""
+    return (_ROOM / "lanes.h").read_text() + ELEMENTARY
 
 
 _OPERATIONS = {
     **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
     **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{one} / {}"},
-    **{ca.OP_SIN: "{lanes}sin({})", ca.OP_COS: "{lanes}cos({})", ca.OP_TAN: "{lanes}tan({})"},
-}
+    **{kind: f"{{own}}{name}({{}})" for kind, name in (
+        (ca.OP_TAN, "tan"), (ca.OP_ASIN, "asin"), (ca.OP_ATAN, "atan"),
+        (ca.OP_EXP, "exp"), (ca.OP_LOG, "log"), (ca.OP_SQRT, "sqrt"), (ca.OP_FLOOR, "floor"), (ca.OP_FABS, "fabs"),
+        (ca.OP_SIGN, "sign"),
+    )},
+    **{kind: f"{{own}}{name}({{}}, {{}})" for kind, name in (
+        (ca.OP_POW, "pow"), (ca.OP_CONSTPOW, "pow"), (ca.OP_FMIN, "fmin"), (ca.OP_FMAX, "fmax"),
+    )},
+    **{kind: f"{{own}}pick({condition}, {{one}}, {{zero}})" for kind, condition in (
+        (ca.OP_LT, "{} < {}"), (ca.OP_LE, "{} <= {}"), (ca.OP_EQ, "{} == {}"), (ca.OP_NE, "{} != {}"),
+        (ca.OP_NOT, "{} == 0"), (ca.OP_AND, "({} != 0) & ({} != 0)"), (ca.OP_OR, "({} != 0) | ({} != 0)"),
+    )},
+    ca.OP_IF_ELSE_ZERO: "{own}pick({} != 0, {}, {zero})",
+}  # fmt: skip
 
 
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
@@ -76,22 +100,30 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     signature += [f"lanes_t *out_{name}" for name in outputs]
     lines: list[str] = []
     slots: dict[int, tuple[str, bool]] = {}
+    turned: dict[str, str] = {}
     for i in range(function.n_instructions()):
         kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
         if kind == ca.OP_OUTPUT:
             value, wide = slots[of[0]]
-            lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes({value})'};")
+            lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes_all({value})'};")
             continue
         if kind == ca.OP_CONST:
             text, wide = repr(function.instruction_constant(i)), False
         elif kind == ca.OP_INPUT:
             text, wide = f"in_{inputs[of[0]]}[{of[1]}]", kinds[of[0]] == "lanes_t"
+        elif kind in (ca.OP_SIN, ca.OP_COS):
+            angle, wide = slots[of[0]]
+            own = "lanes" if wide else "own"
+            if angle not in turned:
+                turned[angle] = f"both{i}"
+                lines.append(f"const {own}_pair_t both{i} = {own}_both({angle});")
+            text = turned[angle] + (("[0]", "[1]"), (".sin", ".cos"))[wide][kind == ca.OP_COS]
         elif kind in _OPERATIONS:
             operands = [slots[slot] for slot in of]
             wide = any(is_wide for _, is_wide in operands)
-            values = [value if is_wide or not wide else f"lanes({value})" for value, is_wide in operands]
-            names = {"lanes": "lanes_" if wide else "", "one": "lanes(1.0)" if wide else "1.0"}
-            text = _OPERATIONS[kind].format(*values, **names)
+            values = [value if is_wide or not wide else f"lanes_all({value})" for value, is_wide in operands]
+            own = "lanes_" if wide else "own_"
+            text = _OPERATIONS[kind].format(*values, own=own, one=f"{own}all(1.0)", zero=f"{own}all(0.0)")
         else:
             raise ValueError(f"{function.name()}: operation {kind} is not translated to lanes")
         lines.append(f"const {'lanes_t' if wide else 'double'} t{i} = {text};")

@@ -1,8 +1,9 @@
 """Graphs that were built once: CasADi functions beside the compiled objects, for processes that need them again.
 
 A stored graph belongs to the code that built it. Its key is the content of every module of the library (`evidence` is
-above it and cannot reach a graph), the versions of Python and of what computes with symbols, and the arguments. A graph
-with another key, one that is broken, open to others or not the user's own is built again. It is data, never code.
+above it and cannot reach a graph) and of the C that generated texts begin with, the versions of Python and of what
+computes with symbols, and the arguments. A graph with another key, one that is broken, open to others or not the user's
+own is built again. It is data, never code.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ def library_key() -> str:
     """Hash of all modules of the library, of Python and of the packages that compute with symbols."""
     content = hashlib.sha256(repr((sys.version, [version(name) for name in _SYMBOLS])).encode())
     rooms = (folder for folder in _LIBRARY.iterdir() if folder.is_dir() and folder.name != _ABOVE)
-    for file in sorted([*_LIBRARY.glob("*.py"), *(file for room in rooms for file in room.rglob("*.py"))]):
+    generated = (_LIBRARY / "compile").glob("*.[ch]")  # what stored source texts begin with
+    for file in sorted([*_LIBRARY.glob("*.py"), *generated, *(file for room in rooms for file in room.rglob("*.py"))]):
         content.update(f"\0{file.relative_to(_LIBRARY)}\0".encode() + file.read_bytes())
     return content.hexdigest()
 

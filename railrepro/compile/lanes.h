@@ -1,14 +1,23 @@
-/* Several numbers side by side in vector registers, for functions of `codegen.lanes_text`. */
+/* Several numbers side by side in vector registers, for functions of `codegen.lanes_text`; elementary.c stands before
+   and after it. Masks are words of ones. */
 
 #include <math.h>
 
-enum { LANES = 4 };
+#define LANES 4
 typedef double lanes_t __attribute__((vector_size(LANES * sizeof(double))));
+typedef unsigned long long words_t __attribute__((vector_size(LANES * sizeof(double))));
 
-static inline lanes_t lanes(double value) {
+static inline lanes_t lanes_all(double value) {
   lanes_t all;
   for (int i = 0; i < LANES; ++i) all[i] = value;
   return all;
+}
+static inline words_t lanes_word(lanes_t x) { return (words_t)x; }
+static inline lanes_t lanes_number(words_t w) { return (lanes_t)w; }
+
+#define lanes_pick(yes, one, other) lanes_chosen((words_t)(yes), one, other)
+static inline lanes_t lanes_chosen(words_t yes, lanes_t one, lanes_t other) {
+  return (lanes_t)((yes & (words_t)one) | (~yes & (words_t)other));
 }
 
 #define LANES_FUNCTION(name) \
@@ -16,7 +25,5 @@ static inline lanes_t lanes(double value) {
     for (int i = 0; i < LANES; ++i) at[i] = name(at[i]); \
     return at; \
   }
-LANES_FUNCTION(sin)
-LANES_FUNCTION(cos)
-LANES_FUNCTION(tan)
-
+LANES_FUNCTION(sqrt)
+LANES_FUNCTION(floor)

@@ -69,10 +69,11 @@ def _lanes(variant: str, discretisation: str) -> str:
 
 
 def c_text(variant: str, discretisation: str) -> str:
-    """Hand-written C around the generated functions, to stand after call.h."""
+    """Hand-written C around the generated functions, to stand after `codegen.source_text` and call.h."""
     model = dynamics(variant, discretisation)
-    extra = Path(codegen.__file__).with_name("lanes.h").read_text()
-    extra += _enum(f"STATE_{name}" for name in STATES) + _enum(f"TUNING_{name}" for name in TUNING)
+    extra = (
+        codegen.lanes_header() + _enum(f"STATE_{name}" for name in STATES) + _enum(f"TUNING_{name}" for name in TUNING)
+    )
     extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
     extra += _lanes(variant, discretisation)
     return extra + "".join(Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c"))

@@ -4,9 +4,9 @@ enum { CHAINS = 12 };
 
 /* Products and sums on CHAINS vectors of LANES numbers, `rounds` times. */
 double peak_lanes(long rounds) {
-  lanes_t at[CHAINS], all = lanes(0);
-  for (int i = 0; i < CHAINS; ++i) at[i] = lanes(1 + i);
-  const lanes_t factor = lanes(0.999999), more = lanes(1e-6);
+  lanes_t at[CHAINS], all = lanes_all(0);
+  for (int i = 0; i < CHAINS; ++i) at[i] = lanes_all(1 + i);
+  const lanes_t factor = lanes_all(0.999999), more = lanes_all(1e-6);
   for (long k = 0; k < rounds; ++k)
 #pragma GCC unroll 12
     for (int i = 0; i < CHAINS; ++i) at[i] = at[i] * factor + more;
