@@ -122,6 +122,16 @@ class Wheel:
 
 
 @schema.table
+class Wear:
+    """What each wheel has lost of its radius; controllers are not told where the car alone has it."""
+
+    front_le: Annotated[float, _from_zero(0.05, "m")]
+    front_ri: Annotated[float, _from_zero(0.05, "m")]
+    rear_le: Annotated[float, _from_zero(0.05, "m")]
+    rear_ri: Annotated[float, _from_zero(0.05, "m")]
+
+
+@schema.table
 class Suspension:
     """Stage between car body and one carrier; k and c belong to each of the two springs."""
 
@@ -190,7 +200,7 @@ class Primary:
 
 
 @schema.table
-class ProbeTask:
+class Drive:
     """Wheel motor."""
 
     torque_limit: Annotated[float, _above(0.0, 1e5, "N m", (50.0, 1e5))]
@@ -241,9 +251,10 @@ class Vehicle:
     body: CarBody
     gear: Gear
     wheel: Wheel
+    wear: Wear
     suspension: Suspension
     primary: Primary
-    drive: ProbeTask
+    drive: Drive
     contact: WheelRail
     adhesion: Annotated[dict[str, AdhesionSet], AfterValidator(lambda sets: dict(sorted(sets.items())))]
     environment: Environment
