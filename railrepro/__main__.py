@@ -68,9 +68,7 @@ def parser() -> argparse.ArgumentParser:
     command("article", "report.article:main", "the report as an article, build/article.pdf")
     added = command("score", "score.command:main", "score a controller on the benchmark, write build/score")
     added.add_argument("controller", help="a Python file with one controller class, or a registered name")
-    added.add_argument(
-        "--seed", type=_whole(0, 2**63), help="a different random seed for noise, irregularities and cars"
-    )
+    added.add_argument("--seed", type=_whole(0, 2**63), help="a different random seed of noise and cars")
     added.add_argument("--small", action="store_true", help="only the quick runs, and no margins")
     added = command("leaderboard", "score.leaderboard:main", "score registered controllers and examples/ (long)")
     added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
@@ -91,9 +89,7 @@ def parser() -> argparse.ArgumentParser:
     added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products", chain)
     added.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
     added.add_argument("--into", type=Path, help="new or empty folder for the products, default build/verify")
-    added = command(
-        "variants", "chain.verify:variants", "rerun the quick notebooks with other compilers and processors", chain
-    )
+    added = command("variants", "chain.verify:variants", "rerun the quick notebooks with other compilers", chain)
     added.add_argument("names", nargs="*", metavar="NAME")
     return top
 
