@@ -108,13 +108,13 @@ test-all: $(VENV)  ## run the tests that take minutes, too
 test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their tests: Exudyn, do-mpc, Gymnasium
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_env.py
 
-faults: $(VENV)  ## kill, fill, break and plant on purpose in a small chain; prints what survived; SHORT=1 some of it
+faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files; SHORT=1 fewer
 	$(PY) tests/faults.py $(if $(SHORT),--short)
 
 lab: $(VENV)  ## open the notebooks in JupyterLab
 	$(PY) -m jupyterlab --notebook-dir=notebooks $(if $(filter 0,$(shell id -u)),--allow-root)
 
-score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another draw
+score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another random seed
 	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
 
 film: $(VENV)  ## page and movie of runs side by side: FILM=scenario CONTROLLERS="nmpc ndi" SETTING=equal, in build/film
@@ -143,7 +143,7 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro second-opinion; \
 	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
 
-study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, where the order turns (long, resumes)
+study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, ranking sensitivity (long, resumes)
 	$(PY) -m railrepro probe
 	$(PY) -m railrepro robustness
 	$(PY) -m railrepro matching

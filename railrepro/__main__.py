@@ -18,7 +18,7 @@ PROGRAM = "python -m railrepro"
 
 
 class _Parser(argparse.ArgumentParser):
-    """Tells wrong arguments in one sentence; takes no abbreviations."""
+    """Reports wrong arguments in one sentence; takes no abbreviations."""
 
     def __init__(self, **options):
         super().__init__(**options, allow_abbrev=False)
@@ -66,9 +66,9 @@ def parser() -> argparse.ArgumentParser:
     added = command("report", "report.claims:main", "judge the statements, write REPLICATION.md")
     added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/claims.toml")
     command("article", "report.article:main", "the report as an article, build/article.pdf")
-    added = command("score", "score.command:main", "score a controller on the open suite, write build/score")
+    added = command("score", "score.command:main", "score a controller on the benchmark, write build/score")
     added.add_argument("controller", help="a Python file with one controller class, or a registered name")
-    added.add_argument("--seed", type=_whole(0, 2**63), help="another draw of the noise")
+    added.add_argument("--seed", type=_whole(0, 2**63), help="a different random seed of noise and cars")
     added.add_argument("--small", action="store_true", help="only the quick runs, and no margins")
     added = command("leaderboard", "score.leaderboard:main", "score registered controllers and examples/ (long)")
     added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
@@ -81,7 +81,7 @@ def parser() -> argparse.ArgumentParser:
     words = "the notebooks and their products"
     chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
     command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml", chain)
-    command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, tell what is", chain)
+    command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, else list the stale ones", chain)
     added = command("run", "chain.runner:refresh", "run one notebook if it is stale", chain)
     added.add_argument("name")
     command("html", "chain.book:html", "executed notebooks as a book in build/html", chain)
@@ -89,7 +89,7 @@ def parser() -> argparse.ArgumentParser:
     added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products", chain)
     added.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
     added.add_argument("--into", type=Path, help="new or empty folder for the products, default build/verify")
-    added = command("variants", "chain.verify:variants", "rerun the quick notebooks as other machines would", chain)
+    added = command("variants", "chain.verify:variants", "rerun the quick notebooks with other compilers", chain)
     added.add_argument("names", nargs="*", metavar="NAME")
     return top
 
@@ -105,7 +105,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = vars(parser().parse_args(arguments))
     module, _, name = chosen.pop("call").partition(":")
     try:
-        # outside of `told`: libraries that are interrupted while they are imported fail in ways of their own
+        # outside of `report_errors`: libraries that are interrupted while they are imported fail in ways of their own
         call = getattr(importlib.import_module(module), name)
     except (InputError, ModuleNotFoundError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -31,13 +31,16 @@ class Picture:
     def __init__(self, film: Comparison):
         self.figure, whole = figures.new_figure(height=5.6, width=7.0)
         whole.remove()
-        grid = self.figure.add_gridspec(2 + len(_TRACES), 2, height_ratios=(1.1, 2.2, *(0.75 for _ in _TRACES)))
+        ratios = (1.1, 2.2, 0.25, *(0.75 for _ in _TRACES))
+        grid = self.figure.add_gridspec(len(ratios), 2, height_ratios=ratios)
         self._stages = []
         for i, shot in enumerate(film.shots):
             plan, dials = (self.figure.add_subplot(grid[row, i]) for row in range(2))
             self._stages.append(_Stage(film, shot, plan, dials))
-        self.figure.text(0.5, 0.435, _KEY, fontsize=6.5, ha="center", va="top", linespacing=1.3)
-        self._traces = _Traces(film, [self.figure.add_subplot(grid[2 + i, :]) for i in range(len(_TRACES))])
+        key = self.figure.add_subplot(grid[2, :])
+        key.set_axis_off()
+        key.text(0.5, 0.5, _KEY, fontsize=6.5, ha="center", va="center", linespacing=1.3)
+        self._traces = _Traces(film, [self.figure.add_subplot(grid[3 + i, :]) for i in range(len(_TRACES))])
 
     def show(self, frame: int) -> None:
         """Turn to a frame; a run that has ended stays at its last one."""
@@ -56,8 +59,8 @@ class _Stage:
         for axis in (plan, dials):
             axis.set_axis_off()
         self._plan.set(xlim=(-BEHIND, AHEAD), ylim=(1.45 * self._half, -1.45 * self._half))
-        self._plan.set_title(shot.label, fontsize=8, color=shot.color)
-        self._head = self._plan.text(0, 1, "", transform=self._plan.transAxes, fontsize=6, va="bottom")
+        self._plan.set_title(shot.label, fontsize=8, color=shot.color, loc="left")
+        self._head = self._plan.text(0.2, 1.03, "", transform=self._plan.transAxes, fontsize=6, va="bottom")
         for side in (-self._half, self._half):
             self._plan.axhline(side, color="0.45", linewidth=1.5, zorder=0)
         drawn = {"color": shot.color, "solid_capstyle": "butt"}
@@ -69,8 +72,7 @@ class _Stage:
         (self._sleepers,) = self._plan.plot([], [], color="0.9", linewidth=2, zorder=-1)
         self._dials = {wheel: _Dial(film, shot, wheel, dials) for wheel in WHEELS}
         dials.set(xlim=(-3.3, 3.9), ylim=(3.0, -2.95), aspect="equal")
-        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "borderpad": 0}
-        plan.legend(ncols=2, fontsize=6, handlelength=1.5, columnspacing=1.0, **place)
+        plan.legend(fontsize=6, handlelength=1.5, loc="center right", labelspacing=0.2, bbox_to_anchor=(1.0, 0.72))
 
     def show(self, k: int) -> None:
         value, way, half = {name: column[k] for name, column in self._values.items()}, self._film.way, self._half

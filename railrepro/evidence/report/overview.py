@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -24,6 +26,12 @@ def short_names() -> pd.Series:
     return pd.read_csv(paths.source("data/statement_names.csv")).set_index("id")["short"]
 
 
+def named(identities: Iterable[str]) -> list[str]:
+    """Short names of statements; the id of one that has none."""
+    names = short_names()
+    return [str(names.get(identity, identity)) for identity in identities]
+
+
 def verdicts(claims: pd.DataFrame) -> Figure:
     """Verdict on each statement by setting; what no tuned controller enters has one verdict in a column of its own.
 
@@ -33,13 +41,13 @@ def verdicts(claims: pd.DataFrame) -> Figure:
         data/results/claims.csv: id, kind, setting, verdict.
     """
     judged = claims[claims["kind"] == "statement"].assign(setting=claims["setting"].fillna(""))
-    columns, names = [*tuning.SETTINGS, ""], short_names()
+    columns = [*tuning.SETTINGS, ""]
     rows = list(dict.fromkeys(judged["id"]))
     figure, axes = figures.new_figure(height=0.13 * len(rows) + 0.7)
     for (identity, setting), group in judged.groupby(["id", "setting"], sort=False):
         look = {"linestyle": "", "markersize": 4.5} | _MARKS[group["verdict"].iloc[0]]
         axes.plot(columns.index(setting), rows.index(identity), **look)
-    axes.set_yticks(range(len(rows)), names[rows], fontsize=6.5)
+    axes.set_yticks(range(len(rows)), named(rows), fontsize=6.5)
     axes.set_xticks(range(len(columns)), [*tuning.SETTINGS, "independent\nof setting"])
     axes.xaxis.tick_top()
     axes.set(xlim=(-0.5, len(columns) - 0.5), ylim=(len(rows) - 0.4, -0.6))
