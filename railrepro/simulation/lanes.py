@@ -1,8 +1,8 @@
 """Several cars side by side in vector registers: each run as alone, to the bit, at a third of its time or less.
 
-Runs of one structure, each with its own states, parameters, gains, road and length, advance in one stream (`lanes.c`). A
-run that waits for its exchanges is a generator; within `together` the runs of several tasks meet in one process: tasks
-take turns, one at a time, until all wait for exchanges, which then go side by side.
+Runs of one structure, each with its own states, parameters, gains, road, length, advance in one stream (`lanes.c`). A
+run is a generator that asks for exchanges. Within `together` the runs of several tasks meet in one process: tasks take
+turns, one at a time, until all wait for exchanges, which then go side by side; where a run ends, the next one moves up.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from railrepro.car import equations, stepper
+from railrepro.car import stepper
 from railrepro.compile import codegen
-from railrepro.control import law
 from railrepro.simulation.exchange import Exchange
 
 LANES = 4

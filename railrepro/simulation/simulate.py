@@ -5,7 +5,6 @@ Serves the paper's Fig. 4 and section Simulation Environment.
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass, field
 from math import isfinite
 
@@ -131,7 +130,7 @@ def run(
     return lanes.drive(_run(scenario, guidance, route, vehicle, body, settings, substeps, compiled))
 
 
-def _run(scenario, guidance, route, vehicle, body, settings, substeps, compiled) -> Generator:
+def _run(scenario, guidance, route, vehicle, body, settings, substeps, compiled) -> lanes.Steps:
     """A checked run that asks for its exchanges, see `lanes.Steps`."""
     lateral_law, factory = lateral.split(guidance)
     exchange, sensors = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled), settings[-1]
@@ -191,7 +190,7 @@ def _longest(route: Route, scenario: Scenario, columns: int) -> int:
     return min(int(max(10.0, 10 * seconds) / EXCHANGE_PERIOD), fit)
 
 
-def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> Generator:
+def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> lanes.Steps:
     """Alternate lateral plans and exchanges until the run ends; returns rows of the log, shape (n, columns).
 
     Behind sensors a torque acts a `delay` (s) after the readings that it answers, those of the exchange before.
