@@ -12,6 +12,7 @@ import itertools
 import json
 import math
 import numbers
+import pickle
 import reprlib
 import sys
 import tomllib
@@ -221,13 +222,18 @@ def read(path: Path) -> Any:
     """Content of a TOML or (by its suffix) JSON file; InputError when it cannot be read or is empty."""
     kind = "JSON" if path.suffix == ".json" else "TOML"
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text) if kind == "JSON" else tomllib.loads(text)
+        content = pickle.loads(_parsed(path.read_text(encoding="utf-8"), kind))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path.name}: cannot be read as {kind} ({error})") from error
     if not content:
         raise InputError(f"{path.name}: is empty")
     return content
+
+
+@functools.lru_cache(maxsize=32)
+def _parsed(text: str, kind: str) -> bytes:
+    """Content of a file, packed: its reader may change what it gets, and every run reads the same few files."""
+    return pickle.dumps(json.loads(text) if kind == "JSON" else tomllib.loads(text))
 
 
 def build(kind: type, content: Any, where: str) -> Any:

@@ -82,13 +82,15 @@ def _processor() -> str:
     return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
 
 
-def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
+def flags(portable: bool = False, length: int = 0, level: str = "-Og") -> tuple[str, ...]:
     """Flags of the compiler for a source of some length: `RAILREPRO_CFLAGS` or the default, and what an object needs.
+
+    `level` is that of long sources.
 
     `portable` code runs on any processor of this kind, unless `RAILREPRO_CFLAGS` asks for more.
     """
     wide = not portable and platform.machine() in ("x86_64", "AMD64") and "avx2" in _processor().split()
-    default = f"{'-O2' if length < _LONG else '-Og'} {_PORTABLE}" + (" -mavx2" if wide else "")
+    default = f"{'-O2' if length < _LONG else level} {_PORTABLE}" + (" -mavx2" if wide else "")
     return (*os.environ.get("RAILREPRO_CFLAGS", default).split(), *_ALWAYS)
 
 
@@ -149,14 +151,14 @@ def cache_folder() -> Path:
     return fallback
 
 
-def build(text: str, portable: bool = False) -> Path:
+def build(text: str, portable: bool = False, level: str = "-Og") -> Path:
     """Compile C source text to a shared object, or find it in the cache.
 
     Parameters
     ----------
     text : str
         Complete C source.
-    portable : bool
+    portable, level : optional
         See `flags`.
 
     Returns
@@ -175,7 +177,7 @@ def build(text: str, portable: bool = False) -> Path:
     command = compiler()
     if command is None:
         raise InputError("no C compiler was found (CC, cc, gcc); `make distclean check` installs one")
-    return _object(command, text, _SECONDS, flags(portable, len(text)))
+    return _object(command, text, _SECONDS, flags(portable, len(text), level))
 
 
 def _object(command: str, text: str, seconds: float, options: tuple[str, ...]) -> Path:

@@ -33,6 +33,7 @@ __all__ = [
     "share_reciprocals",
     "source_text",
     "stored",
+    "wide_text",
 ]
 
 
@@ -132,11 +133,21 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {body}\n}}\n"
 
 
+def wide_text(functions: Sequence[ca.Function]) -> str:
+    """C source of functions on several sets of arguments: `void NAME_wide(arguments, results)`, arrays of pointers."""
+    text = source_text(()) + lanes_header()
+    for function in functions:
+        pointers = [f"a[{i}]" for i in range(function.n_in())] + [f"r[{i}]" for i in range(function.n_out())]
+        text += lanes_text(function) + f"void {function.name()}_wide(const lanes_t *const *a, lanes_t *const *r) "
+        text += f"{{ {function.name()}_lanes({', '.join(pointers)}); }}\n"
+    return text
+
+
 _loaded: list[ctypes.CDLL] = []
 
 
-def library(functions: Sequence[ca.Function] | str, extra: str = "") -> ctypes.CDLL | None:
-    """Load CasADi functions, or their `source_text`, and extra C source as one shared object.
+def library(functions: Sequence[ca.Function] | str, extra: str = "", level: str = "-Og") -> ctypes.CDLL | None:
+    """Load CasADi functions, or their `source_text`, and extra C source as one shared object; `level` see `flags`.
 
     Returns
     -------
@@ -152,7 +163,7 @@ def library(functions: Sequence[ca.Function] | str, extra: str = "") -> ctypes.C
         return None
     try:
         text = functions if isinstance(functions, str) else source_text(functions)
-        _loaded.append(ctypes.CDLL(str(build(text + extra))))
+        _loaded.append(ctypes.CDLL(str(build(text + extra, level=level))))
     except CompilerError as error:
         if _loaded:
             raise

@@ -80,7 +80,7 @@ class Exchange:
         self.control, self.exchanges, self.ended = control, 0, False
         outputs = self.car.model.outputs
         self.columns = (*outputs, *control.record)
-        self._sensed = [outputs.index(name) for name in law.MEASURED]
+        self.sensed = [outputs.index(name) for name in law.MEASURED]
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
         self._seen = None
         if control.sensed:
@@ -123,13 +123,35 @@ class Exchange:
         blocks, run = [np.empty((0, len(self.columns)))], self._run_python if self._loop is None else self._run_compiled
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
-            done = run(rows)
-            self.exchanges += done
-            self.ended = done < len(rows)
-            blocks.append(rows[: done + 1])
+            blocks.append(self.took(rows, run(rows)))
             if self.ended:
                 break
         return np.concatenate(blocks)
+
+    def took(self, rows: np.ndarray, done: int) -> np.ndarray:
+        """Note the exchanges that were done of those that `rows` has room for; the rows of their log."""
+        self.exchanges += done
+        self.ended = done < len(rows)
+        return rows[: done + 1]
+
+    @property
+    def two_stage(self) -> bool:
+        """Whether the car has frames."""
+        return self.state.size == len(equations.TWO_STAGE_STATES)
+
+    @property
+    def structure(self) -> tuple | None:
+        """What exchanges that can go side by side share; None without compiled code."""
+        law_of = self.control
+        if self._loop is None:
+            return None
+        return self.two_stage, self.car.substeps, law_of.kind, law_of.sensed, law_of.longitudinal_law
+
+    def buffers(self) -> dict[str, np.ndarray]:
+        """All numbers of the functions by name, each once."""
+        own = {"held": self.held, "gains": self._gains, "memory": self.memory, "next_memory": self._next_memory}
+        own |= {"record": self._record, "measured": self._measured, "margins": self._margins}
+        return own | self.car.buffers()
 
     @property
     def time(self) -> float:
@@ -172,7 +194,7 @@ class Exchange:
 
     def _run_python(self, rows: np.ndarray) -> int:
         for k in range(len(rows)):
-            self._measured[:] = self.car.measure()[self._sensed]
+            self._measured[:] = self.car.measure()[self.sensed]
             self.functions["law"]()
             rows[k] = np.concatenate([self.car.outputs, self._record])
             if not (self._margins > 0).all() or not np.isfinite(rows[k]).all():
@@ -183,7 +205,7 @@ class Exchange:
 
     def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
         outputs = self.car.outputs
-        sensed = [_copy(outputs[j : j + 1], self._measured[i : i + 1]) for i, j in enumerate(self._sensed)]
+        sensed = [_copy(outputs[j : j + 1], self._measured[i : i + 1]) for i, j in enumerate(self.sensed)]
         logged = [_copy(outputs), _copy(self._record)]
         carried = [_copy(self._next_memory, self.memory)]
         self._copies = [(_Copy * len(group))(*group) for group in (sensed, logged, carried)]

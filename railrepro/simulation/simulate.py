@@ -23,6 +23,7 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
 from railrepro.schema import between, require
+from railrepro.simulation import lanes
 from railrepro.simulation.exchange import Exchange
 from railrepro.simulation.metrics import FLANGE_ANGLE
 from railrepro.simulation.scenarios import Scenario
@@ -125,14 +126,19 @@ def run(
     settings = adhesion, estimate, fixed_share, sensors
     law.check_settings(*settings)
     require("substeps", substeps, between(1, 10_000), whole=True)
-    lateral_law, factory = lateral.split(guidance)
     route = checked_route(scenario, body, irregularities, line)
-    exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
+    return lanes.drive(_run(scenario, guidance, route, vehicle, body, settings, substeps, compiled))
+
+
+def _run(scenario, guidance, route, vehicle, body, settings, substeps, compiled) -> lanes.Steps:
+    """A checked run that asks for its exchanges, see `lanes.Steps`."""
+    lateral_law, factory = lateral.split(guidance)
+    exchange, sensors = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled), settings[-1]
     longest = _longest(route, scenario, len(exchange.columns))
     latency = vars(sensors.loop.latency).values() if sensors else ()
     with one_thread():
         controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
-        log = _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
+        log = yield from _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
@@ -184,13 +190,13 @@ def _longest(route: Route, scenario: Scenario, columns: int) -> int:
     return min(int(max(10.0, 10 * seconds) / EXCHANGE_PERIOD), fit)
 
 
-def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> np.ndarray:
-    """Alternate lateral plans and exchanges until the run ends; rows of the log, shape (n, columns).
+def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> lanes.Steps:
+    """Alternate lateral plans and exchanges until the run ends; returns rows of the log, shape (n, columns).
 
     Behind sensors a torque acts a `delay` (s) after the readings that it answers, those of the exchange before.
     """
     if not controllers:
-        return exchange.run(longest)
+        return (yield exchange, longest)
     for controller in controllers:
         lateral.check_controller(controller)
     periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
@@ -215,7 +221,7 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -
                     f"p = {states[gear, X]:.1f} m"
                 )
             exchange.held[gear] = plan
-        blocks.append(exchange.run(steps))
+        blocks.append((yield exchange, steps))
         if exchange.ended:
             break
     return np.concatenate(blocks)

@@ -22,9 +22,10 @@ from tqdm import tqdm
 
 from railrepro.errors import InputError
 from railrepro.evidence.runs import store
+from railrepro.simulation import lanes
 
 BATCH = 32
-"""Most arguments of one task of a cluster: its client and scheduler need some milliseconds per task."""
+"""Most arguments of one task: the runs of a task go side by side, and a cluster needs some milliseconds for each."""
 PATIENCE = 15.0
 """Time without scheduler or worker after which a cluster is lost (s)."""
 _LOOK = 1.0
@@ -135,7 +136,8 @@ def ordered_map(
     quiet : bool
         No progress bar.
     stored : bool
-        The task simulates only through `store`: what is there is not sent to a worker.
+        The task simulates only through `store`: what is there is not sent to a worker, and the runs of several tasks
+        go side by side in one process, as alone to the bit (`lanes.together`).
 
     Returns
     -------
@@ -150,11 +152,12 @@ def ordered_map(
     """
     known = _known(task, arguments) if stored else {}
     missing = [i for i in range(len(arguments)) if i not in known]
-    size = 1 if isinstance(pool, ProcessPoolExecutor) else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
+    local = isinstance(pool, ProcessPoolExecutor)
+    size = 1 if local and not stored else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
     batches = [missing[i : i + size] for i in range(0, len(missing), size)]
-    work = _here if isinstance(pool, ProcessPoolExecutor) else _elsewhere
+    work = _here if local else _elsewhere
     try:
-        futures = {pool.submit(work, task, [arguments[i] for i in batch]): batch for batch in batches}
+        futures = {pool.submit(work, task, [arguments[i] for i in batch], stored): batch for batch in batches}
         waiting, seen = set(futures), time.monotonic()
         with tqdm(total=len(arguments), initial=len(known), desc=title, disable=quiet, leave=False) as bar:
             while waiting:
@@ -196,19 +199,21 @@ def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
     return known
 
 
-def _here(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
+def _here(task: Callable, batch: list, beside: bool) -> tuple[list, dict[str, bytes]]:
     """Results of a batch; a local process stores by itself."""
-    return [task(argument) for argument in batch], {}
+    return (lanes.together(task, batch) if beside else [task(argument) for argument in batch]), {}
 
 
-def _elsewhere(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
+def _elsewhere(task: Callable, batch: list, beside: bool) -> tuple[list, dict[str, bytes]]:
     """Results of a batch, and what the client is to store: the disk of another machine goes with it."""
     with store.collected() as new:
-        return [task(argument) for argument in batch], new
+        return _here(task, batch, beside)[0], new
 
 
 def _workers(pool: Executor) -> int:
-    """Number of the processes of a cluster, at least 1."""
+    """Number of the processes of a pool, at least 1."""
+    if isinstance(pool, ProcessPoolExecutor):
+        return getattr(pool, "_max_workers", 1)
     client = getattr(pool, "_client", None)
     return max(1, len(client.scheduler_info(n_workers=-1)["workers"])) if client is not None else 1
 
