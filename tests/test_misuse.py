@@ -483,7 +483,7 @@ gymnasium_rows = {
 
 
 def stepped(env, action):
-    env._exchange = types.SimpleNamespace(ended=False)
+    env._exchange, env.duration = types.SimpleNamespace(ended=False, time=0.0), 1.0
     return env.step(action)
 
 

@@ -156,7 +156,8 @@ def split(guidance: Guidance) -> tuple[LateralLaw, Factory | None]:
 def _full(law) -> LateralLaw:
     """A law in its full form."""
     whole = hasattr(law, "memory") and hasattr(law, "gains") and _takes(law.torque, len(_GROUPS))
-    return law if whole else _ByName(law)
+    names = set(inspect.signature(law.torque).parameters) if whole else set()
+    return law if whole and not names & {*MEANING, *SHORT, *law.memory} else _ByName(law)
 
 
 class _ByName:

@@ -8,7 +8,7 @@ nothing can be fitted to it, and a registered controller by the mean of several 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -34,7 +34,7 @@ _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
 _CURVES = {"T1": 200.0, "T2": 600.0, "T3": 600.0, "T4": 700.0}
 _SINE = {100: 400.0, 250: 600.0, 400: 800.0}
 QUICK = ("curve_T3", "braking_patch")
-"""Runs of a small suite."""
+"""Runs of a small suite, and those in which samples are timed."""
 MARGINS = "margins"
 """Group of the runs with more delay or a slower drive, which count as one case together."""
 _DELAYS, _LAGS = (3, 6, 9, 12), (20, 30, 40, 50)
@@ -86,6 +86,8 @@ class Case:
         Cases of a group count as one.
     delay : float
         Delay of the differential torque where no sensors are, whose inverter has it otherwise (s).
+    timed : bool
+        Whether the controller's samples are timed, which takes several drives.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Case:
     sensors: dict = field(default_factory=dict)
     group: str = ""
     delay: float = 0.0
+    timed: bool = True
 
 
 def cases(seed: int, names: tuple[str, ...] | None = None) -> list[Case]:
@@ -104,7 +107,7 @@ def cases(seed: int, names: tuple[str, ...] | None = None) -> list[Case]:
     for setting in JUDGED_ON:
         sensors = {"seed": seed} if setting == LOOP else {}
         found += [
-            Case(name, setting, *run, sensors, name)
+            Case(name, setting, *run, sensors, name, timed=name in QUICK)
             for name, run in _runs(seed).items()
             if names is None or name in names
         ]
@@ -132,16 +135,13 @@ def _margins(setting: str, seed: int) -> list[Case]:
         changes = [(f"lag_{ms}ms", {"drive.lag": 1e-3 * ms}, 0.0) for ms in _LAGS]
         changes += [(f"delay_{ms}ms", {}, 1e-3 * ms) for ms in _DELAYS]
         found += [
-            Case(f"{name}_{rail}", setting, short, plant=plant, group=MARGINS, delay=delay)
+            Case(f"{name}_{rail}", setting, short, plant=plant, group=MARGINS, delay=delay, timed=False)
             for name, plant, delay in changes
         ]
     if setting == EQUAL:
         return found
     seeds = ({"seed": (seed + 1 + k) % 2**31, "inverter.delay": case.delay} for k, case in enumerate(found))
-    return [
-        Case(case.name, setting, case.scenario, plant=case.plant, sensors=sensors, group=MARGINS)
-        for case, sensors in zip(found, seeds, strict=True)
-    ]
+    return [replace(case, sensors=sensors, delay=0.0) for case, sensors in zip(found, seeds, strict=True)]
 
 
 class DelayedLaw:

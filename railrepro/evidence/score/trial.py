@@ -108,12 +108,8 @@ class Trial:
             row["stopping_distance"] = float("nan")
         row["comfort"] = max((row[k] for k in row if k.startswith("n_mv_")), default=float("nan"))
         if self.case.group != suite.MARGINS:
-            again = DRIVES - 1 if spent < PATIENCE else 0
-            seconds = sample_times(run, experiment, again) if run.controllers else call_times(experiment)
-            row |= {"sample_median": float(np.median(seconds)), "sample_p99": float(np.quantile(seconds, 0.99))}
-            row["sample_max"] = float(np.max(seconds))
             row["series"] = series(run, experiment)
-        return row
+        return row | (sampled(run, experiment, spent) if self.case.timed else {})
 
 
 def call(trial: Trial) -> dict:
@@ -144,6 +140,14 @@ def series(run: Run, experiment: Experiment) -> dict[str, dict[str, list]]:
         columns["adhesion"] = np.max(used, axis=0)
         found[gear] = {name: columns[name].round(7).tolist() for name in columns}
     return found
+
+
+def sampled(run: Run, experiment: Experiment, spent: float) -> dict[str, float]:
+    """Times of the samples of a run that took `spent` (s)."""
+    again = DRIVES - 1 if spent < PATIENCE else 0
+    seconds = sample_times(run, experiment, again) if run.controllers else call_times(experiment)
+    row = {"sample_median": np.median(seconds), "sample_p99": np.quantile(seconds, 0.99), "sample_max": seconds.max()}
+    return {name: float(value) for name, value in row.items()}
 
 
 def call_times(experiment: Experiment) -> np.ndarray:
