@@ -75,7 +75,7 @@ def parser() -> argparse.ArgumentParser:
     added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
     added = command("film", "film.command:main", "page and movie of two controllers side by side, in build/film")
     added.add_argument("scenario", nargs="?", default="all", help="key of scenarios.toml; default the usual four")
-    added.add_argument("controllers", nargs="*", help="two registered names; default nmpc ndi")
+    added.add_argument("controllers", nargs="*", help="two registered names or files; default nmpc ndi")
     added.add_argument("--setting", default="equal", help="paper, equal (default) or loop")
     added.add_argument("--no-movie", action="store_false", dest="with_movie", help="only the page")
 

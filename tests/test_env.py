@@ -75,9 +75,8 @@ def test_no_early_end_is_better_than_any_way_on():
         while not ended:
             _, reward, ended, truncated, info = env.step(torque)
             assert not truncated and -guidance.WORST * left <= reward <= 0
-            left = env.duration - info["time"]
-            total += reward
-        assert reward == pytest.approx(-guidance.WORST * (left + 0.005)) and worst <= total < weak
+            before, left, total = left, env.duration - info["time"], total + reward
+        assert reward == pytest.approx(-guidance.WORST * before) and worst <= total < weak
 
 
 def test_an_episode_ends_in_time():

@@ -112,6 +112,18 @@ class Trial:
         return row | (sampled(run, experiment, spent) if self.case.timed else {})
 
 
+def driven_file(entry: Entry, case: suite.Case) -> Run:
+    """Run of a file's controller in a case; InputError with what it did wrong."""
+    guests: list[HandedGuidance] = []
+    try:
+        return Trial(entry, case).experiment(guests).run()
+    except Fault as error:
+        raise InputError(str(error)) from None
+    finally:
+        for hosted in guests:
+            hosted.close()
+
+
 def call(trial: Trial) -> dict:
     """The row of a trial, for `executor.ordered_map`."""
     return trial()
