@@ -246,7 +246,7 @@ def memory_names(
 
 
 def record_names(sensed: bool = False) -> tuple[str, ...]:
-    """`RECORD`; with sensors also the states, adhesions and slips that the controllers see, as `front.seen.y_TrAx`, and the
+    """`RECORD`; with sensors also states, adhesions and slips that the controllers see, as `front.seen.y_TrAx`, and the
     set point that they follow, `front.seen.y_ref`."""
     seen = (*SEEN, *(f"seen.{what}_{side}" for what in ("f", "s") for side in SIDES), "seen.y_ref")
     return (*RECORD, *(f"{gear}.{name}" for gear in GEARS for name in seen)) if sensed else RECORD
