@@ -7,6 +7,7 @@ import pytest
 
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.ndi import NDI
+from railrepro.control.tuned import tuned
 from railrepro.estimation import observers
 from railrepro.estimation.observers import LATERAL, lateral_matrices, stationary_gains
 from railrepro.estimation.sensors import Latency, Readings, load_loop
@@ -111,12 +112,25 @@ def test_prediction_pays(monkeypatch):
     assert without.failed or effort[1] > 1.5 * effort[0]
 
 
-def test_the_set_point_is_that_of_the_place_where_the_torque_will_act():
+def test_controllers_follow_the_set_point_where_the_torque_will_act_and_the_record_has_that_of_the_true_place():
     """The position is read for now; 8 ms pass on the way to the inverter, however old the other readings are."""
     series = drive(replace(QUIET, latency=Latency(3e-3, 8e-3)), end_m=120.0).series
     route, now = load_scenario("curve_entry_T3").route(), series["front.p"].to_numpy()
     here, there = (route.reference_at(now + late * series["front.v"].to_numpy())[0] for late in (0.0, 8e-3))
-    assert series["front.y_ref"].to_numpy() == pytest.approx(there, abs=1e-6) and np.abs(here - there).max() > 1e-5
+    assert series["front.seen.y_ref"].to_numpy() == pytest.approx(there, abs=1e-6)
+    assert series["front.y_ref"].to_numpy() == pytest.approx(here, abs=1e-12) and np.abs(here - there).max() > 1e-5
+
+
+@pytest.mark.parametrize(("bias", "low", "high"), [(0.0, 0.05, 0.15), (1.0, 0.22, 0.30), (2.0, 0.42, 0.56)])
+def test_an_error_of_the_place_is_an_error_of_the_displacement(bias, low, high):
+    """Errors count from the set point at the true place: the slope of the sweep turns metres into tenths of a mm."""
+    share = Readings(load_loop(), 1).gains(0)["p.bias"]  # of the largest bias, 1 m
+    loop = load_loop(**{"position.bias": bias / share})
+    law = tuned("ndi_feedforward", setting="loop")
+    series = drive(loop, "curve_entry_T1", law=law, end_m=50.0).series
+    assert low < 1e3 * metrics.rmse(series) < high
+    believed = np.sqrt(np.mean((series["front.y"] - series["front.seen.y_ref"]) ** 2))
+    assert believed < 0.15e-3
 
 
 def test_runs_belong_to_their_seed():

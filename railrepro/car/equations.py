@@ -52,6 +52,7 @@ _GROUPS = {
     "body": ("mass", "inertia_x", "inertia_y", "inertia_z", "cg_height", "gear_spacing", "floor_height"),
     "gear": ("mass", "inertia_x", "inertia_y", "inertia_z", "contact_base", "axle_damping"),
     "wheel": ("radius", "spin_inertia"),
+    "wear": ("front_le", "front_ri", "rear_le", "rear_ri"),
     "suspension": (
         *(
             "half_spacing",
@@ -188,7 +189,10 @@ def _derived(two_stage: bool) -> dict:
     primaries = {gear: PrimaryStage(frame, bodies[gear], par, stages) for gear, frame in frames.items()}
     speeds, torques = ({wheel: state[f"{name}.{wheel}"] for wheel in WHEELS} for name in ("w", "tau"))
     places = {f"{gear}_{side}": (bodies[gear], side) for gear in GEARS for side in SIDES}
-    wheels = {wheel: Contact(*places[wheel], speeds[wheel], cell[wheel], par, stages) for wheel in WHEELS}
+    wheels = {
+        wheel: Contact(*places[wheel], speeds[wheel], cell[wheel], par, stages, par[f"wear.{wheel}"])
+        for wheel in WHEELS
+    }
 
     gravity = ca.vertcat(0, 0, par["gravity"])
     inertias = _inertias(par, two_stage)
@@ -198,6 +202,7 @@ def _derived(two_stage: bool) -> dict:
         carried += body.section.rotation.T @ carrying.attitude @ suspension.force_on_upper
         moment += suspension.moment_on_upper
     force = carried + par["body.mass"] * body.section.rotation.T @ gravity
+    force += ca.vertcat(0, body.section.side_force, 0)
     derivatives = [body.derivatives(force, moment, *inertias["body"])]
     feels = {"force": body.rotation.T @ carried / par["body.mass"], "turning": derivatives[0][-3:]}
     for name in GEARS:
@@ -389,6 +394,8 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
     -------
     ndarray, shape (len(STATES),) or, with a two-stage suspension, (len(TWO_STAGE_STATES),)
 
+    Worn wheels stand on their rails: the gears sink and roll, the car body sinks and pitches.
+
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
     cell = dict(zip(CELL_COLUMNS, table.cells()[round((0.0 - table.start) / table.step)], strict=True))
@@ -399,11 +406,20 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
     two_stage = vehicle.primary.two_stage
     state = dict.fromkeys(TWO_STAGE_STATES if two_stage else STATES, 0.0)
     half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
-    sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
-    places = {"body": (p - half, sink - vehicle.body.cg_height), "front": (p, axle), "rear": (p - 2 * half, axle)}
+    worn = {gear: [getattr(vehicle.wear, f"{gear}_{side}") for side in SIDES] for gear in GEARS}
+    front, rear = (sum(worn[gear]) / 2 for gear in GEARS)
+    sink, axle = vehicle.wheel.radius - radius + drop + (front + rear) / 2, drop - radius
+    places = {"body": (p - half, sink - vehicle.body.cg_height)}
+    places |= {"front": (p, axle + front), "rear": (p - 2 * half, axle + rear)}
     if two_stage:
         places |= {FRAMES[gear]: places[gear] for gear in GEARS}
     for name, (s, z) in places.items():
         state |= {f"{name}.s": s, f"{name}.z": z, f"{name}.vx": speed}
-    state |= {f"w.{wheel}": speed / (contact["rolling_radius"] - drop) for wheel in WHEELS}
+    base = vehicle.gear.contact_base - 2 * radius * abs(contact["slope"])  # a roll moves the contacts aside, too
+    for gear, (le, ri) in worn.items():
+        for name in (gear, FRAMES[gear]) if two_stage else (gear,):
+            state[f"{name}.phi"] = (ri - le) / base
+        for side, lost in zip(SIDES, (le, ri), strict=True):
+            state[f"w.{gear}_{side}"] = speed / (contact["rolling_radius"] - lost - drop)
+    state["body.pitch"] = (rear - front) / vehicle.body.gear_spacing
     return np.array(list(state.values()))

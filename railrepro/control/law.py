@@ -55,6 +55,8 @@ ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
 GUIDANCE_FADE = 1.0
 """Speed below which the differential torque fades (m/s): a wheel that stands cannot steer."""
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
+"""The set point `y_ref` is that at the true place of the gear, from which errors are counted; controllers use the set
+point at the place that they believe, which with sensors is recorded as `seen.y_ref`."""
 RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
 
 
@@ -244,8 +246,9 @@ def memory_names(
 
 
 def record_names(sensed: bool = False) -> tuple[str, ...]:
-    """`RECORD`; with sensors also the states, adhesions and slips that the controllers see, as `front.seen.y_TrAx`."""
-    seen = (*SEEN, *(f"seen.{what}_{side}" for what in ("f", "s") for side in SIDES))
+    """`RECORD`; with sensors also states, adhesions and slips that the controllers see, as `front.seen.y_TrAx`, and the
+    set point that they follow, `front.seen.y_ref`."""
+    seen = (*SEEN, *(f"seen.{what}_{side}" for what in ("f", "s") for side in SIDES), "seen.y_ref")
     return (*RECORD, *(f"{gear}.{name}" for gear in GEARS for name in seen)) if sensed else RECORD
 
 
@@ -309,11 +312,13 @@ def function(
             tau_le, tau_ri = sight.send(tau_le, tau_ri, track_ahead)
             stored |= sight.stored
             record |= {f"{gear}.{name}": state[name.removeprefix("seen.")] for name in SEEN}
+            record[f"{gear}.seen.y_ref"] = track_ahead["y_ref"]
             for what, values in (("f", f), ("s", s)):
                 record |= {f"{gear}.seen.{what}_{side}": value for side, value in zip(SIDES, values, strict=True)}
         command += [tau_le, tau_ri]
         new |= {f"{gear}.{name}": value for name, value in (estimates | stored | following).items()}
-        values = (u_d, du, tau_long, f_star, segment, track_ahead["y_ref"])
+        there = reference_in(cells[gear], states[gear]["x"])[0]  # where the gear is, not where it is believed to be
+        values = (u_d, du, tau_long, f_star, segment, there)
         record |= {f"{gear}.{name}": value for name, value in zip(_RECORDED, values, strict=True)}
     margins = {f"{gear}.lateral": gain["limit.lateral"] - ca.fabs(states[gear]["y_TrAx"]) for gear in GEARS}
     margins["track_end"] = gain["limit.track_end"] - states["front"]["x"]

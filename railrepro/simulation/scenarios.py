@@ -91,6 +91,7 @@ class Scenario:
     poor_share_left: _SHARES = ()
     poor_share_right: _SHARES = ()
     force_kN: Annotated[tuple, steps("force", -500.0, 500.0)] = ()
+    side_force_kN: Annotated[tuple, steps("side force", -500.0, 500.0)] = ()
     set_point: _SET_POINT = field(default_factory=lambda: {"kind": "none"})
     second_profile: Annotated[str, AfterValidator(profile_name)] | None = None
     second_profile_share: _SHARES = ()
@@ -151,6 +152,7 @@ class Scenario:
             irregularities=irregularities,
             line=line,
             second_profile=_ramps(self.second_profile_share) if self.second_profile else None,
+            side_force=_steps(self.side_force_kN) if self.side_force_kN else None,
         )
         if self.end_m > way.length:
             raise InputError(

@@ -39,7 +39,7 @@ COLUMNS = (
     *("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z"),
     *(column for channel in CHANNELS for column in _orders(channel)),
     *_SET_POINT,
-    *("poor_le", "poor_ri", "second_profile", "force"),
+    *("poor_le", "poor_ri", "second_profile", "force", "side_force"),
 )
 INDEX = {name: i for i, name in enumerate(COLUMNS)}
 Profile = Callable[[np.ndarray], np.ndarray]
@@ -120,6 +120,7 @@ def lay(
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
     second_profile: Profile | None = None,
+    side_force: Profile | None = None,
 ) -> Route:
     """Lay set point, adhesion, force demand and irregularities along a track.
 
@@ -140,6 +141,8 @@ def lay(
     second_profile : callable, optional
         Share of the second pair of profiles in [0, 1] over p (m), see `railrepro.contact.table`; changes within metres
         at least, because its slope makes no force of its own.
+    side_force : callable, optional
+        Force on the car body over p of its centre of gravity (N), lateral in the track frame, to the right positive.
 
     Returns
     -------
@@ -166,6 +169,8 @@ def lay(
         columns["force"] = force(p)
     if second_profile is not None:
         columns["second_profile"] = second_profile(p)
+    if side_force is not None:
+        columns["side_force"] = side_force(p)
     for name, value in columns.items():
         cells[:, INDEX[name]] = value
     if not np.isfinite(cells).all():

@@ -121,6 +121,16 @@ class Wheel:
 
 
 @schema.table
+class Wear:
+    """What each wheel has lost of its radius; controllers are not told where the car alone has it."""
+
+    front_le: _from_zero(0.05, "m")
+    front_ri: _from_zero(0.05, "m")
+    rear_le: _from_zero(0.05, "m")
+    rear_ri: _from_zero(0.05, "m")
+
+
+@schema.table
 class Suspension:
     """Stage between car body and one carrier; k and c belong to each of the two springs."""
 
@@ -240,6 +250,7 @@ class Vehicle:
     body: CarBody
     gear: Gear
     wheel: Wheel
+    wear: Wear
     suspension: Suspension
     primary: Primary
     drive: ProbeTask
