@@ -12,6 +12,8 @@ from railrepro.simulation.scenarios import load_scenario
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra `learn` is installed by `make test-extras`")
 NAME = "railrepro.evidence.env.guidance:railrepro/Guidance-v0"
+from railrepro.evidence.env import guidance, learn  # noqa: E402
+
 SHORT = load_scenario("curve_entry_T3").but(end_m=160.0)
 
 
@@ -58,8 +60,55 @@ def test_an_inversion_follows_and_random_torques_leave_the_rail():
     good, steps, ended = driven(env, inversion, seed=1)
     assert ended == [False, True] and steps == pytest.approx(160 / (280 / 3.6) / 0.005, abs=2)
     full, _, ended = driven(env, lambda env: np.ones(2, np.float32), seed=1)
-    assert ended == [True, False] and full < -100 < good < 0
+    assert ended == [True, False] and full < good < 0
     driven(env, lambda _: env.action_space.sample(), seed=1)
+
+
+def test_no_early_end_is_better_than_any_way_on():
+    """The step that derails costs all that the rest of the episode could: the worst return is that of derailing."""
+    env = made().unwrapped
+    worst = -guidance.WORST * env.duration
+    weak = driven(made(), lambda env: 0.1 * inversion(env, pole=5.0), seed=1)[0]
+    for torque in (np.ones(2), -np.ones(2), np.array([1.0, -1.0]), np.array([0.05, 0.05])):
+        env.reset(seed=1)
+        total, ended, left = 0.0, False, env.duration
+        while not ended:
+            _, reward, ended, truncated, info = env.step(torque)
+            assert not truncated and -guidance.WORST * left <= reward <= 0
+            before, left, total = left, env.duration - info["time"], total + reward
+        assert reward == pytest.approx(-guidance.WORST * before) and worst <= total < weak
+
+
+def test_an_episode_ends_in_time():
+    env = made(scenario=SHORT.but(end_m=20.0)).unwrapped
+    assert env.duration == pytest.approx(1.25 * 20 / SHORT.speed)
+    env.duration = 0.1
+    env.reset(seed=1)
+    steps = [env.step(np.zeros(2)) for _ in range(20)]
+    assert [step[3] for step in steps] == [False] * 19 + [True]
+    with pytest.raises(InputError, match="reset"):
+        env.step(np.zeros(2))
+    braking = made(scenario=load_scenario("braking").but(end_m=1450.0)).unwrapped
+    run = simulate.run(braking.scenario, ndi.NDI())
+    assert run.series["t_s"].iloc[-1] < braking.duration
+
+
+def test_info_is_what_the_module_says():
+    env = made().unwrapped
+    _, info = env.reset(seed=1)
+    assert set(info) == {"error", "torque", "p", "v", "time"}
+    observation, _, _, _, info = env.step(np.array([0.5, -0.25]))
+    assert info["torque"].tolist() == [2000.0, -1000.0] and info["time"] == pytest.approx(0.005)
+    assert info["error"] == pytest.approx(1e-3 * observation[[0, 14]], abs=1e-9)
+    assert info["v"] == pytest.approx(280 / 3.6, rel=1e-3) and info["p"] == pytest.approx(0.389, abs=1e-3)
+    y = env.states[:, STATES.index("y_TrAx")]
+    assert [info["margins"][f"{gear}.lateral"] for gear in GEARS] == pytest.approx(0.03 - np.abs(y), abs=1e-4)
+
+
+def test_evolution_finds_a_better_policy(capsys):
+    weights = learn.evolve(end=60.0, population=8, generations=3)
+    said = [float(line.split("mean ")[1].split(",")[0]) for line in capsys.readouterr().out.splitlines()]
+    assert len(said) == 3 and said[-1] > said[0] and weights.shape == (14,)
 
 
 def test_torques_that_are_held_do_what_they_do_in_a_run():

@@ -9,6 +9,7 @@ import pytest
 from matplotlib import animation
 
 from railrepro import __main__ as command
+from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.errors import InputError
 from railrepro.evidence.chain import weblinks
@@ -118,11 +119,24 @@ def test_a_run_that_ends_early_stays_where_it_ended():
     assert len(shown(page.html(found))["shots"][1]["columns"]["front.y_mm"]) == rows[1]
 
 
+def test_a_file_is_filmed_beside_a_registered_controller(tmp_path, monkeypatch, capsys):
+    short = load_scenario("curve_entry_T3").but(end_m=30.0)
+    monkeypatch.setattr(scene, "load_scenario", lambda _: short)
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    mine = str(paths.ROOT / "examples/only_y.py")
+    assert command.main(["film", "curve_entry_T3", "ndi", mine, "--no-movie"]) == 0
+    shots = shown((tmp_path / "film/curve_entry_T3-ndi-only_y.py.html").read_text())["shots"]
+    assert [shot["label"] for shot in shots] == ["NDI", "only_y.py"] and shots[0]["color"] != shots[1]["color"]
+    (tmp_path / "mine.py").write_text("class Mine:\n    period = 0.005\n    def plan(self, x): return 0.0\n")
+    assert command.main(["film", "curve_entry_T3", "ndi", str(tmp_path / "mine.py"), "--no-movie"]) == 1
+    assert capsys.readouterr().err.startswith("error: mine.py, line 3 (Mine.plan): TypeError: ")
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["curve_entry_T9"], "scenario 'curve_entry_T9' is not known; there are"),
-        (["braking", "nmpc", "pid"], "controller 'pid' is not known; there are"),
+        (["braking", "nmpc", "pid"], "controller 'pid' is neither a file nor a registered controller; there are"),
         (["braking", "nmpc"], "two different controllers, found ['nmpc']"),
         (["braking", "ndi", "ndi"], "two different controllers, found ['ndi', 'ndi']"),
         (["braking", "ndi", "nmpc", "--setting", "fair"], "setting 'fair' is not known; there are"),

@@ -29,7 +29,6 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.film import scene
 from railrepro.evidence.runs import pso, tuning
-from railrepro.evidence.score import entry
 from railrepro.evidence.uncertainty import robustness
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario, load_scenarios
@@ -141,10 +140,6 @@ REFUSED = {
     "a law that gives nothing": (law(None), "torque() returned None, a pair (du, memory by name)"),
     "a torque that is nothing": (law((None, {})), "its torque is None, a scalar expression"),
     "a torque that is a vector": (law((ca.SX.ones(2), {})), "an expression of shape (2, 1), a scalar"),
-    "the same behind the count of the score": (
-        lambda _: entry._Counted(Law((ca.SX.ones(2), {}))).torque({}, {}, {}, {}, {}),
-        "lateral law Law: its torque is an expression of shape (2, 1)",
-    ),
     "gains that are a list": (law((0.0, {}), [1]), "gains() gives [1], a table"),
     "half a step": (lambda _: tuning.tuned("nmpc", steps=2.5), "2.5 steps of 0.005 s; 2 or more"),
     "an export of a name": (lambda _: Export(NDI_LAW, "T3"), "export: route is 'T3'"),
@@ -327,7 +322,6 @@ ARGUMENTS = {
     "two sizes": (["matching", "small", "committed"], "unrecognized arguments: committed"),
     "a size that there is not": (["matching", "huge"], "sizes ['committed', 'small'], found 'huge'"),
     "a setting that there is not": (["probe", "fair"], "setting 'fair' is not known"),
-    "nothing to score": (["score"], "the following arguments are required: controller"),
     "a negative seed": (["score", "ndi", "--seed", "-1"], "is no whole number|expected one argument"),
     "no command": ([], "the following arguments are required: COMMAND"),
     "a command that there is not": (["train"], "invalid choice: 'train'"),
@@ -489,7 +483,7 @@ gymnasium_rows = {
 
 
 def stepped(env, action):
-    env._exchange = types.SimpleNamespace(ended=False)
+    env._exchange, env.duration = types.SimpleNamespace(ended=False, time=0.0), 1.0
     return env.step(action)
 
 

@@ -1,5 +1,6 @@
 """The benchmark: a stranger's fault is a line of its own, points follow their formula, a seed draws what it should."""
 
+import dataclasses
 import os
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 
 from railrepro import __main__ as command
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS
+from railrepro.control import lateral
+from railrepro.control.registry import REGISTERED
 from railrepro.errors import InputError
-from railrepro.evidence.score import card, leaderboard, page, run, suite, trial
-from railrepro.evidence.score.entry import Entry, entry
+from railrepro.evidence.score import card, leaderboard, limit, page, run, suite, trial
+from railrepro.evidence.score.entry import NOTHING, Entry, entry
 from railrepro.evidence.score.trial import Trial
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
@@ -33,11 +35,12 @@ class Mine:
     def torque(self, gear, track_ahead, memory, gain, model):
         {}
 """
+SHORT = """
+class Mine:
+    def torque(self, {}):
+        return {}
+"""
 BOTH = SLOW.format("return 0.0") + LAW.format("return 0, {}").replace("Mine", "Other")
-DEAF = """
-        while True:
-            try: time.sleep(9)
-            except BaseException: pass"""
 FAULTS = {
     "no python": ("this is no code", "own.py, line 1: SyntaxError: invalid syntax"),
     "throws at import": ("x = 1\nraise ValueError('no\\n  reason')\n", "own.py, line 2: ValueError: no reason"),
@@ -45,21 +48,27 @@ FAULTS = {
     "module that is missing": ("import nothing_like_it\n", "own.py, line 1: ModuleNotFoundError: No module named"),
     "no class": ("x = 1\n", "own.py: one class with `torque` or with `plan` is needed, found none"),
     "two classes": (BOTH, "found ['Mine', 'Other']"),
-    "throws": (SLOW.format("return 1 / 0"), "own.py, line 8: ZeroDivisionError: division by zero"),
+    "throws": (SLOW.format("return 1 / 0"), "own.py, line 8 (Mine.plan): ZeroDivisionError: division by zero"),
     "gives NaN": (SLOW.format("return float('nan')"), "controller of the front gear returned nan at t = 0.000 s"),
-    "gives a text": (SLOW.format("return 'much'"), "plan() returned 'much', a number (N m) is needed"),
+    "gives a text": (SLOW.format("return 'much'"), "own.py, line 7 (Mine.plan): plan() returned 'much', a number"),
     "gives nothing": (SLOW.format("pass"), "plan() returned None, a number (N m) is needed"),
-    "no period": (SLOW.format("return 0.0").replace("period =", "rhythm ="), "period is None, a number of seconds"),
-    "loops for ever": (SLOW.format("while True: pass"), "took more than 1 s of the processor"),
-    "swallows what stops it": (SLOW.format(DEAF), "took more than 4 s"),
+    "no period": (SLOW.format("return 0.0").replace("period =", "rhythm ="), "Mine: period is None, a number in s"),
     "ends the process": (SLOW.format("os._exit(0)"), "ended the process"),
-    "crashes": (SLOW.format("os.kill(os.getpid(), signal.SIGSEGV)"), "ended the process by signal SIGSEGV"),
-    "law without its symbol": (LAW.format("return gear['height'], {}"), "there is no gear state 'height'"),
-    "law that is NaN": (LAW.format("return float('nan') * gear['held'], {}"), "times no finite number; "),
+    "law without its symbol": (LAW.format("return gear['height'], {}"), "own.py, line 7 (Mine.torque): lateral law "
+                               "Mine: there is no gear state 'height'"),
+    "law that is NaN": (LAW.format("return float('nan') * gear['held'], {}"), "Mine: torque() holds the constant nan"),
+    "law that becomes NaN": (LAW.format("return (gear['held'] - 1) ** 0.5, {}"), "times no finite number; "),
+    "law with an if": (LAW.format("return 0 if gear['held'] > 1 else 1, {}"), "use casadi.if_else"),
+    "law of a list": (LAW.format("return [gear['held'], 0], {}"), "line 6 (Mine.torque): lateral law Mine: its"),
+    "law of a vector": (LAW.format("import casadi; return casadi.vertcat(gear['held'], 0), {}"), "of shape (2, 1)"),
+    "law that gives nothing": (LAW.format("pass"), "line 6 (Mine.torque): lateral law Mine: torque() returned"),
+    "wrong use of CasADi": (LAW.format("import casadi; return casadi.fmin('a', gear['held']), {}"), "function 'fmin'."),
+    "short form without its name": (SHORT.format("y, height", "y"), "torque() asks for 'height'; there are"),
     "constructor wants more": (SLOW.format("return 0.0").replace("gear)", "gear, more)"), "missing 1 required"),
     "leaves the rail": (SLOW.format("return 3000.0"), "gear left the rail, |y| = 30."),
 }  # fmt: skip
-CASE = suite.Case("short", "equal", load_scenario("curve_entry_T3").but(end_m=60.0))
+CASE = suite.Case("short", "equal", load_scenario("curve_entry_T3").but(end_m=60.0), group="short")
+ANCHORS = {"nothing": float("inf"), "limit": 0.0}
 PID = str(paths.ROOT / "examples/pid.py")
 
 
@@ -68,11 +77,11 @@ def test_a_fault_is_a_line_and_no_points(what, tmp_path):
     text, said = FAULTS[what]
     file = tmp_path / "own.py"
     file.write_text(text)
-    row = Trial(Entry("own", str(file)), CASE, processor=1.0, wall=4.0 if "sleep(9)" in text else 100.0)()
-    assert said in row["failure"] and "\n" not in row["failure"]
-    table = card.judged([row])
+    row = Trial(Entry("own.py", str(file)), CASE)()
+    assert said in row["failure"] and "\n" not in row["failure"] and "Possible prototypes" not in row["failure"]
+    table = card.judged([row | ANCHORS])
     assert table["points"].tolist() == [0.0]
-    assert page.html("own", table, card.tidy(table, 1), 1).count("<td>") > 10
+    assert page.html("own.py", table, card.tidy(table, 1), "1").count("<td>") > 10
 
 
 @pytest.fixture(scope="module")
@@ -87,37 +96,74 @@ def test_the_template_is_driven_with_the_numbers_of_its_setting(pid):
     assert loop["rmse_y"] > 1.2 * pid["rmse_y"]
     assert 0 < pid["sample_median"] < 1e-3
     assert pid["sample_median"] <= pid["sample_p99"] <= pid["sample_max"]
-    assert not [name for name in CONTROLLERS if name.startswith("own")]  # it was entered in the copy only
 
 
 def test_a_slow_controller_is_timed_and_told_what_it_wants(tmp_path):
     file = tmp_path / "own.py"
     wanted = (
-        "assert self.told\n        time.sleep(0.002)\n        return 0.0\n    def notice(self, *what): self.told = what"
+        "assert self.told[0].shape == (2,)\n        end = time.thread_time() + 0.002\n        "
+        "while time.thread_time() < end: pass\n        return 0.0\n    def notice(self, *what): self.told = what\n    "
+        "def read(self, values, delay): assert values.shape == (3,) and delay > 0; self.seen = values"
     )
     file.write_text(SLOW.format(wanted))
-    row = Trial(Entry("own", str(file)), suite.Case("short", "equal", CASE.scenario.but(end_m=10.0)))()
+    short = CASE.scenario.but(end_m=10.0)
+    row = Trial(Entry("own.py", str(file)), suite.Case("short", "equal", short))()
     assert row["failure"] == "" and row["sample_median"] > 0.002
+    file.write_text(SLOW.format("return 0.0 * self.seen[0]\n    def read(self, *what): self.seen = what[0]"))
+    row = Trial(Entry("own.py", str(file)), suite.Case("short", "loop", short, sensors={"seed": 1}))()
+    assert "has no attribute 'seen'" in row["failure"]  # there are no readings before the first sample
+    file.write_text(SLOW.format("return 0.0\n    def read(self, *what): raise ValueError(len(what[0]))"))
+    row = Trial(Entry("own.py", str(file)), suite.Case("short", "loop", short, sensors={"seed": 1}))()
+    assert "(Mine.read): ValueError: 3" in row["failure"]
 
 
-def test_points_follow_their_formula(pid):
+def test_the_longest_sample_of_a_law_is_the_least_of_its_drives(pid, monkeypatch):
+    clock = iter(range(10**9))
+    hiccups = {1, 2001 * 2}
+
+    def now():
+        number = next(clock)
+        return number + 1e6 * (number % 2 and number // 2 in hiccups)
+
+    monkeypatch.setattr(trial.time, "perf_counter", now)
+    assert trial.call_times(Trial(entry(PID), CASE).experiment([])).max() == 1.0
+
+
+def test_points_go_from_no_guidance_to_the_limit(pid):
     row = pid | {"rmse_y": 2e-3, "effort_du": 1000.0, "activity_du": 750.0, "utilisation": 0.9}
     row |= {"y_over_q": 0.2, "sum_y_over_limit": 1.1}
     cost = 2 + 0.25 + 0.5 + 0.2 + 1.0
-    assert card.judged([row])["points"][0] == pytest.approx(100 / (1 + cost))
-    margins = {"scenario": "margins", "setting": "loop", "controller": "own", "failure": ""}
-    margins |= {"delay_survived": 5e-3, "lag_survived": 0.1}
-    assert card.judged([margins])["points"][0] == pytest.approx(75.0)
+
+    def points(**more):
+        return card.judged([row | ANCHORS | more])["points"][0]
+
+    assert card.cost(row) == pytest.approx(cost)
+    assert points() == pytest.approx(100 / (1 + cost))
+    assert points(nothing=cost) == pytest.approx(0.0) and points(nothing=cost / 2) == 0.0
+    assert points(limit=1e-3 * cost) == pytest.approx(100.0) == points(limit=2e-3 * cost)
+    between = (1 / (1 + cost) - 1 / 11) / (1 / 2 - 1 / 11)
+    assert points(nothing=10.0, limit=1e-3) == pytest.approx(100 * between)
+    assert points(limit=float("nan")) == points()
+    assert points(failure="left") == 0.0
 
 
-def test_the_score_is_the_mean_over_cases_and_settings():
-    head = {"controller": "own", "scenario": "a", "failure": "left"}
+def test_nothing_gets_no_points():
+    for case in (CASE, suite.Case("short", "loop", CASE.scenario, sensors={"seed": 1}, group="short")):
+        row = Trial(entry(NOTHING), case)() | limit.anchors(case)
+        assert card.judged([row])["points"].tolist() == [pytest.approx(0.0, abs=1e-6)]
+
+
+def test_the_score_is_the_mean_over_groups_of_cases_and_settings():
+    head = {"controller": "own", "scenario": "a", "group": "a", "failure": "left"} | ANCHORS
     full = {"rmse_y": 0.0, "followed_rmse_y": 0.0, "effort_du": 0.0, "activity_du": 0.0, "y_over_q": 0.0}
     full |= {"sum_y_over_limit": 0.0, "failure": ""}
-    rows = [head | {"setting": "equal"}, head | {"setting": "equal"} | full, head | {"setting": "loop"} | full]
+    margin = {"setting": "loop", "group": "margins"}
+    rows = [head | {"setting": "equal"}, head | {"setting": "equal", "group": "b"} | full]
+    rows += [head | {"setting": "loop"} | full, *[head | margin | full] * 2, *[head | margin] * 2]
     long = card.tidy(card.judged(rows), 7)
-    scores = long[(long["metric"] == "score") & (long["scenario"] == card.ALL)].set_index("setting")["value"]
-    assert scores.to_dict() == {"equal": 50.0, "loop": 100.0, "all": 75.0}
+    whole = long[long["scenario"] == card.ALL].pivot_table(index="metric", columns="setting", values="value")
+    assert whole.loc["score"].to_dict() == {"equal": 50.0, "loop": 75.0, "all": 62.5}
+    assert whole.loc["margins", "loop"] == 50.0 and whole.loc["cases"].dropna().to_dict() == {"equal": 2.0, "loop": 2.0}
     assert (long["seed"] == 7).all() and long["unit"].notna().all()
     assert long[long["metric"] == "failures"]["value"].tolist() == [1.0, 0.0]
 
@@ -125,6 +171,11 @@ def test_the_score_is_the_mean_over_cases_and_settings():
 def test_a_seed_draws_noise_irregularity_and_mismatch():
     first, same, other = suite.cases(1), suite.cases(1), suite.cases(2)
     assert first == same
+    assert {case.name: case.delay for case in first if case.delay}.keys() == {
+        f"delay_{ms}ms_{rail}" for ms in (3, 6, 9, 12) for rail in ("dry", "poor")
+    }
+    seeds = [case.sensors["seed"] for case in first if case.setting == "loop" and case.group == "margins"]
+    assert len(set(seeds)) == len(seeds) == 16 and 1 not in seeds
     changed = {(a.name, a.setting) for a, b in zip(first, other, strict=True) if a != b}
     drawn = {"irregular", "mismatch_1", "mismatch_2"}
     assert changed == {(case.name, case.setting) for case in first if case.setting == "loop" or case.name in drawn}
@@ -134,53 +185,101 @@ def test_a_seed_draws_noise_irregularity_and_mismatch():
         for key in suite.MISMATCH if case.name.startswith("mismatch") else ():
             assert ranges[key][0] <= case.plant[key] <= ranges[key][1]
         case.scenario.route()
-    assert {case.setting for case in first} == {"equal", "loop"} and len(first) == 28
+    assert {case.setting for case in first} == {"equal", "loop"} and len(first) == 2 * (14 + 16)
 
 
-def test_margins_are_the_smallest_over_the_rails(monkeypatch):
-    breaks = {"delay": 3.5e-3, "lag": 0.03}
-    monkeypatch.setattr(
-        Trial, "_fails", lambda self, what, rail: lambda value: value > breaks[what] * (1 + (rail == "dry"))
-    )
-    found = Trial(entry(PID), "equal")()
-    assert found["delay_survived"] == pytest.approx(3e-3) and found["lag_survived"] == pytest.approx(0.03)
-    monkeypatch.setattr(Trial, "_fails", lambda self, what, rail: lambda value: True)
-    assert Trial(entry(PID), "equal")()["delay_survived"] == 0.0
+def test_a_delay_without_sensors_is_that_of_the_torque(tmp_path):
+    (tmp_path / "own.py").write_text(SHORT.format("y", "100 + 0 * y"))
+    case = suite.Case("short", "equal", CASE.scenario.but(end_m=5.0), group="short", delay=3e-3)
+    torque = Trial(entry(str(tmp_path / "own.py")), case).experiment([]).run().series["front.du"]
+    assert (torque[:3] == 0.0).all() and (torque[3:] == 100.0).all()
 
 
-def test_what_cannot_be_driven_at_all_is_not_driven_through_the_suite(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("RAILREPRO_WORKERS", "1")
+def test_a_delay_of_a_slower_controller_is_that_of_its_torque(tmp_path):
+    (tmp_path / "own.py").write_text(SLOW.format("return 100.0"))
+    case = suite.Case("short", "equal", CASE.scenario.but(end_m=5.0), group="short", delay=12e-3)
+    guests = []
+    try:
+        torque = Trial(entry(str(tmp_path / "own.py")), case).experiment(guests).run().series["front.du"]
+    finally:
+        guests[0].close()
+    assert (torque[:12] == 0.0).all() and (torque[12:] == 100.0).all()
+
+
+def test_points_fall_steadily_with_delay():
+    delays = [case for case in suite.cases(1) if case.delay and "dry" in case.name and case.setting == "equal"]
+    points = [card.judged([Trial(entry(PID), case)() | ANCHORS])["points"][0] for case in delays]
+    assert points[0] > points[1] > points[2] > points[3]
+
+
+def test_what_cannot_be_driven_at_all_is_one_sentence_and_exit_code_1(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     file = tmp_path / "mine.py"
-    file.write_text("import nothing_like_it\n")
-    command.main(["score", str(file)])
-    table = pd.read_csv(tmp_path / "score/mine.csv")
-    scores = table[table["metric"] == "score"]["value"]
-    assert (scores == 0).all() and len(scores) == 3
-    said = capsys.readouterr().out
-    assert said.count("does not import: mine.py, line 1: ModuleNotFoundError") == 30
-    assert "<script" not in (tmp_path / "score/mine.html").read_text()
+    file.write_text(SLOW.format("return None"))
+    assert command.main(["score", str(file)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == "checking controller mine.py\n"
+    assert captured.err == "error: mine.py, line 7 (Mine.plan): plan() returned None, a number (N m) is needed\n"
+    assert not (tmp_path / "score").exists()
 
 
-def test_the_leaderboard_ranks_all_that_are_asked(monkeypatch, tmp_path):
-    def scored(entry, seed, names, quiet=False):
-        points = {"good": 80.0, "bad": 10.0}[entry.name]
+def test_a_file_is_ranked_by_a_draw_of_its_own(tmp_path, monkeypatch):
+    file, seeds = tmp_path / "mine.py", []
+    for text in ("x = 1\n", "x = 1\n", "x = 2\n"):
+        file.write_text(text)
+        seeds += suite.ranked_seeds(entry(str(file)))
+    assert seeds[0] == seeds[1] != seeds[2] and all(0 <= seed < 2**31 for seed in seeds)
+    registered = suite.ranked_seeds(entry("ndi"))
+    assert len(set(registered)) == 5 and registered == suite.ranked_seeds(entry("nmpc"))
+    later = dataclasses.replace(suite.draws(), season="another")
+    monkeypatch.setattr(suite, "draws", lambda: later)
+    assert suite.ranked_seeds(entry(str(file)))[0] != seeds[2]
+    assert not set(registered) & set(suite.ranked_seeds(entry("ndi")))
+
+
+def test_cases_that_draws_have_in_common_are_driven_once(monkeypatch):
+    monkeypatch.setenv("RAILREPRO_WORKERS", "1")
+    driven = []
+
+    def mapped(pool, task, arguments, title, quiet=False, stored=False):
+        driven.append(len(arguments))
+        return [dict(ANCHORS) if task is limit.anchors else each.head() | {"failure": "left"} for each in arguments]
+
+    monkeypatch.setattr(run, "ordered_map", mapped)
+    table = run.score(entry(PID), (1, 2), ("curve_T3", "irregular"))
+    assert driven == [7, 7] and len(table) == 8 and table["seed"].tolist() == [1] * 4 + [2] * 4
+
+
+def cards(names, seeds=(1001, 7, 8)):
+    """Rows like those of the score: a controller's points are its name's, less the draw's."""
+
+    def scored(entry, draws, chosen, quiet=False):
+        points = names[entry.name]
         rows = [
-            {"scenario": "a", "setting": setting, "controller": entry.name, "failure": "", "points": points}
+            {"scenario": "a", "group": "a", "setting": setting, "controller": entry.name, "failure": "", "seed": seed}
+            | {"points": points - (k > 0) * (10 + 2 * k), "error": 1.25e-3, "limit": 1e-3}
+            for k, seed in enumerate(draws)
             for setting in ("equal", "loop")
         ]
         return pd.DataFrame(rows)
 
+    return scored
+
+
+def test_the_leaderboard_ranks_by_the_ranked_draws(monkeypatch, tmp_path):
     monkeypatch.setattr(paths, "BUILD", tmp_path)
-    monkeypatch.setattr(leaderboard, "score", scored)
-    table = leaderboard.table([Entry("bad"), Entry("good")])
+    monkeypatch.setattr(leaderboard, "check", lambda _: None)
+    monkeypatch.setattr(leaderboard, "score", cards({"ndi": 80.0, "nmpc": 90.0}))
+    monkeypatch.setattr(suite, "ranked_seeds", lambda entry: (7, 8) if entry.name == "ndi" else (7, 8, 9, 10, 11))
+    table = leaderboard.table([Entry("ndi"), Entry("nmpc")])
     assert list(table.columns) == ["scenario", "controller", "metric", "value", "unit", "setting", "seed"]
-    ranked = card.ranking(table)
-    assert list(ranked.index) == ["good", "bad"] and ranked["all"].tolist() == [80.0, 10.0]
+    ranked = card.ranking(table, 1001)
+    assert list(ranked.index) == ["nmpc", "ndi"] and ranked["ranked"].tolist() == [74.0, 67.0]
+    assert ranked["published"].tolist() == [90.0, 80.0]
+    assert ranked["spread"].tolist() == pytest.approx([np.std([78, 76, 74, 72, 70], ddof=1), np.sqrt(2)])
     assert not table["metric"].str.startswith("sample").any()
-    assert leaderboard.markdown(table).split("\n")[2:] == [
-        "| `good` | 80.0 | 80.0 | 80.0 | 0 | – | – | – |", "| `bad` | 10.0 | 10.0 | 10.0 | 0 | – | – | – |"
-    ]  # fmt: skip
+    assert set(table[table["scenario"] == "a"]["seed"]) == {1001}
+    assert leaderboard.markdown(table).split("\n")[3] == ("| `ndi` | 67 | 1.41 | 80 | 67 | 67 | – | 0 | 1.25 | 1 | – |")
 
 
 @pytest.mark.parametrize("wrong", ["nobody", "examples", "examples/nobody.py"])
@@ -189,40 +288,55 @@ def test_what_is_no_controller_is_refused(wrong):
         entry(wrong)
 
 
+@pytest.mark.parametrize("name", ["a|b.py", "a`b.py", "a b.py", "<b>.py", "mine", "a\nb.py", "ndi"])
+def test_names_that_tables_cannot_show_are_refused(name, tmp_path):
+    (tmp_path / name).write_text("")
+    with pytest.raises(InputError, match="a name of letters, digits"):
+        entry(str(tmp_path / name))
+
+
+def test_a_file_never_has_the_name_of_a_registered_controller(tmp_path):
+    (tmp_path / "ndi.py").write_text("")
+    assert entry(str(tmp_path / "ndi.py")).name == "ndi.py" and "ndi.py" not in REGISTERED
+
+
+def test_what_a_law_may_use_is_described(capsys):
+    assert command.main(["score", "--describe"]) == 0
+    said = capsys.readouterr().out
+    for name in (*lateral.GEAR, *lateral.ROAD, *lateral.MODEL):
+        (line,) = [line for line in said.splitlines() if line.split()[:1] in ([name], [f"{name},"])]
+        assert len(line.split()) > 2
+    assert "y_TrAx, y             m           lateral displacement" in said
+    assert command.main(["score"]) == 1
+
+
 def test_a_small_score_writes_card_and_page(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     monkeypatch.setattr(suite, "QUICK", ("sine_400",))
     command.main(["score", PID, "--small", "--seed", "5"])
-    table = pd.read_csv(tmp_path / "score/pid.csv")
+    table = pd.read_csv(tmp_path / "score/pid.py-5.csv")
     assert set(table["seed"]) == {5} and set(table["setting"]) == {"equal", "loop", "all"}
-    html = (tmp_path / "score/pid.html").read_text()
+    html = (tmp_path / "score/pid.py-5.html").read_text()
     assert html.count("data:image/png") == 1 and "http" not in html.replace("http-equiv", "")
     assert "score over both settings" in capsys.readouterr().out
-    assert np.isfinite(table["value"]).all() and os.path.getsize(tmp_path / "score/pid.html") < 1e6
+    assert np.isfinite(table["value"]).all() and os.path.getsize(tmp_path / "score/pid.py-5.html") < 1e6
 
 
 def test_names_of_no_run_are_refused():
     with pytest.raises(InputError, match="there is no run of the names"):
-        run.score(entry(PID), names=("nowhere",))
+        run.score(entry(PID), 1, names=("nowhere",))
 
 
 @pytest.fixture
 def board(monkeypatch, tmp_path):
     """The leaderboard in a folder of its own, with a list of those that were really scored."""
     asked = []
-
-    def scored(entry, seed, names, quiet=False):
-        asked.append(entry.name)
-        rows = [
-            {"scenario": "a", "setting": t, "controller": entry.name, "failure": "", "points": 50.0, "error": 1.25e-3}
-            for t in ("equal", "loop")
-        ]
-        return pd.DataFrame(rows)
-
+    scored = cards(dict.fromkeys(("ndi", "mine.py", "ndi.py"), 50.0))
     monkeypatch.setattr(paths, "BUILD", tmp_path / "build")
     monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
     monkeypatch.setattr(leaderboard, "LEADERBOARD", "data/results/board.csv")
+    monkeypatch.setattr(leaderboard, "check", lambda entry: asked.append(entry.name))
     monkeypatch.setattr(leaderboard, "score", scored)
     monkeypatch.setenv("RAILREPRO_STORE", str(tmp_path / "store"))
     monkeypatch.setattr(leaderboard.sources, "closure", lambda _: {"library": "this one"})
@@ -237,10 +351,10 @@ def test_a_finished_controller_of_the_leaderboard_is_not_scored_again(board, tmp
     leaderboard.main(["ndi", mine])
     whole = (tmp_path / "data/results/board.csv").read_bytes()
     leaderboard.main(["ndi", mine])
-    assert board == ["ndi", "mine"] and (tmp_path / "data/results/board.csv").read_bytes() == whole
+    assert board == ["ndi", "mine.py"] and (tmp_path / "data/results/board.csv").read_bytes() == whole
     (tmp_path / "mine.py").write_text(LAW.format("return 1, {}"))
     leaderboard.main(["ndi", mine])
-    assert board == ["ndi", "mine", "mine"]
+    assert board == ["ndi", "mine.py", "mine.py"]
     for file in (tmp_path / "store").rglob("*.npz"):
         file.write_bytes(file.read_bytes()[:-40])
     leaderboard.main(["ndi"])
@@ -254,11 +368,11 @@ def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_pa
     leaderboard.main(["ndi"])
     leaderboard.main([str(tmp_path / "mine.py")])
     table = pd.read_csv(tmp_path / "data/results/board.csv")
-    assert list(dict.fromkeys(table["controller"])) == ["ndi", "mine"]
-    assert not table.duplicated(["scenario", "controller", "metric", "setting"]).any()
+    assert list(dict.fromkeys(table["controller"])) == ["ndi", "mine.py"]
+    assert not table.duplicated(["scenario", "controller", "metric", "setting", "seed"]).any()
     text = (tmp_path / leaderboard.PAGE).read_text()
     assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
-    assert "| `mine` | 50.0 | 50.0 | 50.0 | 0 | 1.25 | – | – |" in text
+    assert "| `mine.py` | 38 | – | 50 | 38 | 38 | – | 0 | 1.25 | 1 | – |" in text
 
 
 def test_a_page_without_a_place_for_the_leaderboard_is_refused_and_nothing_is_written(board, tmp_path):
@@ -279,7 +393,6 @@ def test_the_page_shows_the_committed_leaderboard():
 @pytest.mark.parametrize("name", ["nmpc", "creep_mpc"])
 def test_the_times_of_a_slower_controller_are_the_least_of_all_drives(name, monkeypatch):
     drives = []
-    monkeypatch.setattr(trial.time, "process_time", lambda: 0.0)
     original = trial.Experiment.run
 
     def run(experiment):
@@ -290,9 +403,10 @@ def test_the_times_of_a_slower_controller_are_the_least_of_all_drives(name, monk
         return found
 
     monkeypatch.setattr(trial.Experiment, "run", run)
+    monkeypatch.setattr(trial, "PATIENCE", 1e4)
     short = suite.Case("short", "equal", CASE.scenario.but(end_m=10.0))
-    row = Trial(entry(name), short, processor=1e3, wall=1e4)._run()
+    row = Trial(entry(name), short)()
     assert len(drives) == trial.DRIVES and row["failure"] == ""
     assert row["sample_median"] == row["sample_max"] == 1.0
-    monkeypatch.setattr(trial.time, "process_time", lambda: 500.0)
-    assert Trial(entry(name), short, processor=1e3, wall=1e4)._run()["sample_max"] == 2.0
+    monkeypatch.setattr(trial, "PATIENCE", 0.0)
+    assert Trial(entry(name), short)()["sample_max"] == 2.0

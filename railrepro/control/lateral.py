@@ -28,12 +28,51 @@ GEAR = (*STATES, "xddot", "held")
 ROAD = (*(name for name in THETA if name != "m_CB"), "ddpsi_dp", "y_ref", "dy_ref", "ddy_ref", "dddy_ref")
 """What it knows of the road where the gear is (SI): track, set point, and their derivatives over the coordinate."""
 MODEL = ("J_eff", "k_sz", "k_dz", "J_Wy", "r_0", "b", "gamma", "tan_delta", "m_x_eff", "tau_max")
-"""What it knows of the nominal vehicle (SI): effective yaw inertia, yaw stiffness and damping, spin inertia, wheel
-radius, contact base, roll per displacement, cone's slope, effective longitudinal mass, torque limit."""
+"""What it knows of the nominal vehicle (SI)."""
+SHORT = {"y": "y_TrAx", "psi": "psi_TrAx", "yaw_rate": "psidot_Ax", "v": "xdot"}
+"""Short names of measured states."""
+MEANING = {
+    "x": ("m", "coordinate along the track"),
+    "psi_Ax": ("rad", "heading of the running gear"),
+    "xdot": ("m/s", "speed"),
+    "psidot_Ax": ("rad/s", "yaw rate of the running gear"),
+    "y_TrAx": ("m", "lateral displacement from the track, to the right"),
+    "psi_TrAx": ("rad", "yaw angle against the track, to the right"),
+    "xddot": ("m/s2", "acceleration by the base torque"),
+    "held": ("N m", "torque that a slower controller gave last"),
+    "psi_Tr": ("rad", "heading of the track"),
+    "dpsi_dp": ("1/m", "curvature of the track"),
+    "phi_Tr": ("rad", "superelevation angle"),
+    "dphi_dp": ("rad/m", "its derivative along the track"),
+    "eps_Tr": ("rad", "gradient"),
+    "deps_dp": ("rad/m", "its derivative along the track"),
+    "psi_CB": ("rad", "heading of the car body"),
+    "dpsi_dp_CB": ("1/m", "its derivative along the track"),
+    "ddpsi_dp": ("1/m2", "derivative of the curvature along the track"),
+    "y_ref": ("m", "set point of the lateral displacement"),
+    "dy_ref": ("-", "its first derivative along the track"),
+    "ddy_ref": ("1/m", "its second derivative"),
+    "dddy_ref": ("1/m2", "its third derivative"),
+    "J_eff": ("kg m2", "effective yaw inertia of a running gear"),
+    "k_sz": ("N m/rad", "yaw stiffness of the suspension"),
+    "k_dz": ("N m s/rad", "yaw damping of the suspension"),
+    "J_Wy": ("kg m2", "spin inertia of a wheel"),
+    "r_0": ("m", "wheel radius"),
+    "b": ("m", "distance of the contact points"),
+    "gamma": ("rad/m", "roll angle per lateral displacement"),
+    "tan_delta": ("-", "slope of the wheel's cone"),
+    "m_x_eff": ("kg", "effective longitudinal mass"),
+    "tau_max": ("N m", "torque limit"),
+}
+"""Unit and meaning of what a 1 kHz law may use, by name."""
+_GROUPS = ("gear", "track_ahead", "memory", "gain", "model")
 
 
 class LateralLaw(Protocol):
     """A guidance law of the 1 kHz exchange.
+
+    In its short form it has `torque` alone, which asks by the names of its arguments for what it wants of `MEANING`,
+    `SHORT`, its memory and gains, and may return the torque alone; `memory` and `gains` are added where it needs them.
 
     Attributes
     ----------
@@ -105,13 +144,42 @@ def split(guidance: Guidance) -> tuple[LateralLaw, Factory | None]:
     if factory is not None and not isinstance(guidance, type) and not _takes(factory, 3):
         raise InputError(f"guidance {guidance!r}: cannot be called with (vehicle, route, gear)")
     if hasattr(guidance, "torque") and not isinstance(guidance, type):
-        return guidance, factory
+        return _full(guidance), factory
     if factory is None or hasattr(guidance, "torque"):
         raise InputError(
             f"guidance {guidance!r}: an object with gains(), memory and torque(), or a factory (vehicle, route, gear) "
             "of objects with period and plan(), is needed"
         )
     return Held(), factory
+
+
+def _full(law) -> LateralLaw:
+    """A law in its full form."""
+    whole = hasattr(law, "memory") and hasattr(law, "gains") and _takes(law.torque, len(_GROUPS))
+    names = set(inspect.signature(law.torque).parameters) if whole else set()
+    return law if whole and not names & {*MEANING, *SHORT, *law.memory} else _ByName(law)
+
+
+class _ByName:
+    """The full form of a law whose `torque` asks for quantities by the names of its arguments."""
+
+    def __init__(self, law):
+        self._law, self.owner = law, type(law).__name__
+        self.memory, self.gains = getattr(law, "memory", ()), getattr(law, "gains", dict)
+        if not callable(law.torque):
+            raise InputError(f"lateral law {self.owner}: torque is {reprlib.repr(law.torque)}, a method is needed")
+        self._wanted = list(inspect.signature(law.torque).parameters)
+
+    def torque(self, *groups: dict) -> tuple[ca.SX, dict]:
+        """See `LateralLaw.torque`."""
+        gear, track_ahead, memory, gain, model = groups
+        known = dict(zip(_GROUPS, groups, strict=True)) | model | track_ahead | gear
+        known |= {short: gear[name] for short, name in SHORT.items()} | dict(gain) | memory
+        missing = [name for name in self._wanted if name not in known]
+        if missing:
+            raise InputError(f"lateral law {self.owner}: torque() asks for {missing[0]!r}; there are {list(known)}")
+        answer = self._law.torque(**{name: known[name] for name in self._wanted})
+        return answer if isinstance(answer, tuple) else (answer, {})
 
 
 def _takes(call: Callable, count: int) -> bool:
@@ -186,7 +254,8 @@ def kind(law: LateralLaw) -> Kind:
         When its gains are not finite, its torque or memory is not a scalar expression, or it uses what it did not
         declare or is not given.
     """
-    owner, gains = type(law).__name__, law.gains() if callable(getattr(law, "gains", None)) else None
+    owner = getattr(law, "owner", type(law).__name__)
+    gains = law.gains() if callable(getattr(law, "gains", None)) else None
     if not isinstance(gains, dict):
         raise InputError(f"lateral law {owner}: gains() gives {gains!r}, a table of numbers by name is needed")
     if not isinstance(getattr(law, "memory", None), tuple | list):

@@ -5,12 +5,17 @@ lateral error y* - y over 1 mm; slope of the set point less yaw against the trac
 track over 10 mrad/s; torque given last over its limit; set point less y over 1 mm at the five times `AHEAD`; unbalanced
 lateral acceleration there over 1 m/s2.
 Action, `Box(2,)` in [-1, 1]: differential torque of front and rear gear over the torque limit, positive steers right.
-Reward of a step: -T (mean over the gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2), T = 5 ms; `FAILURE` when a
-gear leaves the rail, which is also the only termination. The end of the scenario truncates.
+Reward of a step: -T min(`WORST`, mean over the gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2), T = 5 ms. When
+a gear leaves the rail, which is the only termination, the step costs `WORST` for all the time that the episode could
+still have lasted: no early end is better than any way on. The end of the scenario, or of `duration`, truncates.
+Info of every step: `error` (m) and `torque` (N m) of both gears, shape (2,), `p` (m), `v` (m/s), `time` (s), and
+`margins`, the distances to the limits by name: `front.lateral` and `rear.lateral` (m, at 0 the gear leaves the rail),
+`track_end` (m), `stop_speed` (m/s). That of `reset` is the same without `margins`.
 A seed draws where the gears stand at the start, and noise and biases of the sensors where there are some.
 
-`gymnasium.make("railrepro.evidence.env.guidance:railrepro/Guidance-v0", scenario="curve_entry_T3")` makes one. It has
-no counterpart in the paper.
+`gymnasium.make("railrepro.evidence.env.guidance:railrepro/Guidance-v0", scenario="curve_entry_T3")` makes one,
+`gymnasium.make_vec(the same, num_envs=2, vectorization_mode="async")` several in processes of their own. `learn` tunes
+a policy with it. It has no counterpart in the paper.
 """
 
 from __future__ import annotations
@@ -23,25 +28,21 @@ from railrepro.control import lateral
 from railrepro.control.law import GEARS
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
-from railrepro.model.control_model import PSI_TRAX, PSIDOT_AX, XDOT, X, Y
+from railrepro.evidence.env.observation import SIZE, Sight
+from railrepro.model.control_model import XDOT, X
 from railrepro.schema import require
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
-from railrepro.track.route import CELL
 from railrepro.vehicle.parameters import load_vehicle
 
 EXCHANGES = 5
 """Exchanges of 1 ms in a step."""
-AHEAD = (0.05, 0.1, 0.2, 0.3, 0.5)
-"""Times ahead at which the road is seen (s)."""
-EFFORT, FAILURE = 0.1, -100.0
+EFFORT, WORST = 0.1, 100.0
+"""Weight of the torque; largest cost of a second, that of an error of 10 mm."""
 OFFSET = 1e-3
 """Largest lateral displacement at the start (m)."""
-_SIDEWAYS = 4 + len(AHEAD)
-_SIZE = 2 * (4 + 2 * len(AHEAD)) + 1
-"""Numbers of an observation."""
-_PITCH = 4
-"""Points of the table of the road ahead per metre."""
+_SLOWER, _BRAKED = 1.25, 5.0
+"""Longest episode over the time at initial speed, also where the scenario brakes."""
 
 
 class GuidanceEnv(gymnasium.Env):
@@ -59,6 +60,8 @@ class GuidanceEnv(gymnasium.Env):
         Measured states of both gears (SI), in the order of `control_model.STATES`.
     route : Route
     vehicle : Vehicle
+    duration : float
+        Longest episode (s).
     """
 
     metadata = {"render_modes": []}
@@ -71,11 +74,11 @@ class GuidanceEnv(gymnasium.Env):
         require("environment: scenario", self.scenario, Scenario)
         self.vehicle, self._sensors = load_vehicle(), sensors
         self.route = simulate.checked_route(self.scenario, self.vehicle)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (_SIZE,), np.float32)
+        slower = _BRAKED if self.scenario.force_kN else _SLOWER
+        self.duration = slower * self.route.length / self.scenario.speed
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (len(GEARS) * SIZE + 1,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(GEARS),), np.float32)
-        self._track_ahead = self._table()
-        self._exchange = None
-        self._ahead = np.array((0.0, *AHEAD))
+        self._sight, self._exchange = Sight(self.route, self.vehicle), None
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
         """Start again; see `gymnasium.Env.reset`. There are no options."""
@@ -89,32 +92,29 @@ class GuidanceEnv(gymnasium.Env):
         for gear in GEARS:
             self._exchange.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)
         self._exchange.measure()
-        return self._observation(), {}
+        observation, info = self._observed()
+        return observation, {name: value for name, value in info.items() if name != "margins"}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
         """Hold two torques for 5 ms; see `gymnasium.Env.step`."""
-        if self._exchange is None or self._exchange.ended:
+        exchange = self._exchange
+        if exchange is None or exchange.ended or self.duration - exchange.time < _STEP / 2:
             raise InputError("environment: reset() is needed before a step")
         torque = _numbers(action)
         if torque.shape != (len(GEARS),) or not np.isfinite(torque).all():
             raise InputError(f"environment: the action is {action!r}, two numbers from -1 to 1 are needed")
-        exchange = self._exchange
+        left = self.duration - exchange.time
         exchange.held[:] = np.clip(torque, -1.0, 1.0) * self.vehicle.drive.torque_limit
         exchange.run(EXCHANGES)
         exchange.measure()
-        observation = self._observation()
-        front, rear = float(observation[0]), float(observation[4 + 2 * len(AHEAD)])
-        cost = (front**2 + rear**2) / 2 + EFFORT * (exchange.held @ exchange.held) / 2e6
-        reward = -EXCHANGES * EXCHANGE_PERIOD * float(cost)
-        if not exchange.ended:
-            return observation, reward, False, False, {}
-        margins = exchange.margins
-        left = not all(margins[name] > 0 for name in margins if name.endswith("lateral"))
-        broken = not np.isfinite(observation).all()
-        failed = left or broken or not min(margins["track_end"], margins["stop_speed"]) <= 0
-        if broken:
-            observation = np.nan_to_num(observation, posinf=0.0, neginf=0.0)
-        return observation, (FAILURE if failed else reward), failed, not failed, {"margins": margins}
+        observation, info = self._observed()
+        margins, broken = info["margins"], not np.isfinite(observation).all()
+        on_rail = all(margins[f"{gear}.lateral"] > 0 for gear in GEARS) and not broken
+        if not on_rail:
+            return np.nan_to_num(observation, posinf=0.0, neginf=0.0), -WORST * left, True, False, info
+        cost = np.mean((1e3 * info["error"]) ** 2 + EFFORT * (1e-3 * exchange.held) ** 2)
+        truncated = exchange.ended or self.duration - exchange.time < _STEP / 2
+        return observation, -_STEP * min(float(cost), WORST), False, bool(truncated), info
 
     @property
     def states(self) -> np.ndarray:
@@ -123,27 +123,17 @@ class GuidanceEnv(gymnasium.Env):
             raise InputError("environment: reset() is needed before there are states")
         return self._exchange.measured_states()
 
-    def _table(self) -> np.ndarray:
-        """Set point, its slope, curvature, and gravity along the canted track (m/s2) along the route, shape (4, n)."""
-        count = int(len(self.route.cells) * CELL * _PITCH)
-        p = self.route.start + np.arange(count) / _PITCH
-        _, curvature, cant, *_ = self.route.track_at(p)
-        return np.stack([*self.route.reference_at(p), curvature, self.vehicle.gravity * cant])
+    def _observed(self) -> tuple[np.ndarray, dict]:
+        """Observation and info."""
+        exchange, x = self._exchange, self.states
+        with np.errstate(invalid="ignore"):
+            seen = self._sight.seen(x, exchange.held)
+        info = {"error": 1e-3 * seen[:, 0], "torque": exchange.held.copy(), "p": float(x[0, X])}
+        info |= {"v": float(x[0, XDOT]), "time": exchange.time, "margins": dict(exchange.margins)}
+        return np.append(seen, x[0, XDOT] / 100).astype(np.float32), info
 
-    def _observation(self) -> np.ndarray:
-        x, seen = self._exchange.measured_states(), np.empty(_SIZE, np.float32)
-        gears, v = seen[:-1].reshape(len(GEARS), -1), x[:, XDOT, None]
-        places = (x[:, X, None] + v * self._ahead - self.route.start) * _PITCH
-        places = np.fmin(np.fmax(places, 0), self._track_ahead.shape[1] - 1).astype(int)
-        y_ref, slope, curvature, lift = self._track_ahead[:, places]
-        aside = 1e3 * (y_ref - x[:, Y, None])
-        gears[:, 0], gears[:, 4:_SIDEWAYS] = aside[:, 0], aside[:, 1:]
-        gears[:, 1] = 1e3 * (slope[:, 0] - x[:, PSI_TRAX])
-        gears[:, 2] = 1e2 * (x[:, PSIDOT_AX] - v[:, 0] * curvature[:, 0])
-        gears[:, 3] = self._exchange.held / self.vehicle.drive.torque_limit
-        gears[:, _SIDEWAYS:] = lift[:, 1:] - v**2 * curvature[:, 1:]
-        seen[-1] = x[0, XDOT] / 100
-        return seen
+
+_STEP = EXCHANGES * EXCHANGE_PERIOD
 
 
 def _numbers(action) -> np.ndarray:

@@ -1,15 +1,15 @@
-"""`python -m railrepro film curve_entry_T3 nmpc ndi`: page and movie in build/film, for `make film`."""
+"""`python -m railrepro film curve_entry_T3 nmpc mine.py`: page and movie in build/film, for `make film`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from railrepro import paths
-from railrepro.control.registry import REGISTERED
 from railrepro.errors import InputError
 from railrepro.evidence.film import movie, page
 from railrepro.evidence.film.scene import film
 from railrepro.evidence.runs import tuning
+from railrepro.evidence.score.entry import entry
 from railrepro.files import write
 from railrepro.simulation.scenarios import load_scenario
 
@@ -27,10 +27,10 @@ def main(
     names = DEFAULT if scenario == ALL else (scenario,)
     controllers = tuple(controllers or CONTROLLERS)
     _check(names, controllers, setting)
-    folder = paths.BUILD / "film"
+    folder, files = paths.BUILD / "film", tuple(entry(controller).name for controller in controllers)
     for name in names:
         shown = film(name, controllers, setting)
-        stem = "-".join((name, *controllers, *((setting,) if setting != tuning.EQUAL else ())))
+        stem = "-".join((name, *files, *((setting,) if setting != tuning.EQUAL else ())))
         write(folder / f"{stem}.html", page.html(shown))
         print(f"written: {folder / stem}.html", flush=True)
         if with_movie:
@@ -42,7 +42,6 @@ def _check(names: tuple[str, ...], controllers: tuple[str, ...], setting: str) -
     for name in names:
         load_scenario(name)
     for controller in controllers:
-        if controller not in tuple(REGISTERED):
-            raise InputError(f"controller {controller!r} is not known; there are {sorted(REGISTERED)}")
+        entry(controller)
     if setting not in tuning.SETTINGS:
         raise InputError(f"setting {setting!r} is not known; there are {list(tuning.SETTINGS)}")

@@ -15,9 +15,12 @@ from railrepro.car.equations import GEARS, SIDES, WHEELS
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.creep import falling_friction
 from railrepro.errors import InputError
-from railrepro.evidence.report.figures import CONTROLLER_STYLE
+from railrepro.evidence.report.figures import CONTROLLER_STYLE, GREEN
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.score.entry import entry
+from railrepro.evidence.score.suite import Case
+from railrepro.evidence.score.trial import driven_file
 from railrepro.schema import between, require
 from railrepro.simulation import metrics
 from railrepro.simulation.scenarios import Scenario, load_scenario
@@ -105,7 +108,7 @@ def film(scenario: str, controllers: tuple[str, ...], setting: str = tuning.EQUA
     scenario : str
         Key of data/scenarios.toml.
     controllers : tuple of str
-        Two keys of `registry.REGISTERED`.
+        Two keys of `registry.REGISTERED`, or files with a controller, see `score.entry`.
     setting : str
         Whose tuned parameters are taken; in the setting `loop` also the sensors.
     frames : int
@@ -120,10 +123,16 @@ def film(scenario: str, controllers: tuple[str, ...], setting: str = tuning.EQUA
     if len(set(controllers)) != 2 or len(controllers) != 2:
         raise InputError(f"a film shows two different controllers, found {list(controllers)}")
     sensors = {"seed": SEED} if setting == tuning.LOOP else {}
-    experiments = {name: Experiment(driven, name, setting=setting, sensors=sensors) for name in controllers}
-    for name in controllers:
-        tuning.load(name, setting)  # refused before the first of them is driven
-    runs = {name: experiment.run() for name, experiment in experiments.items()}
+    chosen = {each.name: each for each in map(entry, controllers)}
+    for name, each in chosen.items():
+        if not each.file:
+            tuning.load(name, setting)  # refused before the first of them is driven
+    runs = {
+        name: driven_file(each, Case(scenario, setting, driven, sensors=sensors))
+        if each.file
+        else Experiment(driven, name, setting=setting, sensors=sensors).run()
+        for name, each in chosen.items()
+    }
     return compose(driven, runs, load_vehicle(), frames, f"{scenario} in the setting {setting}")
 
 
@@ -153,7 +162,8 @@ def compose(scenario: Scenario, runs: Mapping[str, Run], vehicle: Vehicle, frame
 
 
 def _shot(name: str, run: Run, stride: int, scenario: Scenario, way: Route, vehicle: Vehicle) -> Frame:
-    look, rows = CONTROLLER_STYLE[name], run.series.iloc[::stride].reset_index(drop=True)
+    look = CONTROLLER_STYLE.get(name, {"label": name, "color": GREEN})
+    rows = run.series.iloc[::stride].reset_index(drop=True)
     columns = {"t_s": rows["t_s"], "v_kmh": 3.6 * rows["front.v"]}
     for gear in GEARS:
         columns |= {f"{gear}.{new}": factor * rows[f"{gear}.{old}"] for new, (old, factor) in _GEAR.items()}

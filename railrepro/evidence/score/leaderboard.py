@@ -1,8 +1,9 @@
 """`python -m railrepro leaderboard [controller …]` scores all controllers, those of examples/ too.
 
-Writes data/results/leaderboard.csv, without times, which depend on the machine, and the table of PAGE. Named
-controllers are entered beside those that are there. A finished controller is in the store, so that an interrupted run
-goes on where it was; a change of library, data or file begins anew.
+Writes data/results/leaderboard.csv (the whole card of the published draw and the sums of the ranked ones), without
+times, which depend on the machine, and the table of PAGE. Named controllers are entered beside those that are
+there. A finished controller is in the store, so that an interrupted run goes on where it was; a change of library, data
+or file begins anew.
 """
 
 from __future__ import annotations
@@ -18,22 +19,31 @@ from railrepro.control.registry import REGISTERED
 from railrepro.errors import InputError
 from railrepro.evidence.runs import sources, store, tuning
 from railrepro.evidence.score import card, suite
-from railrepro.evidence.score.entry import Entry, entry
+from railrepro.evidence.score.entry import NOTHING, Entry, entry
 from railrepro.evidence.score.page import LEADERBOARD
-from railrepro.evidence.score.run import score
+from railrepro.evidence.score.run import check, score
 from railrepro.files import write
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- end of leaderboard -->"
 PAGE = "notebooks/book/benchmark.md"
 """Page with the table, and its lines between which the table stands."""
-_TOLD = {"error": ("error (mm)", 1e3), "effort_du": ("torque (N m)", 1.0), "delay_survived": ("delay (ms)", 1e3)}
-"""Columns of the table, of the setting `loop`."""
+_COLUMNS = {
+    **{"ranked": ("ranked", 1.0), "spread": ("spread", 1.0), "published": ("published", 1.0)},
+    **{setting: (setting, 1.0) for setting in suite.JUDGED_ON},
+    **{"margins": ("margins", 1.0), "failures": ("cases failed", 1.0)},
+    **{
+        "error": ("error (mm), loop", 1e3),
+        "limit": ("limit (mm), loop", 1e3),
+        "effort_du": ("torque (N m), loop", 1.0),
+    },
+}
+"""Columns of the table: words and factor from SI."""
 
 
 def entries() -> list[Entry]:
-    """All registered controllers, and the files of examples/."""
+    """All registered controllers, none at all, and the files of examples/."""
     files = sorted((paths.ROOT / "examples").glob("*.py"))
-    return [*(entry(name) for name in REGISTERED), *(entry(str(file)) for file in files)]
+    return [*(entry(name) for name in (*REGISTERED, NOTHING)), *(entry(str(file)) for file in files)]
 
 
 def table(chosen: list[Entry], names: tuple[str, ...] | None = None) -> pd.DataFrame:
@@ -42,33 +52,33 @@ def table(chosen: list[Entry], names: tuple[str, ...] | None = None) -> pd.DataF
 
 
 def _scored(each: Entry, names: tuple[str, ...] | None) -> pd.DataFrame:
-    """Score card of a controller without times, which depend on the machine."""
+    """Score cards of a controller without times, which depend on the machine."""
+    published, seeds = suite.draws().published, suite.ranked_seeds(each)
 
     def compute() -> store.Entry:
-        found = card.tidy(score(each, suite.SEED, names), suite.SEED)
-        rows = found[~found["metric"].str.startswith("sample")]
-        return {"csv": rows.to_csv(index=False, float_format="%.6g")}, None
+        check(each)
+        rows = score(each, (published, *seeds), names)
+        cards = [card.tidy(draw, seed) for seed, draw in rows.groupby("seed", sort=False)]
+        cards[1:] = [each[each["scenario"] == card.ALL] for each in cards[1:]]
+        found = pd.concat(cards)
+        found = found[~found["metric"].str.startswith("sample")]
+        return {"csv": found.to_csv(index=False, float_format="%.6g")}, None
 
     data = [file.read_text() for file in sorted((paths.ROOT / "data").glob("*.toml"))]
     data += [file.read_text() for file in sorted((paths.ROOT / tuning.TUNED).rglob("*.json"))]
     own = Path(each.file).read_text() if each.file else ""
     reached = sources.closure(["import railrepro.evidence.score.run"])
-    row, _ = store.entry(store.key("score", each.name, own, data, reached, suite.SEED, names), compute)
+    row, _ = store.entry(store.key("score", each.name, own, data, reached, seeds, names), compute)
     return pd.read_csv(io.StringIO(row["csv"]))
 
 
 def markdown(found: pd.DataFrame) -> str:
     """The ranking as a table of Markdown."""
-    whole = found[(found["scenario"] == card.ALL) & (found["setting"] == suite.LOOP)]
-    loop = whole.pivot_table(index="controller", columns="metric", values="value")
-    shown = (f"{words}, loop" for words, _ in _TOLD.values())
-    heads = ("controller", "score", *suite.JUDGED_ON, "cases failed", *shown)
-    lines = [heads, ("---",) * len(heads)]
-    for name, row in card.ranking(found).iterrows():
-        scores = [f"{row[key]:.1f}" for key in (card.ALL, *suite.JUDGED_ON)]
-        values = [factor * loop[key].get(name, np.nan) if key in loop else np.nan for key, (_, factor) in _TOLD.items()]
-        more = ["–" if np.isnan(value) else f"{value:.3g}" for value in values]
-        lines.append((f"`{name}`", *scores, str(int(row["failures"])), *more))
+    lines = [("controller", *(words for words, _ in _COLUMNS.values()))]
+    lines.append(("---",) * len(lines[0]))
+    for name, row in card.ranking(found, suite.draws().published).iterrows():
+        values = [factor * row.get(key, np.nan) for key, (_, factor) in _COLUMNS.items()]
+        lines.append((f"`{name}`", *("–" if np.isnan(value) else f"{value:.3g}" for value in values)))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -97,4 +107,4 @@ def main(names: list[str]) -> None:
     text = in_page(page.read_text(encoding="utf-8"), found)
     write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
     write(paths.product(PAGE), text)
-    print(card.ranking(found).round(1).to_string())
+    print(card.ranking(found, suite.draws().published).round(1).to_string())

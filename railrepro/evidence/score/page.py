@@ -9,11 +9,12 @@ from html import escape
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 
 from railrepro import paths
 from railrepro.evidence.report import figures
 from railrepro.evidence.score import card
-from railrepro.evidence.score.suite import JUDGED_ON
+from railrepro.evidence.score.suite import JUDGED_ON, draws
 
 LEADERBOARD = "data/results/leaderboard.csv"
 _STYLE = (
@@ -23,11 +24,30 @@ _STYLE = (
     ".bar{display:inline-block;height:.7em;background:#0072B2}.bad{color:#B3261E;text-align:left}"
     "tr.own{background:#FFF6D6}img{max-width:100%}"
 )
-_CASE = {"points": 1.0, "error": 1e3, "effort_du": 1.0, "activity_du": 1.0, "utilisation": 100.0, "y_over_q": 1.0}
-_HEADS = ("case", "points", "", "error (mm)", "torque (N m)", "above 5 Hz (N m)", "adhesion used (%)", "Y/Q (-)", "")
+_CASE = {
+    "points": 1.0,
+    "error": 1e3,
+    "limit": 1e3,
+    "effort_du": 1.0,
+    "activity_du": 1.0,
+    "utilisation": 100.0,
+    "y_over_q": 1.0,
+}
+_HEADS = (
+    "case",
+    "points",
+    "",
+    "error (mm)",
+    "limit (mm)",
+    "torque (N m)",
+    "above 5 Hz (N m)",
+    "adhesion used (%)",
+    "Y/Q (-)",
+    "",
+)
 
 
-def html(name: str, table: pd.DataFrame, long: pd.DataFrame, seed: int) -> str:
+def html(name: str, table: pd.DataFrame, long: pd.DataFrame, draw: str, ranked: bool = False) -> str:
     """The page.
 
     Parameters
@@ -36,7 +56,10 @@ def html(name: str, table: pd.DataFrame, long: pd.DataFrame, seed: int) -> str:
         Of the controller.
     table, long : DataFrame
         See `card.judged` and `card.tidy`.
-    seed : int
+    draw : str
+        Which draw it is, in words.
+    ranked : bool
+        Whether it takes its place among the others.
     """
     whole = long[long["scenario"] == card.ALL].pivot_table(index="metric", columns="setting", values="value")
     settings_here = [setting for setting in JUDGED_ON if setting in whole]
@@ -46,10 +69,9 @@ def html(name: str, table: pd.DataFrame, long: pd.DataFrame, seed: int) -> str:
         if key in whole.index
     ]
     body = [f"<h1>{escape(name)}: {whole.loc['score', card.ALL]:.1f} of 100</h1>"]
-    body += [
-        f"<p>Seed {seed}. Points of a case: {escape(card.FORMULA)}; the score is the mean over cases and settings.</p>"
-    ]
-    body += [_table(("", *settings_here), lines), *_standing(name, long)]
+    body += [f"<p>Draw {escape(draw)}. Points of a case: {escape(card.FORMULA)}; {escape(card.SYMBOLS)}. The score is "]
+    body += ["the mean over cases and settings; the runs with more delay and lag are one case.</p>"]
+    body += [_table(("", *settings_here), lines), *(_standing(name, long) if ranked else ())]
     for setting, rows in table.groupby("setting", sort=False):
         body += [
             f"<h2>In the setting {setting}</h2>",
@@ -62,14 +84,28 @@ def html(name: str, table: pd.DataFrame, long: pd.DataFrame, seed: int) -> str:
 
 def _standing(name: str, long: pd.DataFrame) -> list[str]:
     """The controller among those of the leaderboard, where there is one."""
-    file = paths.source(LEADERBOARD)
+    file, published = paths.source(LEADERBOARD), draws().published
     if not file.exists():
         return []
     others = pd.read_csv(file)
-    ranked = card.ranking(pd.concat([others[others["controller"] != name], long]))
-    lines = [[str(k), _number(row[card.ALL]), *(_number(row[t]) for t in JUDGED_ON), str(int(row["failures"]))]
-             for k, row in ranked.iterrows()]  # fmt: skip
-    return ["<h2>Among the others</h2>", _table(("controller", "score", *JUDGED_ON, "failures"), lines, own=name)]
+    table = card.ranking(pd.concat([others[others["controller"] != name], long]), published)
+    heads = ("ranked", "spread", *JUDGED_ON, "failures")
+    lines = [[str(k), *(_number(row.get(key, np.nan)) for key in heads)] for k, row in table.iterrows()]
+    figure, axis = figures.new_figure(height=0.3 * len(table) + 0.6, width=7.0)
+    draw_ranking(axis, table)
+    return ["<h2>Among the others</h2>", _table(("controller", *heads), lines, own=name), _image(figure)]
+
+
+def draw_ranking(axis: Axes, table: pd.DataFrame) -> None:
+    """Bars of the ranked scores with their spread, and the published draw as a dot; see `card.ranking`."""
+    places = np.arange(len(table))
+    axis.barh(places, table["ranked"], xerr=table["spread"].fillna(0.0), color=figures.BLUE, label="ranked, and spread")
+    axis.plot(table["published"], places, "o", color=figures.BLACK, markersize=3, label="published draw")
+    axis.axvline(100.0, color=figures.BLACK, linestyle="--", linewidth=0.8, label="limit")
+    axis.set_yticks(places, table.index)
+    axis.set(xlabel="score (0: no guidance, 100: limit)", xlim=(0, 104))
+    axis.invert_yaxis()
+    axis.legend(loc="lower right")
 
 
 def _case(row: pd.Series) -> list[str]:
@@ -91,24 +127,47 @@ def _table(heads, lines, own: str = "", raw: bool = False) -> str:
     return f"<table><tr>{top}</tr>{''.join(rows)}</table>"
 
 
+_QUANTITIES = {"y_m": ("y (mm)", 1e3), "error": ("error (mm)", 1e3), "du_Nm": ("torque (N m)", 1.0)}
+_QUANTITIES |= {"adhesion": ("adhesion used (%)", 100.0)}
+
+
 def _picture(table: pd.DataFrame) -> str:
-    """Set point and displacement of every case that was driven, as an image within the page."""
+    """Position and set point, error, torque and adhesion of both gears in every case that was driven."""
     driven = table[table["series"].notna()] if "series" in table else table[:0]
     if driven.empty:
         return ""
     names = list(dict.fromkeys(driven["scenario"]))
-    figure, axes = figures.new_figure(len(names), 1, height=1.0, width=7.0, squeeze=False)
-    for name, (panel,) in zip(names, axes, strict=True):
+    figure, axes = figures.new_figure(len(names), len(_QUANTITIES), height=1.2, width=2.9, squeeze=False)
+    for name, panels in zip(names, axes, strict=True):
+        panels[0].set_title(name)
         for setting, color in zip(JUDGED_ON, (figures.BLUE, figures.RED), strict=True):
-            for series in driven[(driven["scenario"] == name) & (driven["setting"] == setting)]["series"]:
-                p, y, y_ref = (np.array(series[key]) for key in ("p_m", "y_m", "y_ref_m"))
-                panel.plot(p, 1e3 * y_ref, color=figures.BLACK, linestyle=":")
-                panel.plot(p, 1e3 * y, color=color, label=setting)
-        panel.set(ylabel="$y$ (mm)", title=name)
-    axes[-1, 0].set_xlabel("track coordinate (m)")
-    axes[0, 0].legend()
+            for _, row in driven[(driven["scenario"] == name) & (driven["setting"] == setting)].iterrows():
+                for gear, style in zip(row["series"], ("-", "--"), strict=True):
+                    _draw(panels, row["series"][gear], color=color, linestyle=style, label=f"{gear}, {setting}")
+                if np.isfinite(row["limit"]):
+                    panels[1].axhline(1e3 * row["limit"], color=color, linestyle=":", label=f"limit (RMS), {setting}")
+        for panel, (label, _) in zip(panels, _QUANTITIES.values(), strict=True):
+            panel.set_ylabel(label)
+    for panel in axes[-1]:
+        panel.set_xlabel("track coordinate (m)")
+    axes[0, 0].legend(fontsize=5)
+    axes[0, 1].legend(fontsize=5)
+    return "<h2>Runs</h2>" + _image(figure)
+
+
+def _draw(panels, series: dict[str, list], **look) -> None:
+    """One gear of a run into the panels of a case."""
+    values = {name: np.array(column) for name, column in series.items()}
+    values["error"] = values["y_ref_m"] - values["y_m"]
+    if not panels[0].lines:
+        panels[0].plot(values["p_m"], 1e3 * values["y_ref_m"], **figures.CONTROLLER_STYLE["set point"], zorder=3)
+    for panel, (name, (_, factor)) in zip(panels, _QUANTITIES.items(), strict=True):
+        panel.plot(values["p_m"], factor * values[name], linewidth=0.8, **look)
+
+
+def _image(figure) -> str:
+    """A figure within the page."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
     plt.close(figure)
-    image = base64.b64encode(stream.getvalue()).decode()
-    return f'<h2>Lateral position</h2><img alt="" src="data:image/png;base64,{image}">'
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}">'

@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pandas as pd
 
 from railrepro.errors import InputError
 from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.evidence.score import card, suite
+from railrepro.evidence.score import card, limit, suite
 from railrepro.evidence.score.entry import Entry
 from railrepro.evidence.score.trial import Trial, call
 from railrepro.schema import between, require
 from railrepro.simulation.scenarios import load_scenario
 
 FIRST_LOOK = 30.0
-"""Way that tells whether a controller works at all (m)."""
+"""Distance that shows whether a controller works at all (m)."""
+
+
+def check(entry: Entry) -> None:
+    """Drive a controller through some metres in both settings, in this process.
+
+    Raises
+    ------
+    InputError
+        When it fails for another reason than leaving the rail.
+    """
+    scenario = load_scenario("curve_entry_T3").but(end_m=FIRST_LOOK)
+    for setting in suite.JUDGED_ON:
+        sensors = {"seed": suite.draws().published} if setting == suite.LOOP else {}
+        row = Trial(entry, suite.Case("check", setting, scenario, sensors=sensors, timed=False))()
+        if "way" not in row:
+            raise InputError(row["failure"])
 
 
 def score(
-    entry: Entry, seed: int = suite.SEED, names: tuple[str, ...] | None = None, quiet: bool = False
+    entry: Entry, seeds: int | Sequence[int], names: tuple[str, ...] | None = None, quiet: bool = False
 ) -> pd.DataFrame:
-    """Judged rows of the suite.
+    """Judged rows of the suite, for one or several draws.
 
     Parameters
     ----------
     entry : Entry
-    seed : int
-        See `suite.cases`.
+    seeds : int or sequence of int
+        See `suite.cases`; a case that two draws have in common is driven once.
     names : tuple of str, optional
         Runs of a small suite, without margins; default all.
     quiet : bool
@@ -34,19 +52,21 @@ def score(
     Returns
     -------
     DataFrame
-        See `card.judged`. When a first look at the controller fails for another reason than leaving the rail, that is
-        the failure of all cases, none of which is driven.
+        See `card.judged`, with the column `seed`.
     """
-    require("seed", seed, between(0, 2**31), whole=True)
-    cases = suite.cases(seed, names)
-    if not cases:
+    draws = (seeds,) if isinstance(seeds, int) else tuple(seeds)
+    for seed in draws:
+        require("seed", seed, between(0, 2**31), whole=True)
+    wanted = [(seed, case) for seed in draws for case in suite.cases(seed, names)]
+    if not wanted:
         raise InputError(f"score: there is no run of the names {names}")
-    look = suite.Case("first_look", suite.EQUAL, load_scenario("curve_entry_T3").but(end_m=FIRST_LOOK))
-    trials = [Trial(entry, case, seed) for case in (*cases, *(suite.JUDGED_ON if names is None else ()))]
+    different: list[suite.Case] = []
+    for _, case in wanted:
+        if case not in different:
+            different.append(case)
     with executor() as pool:
-        (first,) = ordered_map(pool, call, [Trial(entry, look, seed)], "first look", quiet)
-        if "way" in first:
-            rows = ordered_map(pool, call, trials, f"score {entry.name}", quiet)
-        else:
-            rows = [trial.head() | {"failure": first["failure"]} for trial in trials]
-    return card.judged(rows)
+        ends = ordered_map(pool, limit.anchors, different, "limits", quiet, stored=True)
+        rows = ordered_map(pool, call, [Trial(entry, case) for case in different], f"score {entry.name}", quiet)
+    places = [different.index(case) for _, case in wanted]
+    found = [rows[k] | ends[k] | {"seed": seed} for k, (seed, _) in zip(places, wanted, strict=True)]
+    return card.judged(found)

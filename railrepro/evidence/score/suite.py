@@ -1,21 +1,30 @@
 """The runs of the benchmark: what is driven, in which setting, and what a seed draws.
 
 A seed draws noise and biases of the sensors, irregularities, and the car that differs from the one the controller
-believes in. The published table uses `SEED`; another seed tells whether a controller was fitted to that draw.
+believes in. Whoever develops uses the published seed; ranked is a file by a draw that its own bytes decide, so that
+nothing can be fitted to it, and a registered controller by the mean of several draws of the season.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 
+from railrepro import paths, schema
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.control import lateral
+from railrepro.control.tuned import COUNT, SEED
+from railrepro.estimation.sensors import late
 from railrepro.evidence.runs.tuning import EQUAL, LOOP
+from railrepro.evidence.score.entry import Entry
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.vehicle.parameters import sample_ranges
 
-SEED = 1001
-"""Seed of the published table; tuning and the notebooks use others."""
 JUDGED_ON = (EQUAL, LOOP)
 """Setting of the benchmark."""
 MISMATCH = ("body.mass", "gear.mass", "gear.inertia_z", "wheel.spin_inertia", "wheel.cone_angle", "suspension.k_x")
@@ -25,7 +34,42 @@ _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
 _CURVES = {"T1": 200.0, "T2": 600.0, "T3": 600.0, "T4": 700.0}
 _SINE = {100: 400.0, 250: 600.0, 400: 800.0}
 QUICK = ("curve_T3", "braking_patch")
-"""Runs of a small suite."""
+"""Runs of a small suite, and those in which samples are timed."""
+MARGINS = "margins"
+"""Group of the runs with more delay or a slower drive, which count as one case together."""
+_DELAYS, _LAGS = (3, 6, 9, 12), (20, 30, 40, 50)
+"""Delay on top of that of the loop and time constant of the drive (ms)."""
+_RAILS = {"dry": "sine_tracking", "poor": "adhesion_loss"}
+_MARGINS_END = 400.0
+
+
+@schema.table
+class Draws:
+    """Content of data/score.toml."""
+
+    published: SEED
+    season: str
+    draws: COUNT
+
+
+@lru_cache
+def draws() -> Draws:
+    """The published seed, the word of the season, and the number of draws of a registered controller."""
+    return schema.build(Draws, schema.read(paths.source("data/score.toml")), "score.toml")
+
+
+def ranked_seeds(entry: Entry) -> tuple[int, ...]:
+    """Seeds that rank a controller: one from the bytes of a file, several of the season for a registered one."""
+    here = draws()
+    if entry.file:
+        return (_hashed(Path(entry.file).read_bytes()),)
+    return tuple(_hashed(str(k).encode()) for k in range(here.draws))
+
+
+def _hashed(content: bytes) -> int:
+    """31 bits of the SHA-256 of some content and the season."""
+    digest = hashlib.sha256(content + b"\n" + draws().season.encode()).digest()
+    return int.from_bytes(digest[:4], "big") >> 1
 
 
 @dataclass(frozen=True)
@@ -38,6 +82,12 @@ class Case:
     scenario : Scenario
     irregular, plant, sensors : dict
         As `experiment.Experiment` has them.
+    group : str
+        Cases of a group count as one.
+    delay : float
+        Delay of the differential torque where no sensors are, whose inverter has it otherwise (s).
+    timed : bool
+        Whether the controller's samples are timed, which takes several drives.
     """
 
     name: str
@@ -46,16 +96,23 @@ class Case:
     irregular: dict = field(default_factory=dict)
     plant: dict = field(default_factory=dict)
     sensors: dict = field(default_factory=dict)
+    group: str = ""
+    delay: float = 0.0
+    timed: bool = True
 
 
-def cases(seed: int = SEED, names: tuple[str, ...] | None = None) -> list[Case]:
-    """All runs of the suite, or those of some names."""
+def cases(seed: int, names: tuple[str, ...] | None = None) -> list[Case]:
+    """All runs of the suite, or those of some names, then without the margins."""
     found = []
     for setting in JUDGED_ON:
         sensors = {"seed": seed} if setting == LOOP else {}
         found += [
-            Case(name, setting, *run, sensors) for name, run in _runs(seed).items() if names is None or name in names
+            Case(name, setting, *run, sensors, name, timed=name in QUICK)
+            for name, run in _runs(seed).items()
+            if names is None or name in names
         ]
+        if names is None:
+            found += _margins(setting, seed)
     return found
 
 
@@ -68,6 +125,66 @@ def mismatch(seed: int, number: int) -> dict[str, float]:
         for name, u in zip(MISMATCH, draw, strict=True)
         for low, high in [ranges[name]]
     }
+
+
+def _margins(setting: str, seed: int) -> list[Case]:
+    """Runs at 400 km/h with rising delay and lag; behind sensors each has another seed."""
+    found = []
+    for rail, scenario in _RAILS.items():
+        short = load_scenario(scenario).but(end_m=_MARGINS_END)
+        changes = [(f"lag_{ms}ms", {"drive.lag": 1e-3 * ms}, 0.0) for ms in _LAGS]
+        changes += [(f"delay_{ms}ms", {}, 1e-3 * ms) for ms in _DELAYS]
+        found += [
+            Case(f"{name}_{rail}", setting, short, plant=plant, group=MARGINS, delay=delay, timed=False)
+            for name, plant, delay in changes
+        ]
+    if setting == EQUAL:
+        return found
+    seeds = ({"seed": (seed + 1 + k) % 2**31, "inverter.delay": case.delay} for k, case in enumerate(found))
+    return [replace(case, sensors=sensors, delay=0.0) for case, sensors in zip(found, seeds, strict=True)]
+
+
+class DelayedLaw:
+    """A 1 kHz law whose torque acts some exchanges later; a `lateral.LateralLaw`.
+
+    Parameters
+    ----------
+    law : lateral.LateralLaw
+    delay : float
+        Up to the largest of the margins (s).
+    """
+
+    def __init__(self, law: lateral.LateralLaw, delay: float):
+        self._law, self._exchanges = law, delay / EXCHANGE_PERIOD
+        self._line = tuple(f"delay.{k}" for k in range(max(_DELAYS)))
+        self.memory = (*law.memory, *self._line)
+
+    def gains(self) -> dict[str, float]:
+        """See `LateralLaw.gains`."""
+        return {**self._law.gains(), "delay.exchanges": self._exchanges}
+
+    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+        """See `LateralLaw.torque`."""
+        du, following = self._law.torque(gear, track_ahead, memory, gain, model)
+        line = [du, *(memory[name] for name in self._line)]
+        return late(line, gain["delay.exchanges"]), following | dict(zip(self._line, line[:-1], strict=True))
+
+
+class DelayedController(DelayedLaw):
+    """The same for a guidance with a slower controller."""
+
+    def __init__(self, law: lateral.LateralLaw, factory: lateral.Factory, delay: float):
+        super().__init__(law, delay)
+        self._factory = factory
+
+    def __call__(self, vehicle, route, gear: int) -> lateral.SlowController:
+        return self._factory(vehicle, route, gear)
+
+
+def delayed(guidance: lateral.Guidance, delay: float) -> DelayedLaw:
+    """A guidance whose torque acts later (s), see `DelayedLaw`."""
+    law, factory = lateral.split(guidance)
+    return DelayedLaw(law, delay) if factory is None else DelayedController(law, factory, delay)
 
 
 def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:

@@ -1,0 +1,198 @@
+r"""How small the lateral error behind sensors can be: a linear-quadratic-Gaussian bound.
+
+The creep model of a gear (`railrepro.model.creep_model`) with disturbances and biases as slow Gauss-Markov processes is
+a linear system under white noise:
+
+    x_(k+1) = A x_k + B (du_k - du_(k-1)) + w_k,    z_k = C x_k + v_k
+
+For it no causal law, linear or not, has a smaller  q E[y^2] + rho E[(du_k - du_(k-1))^2]  than the feedback of the
+filtered states with the gains of two Riccati equations. Filtered states and their errors are uncorrelated, so
+
+    E[y^2] = c (Sigma + P) c',    Sigma = (A - B L) Sigma (A - B L)' + K S K'
+
+with covariance P of the filter's error, its gain K and innovation covariance S, feedback L. Road and set point are
+known and cost nothing. rho trades error for torque: the bound is that at a stated activity of the torque above 5 Hz.
+
+Source: Anderson and Moore 1990, Optimal Control, ch. 8 (separation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.optimize import brentq
+
+from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.estimation.sensors import Loop
+from railrepro.model.creep_model import STATES, UNKNOWN, Creep, creep_at, lateral_model
+from railrepro.vehicle.parameters import Vehicle
+
+BIASES = ("y", "psi", "r")
+"""Readings with a bias each."""
+MEMORY = 30.0
+"""Time constant of biases and disturbances, longer than any run: they do not tell themselves by dying away (s)."""
+ACTIVITY = 115.0
+"""Torque above 5 Hz at which the bound is stated (N m, RMS): what the tuned controllers spend on dry rail."""
+_CUT, _ORDER = 5.0, 4
+"""High-pass of `railrepro.simulation.metrics.activity`: frequency (Hz) and order, applied twice."""
+_UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0, 1e-2, 1e-2, 1e-3, 1e-2)
+_QUIET = 1e-9
+"""Share of its unit by which each state wanders in a period anyway, which keeps the equations regular."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Bound of a gear.
+
+    Attributes
+    ----------
+    error : float
+        Standard deviation of the displacement from the set point at the believed place (m), see `with_place`.
+    known : float
+        Part of it that no torque removes: the error of the filtered displacement (m).
+    activity : float
+        Standard deviation of the differential torque above 5 Hz (N m).
+    weight : float
+        Of a change of torque per period at which that is so, against the square of the displacement, in units of both
+        (`System.units`, N m).
+    """
+
+    error: float
+    known: float
+    activity: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class System:
+    """Linear system in units of the states; see the head of the module.
+
+    Attributes
+    ----------
+    a, q : ndarray, shape (n, n)
+        Transition and covariance of the noise.
+    b : ndarray, shape (n,)
+        Effect of a change of torque.
+    c, r : ndarray, shapes (3, n), (3, 3)
+        Readings and covariance of their noise, in units of it.
+    y, torque : int
+        Places of displacement and newest torque.
+    units : ndarray, shape (n,)
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    q: np.ndarray
+    r: np.ndarray
+    y: int
+    torque: int
+    units: np.ndarray
+
+
+def system(
+    vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], creep: Creep | None = None
+) -> System:
+    """The system of a gear.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    loop : Loop
+    speed : float
+        (m/s)
+    walks : tuple of float
+        How fast lateral force and yaw moment wander (N/s^0.5, N m/s^0.5).
+    creep : Creep, optional
+        Default: that of rolling wheels on dry rail.
+
+    Returns
+    -------
+    System
+    """
+    h, n = EXCHANGE_PERIOD, len(STATES)
+    model = lateral_model(vehicle, speed, creep or creep_at(vehicle, "dry", 20.0)).discrete(h)
+    late = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
+    slow, chain = len(UNKNOWN) + len(BIASES), late + 1
+    size = n + slow + chain
+    a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros((len(BIASES), size))
+    a[:n, :n], a[:n, n : n + len(UNKNOWN)], a[:n, -1] = model.a, model.d, model.b  # the last torque of the chain acts
+    a[n : n + slow, n : n + slow] = np.exp(-h / MEMORY) * np.eye(slow)
+    a[n + slow, n + slow] = b[n + slow] = 1.0
+    a[n + slow + 1 :, n + slow : -1] = np.eye(late)
+    for row, name in enumerate(BIASES):
+        c[row, STATES.index(name)] = c[row, n + len(UNKNOWN) + row] = 1.0
+    noise, spread = _sensor_errors(loop)
+    walked = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
+    units = np.concatenate([_UNITS, np.sqrt(walked / h), np.full(chain, 100.0)])
+    q = np.diag((_QUIET * units) ** 2)
+    q[n : n + slow, n : n + slow] += np.diag(walked)
+    q[:n, :n] += model.d @ np.diag(walked[: len(UNKNOWN)]) @ model.d.T / 3  # of the walk within the period
+    scale = units / units[:, None]
+    return System(
+        a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), np.eye(len(noise)),
+        STATES.index("y"), n + slow, units,
+    )  # fmt: skip
+
+
+def _sensor_errors(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations of noise and bias of y (m), psi (rad) and r (rad/s); a bias is drawn uniformly."""
+    plane, base, uniform = loop.lateral, loop.lateral.base, np.sqrt(3.0)
+    of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / base])
+    noise = np.append(plane.noise * of_planes, loop.gyro.noise)
+    return np.maximum(noise, 1e-9), np.maximum(np.append(plane.bias * of_planes, loop.gyro.bias) / uniform, 1e-12)
+
+
+def limit(
+    vehicle: Vehicle,
+    loop: Loop,
+    speed: float,
+    walks: tuple[float, float],
+    activity: float = ACTIVITY,
+    creep: Creep | None = None,
+) -> Limit:
+    """Bound of the lateral error at an activity of the torque (N m); other parameters as of `system`."""
+    of = system(vehicle, loop, speed, walks, creep)
+    p, m = np.zeros_like(of.a), of.torque  # the torques are known
+    p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], of.r)
+    innovation = of.c @ p @ of.c.T + of.r
+    gain = p @ of.c.T @ np.linalg.inv(innovation)
+    after, driven = p - gain @ of.c @ p, gain @ innovation @ gain.T
+
+    def at(log_weight: float) -> Limit:
+        weight = 10.0**log_weight
+        closed = of.a - np.outer(of.b, feedback(of, weight))
+        filtered = solve_discrete_lyapunov(closed, (driven + driven.T) / 2)
+        known, whole = after[of.y, of.y], filtered[of.y, of.y] + after[of.y, of.y]
+        unit = of.units[of.y]
+        torque = of.units[of.torque] * _above(closed, gain @ np.linalg.cholesky(innovation), of.torque)
+        return Limit(float(unit * np.sqrt(whole)), float(unit * np.sqrt(known)), float(torque), weight)
+
+    return at(brentq(lambda log_weight: np.log(at(log_weight).activity / activity), -10.0, 0.0, xtol=1e-3))
+
+
+def feedback(of: System, weight: float) -> np.ndarray:
+    """Gain of the change of torque (N m) on the states, for the cost y^2 + weight du^2, see `Limit.weight`; (n,)."""
+    cost, unit = np.zeros_like(of.a), of.units[of.torque]
+    cost[of.y, of.y] = 1.0
+    b = of.b[:, None] * unit  # in units of the torque the equation is well scaled
+    p = solve_discrete_are(of.a, b, cost, np.array([[weight * unit**2]]))
+    return unit * (b.T @ p @ of.a)[0] / float(weight * unit**2 + (b.T @ p @ b)[0, 0])
+
+
+def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
+    """The bound (m) at the true place: with the error of localisation, which nobody can see, times the slopes of the
+    set point along the way (-)."""
+    return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
+
+
+def _above(closed: np.ndarray, noise: np.ndarray, state: int) -> float:
+    """Standard deviation of a state above 5 Hz, from x_(k+1) = closed x_k + noise e_k with white e of unit variance."""
+    h, n = EXCHANGE_PERIOD, len(closed)
+    f = np.geomspace(_CUT / 4, 0.5 / h, 300)
+    passed = 1 / (1 + (np.tan(np.pi * _CUT * h) / np.tan(np.minimum(np.pi * f * h, 1.57))) ** (2 * _ORDER))
+    resolvent = np.linalg.inv(np.exp(2j * np.pi * f * h)[:, None, None] * np.eye(n) - closed)
+    power = (np.abs(resolvent[:, state] @ noise) ** 2).sum(axis=1)
+    return float(np.sqrt(2 * h * np.trapezoid(passed**2 * power, f)))
