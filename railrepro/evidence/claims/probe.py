@@ -334,7 +334,7 @@ def _braked(world: ProbeSetup, scenario: Scenario, name: str, parameters: dict, 
 
 
 def _allocated(world: ProbeSetup, low: float = 0.02, high: float = 0.3, halvings: int = 7) -> Rows:
-    """The smallest share of the torque, fixed for steering, with which NMPC guides as accurately as with a variable one.
+    """The smallest fixed share of the torque with which NMPC guides as accurately as with a variable one.
 
     By halving, so that no grid decides. Nothing is told when the largest share is not enough.
     """
