@@ -12,6 +12,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -57,6 +58,8 @@ PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
 """Factors on R of the runs over which Fig. 8 is averaged: at the adhesion maximum single runs are chaotic."""
 NEIGHBOURS = (0.9, 1.0, 1.1)
 """Factors on NDI's poles over which its numbers in Fig. 9 spread: what its unpublished poles leave open."""
+SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
+"""Fixed shares of the torque that are tried from below; too large a share lengthens the way and with it the error."""
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
 """Fig. 8: the climb of the law is over, the demand exceeds the maximum, the maximum is reached (m)."""
 RECOVERY = 0.3
@@ -96,6 +99,8 @@ class ProbeSetup:
         R of NMPC in Figs. 8 and 9, over that of Figs. 6 and 7.
     brake_sweep : dict
         Entries of the set point of Fig. 9 that are changed.
+    ltv : str
+        What drives as LTV-MPC: "ltv_mpc_printed", or "ltv_mpc" which keeps its affine term.
     """
 
     parameters: dict[str, dict]
@@ -115,12 +120,14 @@ class ProbeSetup:
     r_loss: float = 1.0
     r_brake: float = 1.0
     brake_sweep: dict = field(default_factory=dict)
+    ltv: str = "ltv_mpc_printed"
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
         """A run of one of the controllers, with its own parameters unless others are given."""
         changes = {"variant": self.variant} if CONTROLLERS[controller].preview else {}
+        driver = self.ltv if controller == "ltv_mpc_printed" else controller
         return Experiment(
-            scenario, controller, parameters=parameters or self.parameters[controller],
+            scenario, driver, parameters=parameters or self.parameters[controller],
             options=CONTROLLERS[controller].quick, changes=changes, vehicle=self.vehicle,
             plant=self._plant(), sensors=self.sensors, **more,
         )  # fmt: skip
@@ -333,15 +340,16 @@ def _braked(world: ProbeSetup, scenario: Scenario, name: str, parameters: dict, 
     return world.experiment(scenario, name, parameters, **more).measured(braked)[0]
 
 
-def _allocated(world: ProbeSetup, low: float = 0.02, high: float = 0.3, halvings: int = 7) -> Rows:
+def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: int = 6) -> Rows:
     """The smallest fixed share of the torque with which NMPC guides as accurately as with a variable one.
 
-    By halving, so that no grid decides. Nothing is told when the largest share is not enough.
+    The first step of the ladder that is enough, then by halving, so that no grid decides; infinite where none is.
     """
     scenario, nmpc = world.braking(), with_r_times(world.parameters["nmpc"], world.r_brake)
     enough = GUIDES_AS_WELL * _braked(world, scenario, "nmpc", nmpc)["rmse_y"]
-    found = _braked(world, scenario, "nmpc", nmpc, fixed_share=high)
-    if not found["rmse_y"] <= enough:
+    tried = ((low, share, _braked(world, scenario, "nmpc", nmpc, fixed_share=share)) for low, share in pairwise(ladder))
+    low, high, found = next((step for step in tried if step[2]["rmse_y"] <= enough), (0.0, np.nan, {}))
+    if not found:
         return _rows(BRAKE, FIXED, {"rmse_y": np.inf, "stopping_distance": np.inf})
     for _ in range(halvings):
         middle = (low + high) / 2
