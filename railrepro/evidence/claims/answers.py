@@ -161,8 +161,10 @@ def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) ->
     nominal = Nominal().evidence(SETTING, tables=False)
     scenarios = {scenario for scenario, *_ in rows}
     metrics = {key: value for key, value in dict(nominal.metrics).items() if key[0] not in scenarios}
-    # ties are those of the nominal case: an answer comes without the spread of other swarms
-    after = judged(Evidence(metrics | {row[:3]: row[3] for row in rows}, nominal.spread))
+    # seeds of a swarm leave nothing open where the authors say what theirs found
+    told = {target.partition(":")[0] for question in answered.values() for target in question.sets}
+    spread = {key: value for key, value in nominal.spread.items() if key[1] not in told}
+    after = judged(Evidence(metrics | {row[:3]: row[3] for row in rows}, spread))
     before, known = judged(nominal), statements.load()
     return pd.DataFrame(
         [(i, known[i].statement, before.get(i, ""), verdict) for i, verdict in after.items()],
