@@ -241,12 +241,6 @@ def _s1002_straight(nominal: Nominal) -> str:
 
 
 @named
-def _ltv_gap_same_weights(nominal: Nominal) -> str:
-    table = nominal.results("ltv_gap").query("scenario == 'curve_entry_T3'").set_index("kind")["rmse_y"]
-    return quantity(table["ltv printed"] / table["nmpc"])
-
-
-@named
 def _degrees_of_freedom(nominal: Nominal) -> str:
     """Those of the bodies, and one per wheel."""
     nominal.results.file("railrepro/car/equations.py")
