@@ -75,7 +75,7 @@ endif
 # Where there is no C compiler one comes as a Python package, with a pin of its own.
 COMPILER_LOCK := railrepro/compile/compiler.lock
 
-.PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article answers verify variants bench study html lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -131,6 +131,9 @@ report: figures  ## write REPLICATION.md from the measured results
 
 article: figures $(BOOK)  ## the report as an article for a journal, build/article.pdf
 	$(PY) -m railrepro article
+
+answers: $(VENV)  ## verdicts that flip with the answers in data/answers.toml; SHEET=FILE takes another sheet
+	$(PY) -m railrepro answers $(SHEET)
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro chain verify

@@ -15,7 +15,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 @pytest.fixture(scope="module")
 def nominal():
     """Where the numbers of report and article come from."""
-    from railrepro.evidence.report.evidence import Nominal
+    from railrepro.evidence.claims.nominal import Nominal
 
     return Nominal()
 

@@ -12,7 +12,7 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.statements import Finding, Statement
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.pso import Dimension
-from railrepro.evidence.uncertainty import emulator, matching
+from railrepro.evidence.uncertainty import cma, emulator, matching
 from railrepro.evidence.uncertainty.matching import Problem
 
 SPACE = tuple(Dimension(f"x{i}", 0.0, 1.0) for i in range(12))
@@ -137,16 +137,70 @@ def test_values_become_a_world():
         "delay of the drive (s)": 2e-3,
     }
     world = matching.world(changed)
-    assert world.vehicle == {"wheel.radius": 0.45} and world.profile == "s1002"
+    assert world.vehicle == {"wheel.radius": 0.45, "drive.lag": 7e-3} and world.profile == "s1002"
     assert world.parameters["ndi"]["pole"] == world.parameters["ndi"]["frequency"] == 40.0
-    assert world.sensors == {"perfect": True, "inverter.delay": 2e-3, "filter.creep_lag": 10.0}
+    assert world.sensors == {} and world.car().drive.lag == pytest.approx(5e-3 + 2e-3), "of the motor command alone"
     nominal = matching.world({})
-    assert nominal.sensors == {} and nominal.profile == "cone" and nominal.vehicle == {}
+    assert nominal.sensors == {} and nominal.profile == "" and nominal.vehicle == {}
     halved = matching.world({"R of the MPC, over the tuned": 0.5})
     assert halved.parameters["nmpc"]["r"] == 0.5 * nominal.parameters["nmpc"]["r"]
     elsewhere = matching.world({"tuned in setting (paper, equal)": 1})
     assert elsewhere.parameters["nmpc"] == tuning.load("nmpc", "equal")["parameters"] != nominal.parameters["nmpc"]
     assert nominal.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"]
+
+
+def test_no_delay_is_the_limit_of_a_short_one():
+    """A nanosecond changes what a probe measures by nothing that a verdict could see."""
+    none, short = (matching.ProbeTask(("curve",))((("delay of the drive (s)", delay),)) for delay in (0.0, 1e-9))
+    assert none.keys() == short.keys()
+    for key, value in none.items():
+        assert short[key] == pytest.approx(value, rel=1e-3, abs=1e-9), key
+
+
+def test_few_directions_are_matched_and_each_reaches_the_probe():
+    assert len(matching.dimensions()) <= 20
+    nominal = matching.world({})
+    for dimension in matching.dimensions():
+        assert matching.world({dimension.name: dimension.value(0.9)}) != nominal, dimension.name
+
+
+def test_margins_that_move_in_steps_may_be_off_by_a_step():
+    emulators = {name: lambda x: (np.array([-0.5]), np.zeros(1)) for name in ("C05", "C20")}
+    plain, stepped = matching.implausibility(emulators, np.zeros((1, 1)))[0]
+    assert plain == pytest.approx(5.0) and stepped == pytest.approx(0.5 / np.hypot(0.1, 0.2))
+
+
+def test_the_search_goes_on_from_the_closest_run_and_says_how_well_runs_were_foreseen():
+    truth = np.random.default_rng(4).uniform(0.2, 0.8, len(SPACE))
+    problem = planted(truth, tolerance=0.02)
+    waves = matching.match(problem, waves=2, count=64, candidates=2**10)
+    found = matching.match(problem, waves=2, count=64, generations=15, candidates=2**10)
+    before, after = (matching.missed(m.margins).min() for m in (waves, found))
+    assert after < 0.2 * before and len(found.points) == 128 + 15 * 11
+    assert found.waves["stage"].tolist() == ["wave", "wave", "search"]
+    assert found.waves["points"].sum() == len(found.points) == len(found.margins)
+    first, second = found.waves["held_out"].iloc[:2]
+    assert np.isnan(first) and 0.1 < second < 1.5
+
+
+def test_the_evolution_strategy_finds_the_minimum_of_a_narrow_valley():
+    generator = np.random.default_rng(1)
+    turn, _ = np.linalg.qr(generator.standard_normal((5, 5)))
+    scale = np.geomspace(1, 30, 5)
+
+    def cost(points):
+        return ((scale * ((points - 0.4) @ turn)) ** 2).sum(axis=1)
+
+    points, costs = cma.minimise(cost, np.full(5, 0.8), 200, seed=3)
+    assert costs.min() < 1e-6 and np.allclose(points[costs.argmin()], 0.4, atol=1e-3)
+    assert (points >= 0).all() and (points <= 1).all()
+    again, _ = cma.minimise(cost, np.full(5, 0.8), 200, seed=3)
+    assert (again == points).all()
+
+
+def test_the_evolution_strategy_reaches_a_minimum_on_a_face():
+    points, costs = cma.minimise(lambda p: p[:, 0] + (p[:, 1] - 1) ** 2, np.full(2, 0.5), 80, seed=3)
+    assert np.allclose(points[costs.argmin()], [0.0, 1.0], atol=0.02)
 
 
 def test_what_one_run_cannot_tell_counts_as_missed():

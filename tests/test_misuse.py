@@ -343,7 +343,7 @@ def test_wrong_arguments_are_told_in_one_sentence_before_anything_starts(what, c
 
 
 COMMANDS = ["tune", "probe", "robustness", "matching", "margins", "order", "bench", "second-opinion", "report",
-            "article", "score", "leaderboard", "film", "chain"]  # fmt: skip
+            "article", "answers", "score", "leaderboard", "film", "chain"]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -37,8 +37,8 @@ def html() -> Path:
 def _source(folder: Path) -> Path:
     """Write the source of the book; returns its folder."""
     from railrepro.evidence.claims import statements
+    from railrepro.evidence.claims.nominal import Nominal
     from railrepro.evidence.report import article, claims, notation
-    from railrepro.evidence.report.evidence import Nominal
 
     notebooks = chain()
     contents = {notebook.name: pages.executed(notebook) for notebook in notebooks}

@@ -7,16 +7,17 @@ Markdown into Typst, Typst typesets it. No number of the prose is typed: each is
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pandas as pd
 
 from railrepro import __version__, paths
+from railrepro.control.registry import PAPER_TRIO
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
-from railrepro.evidence.report import text
-from railrepro.evidence.report.evidence import Nominal
-from railrepro.evidence.report.reasons import filled
+from railrepro.evidence.claims.nominal import Nominal
+from railrepro.evidence.report import claims, text, theses
+from railrepro.evidence.report.reasons import filled, link, quantity
 from railrepro.evidence.report.references import References
 from railrepro.evidence.runs import tuning
 from railrepro.files import write
@@ -60,10 +61,10 @@ class _Article:
         self._table, self._nominal, self._references = table, nominal, References()
         template = paths.source(TEMPLATE).read_text(encoding="utf-8")
         self._figures = [match[1] for match in _FIGURE.finditer(template)]
-        self._verdicts = text.overall(table)
-        judged = sum(map(len, text.kinds(table).values()))
+        self._verdicts = claims.verdicts(table)
+        judged = sum(verdict != claims.NO_VERDICT for verdict in self._verdicts.values())
         self._own = {
-            "counted": f"[{text.counted(table)}](data/results/claims.csv)",
+            "counted": f"[{claims.counted(table)}](data/results/claims.csv)",
             "without": f"[{text.without(table)}](data/results/claims.csv)",
             "judged": f"[{judged}](data/claims.toml)",
             "calibrated": f"[{(table['kind'] == 'calibrated').sum()}](data/claims.toml)",
@@ -73,12 +74,13 @@ class _Article:
 
     def text(self) -> str:
         blocks: dict[str, Callable[[], list[str]]] = {
-            "headline": lambda: text.headline(self._nominal, (34, 20, 24, 24, 24))[:-2],
+            "headline": lambda: headline(self._nominal, (34, 20, 24, 24, 24)),
+            "summary": lambda: [" ".join(theses.summary(self._nominal))],
             "statements": self._statements,
             "conditions": self._conditions,
             "robustness": self._robustness,
             "matching": self._matching,
-            "questions": lambda: text.questions(self._nominal),
+            "questions": text.questions,
             "tables": self._sources,
             "references": self._references.listed,
         }
@@ -128,58 +130,40 @@ class _Article:
         return f"[Figure {self._figures.index(name) + 1}](#article-{name})"
 
     def _statements(self) -> list[str]:
-        """Every judged statement with its mark in each setting, and its share where samples tell."""
-        known, rows = statements.load(), []
-        for identity, own in self._table.groupby("id", sort=False):
-            if known[str(identity)].kind == "calibrated":
-                continue
-            marks = {row.setting: text.marked(row) for row in own.itertuples()}
-            cells = [marks.get(setting, "") for setting in ("", *tuning.SETTINGS)]
-            rows.append([_claim(str(identity)), known[str(identity)].statement, *cells])
-        heads = ["", "statement", "any", *(f"`{setting}`" for setting in tuning.SETTINGS)]
+        """Every judged statement with its mark in each setting, and on the calibrated car."""
+        rows = []
+        for identity, own in self._table[self._table["kind"] == "statement"].groupby("id", sort=False):
+            marks = {row.setting: text.MARKS[row.judged] for row in own.itertuples()}
+            cells = [marks.get(setting, "") for setting in tuning.SETTINGS]
+            cells = [marks[""], "", ""] if "" in marks else cells
+            rows.append(
+                [_claim(str(identity)), own["statement"].iloc[0], *cells, text.CALIBRATED[own["calibrated"].iloc[0]]]
+            )
+        heads = ["", "statement", *(f"`{setting}`" for setting in tuning.SETTINGS), "calibrated"]
         return text.rows_of(rows, heads, (5, 65, 10, 10, 10, 10))
 
     def _conditions(self) -> list[str]:
-        """Why statements do not hold, and what would have to be true; what was said before is not said again."""
-        known, rows, causes, conditions = statements.load(), [], _Said("As"), _Said("as")
-        for identity, own in self._table.groupby("id", sort=False):
-            statement = known[str(identity)]
-            if statement.kind == "statement" and (own["verdict"] != statements.REPRODUCED).any():
-                cause = filled(statement.why, self._nominal, linked=True)
-                condition = text.would_hold(str(identity), statement, own, self._nominal)
-                claim = _claim(str(identity))
-                rows.append([claim, causes(claim, cause), conditions(claim, condition)])
-        return text.rows_of(rows, ["", "why not", "would hold if"], (6, 54, 40))
+        """Why statements do not hold on `paper`, and when they would."""
+        rows = []
+        for role, head in (("why", ""), ("holds_if", "would hold if ")):
+            for of, says in text.explained(self._table, self._nominal, role):
+                rows.append([", ".join(map(_claim, of)), head + says])
+        return text.rows_of(rows, ["", "why not, and when"], (14, 86))
 
     def _robustness(self) -> list[str]:
         """How many verdicts hold in most of the samples."""
-        found = self._nominal.results.optional("robustness_claims")
-        if found is None or "setting" not in found:
-            return ["The study that varies the unpublished parameters has not been judged with these rules yet."]
-        where = "data/results/robustness_claims.csv"
-        fragile = text.kinds(self._table).get("fragile", [])
-        said = (
-            f"**How sure.** Over cars and experiments drawn from the ranges of what is not published, every controller "
-            f"tuned again, [{(found['share'] > 0.5).sum()}]({where}) of [{len(found)}]({where}) pairs of statement and "
-            f"setting hold in more than half of [{int(found['samples'].max())}]({where}) samples. "
-        )
-        most = ", ".join(map(_claim, fragile))
-        return [said + (f"Fragile, by rule, are {most}." if fragile else "No verdict is fragile by rule.")]
+        fragile = [_claim(i) for i, verdict in self._verdicts.items() if verdict == claims.FRAGILE]
+        said = f" Fragile, by rule, are {', '.join(fragile)}." if fragile else ""
+        return [f"**Robustness.** {text.robust(self._nominal)}{said}"]
 
     def _matching(self) -> list[str]:
-        """What the history matching found, with the figure of its region when a notebook has drawn it."""
-        if self._nominal.results.optional("matching_waves") is None:
-            return ["Which cars and settings let most statements hold together has not been matched yet."]
-        lines = text.matched(self._nominal)
-        sought = "By history matching [@Vernon2010] we sought cars and settings at which the statements hold together."
-        lines[0] = f"**Matching.** {sought} {lines[0]}"
+        """What the matching found, with the figure of its region when a notebook has drawn it."""
+        lines = [f"**Matching** [@Vernon2010]. {text.matched(self._nominal)}"]
         name = text.region_figure()
-        if name:
+        if name and self._nominal.results.optional("matching_waves") is not None:
             self._figures.append(name)
-            place = lines.index(f"![region](figures/{name}.png)")
-            lines[place] = self._figure(name, "What is left of the prior, in pairs of the narrowest directions.")
+            lines += ["", self._figure(name, "What is left of the prior, in pairs of the narrowest directions.")]
             lines[0] += f" {self._mention(name)} draws what is left."
-        lines = [line if line.startswith("|") else re.sub(r"\bC\d\d\b", lambda m: _claim(m[0]), line) for line in lines]
         lines = [self._references.numbered(line) for line in lines]
         self._lines += lines
         return lines
@@ -187,26 +171,41 @@ class _Article:
     def _sources(self) -> list[str]:
         """The files that numbers of the article were read from."""
         files = {f for line in self._lines for f in re.findall(r"\]\((?!figures)([\w/.]+\.\w+)\)", line)}
-        files |= {f for line in text.headline(self._nominal) for f in re.findall(r"\]\(([\w/.]+)\)", line)}
+        files |= {f for line in headline(self._nominal) for f in re.findall(r"\]\(([\w/.]+)\)", line)}
         links = [f"[{file.removeprefix('data/results/')}]({file})" for file in sorted(files)]
         links += [""] * (-len(links) % 3)
         rows = [links[i : i + 3] for i in range(0, len(links), 3)]
         return text.rows_of(rows, ["numbers were read from", "", ""], (30, 30, 30))
 
 
-class _Said:
-    """Sentences that are said once, afterwards by whom they were said."""
+def headline(nominal: Nominal, widths: Sequence[int] = ()) -> list[str]:
+    """Results of the paper and ours in the three settings, as NMPC / LTV-MPC as printed / NDI."""
+    ranking = "NMPC < LTV-MPC < NDI"
+    results = [
+        ("RMSE of y in the curve entry on T3, 280 km/h (Fig. 6)", ranking, "curve_entry_T3", "rmse_y", "mm"),
+        ("RMSE of y of the sine on T5, 400 km/h (Fig. 7)", ranking, "sine_tracking 400", "rmse_y", "mm"),
+        ("RMSE of y on poor rail, 400 km/h (Fig. 8)", "oscillation", "adhesion_loss", "rmse_y", "mm"),
+        ("RMSE of y while braking, 160 km/h (Fig. 9)", "NMPC < NDI", "braking", "rmse_y", "mm"),
+        ("stopping distance (Fig. 9)", "NMPC < NDI", "braking", "stopping_distance", "m"),
+    ]
+    rows = []
+    for what, paper, scenario, metric, unit in results:
+        cells = [[_cell(nominal, s, scenario, name, metric, unit) for name in PAPER_TRIO] for s in tuning.SETTINGS]
+        rows.append([f"{what} ({unit})", paper, *map(" / ".join, cells)])
+    return text.rows_of(rows, ["result", "the paper", *(f"`{setting}`" for setting in tuning.SETTINGS)], widths)
 
-    def __init__(self, word: str):
-        self._word = word
-        self._known: dict[str, str] = {}
 
-    def __call__(self, claim: str, words: str) -> str:
-        sentences = re.split(r"(?<=\.) (?=[A-Z])", words)
-        before = dict.fromkeys(self._known[sentence] for sentence in sentences if sentence in self._known)
-        fresh = [sentence for sentence in sentences if sentence not in self._known]
-        self._known |= dict.fromkeys(fresh, claim)
-        return " ".join([*([f"{self._word} {', '.join(before)}."] if before else []), *fresh])
+def _cell(nominal: Nominal, setting: str, scenario: str, controller: str, metric: str, unit: str) -> str:
+    """A linked number without its unit."""
+
+    def found() -> str:
+        value = nominal.evidence(setting)(scenario, controller, metric)
+        return quantity(value, unit if unit == "mm" else "").removesuffix(" mm")
+
+    try:
+        return link(*nominal.traced(found))
+    except statements.MissingEvidence:
+        return "–"
 
 
 def _claim(identity: str) -> str:
@@ -277,9 +276,7 @@ def _original() -> str:
 
 def main() -> None:
     """Write build/article.pdf."""
-    from railrepro.evidence.report.claims import evaluate
-
     nominal = Nominal()
     file = paths.BUILD / "article.pdf"
-    write(file, pdf(render(evaluate(nominal), nominal)))
+    write(file, pdf(render(claims.evaluate(nominal), nominal)))
     print(file.relative_to(paths.ROOT))

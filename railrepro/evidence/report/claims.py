@@ -1,60 +1,62 @@
 """Verdicts on the paper's statements, in each setting of comparison; REPLICATION.md is rendered from them.
 
-`data/claims.toml` holds the statements and rules, `railrepro.evidence.claims.statements` one predicate each.
-`python -m railrepro report` writes data/results/claims.csv and REPLICATION.md. A verdict that differs
-from the stored one is reported, and a test fails.
+`data/claims.toml` holds the rules, `railrepro.evidence.claims.statements` one predicate each, `data/verdicts.csv` the
+verdicts that were stored on purpose, `data/theses.toml` why a statement fails. The headline verdict of a statement is
+that in the setting `paper` on the uncalibrated car; that on the calibrated car is a column of its own.
 """
 
 from __future__ import annotations
-
-import sys
 
 import numpy as np
 import pandas as pd
 
 from railrepro import paths
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.statements import (
-    NOT,
-    PARTLY,
-    REPRODUCED,
-    UNTESTABLE,
-    Finding,
-    MissingEvidence,
-    Statement,
-)
-from railrepro.evidence.report.evidence import Nominal
-from railrepro.evidence.report.reasons import filled
+from railrepro.evidence.claims.nominal import Nominal
+from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE, Finding, MissingEvidence
+from railrepro.evidence.report.theses import reasons_of
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
 from railrepro.files import write
 
-MAJORITY = 0.5
-"""Share of the samples in which a reproduced statement must hold."""
+STORED = "data/verdicts.csv"
+HEADLINE = "paper"
+"""Setting whose verdict counts; the others stand beside it."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
+ORDER = (REPRODUCED, FRAGILE, PARTLY, TIE, NOT, UNTESTABLE)
+"""Verdicts, the best first."""
+_CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
+"""Verdicts that the column `verdict` of claims.csv has no word for; `judged` has them all."""
 
 
 def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
     """Verdicts, one row per statement and setting (contract of data/results/claims.csv).
 
-    `setting` is empty for statements that no tuned set enters; `verdict` counts the nominal case and, where samples of
-    the robustness study tell, the share of them in which the statement holds.
+    `setting` is empty for statements that no tuned set enters. `judged` is the verdict with fragile and tie told apart;
+    `calibrated` whether the statement holds on the calibrated car ("yes", "no" or empty when it was not asked).
     """
     nominal = nominal or Nominal()
     robust = shares(nominal.results.optional("robustness_samples")).set_index(["id", "setting"])
+    calibrated = on_calibrated_car(nominal)
     return pd.DataFrame(
-        _row(identity, statement, setting, nominal, robust)
+        _row(identity, statement, setting, nominal, robust) | {"calibrated": calibrated.get(identity, "")}
         for identity, statement in statements.load().items()
         for setting in judged_on(identity, statement, nominal)
     )
 
 
-def judged_on(identity: str, statement: Statement, nominal: Nominal) -> list[str]:
+def on_calibrated_car(nominal: Nominal) -> dict[str, str]:
+    """Whether each statement holds on the calibrated car, by id; empty before data/results/paper_like.csv is made."""
+    found = nominal.results.optional("paper_like")
+    if found is None or not {"statement", "holds"} <= set(found):
+        return {}
+    return {str(row.statement): "yes" if row.holds else "no" for row in found.itertuples()}
+
+
+def judged_on(identity: str, statement: statements.Statement, nominal: Nominal) -> list[str]:
     """Settings whose evidence can tell; [""] for what does not depend on the setting."""
-    if statement.kind == "calibrated":
-        return [""]
     found = []
-    for setting in nominal.settings():
+    for setting in nominal.settings() if statement.kind == "statement" else ():
         try:
             statements.find(identity, nominal.evidence(setting, tables=False))
             found.append(setting)
@@ -63,11 +65,12 @@ def judged_on(identity: str, statement: Statement, nominal: Nominal) -> list[str
     return found or [""]
 
 
-def _row(identity: str, statement: Statement, setting: str, nominal: Nominal, robust: pd.DataFrame) -> dict:
+def _row(identity: str, statement: statements.Statement, setting: str, nominal: Nominal, robust: pd.DataFrame) -> dict:
     share = robust.loc[(identity, setting)] if (identity, setting) in robust.index else None
     finding, used = _found(identity, statement, setting, nominal)
     verdict = UNTESTABLE if finding is None else statement.judge(finding)
-    fragile = verdict == REPRODUCED and share is not None and share["share"] <= MAJORITY
+    judged = FRAGILE if verdict == REPRODUCED and share is not None and share["low"] <= 0.5 else verdict
+    settled = verdict == judged == REPRODUCED or finding is None
     return {
         "id": identity,
         "paper_ref": statement.section,
@@ -77,20 +80,20 @@ def _row(identity: str, statement: Statement, setting: str, nominal: Nominal, ro
         "paper_value": np.nan if statement.paper is None else statement.paper,
         "measured_value": np.nan if finding is None else finding.value,
         "unit": statement.unit,
-        "verdict": PARTLY if fragile else verdict,
-        "share": np.nan if share is None else share["share"],
-        "share_low": np.nan if share is None else share["low"],
-        "share_high": np.nan if share is None else share["high"],
-        "why": _why(statement, finding, verdict, share if fragile else None, nominal),
+        "verdict": _CONTRACT.get(judged, judged),
+        **{f"share{end}": np.nan if share is None else share[end[1:] or "share"] for end in ("", "_low", "_high")},
+        "why": "" if settled else " ".join(reasons_of(identity, "why", nominal)),
         "evidence": statement.evidence,
-        "nominal": verdict,
+        "judged": judged,
         "data": " ".join(used),
     }
 
 
-def _found(identity: str, statement: Statement, setting: str, nominal: Nominal) -> tuple[Finding | None, list[str]]:
+def _found(
+    identity: str, statement: statements.Statement, setting: str, nominal: Nominal
+) -> tuple[Finding | None, list[str]]:
     """What the predicate finds in some setting and in which tables; None when nothing can tell."""
-    if statement.kind == "calibrated":
+    if statement.kind != "statement":
         return None, []
     try:
         return nominal.traced(lambda: statements.find(identity, nominal.evidence(setting or tuning.EQUAL, not setting)))
@@ -98,80 +101,62 @@ def _found(identity: str, statement: Statement, setting: str, nominal: Nominal) 
         return None, []
 
 
-def _why(statement: Statement, finding: Finding | None, verdict: str, share, nominal: Nominal) -> str:
-    """Why a statement is not, or not fully, reproduced."""
-    if statement.kind == "calibrated":
-        return "A choice of ours was made so that it holds: " + statement.reason + "."
-    if finding is None:
-        return "The tables do not have it yet; `make study` writes them."
-    words = [f"Fragile: holds in {100 * share['share']:.0f} % of the samples."] if share is not None else []
-    words += ["A tie: seeds differ as much."] if statement.tied(finding) else []
-    words += [filled(statement.why, nominal)] if verdict in (NOT, PARTLY) or share is not None else []
-    return " ".join(filter(None, words))
-
-
-def overall(rows: pd.DataFrame) -> str:
-    """The verdict on a statement over all its settings, by rule; calibrated choices have none.
-
-    Reproduced when it is in every setting; reproduced in setting … when in some; fragile when the nominal case holds
-    somewhere but no share of samples is above one half; else partly, not reproduced or not testable.
-    """
-    if set(rows["kind"]) == {"calibrated"}:
+def headline(rows: pd.DataFrame) -> str:
+    """The verdict on a statement: that in the setting `paper`, or of what needs no setting."""
+    if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
-    verdicts = set(rows["verdict"])
-    if verdicts == {REPRODUCED}:
-        return REPRODUCED
-    if REPRODUCED in verdicts:
-        return "reproduced in setting " + ", ".join(rows.loc[rows["verdict"] == REPRODUCED, "setting"])
-    if REPRODUCED in set(rows["nominal"]):
-        return FRAGILE
-    return next(verdict for verdict in (PARTLY, NOT, UNTESTABLE) if verdict in verdicts)
+    counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]
+    return str(counts.iloc[0]) if len(counts) else UNTESTABLE
 
 
 def verdicts(table: pd.DataFrame) -> dict[str, str]:
-    """Overall verdict by id, in the order of data/claims.toml."""
-    return {str(identity): overall(rows) for identity, rows in table.groupby("id", sort=False)}
+    """Headline verdict by id, in the order of data/claims.toml."""
+    return {str(identity): headline(rows) for identity, rows in table.groupby("id", sort=False)}
+
+
+def counted(table: pd.DataFrame) -> str:
+    """How many statements have which verdict: those that depend on the setting, and those that need none."""
+    found, parts = verdicts(table), []
+    judged = table[table["kind"] == "statement"]
+    for needed, where in (
+        (judged["setting"] != "", "are compared in the setting `paper`"),
+        (judged["setting"] == "", "need no setting"),
+    ):
+        ids = [str(identity) for identity in judged[needed]["id"].unique()]
+        kinds = {verdict: sum(found[i] == verdict for i in ids) for verdict in ORDER}
+        said = ", ".join(f"{number} {verdict}" for verdict, number in kinds.items() if number)
+        parts.append(f"{len(ids)} statements {where}: {said}.")
+    return " ".join(parts)
+
+
+def stored() -> pd.DataFrame:
+    """The verdicts that were stored on purpose: id, and one column per setting ("" for what needs none)."""
+    return pd.read_csv(paths.source(STORED), dtype=str, keep_default_na=False)
+
+
+def _by_setting(table: pd.DataFrame) -> pd.DataFrame:
+    """Verdicts in the form of `stored`."""
+    rows = []
+    for identity, own in table.groupby("id", sort=False):
+        by = dict(zip(own["setting"], own["judged"], strict=True)) if set(own["kind"]) == {"statement"} else {}
+        shown = {setting: by.get(setting, "") for setting in tuning.SETTINGS}
+        rows.append({"id": identity, "verdict": headline(own)} | shown)
+    return pd.DataFrame(rows)
 
 
 def changed(table: pd.DataFrame) -> list[str]:
     """Sentences on verdicts that differ from the stored ones."""
-    known = statements.load()
+    found, known, before = _by_setting(table).set_index("id"), statements.load(), stored().set_index("id")
+    before = before.reindex(index=found.index, columns=found.columns).fillna("nothing")
     return [
-        f"{identity}: now {verdict!r}, stored {known[identity].verdict!r} ({known[identity].statement})"
-        for identity, verdict in verdicts(table).items()
-        if verdict != known[identity].verdict
+        f"{identity}, {column}: now {found.loc[identity, column]!r}, stored {before.loc[identity, column]!r} "
+        f"({known[str(identity)].statement})"
+        for identity in found.index
+        for column in found.columns
+        if found.loc[identity, column] != before.loc[identity, column]
     ]
 
 
-def main(accept: bool = False) -> int:
-    """Evaluate the claims and write claims.csv and REPLICATION.md; `accept` stores the new verdicts."""
-    from railrepro.evidence.report.text import render
-
-    nominal = Nominal()
-    table = evaluate(nominal)
-    if accept:
-        _store(verdicts(table))
-    contract = table.drop(columns=["nominal", "data"])
-    write(paths.product("data/results/claims.csv"), contract.to_csv(index=False, float_format="%.4g"))
-    write(paths.product("REPLICATION.md"), render(table, nominal))
-    print(pd.Series(verdicts(table)).value_counts().to_string())
-    differences = changed(table)
-    if differences:
-        advice = "store them with --accept if that is right"
-        print("\n  ".join(["verdicts changed:", *differences]), advice, sep="\n", file=sys.stderr)
-    return int(bool(differences))
-
-
-def _store(found: dict[str, str]) -> None:
-    """Write the verdicts into data/claims.toml, keeping everything else as it is."""
-    file = paths.ROOT / "data/claims.toml"
-    lines, identity = [], ""
-    for line in file.read_text(encoding="utf-8").splitlines():
-        if line.startswith("["):
-            identity = line.strip("[]")
-        if line.startswith("verdict ="):
-            continue
-        lines.append(line)
-        if line.startswith("section ="):
-            lines.append(f'verdict = "{found[identity]}"')
-    write(file, "\n".join(lines) + "\n")
+def store(table: pd.DataFrame) -> None:
+    """Store the verdicts on purpose."""
+    write(paths.ROOT / STORED, _by_setting(table).to_csv(index=False))

@@ -17,11 +17,11 @@ from railrepro import paths
 from railrepro.car.equations import BODIES, COORDINATES, WHEELS
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
+from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import MissingEvidence
-from railrepro.evidence.report.evidence import Nominal
 from railrepro.evidence.runs import tuning
+from railrepro.evidence.uncertainty.robustness import OPEN, prior
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.vehicle.parameters import sample_ranges
 
 UNKNOWN = "n/a"
 NAMED: dict[str, Callable[[Nominal], str]] = {}
@@ -95,23 +95,55 @@ def _printed(what: str) -> str:
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """A number with three digits, and its unit; "left the rail" for an infinite one."""
+    """A number with three digits, and its unit; "derailed" for an infinite one."""
     if np.isinf(value):
-        return "left the rail"
+        return "derailed"
     if np.isnan(value):
         return UNKNOWN
     shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value
     return (f"{shown:.3g}" if abs(shown) < 100 else f"{shown:.1f}".removesuffix(".0")) + (f" {unit}" if unit else "")
 
 
+def _poles(nominal: Nominal) -> pd.DataFrame:
+    """Error of NDI on T3 (mm) by its triple pole (rad/s), on the scale of NMPC."""
+    return nominal.results("ndi_poles").sort_values("pole_radps", kind="stable")
+
+
 @named
-def _pole_cross(nominal: Nominal) -> str:
-    """Triple pole of NDI with which it draws level with NMPC on T3 (rad/s)."""
-    table = nominal.results("ndi_poles").sort_values("pole_radps", kind="stable")
-    ahead = np.log(table["rmse_mm"] / table["nmpc_mm"]).to_numpy()
-    if (ahead > 0).all() or (ahead < 0).all():
+def _pole_follows(nominal: Nominal) -> str:
+    """Triple pole from which NDI on T3 stays below 0.71 of the error of y = 0 (rad/s)."""
+    table, idle = _poles(nominal), nominal.evidence("paper")("curve_entry_T3", "nothing", "rmse_y")
+    limit = 0.71e3 * idle
+    if table["rmse_mm"].iloc[-1] > limit or table["rmse_mm"].iloc[0] < limit:
         return UNKNOWN
-    return f"{np.interp(0.0, -ahead, table['pole_radps']):.0f}"
+    return f"{np.interp(-limit, -table['rmse_mm'], table['pole_radps']):.0f}"
+
+
+@named
+def _poles_ratio(nominal: Nominal) -> str:
+    """Error of NDI over that of NMPC on T3 in the setting `paper`."""
+    errors = [nominal.evidence("paper")("curve_entry_T3", name, "rmse_y") for name in ("ndi", "nmpc")]
+    return quantity(errors[0] / errors[1])
+
+
+@named
+def _least_ndi(nominal: Nominal) -> str:
+    """Least error of NDI on T3 over all its triple poles (mm)."""
+    return quantity(_poles(nominal)["rmse_mm"].min())
+
+
+@named
+def _largest_pole(nominal: Nominal) -> str:
+    return quantity(_poles(nominal)["pole_radps"].max())
+
+
+@named
+def _saved_paper(nominal: Nominal) -> str:
+    """Stopping distance that the second setting of R saves in the setting `paper` (m)."""
+    first, second = (
+        nominal.evidence("paper")("braking", name, "stopping_distance") for name in ("nmpc", "nmpc, second R")
+    )
+    return quantity(first - second)
 
 
 @named
@@ -123,7 +155,7 @@ def _no_creep_share(nominal: Nominal) -> str:
 def _table_one(track: str) -> Callable[[Nominal], str]:
     def found(nominal: Nominal) -> str:
         table = nominal.results("table1").set_index("track")
-        return f"{table.loc[track, 'b_sin_phi_m']:.4f} (sine, 1.5 m)"
+        return f"{table.loc[track, 'b_sin_phi_m']:.4f}"
 
     return found
 
@@ -132,8 +164,8 @@ NAMED |= {f"table1_T{i}": _table_one(f"T{i}") for i in (1, 2, 3, 4)}
 
 
 @named
-def _error_at_crests(nominal: Nominal) -> str:
-    return quantity(nominal.evidence("equal")("curve_entry_T3", "nmpc", "error_at_crests"))
+def _error_at_opposed_crests(nominal: Nominal) -> str:
+    return quantity(nominal.evidence("paper")("curve_entry_T3", "nmpc", "error_at_opposed_crests"))
 
 
 def _median_ms(nominal: Nominal, solver: str) -> float:
@@ -169,7 +201,7 @@ def _reached_m(nominal: Nominal) -> str:
 
 @named
 def _allocation_gain(nominal: Nominal) -> str:
-    return quantity(100 * statements.find("C34", nominal.evidence("equal")).value)
+    return quantity(100 * statements.find("C34", nominal.evidence("paper")).value)
 
 
 def _preview_error(nominal: Nominal, error: str) -> str:
@@ -209,28 +241,6 @@ def _s1002_straight(nominal: Nominal) -> str:
 
 
 @named
-def _ltv_gap_same_weights(nominal: Nominal) -> str:
-    table = nominal.results("ltv_gap").query("scenario == 'curve_entry_T3'").set_index("kind")["rmse_y"]
-    return quantity(table["ltv printed"] / table["nmpc"])
-
-
-def _front(nominal: Nominal) -> tuple[float, float]:
-    ways = nominal.results("braking_front").query("stopped and kind == 'nmpc' and factor >= 1")["stopping_distance"]
-    return ways.max() - ways.min(), ways.max()
-
-
-@named
-def _front_range(nominal: Nominal) -> str:
-    return quantity(_front(nominal)[0], "m")
-
-
-@named
-def _front_share(nominal: Nominal) -> str:
-    saved, longest = _front(nominal)
-    return quantity(saved / longest, "%")
-
-
-@named
 def _degrees_of_freedom(nominal: Nominal) -> str:
     """Those of the bodies, and one per wheel."""
     nominal.results.file("railrepro/car/equations.py")
@@ -258,7 +268,7 @@ def _swarms(nominal: Nominal) -> str:
 def _unpublished(nominal: Nominal) -> str:
     """Parameters of the car that the robustness study varies."""
     nominal.results.file("data/vehicle.toml")
-    return f"{sum(not key.startswith('adhesion.') for key in sample_ranges())}"
+    return f"{len(prior()) - sum('.' not in dimension.name for dimension in OPEN)}"
 
 
 @named

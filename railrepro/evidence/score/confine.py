@@ -1,4 +1,4 @@
-"""What the process of a controller may do: compute, read files, answer. No sandbox, see README.
+"""What the process of a controller may do: compute, read files, answer. No sandbox, see `make score` in the guide.
 
 Limits of the system bound processor, memory and written files; on Linux (x86-64) a filter of system calls also refuses
 new processes, signals to others, sockets, foreign memory and changes of files.

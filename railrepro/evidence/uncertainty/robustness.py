@@ -7,7 +7,7 @@ where it was. Serves the question what the paper's unpublished parameters decide
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -20,17 +20,19 @@ from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_tim
 from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
+from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import PARTS, ProbeSetup, probe
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.runs.swarm import driven, run_cost
 from railrepro.files import write
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.vehicle.parameters import sample_ranges
+from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
-SAMPLES, REPLICATES, SEED = 8, 4, 2026
-"""Samples per scrambled sequence, sequences, seed of the first."""
+SAMPLES, SEED = 128, 2026
+"""Samples of the sequence, the same in each setting, and its seed."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
 SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
@@ -86,63 +88,68 @@ def stability(
     return pd.DataFrame(rows(_row, experiments, "stability", quiet))
 
 
+OPEN = (
+    Dimension("profile (cone, S1002)", 0, 1, "integer"),
+    Dimension("LTV-MPC (printed, with its affine term)", 0, 1, "integer"),
+    Dimension("amplitude_mm", 1.0, 5.0),
+    Dimension("period_start_m", 100.0, 200.0),
+    Dimension("period_end_m", 30.0, 80.0),
+    Dimension("clothoid_factor", 0.6, 1.5),
+    Dimension("r_loss", 1.0, 300.0, "log"),
+    Dimension("r_brake", 1.0, 300.0, "log"),
+    Dimension("r_second", 2.0, 10.0, "log"),
+    Dimension("adhesion.poor.k_a", 0.1, 1.0),
+    Dimension("adhesion.poor.k_s over k_a", 0.2, 1.0),
+)
+"""What the paper leaves open besides the vehicle: fields of `ProbeSetup`, choices of two, creep slopes of poor rail."""
+_PROFILE, _LTV, _RATIO = OPEN[0].name, OPEN[1].name, OPEN[-1].name
+
+
+def prior() -> tuple[Dimension, ...]:
+    """All that is sampled. Rails that no experiment of the paper has are left out: its good rail is dry."""
+    known = {dimension.name for dimension in OPEN}
+    unused = ("adhesion.wet.", "adhesion.very_poor.")
+    ranges = {k: v for k, v in sample_ranges().items() if not k.startswith(unused) and k not in known}
+    return (*(Dimension(key, *map(float, pair)) for key, pair in ranges.items()), *OPEN)
+
+
 @dataclass(frozen=True)
 class Sample:
     """One draw of what the paper does not publish, in some setting.
 
     Attributes
     ----------
-    number, replicate : int
-        Place in the sequence, and which scrambling of it.
-    setting, variant : str
-        Settings of comparison; control model, "corrected" or "printed".
-    vehicle : tuple
-        (dotted key, value) pairs.
-    profile, good : str
-        Profile of the wheels, adhesion set of a good rail.
-    amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
-        See `World`.
+    number : int
+        Place in the sequence.
+    setting : str
+        Setting of comparison.
+    values : tuple
+        (name of a dimension, value) pairs; what is not named stays nominal.
     """
 
     number: int
-    replicate: int
     setting: str
-    variant: str
-    vehicle: tuple[tuple[str, float], ...]
-    profile: str
-    good: str
-    amplitude_mm: float
-    period_start_m: float
-    period_end_m: float
-    clothoid_factor: float
+    values: tuple[tuple[str, float], ...]
+
+    def world(self) -> ProbeSetup:
+        """Car and experiments, without controllers."""
+        v = dict(self.values)
+        profile = ("cone", "s1002")[int(v.pop(_PROFILE))] if _PROFILE in v else ""
+        ltv = ("ltv_mpc_printed", "ltv_mpc")[int(v.pop(_LTV, 0))]
+        ratio = v.pop(_RATIO, None)
+        own = {d.name: v.pop(d.name) for d in OPEN if d.name in v and "." not in d.name}
+        if ratio is not None:
+            nominal = load_vehicle().adhesion["poor"].k_a
+            v["adhesion.poor.k_s"] = ratio * v.get("adhesion.poor.k_a", nominal)
+        return ProbeSetup({}, vehicle=v, profile=profile, ltv=ltv, **own)
 
 
-def draw(
-    count: int = SAMPLES, replicates: int = REPLICATES, seed: int = SEED, settings: Sequence[str] = tuning.SETTINGS,
-    variant: str = "corrected",
-) -> list[Sample]:  # fmt: skip
-    """Quasi-random samples over the ranges of vehicle.toml and the open choices of experiments.
-
-    Each replicate is a Sobol sequence with a scrambling of its own: their spread tells how sure a share is.
-    """
-    ranges = {k: v for k, v in sample_ranges().items() if not k.startswith("adhesion.")}
-    extra = ("profile", "good", "amplitude_mm", "period_start_m", "period_end_m", "clothoid_factor")
-    samples = []
-    for replicate in range(replicates):
-        points = stats.qmc.Sobol(len(ranges) + len(extra), seed=seed + replicate).random(count)
-        for number, point in enumerate(points):
-            vehicle = tuple((k, lo + u * (hi - lo)) for u, (k, (lo, hi)) in zip(point, ranges.items(), strict=False))
-            u = dict(zip(extra, point[len(ranges) :], strict=True))
-            own = (
-                "cone" if u["profile"] < 0.5 else "s1002",
-                "dry" if u["good"] < 0.5 else "wet",
-                1.0 + 4.0 * u["amplitude_mm"],
-                100.0 + 100.0 * u["period_start_m"],
-                30.0 + 50.0 * u["period_end_m"],
-                0.6 + 0.9 * u["clothoid_factor"],
-            )
-            samples += [Sample(number, replicate, each, variant, vehicle, *own) for each in settings]
-    return samples
+def draw(count: int = SAMPLES, seed: int = SEED, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
+    """Quasi-random samples over the prior: one scrambled Sobol sequence, the same in each setting."""
+    dimensions = prior()
+    points = stats.qmc.Sobol(len(dimensions), seed=seed).random(count)
+    values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
+    return [Sample(number, setting, value) for setting in settings for number, value in enumerate(values)]
 
 
 def evaluate(sample: Sample) -> dict:
@@ -151,20 +158,16 @@ def evaluate(sample: Sample) -> dict:
     Returns
     -------
     dict
-        The sample's number, replicate, setting, variant and profile, and "scenario/controller/metric" -> value.
+        The sample's number, setting, profile and reading of LTV-MPC, and "scenario/controller/metric" -> value.
     """
-    world = ProbeSetup(
-        {}, dict(sample.vehicle), sample.profile, sample.good, sample.variant, sample.amplitude_mm,
-        sample.period_start_m, sample.period_end_m, sample.clothoid_factor,
-    )  # fmt: skip
+    world = sample.world()
     tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
     judged = replace(world, parameters=tuned, sensors=_sensors(sample.setting, JUDGING))
-    labels = {name: getattr(sample, name) for name in LABELS}
-    values = probe(judged, PARTS, speeds=(80, 240, 400))
-    return labels | {"/".join(key): _plain(value) for *key, value in values}
+    labels = {"number": sample.number, "setting": sample.setting, "profile": world.profile, "ltv": world.ltv}
+    return labels | {"/".join(key): _plain(value) for *key, value in probe(judged, PARTS)}
 
 
-LABELS = ("number", "replicate", "setting", "variant", "profile")
+LABELS = ("number", "setting", "profile", "ltv")
 
 
 def _sensors(setting: str, seed: int) -> dict:
@@ -188,14 +191,20 @@ def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
     return chosen
 
 
-def evidence(row: dict) -> statements.Evidence:
-    """What a row of robustness_samples.csv tells."""
+def evidence(row: dict, spread: Mapping | None = None) -> statements.Evidence:
+    """What a row of robustness_samples.csv tells, with the spread between seeds of the nominal case."""
     metrics = {}
     for name, value in row.items():
         key = tuple(name.split("/"))
         if len(key) == 3 and value is not None and not (isinstance(value, float) and np.isnan(value)):
             metrics[key] = float(value)
-    return statements.Evidence(metrics)
+    return statements.Evidence(metrics, spread or {})
+
+
+def ties(settings: Iterable[str]) -> dict[str, Mapping]:
+    """Spread between seeds of the nominal case, by setting: what counts as a tie is the same in all samples."""
+    nominal = Nominal()
+    return {setting: nominal.evidence(setting, tables=False).spread for setting in settings}
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
@@ -207,9 +216,10 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
         Columns of `LABELS`, one column of True and False per statement that the samples can answer.
     """
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
+    spread = ties(table["setting"].unique())
     rows = []
     for row in table.to_dict("records"):
-        found, seen = {}, evidence(row)
+        found, seen = {}, evidence(row, spread[row["setting"]])
         for identity, statement in known.items():
             try:
                 found[identity] = statement.judge(statements.find(identity, seen)) == statements.REPRODUCED
@@ -220,69 +230,68 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
-    """Share of the samples in which each statement holds, in each setting, with a 95 % interval from the replicates.
+    """Share of the samples in which each statement holds, in each setting, with its 95 % interval (Clopper-Pearson).
 
     Returns
     -------
     DataFrame
-        id, setting, share, low, high, samples; cone, s1002, printed: shares by profile and with the printed model.
+        id, setting, share, low, high, samples; cone, s1002: shares by profile. Empty for a table of an older form.
     """
-    columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002", "printed"]
+    columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
     if table is None or not set(LABELS) <= set(table):
         return pd.DataFrame(columns=columns)
-    judged = holds(table)
-    rows = []
+    judged, rows = holds(table), []
     for identity in [name for name in judged if name not in LABELS]:
         answered = judged.dropna(subset=[identity])
         for setting, own in answered.groupby("setting", sort=False):
-            main, printed = (own[own["variant"] == v][identity].astype(float) for v in ("corrected", "printed"))
-            if main.empty:
-                continue
-            chosen = own.loc[main.index]
-            by = main.groupby(chosen["replicate"]).mean()
-            profile = main.groupby(chosen["profile"]).mean()
-            low, high = _interval(by.to_numpy())
-            row = {
-                "id": identity,
-                "setting": setting,
-                "share": by.mean(),
-                "low": low,
-                "high": high,
-                "samples": len(main),
-            }
-            row |= {name: profile.get(name, np.nan) for name in ("cone", "s1002")}
-            rows.append(row | {"printed": printed.mean() if len(printed) else np.nan})
+            held = own[identity].astype(bool)
+            interval = stats.binomtest(int(held.sum()), len(held)).proportion_ci(method="exact")
+            profile = held.groupby(own["profile"]).mean()
+            rows.append(
+                {"id": identity, "setting": setting, "share": held.mean(), "low": interval.low, "high": interval.high}
+                | {"samples": len(held)}
+                | {name: profile.get(name, np.nan) for name in ("cone", "s1002")}
+            )
     return pd.DataFrame(rows, columns=columns)
 
 
-def _interval(replicates: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the mean of replicates (Student), within 0 and 1; nan for a single one."""
-    if len(replicates) < 2:
-        return float("nan"), float("nan")
-    half = stats.t.ppf(0.975, len(replicates) - 1) * replicates.std(ddof=1) / np.sqrt(len(replicates))
-    return max(replicates.mean() - half, 0.0), min(replicates.mean() + half, 1.0)
-
-
-def verdicts(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
-    """`shares`, and the parameters that decide each statement by rank correlation over the samples."""
+def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
+    """`shares`, and the parameters that may decide each statement by rank correlation over the samples."""
     found, judged = shares(table), holds(table)
-    own = [
-        {k: v for k, v in vars(s).items() if k not in (*LABELS, "vehicle")} | {"profile": s.profile} for s in samples
-    ]
-    factors = pd.DataFrame([dict(s.vehicle) | o for s, o in zip(samples, own, strict=True)])
-    factors = factors.apply(lambda column: pd.factorize(column, sort=True)[0] if column.dtype == object else column)
+    factors = pd.DataFrame([dict(sample.values) for sample in samples])
     deciding = []
     for row in found.itertuples():
-        chosen = (
-            judged[(judged["setting"] == row.setting) & (judged["variant"] == "corrected")][row.id]
-            .dropna()
-            .astype(float)
-        )
+        chosen = judged[judged["setting"] == row.setting][row.id].dropna().astype(float)
         deciding.append(_deciding(factors.loc[chosen.index], chosen))
-    return found.assign(decided_by=deciding)
+    return found.assign(candidates=[" ; ".join(names) for names in deciding])
 
 
-def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: float = 0.05) -> str:
+def confirmed(found: pd.DataFrame, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
+    """Keep of the candidates those with which a statement turns when they alone go from one end of their range to the
+    other, everything else nominal.
+
+    Parameters
+    ----------
+    found : DataFrame
+        See `candidates`.
+    run : callable
+        Samples -> rows as of `evaluate`.
+    """
+    ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
+    pairs = list(dict.fromkeys((r.setting, n) for r in found.itertuples() for n in r.candidates.split(" ; ") if n))
+    samples = [Sample(i, setting, ((name, value),)) for setting, name in pairs for i, value in enumerate(ends[name])]
+    held = holds(pd.DataFrame(run(samples))) if samples else pd.DataFrame()
+    ends_of = {pair: (held.iloc[2 * i], held.iloc[2 * i + 1]) for i, pair in enumerate(pairs)}
+
+    def turns(row, name: str) -> bool:
+        low, high = (end.get(row.id) for end in ends_of[row.setting, name])
+        return {low, high} == {True, False}
+
+    decided = [", ".join(n for n in r.candidates.split(" ; ") if n and turns(r, n)) for r in found.itertuples()]
+    return found.drop(columns="candidates").assign(decided_by=decided)
+
+
+def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: float = 0.05) -> list[str]:
     """Parameters by rank correlation with whether a statement holds, strongest first, each less what those before it
     explain; only where chance among all parameters gives as much in less than one of twenty studies."""
     columns, y = factors.rank(), held.rank()
@@ -296,22 +305,19 @@ def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: flo
         t = abs(value) * np.sqrt(freedom / max(1 - value**2, 1e-12))
         if 2 * stats.t.sf(t, freedom) * len(r) > chance:
             break
-        found.append(f"{name} {value:+.2f}")
+        found.append(name)
         chosen = columns[name] / np.sqrt((columns[name] ** 2).sum())
         columns, y = columns - np.outer(chosen, chosen @ columns), y - chosen * (chosen @ y)
-    return ", ".join(found)
+    return found
 
 
-def robustness(
-    count: int = SAMPLES, replicates: int = REPLICATES, quiet: bool = False
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Samples and shares of the robustness study; besides, one replicate with the printed model in setting `equal`."""
-    for what, number in (("samples", count), ("replicates", replicates)):
-        schema.require(what, number, schema.between(1, 4096), whole=True)
-    samples = draw(count, replicates)
-    samples += draw(count, 1, settings=(tuning.EQUAL,), variant="printed")
+def robustness(count: int = SAMPLES, quiet: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Samples; shares with what decides, confirmed by changing one parameter at a time."""
+    schema.require("samples", count, schema.between(1, 4096), whole=True)
+    samples = draw(count)
     table = pd.DataFrame(rows(evaluate, samples, "robustness", quiet))
-    return table, verdicts(table, samples)
+    found = candidates(table, samples)
+    return table, confirmed(found, lambda single: rows(evaluate, single, "one at a time", quiet))
 
 
 def main(studies: Sequence[str] = (), samples: int | None = None) -> None:

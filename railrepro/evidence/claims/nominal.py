@@ -1,7 +1,7 @@
-"""Evidence on the nominal case: the committed tables, as `statements.Evidence` per setting of comparison.
+"""Evidence on the nominal case: the stored probes of each setting, as `statements.Evidence`.
 
-In the setting `equal` the tables behind the figures come first; what no figure shows, and the other settings, come from
-settings_metrics.csv (notebook 14_settings) and nominal_metrics.csv (`make study`).
+What predicates read comes from nominal_metrics.csv (`python -m railrepro probe`), the same runs as in the studies; what
+the prose says of other controllers from settings_metrics.csv (notebook 14_settings).
 """
 
 from __future__ import annotations
@@ -16,17 +16,13 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.registry import EMPHASIS, PAPER_TRIO, r_times
 from railrepro.errors import InputError
-from railrepro.evidence.claims import probe
-from railrepro.evidence.claims.statements import BRAKE, LOSS, NDI, NOTHING, REGULAR, SOFT, SOFTEST, T3, Evidence
+from railrepro.evidence.claims.statements import Evidence
 from railrepro.evidence.runs import tuning
-from railrepro.simulation.scenarios import load_scenario
 
 Key = tuple[str, str, str]
 Found = TypeVar("Found")
-_CASES = {"NMPC, tuned": "nmpc", r_times(EMPHASIS, "NMPC"): SOFT, "NDI": NDI, "no slip control": "no slip control"}
-_SHARED = ("nominal_metrics", "settings_metrics")
+_SHARED = ("settings_metrics", "nominal_metrics")
 """Tables for all settings; the later one counts."""
 
 
@@ -100,11 +96,11 @@ class Nominal:
 
     def settings(self) -> list[str]:
         """Settings in which there is evidence."""
-        known = {tuning.EQUAL, *(setting for table in self._shared.values() for setting in table["setting"])}
+        known = {setting for table in self._shared.values() for setting in table["setting"]}
         return [setting for setting in tuning.SETTINGS if setting in known]
 
     def evidence(self, setting: str, tables: bool = True) -> Evidence:
-        """Evidence in some setting, its metrics `Asked`; the figures' tables hold the setting `equal`."""
+        """Evidence in some setting, its metrics `Asked`."""
         if setting not in self._known:
             metrics: dict[Key, float] = {}
             spread: dict[Key, float] = {}
@@ -112,8 +108,7 @@ class Nominal:
                 rows = table[table["setting"] == setting]
                 metrics |= best(rows, setting)
                 spread |= seeds_spread(rows)
-            metrics |= self._figures if setting == tuning.EQUAL else {}
-            self._known[setting] = idle(metrics) | metrics, spread
+            self._known[setting] = metrics, spread
         metrics, spread = self._known[setting]
         return Evidence(Asked(metrics, setting, self._asked), spread, self.results if tables else None)
 
@@ -125,81 +120,15 @@ class Nominal:
         self.results.used.clear()
         value = found()
         metrics = {file for setting, key in self._asked for file in self._source(setting, *key)}
-        files = {file for file in (metrics | self.results.used) if not file.endswith("scenarios.toml")}
-        return value, sorted(files or metrics | self.results.used)
+        return value, sorted(metrics | self.results.used)
 
     def _source(self, setting: str, scenario: str, controller: str, metric: str) -> list[str]:
         """The file that a metric comes from."""
-        if controller == NOTHING and metric != "slip_at_maximum":
-            return ["data/scenarios.toml"]
-        if setting == tuning.EQUAL and (scenario, controller, metric) in self._figures:
-            return [f"data/results/{_figure_table(scenario, metric)}.csv"]
         for name, table in reversed(self._shared.items()):
-            if ((table["scenario"] == scenario) & (table["metric"] == metric)).any():
+            rows = table[(table["setting"] == setting) & (table["scenario"] == scenario)]
+            if ((rows["controller"] == controller) & (rows["metric"] == metric)).any():
                 return [f"data/results/{name}.csv"]
         return []
-
-    @cached_property
-    def _figures(self) -> dict[Key, float]:
-        """Metrics behind Figs. 6 to 9."""
-        curve = self.results("curve_entry_metrics")
-        found = {(T3, r.controller, r.metric): r.value for r in curve.itertuples()}
-        for row in self.results("sine_metrics").query("scenario == 'sine_tracking'").itertuples():
-            found[f"sine_tracking {row.speed_kmh:g}", row.controller, row.metric] = row.value
-        return found | self._curve_series | self._loss | self._braking
-
-    @cached_property
-    def _curve_series(self) -> dict[Key, float]:
-        series = dict(list(self.results("fig06_curve_entry").groupby("controller")))
-        expected = probe.gyroscopic_torque(probe.load_vehicle(), load_scenario(T3))
-        found = {}
-        for name in PAPER_TRIO:
-            found[T3, name, "gyroscopic_share"] = probe.torque_step(series[name]) / expected
-            found[T3, name, "error_at_crests"] = probe.error_at_crests(series[name])
-        shift = probe.torque_shift(series["nmpc"], series[NDI])
-        return found | {(T3, NDI, metric): value for metric, value in shift.items()}
-
-    @cached_property
-    def _loss(self) -> dict[Key, float]:
-        table = self.results("adhesion_metrics").query("experiment == 'fig08'")
-        series = dict(list(self.results("fig08_adhesion_loss").groupby("case")))
-        maximum = self.results("adhesion_maximum").query("adhesion == 'poor' and speed_kmh == 400")["slip"]
-        found: dict[Key, float] = {}
-        for row in table.itertuples():
-            if row.case not in _CASES:
-                continue
-            name = _CASES[row.case]
-            values = {m: getattr(row, m) for m in ("rmse_y", "largest_error", "utilisation", "largest_slip")}
-            values |= {"failed": float(row.failed), "recovered_share": probe.recovered_share(series[row.case])}
-            found |= {(LOSS, name, metric): float(value) for metric, value in values.items()}
-        found[LOSS, REGULAR, "regular_deviation"] = probe.regular_deviation(series[r_times(EMPHASIS, "NMPC")])
-        if len(maximum):
-            found[LOSS, NOTHING, "slip_at_maximum"] = float(maximum.iloc[0])
-        return found
-
-    @cached_property
-    def _braking(self) -> dict[Key, float]:
-        found: dict[Key, float] = {}
-        for row in self.results("braking_front").itertuples():
-            values = [("rmse_y", row.rmse_y), ("stopping_distance", row.stopping_distance)]
-            values = values if row.stopped else [(metric, np.inf) for metric, _ in values]
-            sweep = {"nmpc": "sweep of R", "ndi": "sweep of poles"}.get(row.kind)
-            if sweep:
-                found |= {(BRAKE, sweep, f"{metric} {row.factor:g}"): value for metric, value in values}
-            if row.kind == "tuned":
-                named = row.controller if np.isnan(row.factor) else {1.0: "nmpc", 100.0: SOFTEST}.get(row.factor)
-                found |= {(BRAKE, named, metric): value for metric, value in values} if named else {}
-        return found
-
-
-def _figure_table(scenario: str, metric: str) -> str:
-    """The table behind a figure that has a metric."""
-    if metric in ("gyroscopic_share", "error_at_crests", "torque_later", "torque_alike"):
-        return "fig06_curve_entry"
-    if metric in ("regular_deviation", "recovered_share"):
-        return "fig08_adhesion_loss"
-    named = {T3: "curve_entry_metrics", LOSS: "adhesion_metrics", BRAKE: "braking_front"}
-    return "adhesion_maximum" if metric == "slip_at_maximum" else named.get(scenario, "sine_metrics")
 
 
 def _normal(table: pd.DataFrame) -> pd.DataFrame:
@@ -243,18 +172,3 @@ def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
         known = low > 0 and np.isfinite(high)
         found[scenario, name, metric] = float(np.log(high / low)) if known else 0.0
     return found | {(s, c, "rmse_y"): float("inf") for s, c in lost}
-
-
-def idle(metrics: Iterable[Key]) -> dict[Key, float]:
-    """What y = 0 gives in each scenario among the keys that data/scenarios.toml has."""
-    found: dict[Key, float] = {}
-    lengths = {"curve_entry_T1": 80.0, LOSS: 700.0}
-    for name in {scenario for scenario, _, _ in metrics}:
-        base, _, speed = name.partition(" ")
-        if base == "offset" or not base.startswith(("curve", "sine", LOSS, BRAKE)) or base.endswith("stressed"):
-            continue
-        scenario = load_scenario(base)
-        if base in lengths:
-            scenario = scenario.but(end_m=lengths[base])
-        found |= {(name, NOTHING, metric): value for metric, value in probe.nothing(scenario).items()}
-    return found
