@@ -74,7 +74,13 @@ class ProbeSetup:
     brake_kmh : float
         Speed at which braking begins.
     r_factors, poles : tuple of float
-        Sweeps while braking: R of NMPC over its own, triple poles of NDI (rad/s).
+        Sweeps while braking: R of NMPC over its own there, triple poles of NDI (rad/s).
+    r_second : float
+        Second setting of NMPC in Fig. 9, R over the first.
+    r_loss, r_brake : float
+        R of NMPC in Figs. 8 and 9, over that of Figs. 6 and 7.
+    brake_sweep : dict
+        Entries of the set point of Fig. 9 that are changed.
     """
 
     parameters: dict[str, dict]
@@ -90,6 +96,10 @@ class ProbeSetup:
     brake_kmh: float = 80.0
     r_factors: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
     poles: tuple[float, ...] = (8.0, 12.0, 25.0, 50.0)
+    r_second: float = 100.0
+    r_loss: float = 1.0
+    r_brake: float = 1.0
+    brake_sweep: dict = field(default_factory=dict)
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
         """A run of one of the controllers, with its own parameters unless others are given."""
@@ -103,6 +113,12 @@ class ProbeSetup:
     def car(self) -> Vehicle:
         """The car that is driven."""
         return load_vehicle(**self.vehicle, **{"contact.profile": self.profile})
+
+    def braking(self) -> Scenario:
+        """Braking to standstill with the sweep of Fig. 9."""
+        base = load_scenario(BRAKE)
+        point = base.set_point | self.brake_sweep
+        return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=point)
 
     def curve(self, folder: Path) -> Scenario:
         """Curve entry on T3 with the clothoid and sweep of this world."""
@@ -252,7 +268,7 @@ def _loss(world: ProbeSetup) -> Rows:
     """Fig. 8: NMPC as tuned and with R x 10, NDI, and NMPC without slip control."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
     rows = _rows(LOSS, NOTHING, nothing(scenario) | {"slip_at_maximum": slip_at_maximum(scenario, car)})
-    nmpc = world.parameters["nmpc"]
+    nmpc = with_r_times(world.parameters["nmpc"], world.r_loss)
     soft = with_r_times(nmpc, EMPHASIS)
     cases = {
         "nmpc": ("nmpc", nmpc, {}),
@@ -271,13 +287,13 @@ def _loss(world: ProbeSetup) -> Rows:
 
 def _brake(world: ProbeSetup) -> Rows:
     """Fig. 9: sweeps of R and of NDI's poles, and the settings that are compared."""
-    scenario = load_scenario(BRAKE).but(speed_kmh=world.brake_kmh, good=world.good)
+    scenario = world.braking()
     rows = _rows(BRAKE, NOTHING, nothing(scenario))
-    nmpc = world.parameters["nmpc"]
+    nmpc = with_r_times(world.parameters["nmpc"], world.r_brake)
     for factor in world.r_factors:
         values, _ = world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)).measured(braked)
         rows += _rows(BRAKE, "sweep of R", {f"{key} {factor:g}": value for key, value in values.items()})
-        compared = {1.0: "nmpc", 100.0: SOFTEST}.get(factor)
+        compared = {1.0: "nmpc", world.r_second: SOFTEST}.get(factor)
         rows += _rows(BRAKE, compared, values) if compared else []
     for pole in world.poles:
         parameters = {"pole": pole, "frequency": pole, "damping": 1.0}
