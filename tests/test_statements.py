@@ -10,11 +10,11 @@ import pytest
 
 from railrepro.errors import InputError
 from railrepro.evidence.claims import negative, statements
-from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, Evidence, Finding, MissingEvidence
+from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, Evidence, Finding, MissingEvidence
 
 KNOWN = {i: s for i, s in statements.load().items() if s.kind == "statement"}
 TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
-SOFT, SOFTEST = "nmpc, R x 10", "nmpc, R x 100"
+SOFT, SOFTEST, BETWEEN = "nmpc, R x 10", "nmpc, second R", "nmpc, R between"
 
 
 def _metrics():
@@ -24,32 +24,33 @@ def _metrics():
         found.update({(scenario, controller, metric): value for metric, value in values.items()})
 
     put("curve_entry_T3", "nothing", rmse_y=2e-3, largest_error=3e-3, shortest_wave=40.0)
-    shared = {"gyroscopic_share": 1.0, "error_at_crests": 1.5, "failed": 0.0}
+    shared = {"gyroscopic_share": 1.0, "error_at_opposed_crests": 1.5, "path_error": 0.01, "failed": 0.0}
     for name, error, delay in zip(TRIO, (0.5e-3, 0.6e-3, 1.2e-3), (0.2, 0.3, 5.0), strict=True):
         put("curve_entry_T3", name, rmse_y=error, delay=delay, mean_error_last_third=-6e-4, effort_du=80.0, **shared)
     put("curve_entry_T3", "ndi", torque_later=4.0, torque_alike=0.95)
     for i, effort in ((1, 600.0), (2, 70.0), (4, 120.0)):
         for name, error in zip(TRIO, (0.5e-3, 0.6e-3, 1.2e-3), strict=True):
+            put(f"curve_entry_T{i}", "nothing", rmse_y=2e-3)
             put(f"curve_entry_T{i}", name, rmse_y=error, effort_du=effort, failed=0.0)
     for speed in (80, 240, 400):
         put(f"sine_tracking {speed}", "nothing", rmse_y=2e-3)
         for name, slope in zip(TRIO, (1e-6, 1.5e-6, 4e-6), strict=True):
             put(f"sine_tracking {speed}", name, rmse_y=slope * speed, failed=0.0)
-    put("offset", "nothing", largest_error=5e-3)
     put("adhesion_loss", "nothing", rmse_y=1.4e-3, slip_at_maximum=0.02)
-    put("adhesion_loss", "regular operation", regular_deviation=0.05)
-    good = {"rmse_y": 0.7e-3, "largest_slip": 0.025, "utilisation": 0.9, "recovered_share": 1.0, "failed": 0.0}
+    put("adhesion_loss", "regular operation", regular_end_deviation=0.05)
+    good = {"rmse_y": 0.7e-3, "largest_slip": 0.025, "utilisation_late": 0.9, "recovered_share": 1.0, "failed": 0.0}
+    good |= {"set_point_gain": 0.9, "error_growth": 1.1}
     for name in ("nmpc", SOFT):
         put("adhesion_loss", name, **good)
-    put("adhesion_loss", "no slip control", utilisation=0.68, largest_slip=0.054, recovered_share=0.2, failed=1.0)
-    for name in TRIO:
-        put("offset", name, mean_error_last_third=1e-4)
+    put("adhesion_loss", "no slip control", utilisation_late=0.68, largest_slip=0.054, recovered_share=0.2, failed=1.0)
     for factor, way, error in ((1, 1003.0, 1e-3), (10, 1002.0, 2e-3), (100, 1001.0, 3e-3)):
         put("braking", "sweep of R", **{f"stopping_distance {factor}": way, f"rmse_y {factor}": error})
         put("braking", "sweep of poles", **{f"stopping_distance {factor}": way + 5, f"rmse_y {factor}": error})
     put("braking", "nmpc", rmse_y=1e-3, stopping_distance=1003.0)
+    put("braking", BETWEEN, rmse_y=2e-3, stopping_distance=1002.0)
     put("braking", SOFTEST, rmse_y=3e-3, stopping_distance=1001.0)
-    put("braking", "ndi", rmse_y=4e-3, stopping_distance=1010.0)
+    put("braking", "nmpc, fixed share", rmse_y=1.1e-3, stopping_distance=1056.0, share=0.08)
+    put("braking", "ndi", rmse_y=4e-3, stopping_distance=1010.0, rmse_y_spread=0.05, stopping_distance_spread=1e-3)
     return found
 
 
@@ -82,12 +83,6 @@ def _tables():
         ),
         "adhesion_map": _rows("map utilisation", *[("friction", 0.95)] * 4, ("steps", 0.1)),
         "adhesion_law": _rows("p2_over_bound rms_error", (0.5, 9.0), (0.9, 5.0), (1.1, 1.0), (3.0, 1.0)),
-        "braking_front": _rows(
-            "kind controller factor stopping_distance rmse_y stopped",
-            ("nmpc", "nmpc", 1.0, 1000.0, 1.0, True),
-            ("fixed", "nmpc", 0.05, 1020.0, 9.0, True),
-            ("fixed", "nmpc", 0.1, 1052.0, 1.05, True),
-        ),
         "braking_dependence": _rows(
             "factor amplitude_mm wavelength limit_Nm rmse_y", (1, 3, 1.0, 4000.0, 1.0), (1, 3, 1.0, 0.0, 1.2)
         ),
@@ -121,15 +116,16 @@ def test_every_statement_holds_where_the_paper_is_right(identity):
 
 @pytest.mark.parametrize("identity", KNOWN)
 def test_every_rule_fails_its_negative_control(identity):
-    control = negative.CONTROLS[KNOWN[identity].control]
-    assert judged(identity, control(IDEAL)) != REPRODUCED
+    for name in KNOWN[identity].controls:
+        assert judged(identity, negative.CONTROLS[name](IDEAL)) != REPRODUCED, name
 
 
 def test_every_negative_control_is_used():
-    assert set(negative.CONTROLS) == {statement.control for statement in KNOWN.values()}
+    assert set(negative.CONTROLS) == {name for statement in KNOWN.values() for name in statement.controls}
 
 
 T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
+NDI, FIXED = "ndi", "nmpc, fixed share"
 
 
 @pytest.mark.parametrize(
@@ -139,6 +135,7 @@ T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
         ("C04", [(T3, "ndi", "rmse_y", 1.5e-3)], PARTLY),
         ("C04", [(T3, "ltv_mpc_printed", "rmse_y", 2.1e-3)], NOT),
         ("C04", [(T3, "ndi", "failed", 1.0)], NOT),
+        ("C04", [(T3, "ndi", "path_error", 0.8)], PARTLY),
         ("C05", [(T3, "ltv_mpc_printed", "rmse_y", 1.3e-3)], PARTLY),
         ("C05", [(T3, "ndi", "rmse_y", 0.4e-3)], NOT),
         ("C05", [(T3, "ndi", "failed", 1.0)], REPRODUCED),
@@ -147,8 +144,8 @@ T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
         ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3), (T3, "ndi", "rmse_y", 0.4e-3)], NOT),
         ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.8e-3)], NOT),
         ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], NOT),
-        ("C08", [(T3, "nmpc", "delay", -0.7)], PARTLY),
-        ("C08", [(T3, "nmpc", "delay", 0.7), (T3, "ltv_mpc_printed", "delay", 0.7)], NOT),
+        ("C08", [(T3, "nmpc", "delay", -4.1)], PARTLY),
+        ("C08", [(T3, "nmpc", "delay", 4.1), (T3, "ltv_mpc_printed", "delay", 4.1)], NOT),
         ("C42", [(T3, "nmpc", "delay", 4.6)], PARTLY),
         ("C09", [(T3, "ndi", "torque_alike", 0.7)], NOT),
         ("C09", [(T3, "ndi", "torque_later", 0.5)], PARTLY),
@@ -157,7 +154,7 @@ T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
         ("C10", [(T3, "ltv_mpc_printed", "gyroscopic_share", 1.4)], NOT),
         ("C10", [(T3, "ndi", "gyroscopic_share", 0.6)], NOT),
         ("C11", [(T3, "nmpc", "mean_error_last_third", 2.9e-4)], NOT),
-        ("C12", [(T3, "nmpc", "error_at_crests", 1.1)], NOT),
+        ("C12", [(T3, "nmpc", "error_at_opposed_crests", 1.1)], NOT),
         ("C16", [("curve_entry_T1", "ltv_mpc_printed", "failed", 1.0)], PARTLY),
         ("C17", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 0.7e-4)], PARTLY),
         ("C18", [("sine_tracking 240", "ndi", "rmse_y", 9e-3)], PARTLY),
@@ -165,23 +162,34 @@ T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
         ("C19", [("sine_tracking 400", "ndi", "rmse_y", 0.5e-3)], NOT),
         ("C20", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 9e-3)], PARTLY),
         ("C20", [("sine_tracking 80", "nmpc", "rmse_y", 9e-3)], NOT),
-        ("C47", [("offset", "ndi", "mean_error_last_third", -6e-4)], NOT),
-        ("C21", [(LOSS, "regular operation", "regular_deviation", 0.11)], NOT),
+        ("C16", [(f"curve_entry_T{i}", "ndi", "failed", 1.0) for i in (1, 2)], REPRODUCED),
+        ("C16", [(f"curve_entry_T{i}", "ltv_mpc_printed", "failed", 1.0) for i in (1, 2, 4)], NOT),
+        ("C21", [(LOSS, "regular operation", "regular_end_deviation", 0.11)], NOT),
         ("C23", [(LOSS, "nmpc", "failed", 1.0)], PARTLY),
         ("C23", [(LOSS, "nmpc", "largest_slip", 0.041), (LOSS, SOFT, "largest_slip", 0.041)], NOT),
         ("C24", [(LOSS, "nmpc", "recovered_share", 0.8)], PARTLY),
-        ("C50", [(LOSS, "nmpc", "utilisation", 0.7)], PARTLY),
+        ("C50", [(LOSS, "nmpc", "utilisation_late", 0.7)], PARTLY),
         ("C50", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
-        ("C28", [(LOSS, "nmpc", "rmse_y", 1.2e-3), (LOSS, SOFT, "rmse_y", 1.2e-3)], PARTLY),
-        ("C28", [(LOSS, "nmpc", "rmse_y", 1.5e-3)], PARTLY),
+        ("C28", [(LOSS, "nmpc", "set_point_gain", 0.4)], PARTLY),
+        ("C28", [(LOSS, "nmpc", "set_point_gain", 1.6), (LOSS, SOFT, "set_point_gain", 0.4)], NOT),
+        ("C28", [(LOSS, "nmpc", "error_growth", 1.6)], PARTLY),
+        ("C28", [(LOSS, name, "error_growth", 1.6) for name in ("nmpc", SOFT)], NOT),
         ("C28", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
         ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5)], NOT),
-        ("C30", [(BRAKE, "sweep of R", "rmse_y 10", 0.9e-3)], PARTLY),
-        ("C30", [(BRAKE, "sweep of R", "stopping_distance 10", float("inf"))], NOT),
-        ("C46", [(BRAKE, "sweep of poles", f"stopping_distance {f}", 1002.0) for f in (1, 10, 100)], NOT),
+        ("C30", [(BRAKE, BETWEEN, "rmse_y", 0.9e-3), (BRAKE, "sweep of R", "rmse_y 10", 0.9e-3)], NOT),
+        ("C30", [(BRAKE, SOFTEST, "stopping_distance", 1002.5)], PARTLY),
+        ("C30", [(BRAKE, name, "failed", 1.0) for name in (SOFTEST, "sweep of R")], NOT),
+        ("C46", [(BRAKE, "sweep of poles", f"stopping_distance {f}", 1001.5) for f in (1, 10, 100)], NOT),
+        ("C46", [(BRAKE, "sweep of poles", "rmse_y 1", 0.9e-3)], PARTLY),
         ("C31", [(BRAKE, SOFTEST, "rmse_y", 5e-3)], PARTLY),
-        ("C32", [(BRAKE, "nmpc", "stopping_distance", 1009.5)], PARTLY),
+        ("C31", [(BRAKE, NDI, "rmse_y_spread", 0.4)], TIE),
+        ("C32", [(BRAKE, NDI, "stopping_distance_spread", 0.01)], TIE),
+        ("C32", [(BRAKE, "nmpc", "stopping_distance", 1012.0)], PARTLY),
         ("C32", [(BRAKE, "ndi", "stopping_distance", 1000.0)], NOT),
+        ("C34", [(BRAKE, FIXED, "stopping_distance", 1030.0)], PARTLY),
+        ("C34", [(BRAKE, FIXED, "stopping_distance", float("inf"))], NOT),
+        ("C36", [("curve_entry_T4", "nmpc", "rmse_y", 1.5e-3)], PARTLY),
+        ("C36", [("sine_tracking 400", "nmpc", "rmse_y", 2.1e-3)], NOT),
     ],
 )
 def test_a_change_turns_the_verdict(identity, changes, verdict):
@@ -201,15 +209,11 @@ def test_a_change_turns_the_verdict(identity, changes, verdict):
         ("C25", "adhesion_metrics", lambda t: t.assign(largest_slip=[0.03, 0.5, 0.3, 0.5]), PARTLY),
         ("C26", "adhesion_map", lambda t: t.assign(utilisation=[0.9, 0.9, 0.9, 0.7, 0.9]), PARTLY),
         ("C27", "adhesion_law", lambda t: t.assign(rms_error=[9.0, 9.0, 9.0, 1.0]), NOT),
-        ("C34", "braking_front", lambda t: t.assign(stopping_distance=[1000.0, 1020.0, 1100.0]), PARTLY),
-        ("C34", "braking_front", lambda t: t.assign(rmse_y=[1.0, 9.0, 9.0]), NOT),
-        ("C45", "braking_front", lambda t: t.assign(stopping_distance=[1000.0, 1002.0, 1052.0]), NOT),
         ("C37", "braking_dependence", lambda t: t.assign(rmse_y=[1.0, 1.005]), PARTLY),
         ("C37", "braking_dependence", lambda t: t.assign(rmse_y=[1.0, 0.95]), NOT),
-        ("C35", "sine_causes", lambda t: t.assign(rmse_y=[1.0, 1.1, 1.0, 1.5, 0.9, 0.5]), PARTLY),
-        ("C35", "sine_causes", lambda t: t.assign(rmse_y=[1.0, 0.7, 1.0, 1.1, 0.9, 0.5]), NOT),
-        ("C36", "sine_causes", lambda t: t.replace({"rmse_y": {0.9: 0.7}}), PARTLY),
-        ("C36", "sine_causes", lambda t: t.replace({"rmse_y": {0.9: 0.4}}), NOT),
+        ("C35", "sine_causes", lambda t: t.assign(rmse_y=[2e-3, 2.1e-3, 1e-3, 1.5e-3, 0.9, 0.5]), PARTLY),
+        ("C35", "sine_causes", lambda t: t.assign(rmse_y=[1e-4, 5e-4, 2e-4, 4e-4, 0.9, 0.5]), NOT),
+        ("C35", "sine_causes", lambda t: t.assign(rmse_y=[1e-4, 3e-4, 2e-4, 4e-4, 0.9, 0.5]), REPRODUCED),
         ("C39", "ride_metrics", lambda t: t.replace({"value": {0.4: 0.6}}), PARTLY),
         ("C41", "ride_metrics", lambda t: t.assign(value=[1.0, 0.4, 1.0, 0.4, 1.0, 1.1]), PARTLY),
         ("C41", "ride_metrics", lambda t: t.replace({"value": {0.4: 0.97}}), NOT),
@@ -222,12 +226,12 @@ def test_a_changed_table_turns_the_verdict(identity, name, change, verdict):
     assert judged(identity, evidence) == verdict
 
 
-@pytest.mark.parametrize(("seeds", "verdict"), [(1.5, REPRODUCED), (2.5, PARTLY)])
+@pytest.mark.parametrize(("seeds", "verdict"), [(1.5, REPRODUCED), (2.5, TIE)])
 def test_a_difference_within_the_spread_of_seeds_is_a_tie(seeds, verdict):
     """NMPC leads by a factor of 2.4, printed LTV-MPC by 2."""
     evidence = but(spread={(T3, "nmpc", "rmse_y"): np.log(seeds)})
     assert judged("C05", evidence) == verdict
-    assert KNOWN["C05"].tied(statements.find("C05", evidence)) == (verdict == PARTLY)
+    assert KNOWN["C05"].tied(statements.find("C05", evidence)) == (verdict == TIE)
     assert judged("C16", evidence) == PARTLY  # NMPC and LTV-MPC are a tie on T3
 
 

@@ -2,9 +2,9 @@
 
 data/paper_like.toml lists every choice that was made for it: nominal, changed to, range in the literature, source, the
 statements that it was chosen for. It shows that such a car exists and what it takes; it makes no verdict "reproduced",
-its results stand in a column of their own. `python -m railrepro calibrated` writes data/results/calibrated_claims.csv
-(what holds, and by how much), calibrated_alone.csv (each choice put back alone: which statements fall) and
-calibrated_perturbed.csv (all changed numbers off by one and by three percent).
+its results stand in a column of their own. `python -m railrepro calibrated` writes data/results/paper_like.csv (what
+holds, and by how much), paper_like_alone.csv (each choice put back alone: which statements fall) and
+paper_like_perturbed.csv (all changed numbers off by one and by three percent).
 
 Serves the paper's section Multi-Body Simulation Results.
 """
@@ -23,7 +23,7 @@ from railrepro import paths, schema
 from railrepro.control.registry import PAPER_TRIO, with_r_times
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.probe import SPEEDS, WIDE, ProbeSetup, probe
+from railrepro.evidence.claims.probe import SPEEDS, ProbeSetup, probe
 from railrepro.evidence.claims.statements import MPC, NDI, REPRODUCED, Evidence, MissingEvidence, Statement
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -114,7 +114,7 @@ def setup(values: Mapping[str, Any]) -> ProbeSetup:
         parameters[NDI] = {"pole": values[_POLE], "frequency": values[_POLE], "damping": 1.0}
     own = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items() if name in _SETUP}
     car = {name: value for name, value in values.items() if name not in _SETUP | {_LTV_R, _POLE}}
-    return ProbeSetup(parameters, car, **{"profile": "s1002", "brake_kmh": 160.0} | WIDE | own)
+    return ProbeSetup(parameters, car, **{"profile": "s1002"} | own)
 
 
 def uncalibrated() -> ProbeSetup:
@@ -144,7 +144,7 @@ def judged(world: ProbeSetup, speeds: Iterable[int] = SPEEDS, parts: Iterable[st
     Returns
     -------
     DataFrame
-        id, value, above, below, margin (the distance to the nearer limit as a share of it, positive where it holds),
+        statement, value, above, below, margin (the distance to the nearer limit as a share of it, positive where it holds),
         holds.
     """
     evidence = Evidence({(s, c, m): v for s, c, m, v in probe(world, parts, speeds)})
@@ -159,7 +159,7 @@ def judged(world: ProbeSetup, speeds: Iterable[int] = SPEEDS, parts: Iterable[st
         ]
         holds = rule.judge(finding) == REPRODUCED
         rows.append((identity, finding.value, rule.above, rule.below, min(margins), holds))
-    return pd.DataFrame(rows, columns=["id", "value", "above", "below", "margin", "holds"])
+    return pd.DataFrame(rows, columns=["statement", "value", "above", "below", "margin", "holds"])
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ def _all_judged(cases: Iterable[Mapping[str, Any]], title: str, quiet: bool = Fa
 
 
 def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
-    """Tables by name: claims (id, value, limits, margin, holds), alone (choice, put_back, holds, falls), perturbed (size,
-    draw, id, value, margin, holds)."""
+    """Tables by the end of their names: '' itself (statement, value, limits, margin, holds), _alone (choice, put_back, holds, falls), _perturbed (size,
+    draw, statement, value, margin, holds)."""
     choices = load()
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
     moves = [(size, draw) for size in SIZES for draw in range(draws)]
@@ -206,16 +206,16 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     whole, *rest = _all_judged(cases, "calibrated car", quiet)
     rows = []
     for (name, back, _), found in zip(one_back, rest, strict=False):
-        falls = set(whole.loc[whole["holds"], "id"]) - set(found.loc[found["holds"], "id"])
+        falls = set(whole.loc[whole["holds"], "statement"]) - set(found.loc[found["holds"], "statement"])
         rows.append((name, str(back), int(found["holds"].sum()), " ".join(sorted(falls))))
     drawn = [
         found.assign(size=size, draw=draw) for (size, draw), found in zip(moves, rest[len(one_back) :], strict=True)
     ]
-    columns = ["size", "draw", "id", "value", "margin", "holds"]
+    columns = ["size", "draw", "statement", "value", "margin", "holds"]
     return {
-        "claims": whole,
-        "alone": pd.DataFrame(rows, columns=["choice", "put_back", "holds", "falls"]),
-        "perturbed": pd.concat(drawn)[columns] if drawn else pd.DataFrame(columns=columns),
+        "": whole,
+        "_alone": pd.DataFrame(rows, columns=["choice", "put_back", "holds", "falls"]),
+        "_perturbed": pd.concat(drawn)[columns] if drawn else pd.DataFrame(columns=columns),
     }
 
 
@@ -223,7 +223,7 @@ def main() -> None:
     """Judge the calibrated car, put its choices back one by one, perturb them, and write the tables."""
     found = tables()
     for name, table in found.items():
-        write(paths.product(f"data/results/calibrated_{name}.csv"), table.to_csv(index=False, float_format="%.6g"))
-    print(found["alone"].to_string(index=False))
-    kept = found["perturbed"].groupby(["size", "draw"])["holds"].sum().groupby("size").agg(["min", "mean"])
-    print(f"{found['claims']['holds'].sum()} of {len(found['claims'])} hold; over perturbations\n{kept}")
+        write(paths.product(f"data/results/paper_like{name}.csv"), table.to_csv(index=False, float_format="%.6g"))
+    print(found["_alone"].to_string(index=False))
+    kept = found["_perturbed"].groupby(["size", "draw"])["holds"].sum().groupby("size").agg(["min", "mean"])
+    print(f"{found['']['holds'].sum()} of {len(found[''])} hold; over perturbations\n{kept}")

@@ -14,11 +14,24 @@ from dataclasses import replace
 import pandas as pd
 
 from railrepro.control.registry import PAPER_TRIO
-from railrepro.evidence.claims.statements import LOSS, NOTHING, REGULAR, SOFT, SOFTEST, T3, Evidence
+from railrepro.evidence.claims.statements import (
+    BETWEEN,
+    BRAKE,
+    FIXED,
+    LOSS,
+    NDI,
+    NOTHING,
+    REGULAR,
+    SOFT,
+    SOFTEST,
+    T3,
+    Evidence,
+)
 
 CONTROLS: dict[str, Callable[[Evidence], Evidence]] = {}
-_DRIVEN = (*PAPER_TRIO, SOFT, SOFTEST)
+_DRIVEN = (*PAPER_TRIO, SOFT, SOFTEST, BETWEEN)
 _STANDS_STILL = {"delay": float("inf"), "torque_later": 0.0, "torque_alike": 0.0, "effort_du": 0.0}
+_STANDS_STILL |= {"set_point_gain": 0.0, "error_growth": 1.0}
 
 
 def control(name: str) -> Callable:
@@ -52,11 +65,21 @@ def _still(e: Evidence) -> Evidence:
     def change(scenario, controller, metric, value):
         if controller not in _DRIVEN:
             return value
-        if metric == "mean_error_last_third" and scenario == "offset":
-            return e.metrics[scenario, NOTHING, "largest_error"]
         return _STANDS_STILL.get(metric, e.metrics.get((scenario, NOTHING, metric), value))
 
     return _changed(e, change)
+
+
+@control("straight on")
+def _straight_on(e: Evidence) -> Evidence:
+    """Every gear keeps its heading while the track turns away."""
+    return _changed(e, lambda s, c, m, v: 1.0 if m == "path_error" else v)
+
+
+@control("delay of NDI")
+def _late(e: Evidence) -> Evidence:
+    """The MPC trail their set point as NDI does."""
+    return _changed(e, lambda s, c, m, v: e.metrics[s, NDI, m] if m == "delay" else v)
 
 
 @control("one controller thrice")
@@ -101,7 +124,9 @@ def _slips(e: Evidence) -> Evidence:
 @control("set point ignored")
 def _no_traction(e: Evidence) -> Evidence:
     """The wheels roll, whatever adhesion is demanded."""
-    changed = _changed(e, lambda s, c, m, v: 1.0 if (s, c) == (LOSS, REGULAR) else 0.0 if m == "utilisation" else v)
+    changed = _changed(
+        e, lambda s, c, m, v: 1.0 if (s, c) == (LOSS, REGULAR) else 0.0 if m == "utilisation_late" else v
+    )
     return _tables(changed, adhesion_map=lambda t: t.assign(utilisation=0.0))
 
 
@@ -120,7 +145,7 @@ def _one_track(e: Evidence) -> Evidence:
 
 @control("error alike everywhere")
 def _alike(e: Evidence) -> Evidence:
-    return _changed(e, lambda s, c, m, v: 1.0 if m == "error_at_crests" else v)
+    return _changed(e, lambda s, c, m, v: 1.0 if m == "error_at_opposed_crests" else v)
 
 
 @control("speed without effect")
@@ -147,7 +172,9 @@ def _any_rail(e: Evidence) -> Evidence:
 def _any_weight(e: Evidence) -> Evidence:
     def change(scenario, controller, metric, value):
         first = metric.partition(" ")[0] + " 1"
-        return e.metrics.get((scenario, controller, first), value) if controller == "sweep of R" else value
+        if controller == "sweep of R":
+            return e.metrics.get((scenario, controller, first), value)
+        return e.metrics.get((scenario, "nmpc", metric), value) if controller in (BETWEEN, SOFTEST) else value
 
     return _changed(e, change)
 
@@ -209,11 +236,7 @@ def _any_step(e: Evidence) -> Evidence:
 
 @control("fixed share costs nothing")
 def _free_share(e: Evidence) -> Evidence:
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        variable = table.query("kind == 'nmpc' and factor == 1")["stopping_distance"].iloc[0]
-        return table.assign(stopping_distance=table["stopping_distance"].mask(table["kind"] == "fixed", variable))
-
-    return _tables(e, braking_front=change)
+    return _changed(e, lambda s, c, m, v: e.metrics[BRAKE, "nmpc", m] if c == FIXED and m != "share" else v)
 
 
 @control("base torque without effect")

@@ -21,12 +21,16 @@ from railrepro import paths, schema
 from railrepro.control.registry import EMPHASIS, PAPER_TRIO, r_times
 from railrepro.errors import InputError
 
-REPRODUCED, PARTLY, NOT, UNTESTABLE = "reproduced", "partly", "not reproduced", "not testable"
-VERDICTS = (REPRODUCED, PARTLY, NOT, UNTESTABLE)
+REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE = "reproduced", "partly", "tie", "not reproduced", "not testable"
+VERDICTS = (REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE)
 NOTHING = "nothing"
 """Name under which evidence has what y = 0 gives."""
-SOFT, SOFTEST = (r_times(factor, "nmpc") for factor in (EMPHASIS, 100.0))
-"""NMPC with a larger R: for Fig. 8, and the second setting of Fig. 9."""
+SOFT = r_times(EMPHASIS, "nmpc")
+"""NMPC with a larger R in Fig. 8."""
+SOFTEST, BETWEEN = "nmpc, second R", "nmpc, R between"
+"""NMPC in the second setting of Fig. 9, and with an R between both."""
+FIXED, GUIDES_AS_WELL = "nmpc, fixed share", 1.1
+"""NMPC with the smallest fixed allocation whose error is at most so many times that of the variable one."""
 REGULAR = "regular operation"
 """Name under which evidence has how the longitudinal law does below the maximum, whatever comes after."""
 MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
@@ -115,7 +119,7 @@ class Statement:
 
     section: str
     statement: str
-    kind: Literal["statement", "calibrated"]
+    kind: Literal["statement", "calibrated", "motivation", "arithmetic"]
     unit: str
     reason: str
     notebook: str
@@ -126,9 +130,6 @@ class Statement:
     partly_above: schema.Plain | None = None
     partly_below: schema.Plain | None = None
     paper: schema.Plain | None = None
-    why: str = ""
-    holds_if: str = ""
-    verdict: str = ""
 
     def __post_init__(self):
         file = f"figures/{self.evidence}.png" if self.evidence.startswith("fig") else self.evidence
@@ -137,15 +138,21 @@ class Statement:
         if self.kind == "statement" and self.above is None and self.below is None:
             raise ValueError("has neither above nor below; a statement needs a limit")
 
+    @property
+    def controls(self) -> list[str]:
+        """Names of its negative controls."""
+        return self.control.split("; ") if self.control else []
+
     def judge(self, finding: Finding) -> str:
         """The verdict on a finding."""
         if _within(finding.value, self.above, self.below, finding.tie):
             return REPRODUCED
-        tied = finding.tie > 0 and _within(finding.value, self.above, self.below, -finding.tie)
+        if self.tied(finding):
+            return TIE
         weaker = finding.weaker is not None and _within(finding.weaker, self.above, self.below, finding.tie)
         beyond = self.partly_above is not None or self.partly_below is not None
         loose = beyond and _within(finding.value, self.partly_above, self.partly_below, 0.0)
-        return PARTLY if tied or weaker or loose else NOT
+        return PARTLY if weaker or loose else NOT
 
     def tied(self, finding: Finding) -> bool:
         """Whether a finding is as near to a limit as seeds differ."""
@@ -202,7 +209,9 @@ def _effort_on_t1(e: Evidence) -> float:
 
 @value("C04")
 def _all_follow(e: Evidence) -> float:
-    return max(e(T3, name, "rmse_y") for name in PAPER_TRIO) / e(T3, NOTHING, "rmse_y")
+    """The worse of set point and path: error over that of y = 0, yaw against the track over the track's heading."""
+    point = max(e(T3, name, "rmse_y") for name in PAPER_TRIO) / e(T3, NOTHING, "rmse_y")
+    return max(point, *(e(T3, name, "path_error") for name in PAPER_TRIO))
 
 
 @value("C05")
@@ -224,8 +233,8 @@ def _ltv_slightly_worse(e: Evidence) -> Finding:
 
 @value("C08")
 def _no_delay(e: Evidence) -> Finding:
-    """Error from the delay at the shortest wavelength, as a share of the amplitude: 2 pi delay / wavelength."""
-    shares = [2 * np.pi * abs(e(T3, name, "delay")) / e(T3, NOTHING, "shortest_wave") for name in MPC]
+    """Delay as a share of the shortest wavelength."""
+    shares = [abs(e(T3, name, "delay")) / e(T3, NOTHING, "shortest_wave") for name in MPC]
     return Finding(max(shares), min(shares))
 
 
@@ -249,7 +258,7 @@ def _drift(e: Evidence) -> float:
 
 @value("C12")
 def _large_values(e: Evidence) -> float:
-    return e(T3, "nmpc", "error_at_crests")
+    return e(T3, "nmpc", "error_at_opposed_crests")
 
 
 def _cause(e: Evidence, metric: str, cause: str) -> pd.Series:
@@ -337,7 +346,7 @@ def _as_tuned_or_soft(e: Evidence, metric: str) -> Finding:
 
 @value("C21")
 def _regular(e: Evidence) -> float:
-    return e(LOSS, REGULAR, "regular_deviation")
+    return e(LOSS, REGULAR, "regular_end_deviation")
 
 
 @value("C23")
@@ -353,7 +362,7 @@ def _returns_from_macro_slip(e: Evidence) -> Finding:
 
 @value("C50")
 def _uses_the_maximum(e: Evidence) -> Finding:
-    return _as_tuned_or_soft(e, "utilisation")
+    return _as_tuned_or_soft(e, "utilisation_late")
 
 
 @value("C25")
@@ -379,9 +388,15 @@ def _step_bound(e: Evidence) -> float:
 
 @value("C28")
 def _stable_on_poor_rail(e: Evidence) -> Finding:
-    found, idle = _as_tuned_or_soft(e, "rmse_y"), e(LOSS, NOTHING, "rmse_y")
-    weaker = None if found.weaker is None else found.weaker / idle
-    return Finding(found.value / idle, weaker)
+    """Slope of y over the set point where the oscillation does not grow; else not a number."""
+    gain, growth = (_as_tuned_or_soft(e, name) for name in ("set_point_gain", "error_growth"))
+    bounded = [g is not None and g < BOUNDED for g in (growth.value, growth.weaker)]
+    value = gain.value if bounded[0] else float("nan")
+    return Finding(value, gain.weaker if bounded[1] else None)
+
+
+BOUNDED = 1.5
+"""Growth of the error from one half of the way to the other below which an oscillation is bounded."""
 
 
 @value("C49")
@@ -402,83 +417,77 @@ def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
     return [tuple(e(BRAKE, kind, f"{name} {f:g}") for name in ("stopping_distance", "rmse_y")) for f in factors]
 
 
+def _saved(runs: list[tuple[float, float]]) -> float:
+    """Share of the stopping distance that the last of three rising R saves against the first.
+
+    Not a number where a run failed, the error does not rise by a hundredth, or the one between does not lie between.
+    """
+    (way, error), between, (last, largest) = runs
+    ordered = last < between[0] < way and error < between[1] < largest
+    return 1 - last / way if ordered and np.isfinite([way, largest]).all() and largest > 1.01 * error else float("nan")
+
+
 @value("C30")
-def _trade_off(e: Evidence) -> float:
-    """Share of the steps of R at which the distance falls while the error rises; none where a run failed."""
-    run = _front(e, "sweep of R")
-    steps = [np.isfinite([*a, *b]).all() and b[0] < a[0] and b[1] > a[1] for a, b in zip(run, run[1:], strict=False)]
-    return float(np.mean(steps))
+def _trade_off(e: Evidence) -> Finding:
+    """What the second setting of R saves; weaker is the most that any pair of the sweep within a factor of ten does."""
+    pair = [(e(BRAKE, n, "stopping_distance"), e(BRAKE, n, "rmse_y")) for n in ("nmpc", BETWEEN, SOFTEST)]
+    sweep = _front(e, "sweep of R")
+    others = [_saved(sweep[i : i + 3]) for i in range(len(sweep) - 2)]
+    return Finding(_saved(pair), max((o for o in others if np.isfinite(o)), default=None))
 
 
 @value("C46")
 def _beyond_ndi(e: Evidence) -> float:
-    """Distance that NMPC saves against NDI at equal error, mean over errors that both reach, over the whole of NMPC."""
-    fronts = [sorted((error, way) for way, error in _front(e, kind) if np.isfinite(error)) for kind in _SWEEPS]
-    if min(map(len, fronts)) < 2:
-        return float("nan")
-    low, high = max(f[0][0] for f in fronts), min(f[-1][0] for f in fronts)
-    if not low < high:
-        return float("nan")
-    levels = np.geomspace(low, high, 30)
-    nmpc, ndi = (np.interp(levels, *_envelope(front)) for front in fronts)
-    ways = [way for _, way in fronts[0]]
-    return float(np.mean(ndi - nmpc) / max(max(ways) - min(ways), 1e-9))
+    """Share of NDI's poles for which some R of NMPC has no larger error and a shorter distance, by a thousandth."""
+    nmpc, ndi = (_front(e, kind) for kind in ("sweep of R", "sweep of poles"))
+    stopped = [point for point in ndi if np.isfinite(point).all()]
+    beaten = [any(way < 0.999 * theirs and error <= other for way, error in nmpc) for theirs, other in stopped]
+    return float(np.mean(beaten)) if beaten else float("nan")
 
 
-_SWEEPS = ("sweep of R", "sweep of poles")
-
-
-def _envelope(front: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """Errors, and the shortest distance reached with no larger error."""
-    errors, ways = np.array(front).T
-    return errors, np.minimum.accumulate(ways)
+def _against_ndi(e: Evidence, metric: str) -> Finding:
+    """Ratios of both settings of R to NDI; a lead within what neighbouring poles of NDI differ by is a tie."""
+    ratios = [e(BRAKE, name, metric) / e(BRAKE, NDI, metric) for name in ("nmpc", SOFTEST)]
+    return Finding(
+        max(ratios), min(ratios), max(e.tie(BRAKE, ("nmpc", NDI), metric), e(BRAKE, NDI, f"{metric}_spread"))
+    )
 
 
 @value("C31")
 def _both_more_accurate(e: Evidence) -> Finding:
-    ratios = [e(BRAKE, name, "rmse_y") / e(BRAKE, NDI, "rmse_y") for name in ("nmpc", SOFTEST)]
-    return Finding(max(ratios), min(ratios), e.tie(BRAKE, ("nmpc", NDI)))
+    return _against_ndi(e, "rmse_y")
 
 
 @value("C32")
 def _both_stop_earlier(e: Evidence) -> Finding:
-    ways = [e(BRAKE, name, "stopping_distance") / e(BRAKE, NDI, "stopping_distance") for name in ("nmpc", SOFTEST)]
-    return Finding(max(ways), min(ways), e.tie(BRAKE, ("nmpc", NDI), "stopping_distance"))
-
-
-def _fixed(e: Evidence) -> tuple[pd.DataFrame, pd.Series]:
-    """Braking with fixed shares, and with the variable allocation."""
-    table = e.table("braking_front").query("stopped")
-    fixed = table.query("kind == 'fixed'").sort_values("factor", kind="stable")
-    return fixed, table.query("kind == 'nmpc' and factor == 1").iloc[0]
+    return _against_ndi(e, "stopping_distance")
 
 
 @value("C34")
 def _variable_allocation(e: Evidence) -> float:
     """Share of the distance saved against the smallest fixed share that guides as accurately (within a tenth)."""
-    fixed, variable = _fixed(e)
-    enough = fixed[fixed["rmse_y"] < 1.1 * variable["rmse_y"]]
-    if enough.empty:
-        return float("nan")
-    return float(1 - variable["stopping_distance"] / enough["stopping_distance"].iloc[0])
-
-
-@value("C45")
-def _fixed_wastes(e: Evidence) -> float:
-    """Smallest share of the distance that fixed allocations lose."""
-    fixed, variable = _fixed(e)
-    return float((fixed["stopping_distance"] / variable["stopping_distance"]).min() - 1)
+    fixed = e(BRAKE, FIXED, "stopping_distance")
+    return 1 - e(BRAKE, "nmpc", "stopping_distance") / fixed if np.isfinite(fixed) else float("nan")
 
 
 @value("C35")
 def _cones(e: Evidence) -> Finding:
-    changes = (_cause(e, "rmse_y", "S1002 profiles") - 1).abs()
-    return Finding(changes.max(), changes[_CURVE_CASE])
+    """Largest change of the error, in units of what is acceptable: a fifth of it, or a tenth of the amplitude."""
+    table = e.table("sine_causes").pivot(index="case", columns="cause", values="rmse_y")
+    change = (table["S1002 profiles"] - table["as tuned"]).abs()
+    found = np.minimum(change / table["as tuned"] / 0.2, change / (0.1 * AMPLITUDE))
+    return Finding(float(found.max()), float(found[_CURVE_CASE]))
+
+
+AMPLITUDE = 3e-3
+"""Amplitude of the set points of Figs. 6 and 7 (m)."""
 
 
 @value("C36")
 def _rolling(e: Evidence) -> float:
-    return 1 - _cause(e, "rmse_y", "no creep")[_CURVE_CASE]
+    """Largest error of NMPC over that of y = 0, in the curve entries and on the sines."""
+    scenarios = [f"curve_entry_T{i}" for i in (1, 2, 3, 4)] + _sines(e)
+    return max(e(scenario, "nmpc", "rmse_y") / e(scenario, NOTHING, "rmse_y") for scenario in scenarios)
 
 
 @value("C37")
@@ -519,10 +528,3 @@ def _similar_times(e: Evidence) -> float:
     times = _usual_times(e, "ipopt", "median_ms")
     tracks = times[times.index.str.startswith(("curve", "sine"))]
     return tracks.max() / tracks.min()
-
-
-@value("C47")
-def _any_position(e: Evidence) -> float:
-    """Largest standing error at a constant set point, as a share of it."""
-    errors = [abs(e("offset", name, "mean_error_last_third")) for name in PAPER_TRIO]
-    return max(errors) / e("offset", NOTHING, "largest_error")
