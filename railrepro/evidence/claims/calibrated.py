@@ -2,7 +2,7 @@
 
 data/paper_like.toml lists every choice that was made for it: nominal, changed to, range in the literature, source, the
 statements that it was chosen for. It shows that such a car exists and what it takes; it makes no verdict "reproduced",
-its results stand in a column of their own. `python -m railrepro calibrated` writes data/results/paper_like.csv (what
+its results stand in a column of their own. `python -m railrepro calibrated [--draws N]` writes data/results/paper_like.csv (what
 holds, and by how much), paper_like_alone.csv (each choice put back alone: which statements fall) and
 paper_like_perturbed.csv (all changed numbers off by one and by three percent).
 
@@ -155,7 +155,9 @@ def judged(world: ProbeSetup, speeds: Iterable[int] = SPEEDS, parts: Iterable[st
         except MissingEvidence:
             continue
         margins = [
-            sign * (finding.value / limit - 1) for sign, limit in ((1, rule.above), (-1, rule.below)) if limit is not None
+            sign * (finding.value / limit - 1)
+            for sign, limit in ((1, rule.above), (-1, rule.below))
+            if limit is not None
         ]
         holds = rule.judge(finding) == REPRODUCED
         rows.append((identity, finding.value, rule.above, rule.below, min(margins), holds))
@@ -219,9 +221,9 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     }
 
 
-def main() -> None:
+def main(draws: int | None = None) -> None:
     """Judge the calibrated car, put its choices back one by one, perturb them, and write the tables."""
-    found = tables()
+    found = tables(DRAWS if draws is None else draws)
     for name, table in found.items():
         write(paths.product(f"data/results/paper_like{name}.csv"), table.to_csv(index=False, float_format="%.6g"))
     print(found["_alone"].to_string(index=False))
