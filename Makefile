@@ -148,6 +148,7 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` a
 
 study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, ranking sensitivity (long, resumes)
 	$(PY) -m railrepro probe
+	$(PY) -m railrepro calibrated
 	$(PY) -m railrepro robustness
 	$(PY) -m railrepro matching
 	$(PY) -m railrepro margins

@@ -52,6 +52,8 @@ def parser() -> argparse.ArgumentParser:
     added.add_argument("names", nargs="*", metavar="NAME", help="settings and controllers; default all")
     added = command("probe", "claims.probe:main", "metrics of the nominal car, for the statements (long)")
     added.add_argument("settings", nargs="*", metavar="SETTING", help="paper, equal, loop; default all")
+    added = command("calibrated", "claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)")
+    added.add_argument("--draws", type=_whole(0, 1000), help="perturbations of each size, default 20")
     added = command("robustness", "uncertainty.robustness:main", "stability map and robustness (long, resumes)")
     added.add_argument("studies", nargs="*", metavar="STUDY", help="stability, robustness; default both")
     added.add_argument("--samples", type=_whole(1, 4096), help="samples of the robustness study, default 128")

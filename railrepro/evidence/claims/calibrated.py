@@ -1,0 +1,237 @@
+"""The calibrated car: a documented car, its controllers and experiments, on which the paper's statements hold together.
+
+data/paper_like.toml lists every choice that was made for it: nominal, changed to, range in the literature, source, the
+statements that it was chosen for. It shows that such a car exists and what it takes; it makes no verdict "reproduced",
+its results stand in a column of their own. `python -m railrepro calibrated [--draws N]` writes data/results:
+paper_like.csv (what holds, and by how much), paper_like_alone.csv (which statements fall when a choice is put back
+alone) and paper_like_perturbed.csv (all changed numbers off by one and by three percent).
+
+Serves the paper's section Multi-Body Simulation Results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from railrepro import paths, schema
+from railrepro.control.registry import PAPER_TRIO, with_r_times
+from railrepro.errors import InputError
+from railrepro.evidence.claims import statements
+from railrepro.evidence.claims.probe import SPEEDS, ProbeSetup, probe
+from railrepro.evidence.claims.statements import MPC, NDI, REPRODUCED, Evidence, MissingEvidence, Statement
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.files import write
+
+PARTS = ("curve", "sine", "loss", "brake")
+"""What Figs. 6 to 9 show, see `probe.PARTS`."""
+SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
+"""Largest relative perturbations, draws of each, seed of the first."""
+_LTV_R, _POLE = "ltv_mpc_printed.r", "ndi.pole"
+_SETUP = {field.name for field in fields(ProbeSetup)} - {"parameters", "vehicle", "sensors"}
+_LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
+
+
+@schema.table
+class Choice:
+    """One entry of data/paper_like.toml.
+
+    Attributes
+    ----------
+    nominal, value : number, text or list
+        Of the uncalibrated car at the setting `paper`, and of the calibrated one.
+    unit : str
+    range : list of two numbers, or "free"
+        What the literature gives; "free" where nothing was found or the paper leaves it open.
+    source : str
+        Of the range.
+    statements : tuple of str
+        The statements that it was chosen for.
+    why : str
+        How it acts on them.
+    instead : number, text or list, optional
+        What is put back in `alone` when the nominal value is the same.
+    """
+
+    nominal: Any
+    value: Any
+    unit: str
+    range: Any
+    source: str
+    statements: tuple[str, ...]
+    why: str
+    instead: Any = None
+
+    def __post_init__(self):
+        for name in ("value", "instead"):
+            given = getattr(self, name)
+            if given is not None and schema.is_number(given) != schema.is_number(self.nominal):
+                raise ValueError(f"has {name} = {given!r} for nominal = {self.nominal!r}; both are of one kind")
+        pair = isinstance(self.range, list) and len(self.range) == 2 and all(map(schema.is_number, self.range))
+        if not pair and self.range != "free":
+            raise ValueError(f'has range = {self.range!r}; two numbers or "free" are needed')
+
+    @property
+    def changed(self) -> bool:
+        """Whether a number differs from the nominal one."""
+        return schema.is_number(self.value) and self.value != self.nominal
+
+
+def load(path: Path | str | None = None) -> dict[str, Choice]:
+    """The choices by name (default data/paper_like.toml); InputError with one sentence on wrong entries."""
+    file = schema.location(path, paths.source("data/paper_like.toml"))
+    choices = schema.build(dict[str, Choice], schema.read(file), file.name)
+    try:
+        setup({name: choice.value for name, choice in choices.items()}).car()
+    except (InputError, TypeError) as error:
+        raise InputError(f"{file.name}: {error}") from None
+    return choices
+
+
+def setup(values: Mapping[str, Any]) -> ProbeSetup:
+    """Car, controllers and experiments with some choices; what is not named is that of the uncalibrated car.
+
+    Parameters
+    ----------
+    values : mapping
+        Fields of `ProbeSetup`, "ndi.pole" (triple, rad/s), "ltv_mpc_printed.r" (LTV-MPC takes the weights of NMPC with
+        R times this), and dotted keys of the vehicle.
+    """
+    parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
+    if _LTV_R in values:
+        parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[_LTV_R])
+    if _POLE in values:
+        parameters[NDI] = {"pole": values[_POLE], "frequency": values[_POLE], "damping": 1.0}
+    own = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items() if name in _SETUP}
+    car = {name: value for name, value in values.items() if name not in _SETUP | {_LTV_R, _POLE}}
+    return ProbeSetup(parameters, car, **{"profile": "s1002"} | own)
+
+
+def cars() -> dict[str, ProbeSetup]:
+    """Both cars on which the paper's figures are drawn, by name."""
+    return {"calibrated": paper_like(), "uncalibrated": uncalibrated()}
+
+
+def uncalibrated() -> ProbeSetup:
+    """The uncalibrated car, on S1002 wheels, at the setting `paper`."""
+    return setup({})
+
+
+def paper_like(**instead: Any) -> ProbeSetup:
+    """The calibrated car, with other values for some of its choices."""
+    return setup({name: choice.value for name, choice in load().items()} | instead)
+
+
+def matched(rules: Mapping[str, Statement] | None = None) -> dict[str, Statement]:
+    """The statements about Figs. 6 to 9 that a probe can tell."""
+    return {i: rule for i, rule in (rules or statements.load()).items() if i in MATCHED and rule.kind == "statement"}
+
+
+MATCHED = (
+    *("C04", "C05", "C06", "C07", "C08", "C42", "C09", "C10", "C11", "C12", "C17", "C18", "C19", "C20"),
+    *("C21", "C50", "C23", "C24", "C28", "C49", "C30", "C46", "C31", "C32"),
+)
+
+
+def judged(world: ProbeSetup, speeds: Iterable[int] = SPEEDS, parts: Iterable[str] = PARTS) -> pd.DataFrame:
+    """What the statements find on a car.
+
+    Returns
+    -------
+    DataFrame
+        statement, value, above, below, margin (distance to the nearer limit as a share of it, positive inside), holds.
+    """
+    evidence = Evidence({(s, c, m): v for s, c, m, v in probe(world, parts, speeds)})
+    rows = []
+    for identity, rule in matched().items():
+        try:
+            finding = statements.find(identity, evidence)
+        except MissingEvidence:
+            continue
+        margins = [
+            sign * (finding.value / limit - 1)
+            for sign, limit in ((1, rule.above), (-1, rule.below))
+            if limit is not None
+        ]
+        holds = rule.judge(finding) == REPRODUCED
+        rows.append((identity, finding.value, rule.above, rule.below, min(margins), holds))
+    return pd.DataFrame(rows, columns=["statement", "value", "above", "below", "margin", "holds"])
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A judgement that can be sent to a worker: values of the choices -> the table of `judged`."""
+
+    values: tuple[tuple[str, Any], ...]
+
+    def __call__(self) -> pd.DataFrame:
+        return judged(setup(dict(self.values)))
+
+
+def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]]:
+    """Each choice put back alone: name, what it is put back to, and the values of all choices then."""
+    values = {name: choice.value for name, choice in choices.items()}
+    put_back = {name: c.nominal if c.instead is None else c.instead for name, c in choices.items()}
+    return [(name, back, values | {name: back}) for name, back in put_back.items() if back != values[name]]
+
+
+def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
+    """Values of the choices with every changed number off by at most a relative size, drawn evenly."""
+    rng = np.random.default_rng([SEED, draw])
+    values = {name: choice.value for name, choice in choices.items()}
+    moved = {name: values[name] * (1 + size * rng.uniform(-1, 1)) for name, choice in choices.items() if choice.changed}
+    return values | {name: min(value, _LARGEST.get(name, np.inf)) for name, value in moved.items()}
+
+
+def _call(task: Judged) -> pd.DataFrame:
+    return task()
+
+
+def _all_judged(cases: Iterable[Mapping[str, Any]], title: str, quiet: bool = False) -> list[pd.DataFrame]:
+    with executor() as pool:
+        return ordered_map(pool, _call, [Judged(tuple(case.items())) for case in cases], title, quiet, stored=True)
+
+
+def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
+    """Tables by the end of their names.
+
+    Returns
+    -------
+    dict of DataFrame
+        '': see `judged`; _alone: choice, put_back, holds (number), falls; _perturbed: size, draw, statement, value,
+        margin, holds.
+    """
+    choices = load()
+    values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
+    moves = [(size, draw) for size in SIZES for draw in range(draws)]
+    cases = [values, *(case for *_, case in one_back), *(perturbed(choices, size, draw) for size, draw in moves)]
+    whole, *rest = _all_judged(cases, "calibrated car", quiet)
+    rows = []
+    for (name, back, _), found in zip(one_back, rest, strict=False):
+        falls = set(whole.loc[whole["holds"], "statement"]) - set(found.loc[found["holds"], "statement"])
+        rows.append((name, str(back), int(found["holds"].sum()), " ".join(sorted(falls))))
+    drawn = [
+        found.assign(size=size, draw=draw) for (size, draw), found in zip(moves, rest[len(one_back) :], strict=True)
+    ]
+    columns = ["size", "draw", "statement", "value", "margin", "holds"]
+    return {
+        "": whole,
+        "_alone": pd.DataFrame(rows, columns=["choice", "put_back", "holds", "falls"]),
+        "_perturbed": pd.concat(drawn)[columns] if drawn else pd.DataFrame(columns=columns),
+    }
+
+
+def main(draws: int | None = None) -> None:
+    """Judge the calibrated car, put its choices back one by one, perturb them, and write the tables."""
+    found = tables(DRAWS if draws is None else draws)
+    for name, table in found.items():
+        write(paths.product(f"data/results/paper_like{name}.csv"), table.to_csv(index=False, float_format="%.6g"))
+    print(found["_alone"].to_string(index=False))
+    kept = found["_perturbed"].groupby(["size", "draw"])["holds"].sum().groupby("size").agg(["min", "mean"])
+    print(f"{found['']['holds'].sum()} of {len(found[''])} hold; over perturbations\n{kept}")

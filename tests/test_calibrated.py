@@ -1,0 +1,118 @@
+"""The calibrated car: its choices are documented, and the paper's statements hold on it together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from railrepro import paths
+from railrepro.control.registry import PAPER_TRIO, with_r_times
+from railrepro.errors import InputError
+from railrepro.evidence.claims import calibrated, statements
+from railrepro.evidence.claims.probe import LOSS
+from railrepro.evidence.runs import tuning
+from railrepro.simulation.scenarios import load_scenario
+
+CHOICES = calibrated.load()
+
+
+def test_every_choice_names_known_statements_and_a_source():
+    known = set(statements.load())
+    for name, choice in CHOICES.items():
+        assert choice.statements and set(choice.statements) <= known, name
+        assert choice.source and choice.why, name
+
+
+def test_the_uncalibrated_car_is_the_nominal_one_on_s1002_with_the_sets_of_paper():
+    setup = calibrated.uncalibrated()
+    assert setup.profile == "s1002" and not setup.vehicle and setup.r_loss == setup.r_brake == 1
+    assert setup.parameters == {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
+    nominal = {name: choice.nominal for name, choice in CHOICES.items() if name not in ("ltv_mpc_printed.r",)}
+    as_given = calibrated.setup(nominal)
+    assert replace(as_given, vehicle={}, brake_sweep={}) == setup
+    assert as_given.car() == setup.car() and as_given.braking() == setup.braking()
+
+
+def test_choices_reach_what_they_name():
+    setup = calibrated.paper_like(period_end_m=70.0)
+    nmpc = setup.parameters["nmpc"]
+    assert setup.period_end_m == 70.0
+    assert setup.parameters["ltv_mpc_printed"] == with_r_times(nmpc, CHOICES["ltv_mpc_printed.r"].value)
+    assert setup.parameters["ndi"]["pole"] == setup.parameters["ndi"]["frequency"] == CHOICES["ndi.pole"].value
+    assert setup.car().adhesion["poor"].mu0 == CHOICES["adhesion.poor.mu0"].value
+    assert nmpc == tuning.load("nmpc", "paper")["parameters"]
+
+
+def test_a_choice_is_put_back_alone():
+    values = {name: choice.value for name, choice in CHOICES.items()}
+    cases = calibrated.alone(CHOICES)
+    assert [name for name, *_ in cases] == list(CHOICES)
+    for name, back, case in cases:
+        assert {key for key in values if case[key] != values[key]} == {name} and case[name] == back
+
+
+@pytest.mark.parametrize("size", calibrated.SIZES)
+def test_perturbations_move_every_changed_number_and_nothing_else(size):
+    draws = [calibrated.perturbed(CHOICES, size, draw) for draw in range(5)]
+    assert draws[0] == calibrated.perturbed(CHOICES, size, 0) != draws[1]
+    for name, choice in CHOICES.items():
+        moved = [draw[name] for draw in draws]
+        if not choice.changed:
+            assert all(value == choice.value for value in moved)
+            continue
+        ratios = np.array(moved) / choice.value
+        assert 0.3 * size < np.abs(ratios - 1).max() <= size, name
+        assert max(moved) <= 1 or name not in ("adhesion.poor.k_a", "adhesion.poor.k_s")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('value = "fast"', "ndi.pole.* has value = 'fast' for nominal = 30.0; both are of one kind"),
+        ("range = 3", 'ndi.pole.* has range = 3; two numbers or "free" are needed'),
+        ("colour = 1", "colour"),
+        ("gear.weight|value = 1.0", "gear.weight"),
+        ("gear.mass|value = -1.0", "mass"),
+    ],
+)
+def test_a_wrong_entry_is_one_sentence(tmp_path, line, message):
+    rest = {"nominal": "30.0", "value": "42.0", "unit": '""', "range": '"free"', "source": '""', "statements": "[]"}
+    name, _, given = line.rpartition("|")
+    key, _, wrong = given.partition(" = ")
+    entry = rest | {"why": '""', key: wrong}
+    file = tmp_path / "car.toml"
+    file.write_text(
+        "\n".join([f'["{name or "ndi.pole"}"]', *(f"{k} = {v}" for k, v in entry.items())]), encoding="utf-8"
+    )
+    with pytest.raises(InputError, match=message) as told:
+        calibrated.load(file)
+    assert "\n" not in str(told.value) and str(told.value).startswith("car.toml")
+
+
+def test_the_curve_entry_is_the_papers_with_margin():
+    found = calibrated.judged(calibrated.paper_like(), parts=("curve",)).set_index("statement")
+    assert set(found.index) == {"C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "C42"}
+    assert found["holds"].all() and found["margin"].min() > 0.05
+
+
+def test_the_committed_tables_hold_all_statements():
+    found = pd.read_csv(paths.source("data/results/paper_like.csv"))
+    assert tuple(sorted(found["statement"])) == tuple(sorted(calibrated.MATCHED)) and found["holds"].all()
+    back = pd.read_csv(paths.source("data/results/paper_like_alone.csv"))
+    assert list(back["choice"]) == list(CHOICES)
+
+
+@pytest.mark.slow
+def test_all_statements_hold_and_the_maximum_and_the_stop_lie_where_the_paper_has_them():
+    setup = calibrated.paper_like()
+    found = calibrated.judged(setup).set_index("statement")
+    assert found["holds"].all() and len(found) == len(calibrated.MATCHED)
+    stored = pd.read_csv(paths.source("data/results/paper_like.csv")).set_index("statement")
+    assert np.allclose(found["value"], stored.loc[found.index, "value"], rtol=2e-3)
+    nmpc = with_r_times(setup.parameters["nmpc"], setup.r_loss)
+    loss = setup.experiment(load_scenario(LOSS).but(end_m=400.0), "nmpc", nmpc, stride=1)()[1]
+    assert abs(loss.loc[loss["segment"] == 3, "p_m"].min() - 240) < 15
+    for factor in (1.0, setup.r_second):
+        tuned = with_r_times(setup.parameters["nmpc"], setup.r_brake * factor)
+        assert setup.experiment(setup.braking(), "nmpc", tuned)()[0]["stopping_distance"] < 1000
