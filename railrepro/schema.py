@@ -40,9 +40,10 @@ _SENTENCES = {
 """What is said about a kind of fault that pydantic finds; other faults bring their own message."""
 
 
-def is_number(value) -> bool:
+def is_number(value: Any) -> bool:
     """Whether a value is a finite real number; truth values are none."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    return real and abs(value) <= sys.float_info.max
 
 
 @dataclass(frozen=True)
@@ -75,12 +76,12 @@ class Quantity:
 
         return core_schema.no_info_plain_validator_function(checked)
 
-    def check(self, value, whole: bool = False) -> None:
+    def check(self, value: Any, whole: bool = False) -> None:
         """Refuse what is no (whole) number in the range with a ValueError."""
         if isinstance(value, bool) or not isinstance(value, numbers.Integral if whole else numbers.Real):
             needed = ("a whole number" if whole else "a number") + (self.unit and f" in {self.unit}")
             raise ValueError(f"is {reprlib.repr(value)}, {needed} is needed")
-        size = abs(value) if self.signed else value
+        size: Any = abs(value) if self.signed else value
         inside = self.low <= size <= self.high and (self.closed or self.low < size)
         if not inside or (isinstance(value, int) and not is_number(value)):
             raise ValueError(self.refusal(value))
@@ -203,7 +204,7 @@ def _known_keys(cls: type, value):
 @typing.dataclass_transform(frozen_default=True)
 def table(cls: type) -> type:
     """Make a frozen dataclass that a table of a file is read into; unknown and missing keys are refused."""
-    cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))
+    cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
     return dataclass(frozen=True)(cls)
 
 
@@ -266,7 +267,7 @@ def _doubts(value: Any, place: str = "") -> list[str]:
         parts = {str(i + 1): part for i, part in enumerate(value)}
     else:
         parts = vars(value) if is_dataclass(value) else {}
-    known, found = _quantities(type(value)), []
+    known, found = _quantities(type(value)), []  # type: ignore[arg-type]
     for name, part in parts.items():
         key = f"{place}.{name}".lstrip(".")
         doubt = known[name].doubt(part) if name in known else ""
@@ -292,7 +293,7 @@ def _adapter(kind: type) -> pydantic.TypeAdapter:
     return pydantic.TypeAdapter(kind)
 
 
-def _sentence(kind: type, content: Any, finding: dict) -> str:
+def _sentence(kind: type, content: Any, finding: Any) -> str:
     tables, key = _place(kind, content, finding["loc"])
     details, found = finding.get("ctx", {}), reprlib.repr(finding["input"])
     fault = details.get("error")
@@ -308,7 +309,8 @@ def _sentence(kind: type, content: Any, finding: dict) -> str:
 
 def _place(kind: type, content: Any, loc: tuple) -> tuple[str, str]:
     """Named tables on the way to a fault, and the dotted key in the last of them."""
-    tables, key = [], ""
+    tables: list[str] = []
+    key = ""
     for i, step in enumerate(loc, 1):
         if isinstance(content, dict) and step not in content:  # which of several classes the table was checked against
             key += f" of kind {step!r}" if i == len(loc) else ""

@@ -10,8 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 
 _MAPS = Path("/proc/self/maps")
-_NAMES = ("scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads64_")
-_NAMES += ("openblas_{}_num_threads",)
+_STEM = "openblas_{}_num_threads"
+_NAMES = (f"scipy_{_STEM}64_", f"scipy_{_STEM}", f"{_STEM}64_", _STEM)
 
 
 @lru_cache
@@ -29,7 +29,8 @@ def _switches() -> list[tuple[Callable, Callable]]:
 
 
 _LOCK = threading.Lock()
-_inside, _before = 0, []
+_inside = 0
+_before: list[int] = []
 
 
 @contextmanager

@@ -8,8 +8,9 @@ import pytest
 from railrepro.car.component import SteppedCar
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import EstimateSettings
+from railrepro.evidence.bench import bare_wheel
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import bare_wheel, scenarios
+from railrepro.simulation import scenarios
 from railrepro.vehicle.parameters import load_vehicle
 
 LAW = AdhesionSettings()

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from railrepro.errors import InputError
-from railrepro.model import derivation, multipliers
+from railrepro.evidence.bench import multipliers
+from railrepro.model import derivation
 from railrepro.model.control_model import control_model, discretise, kept_as_printed
 from railrepro.vehicle.parameters import load_vehicle
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -103,7 +104,7 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
         if name not in tuple(vehicle.adhesion):
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
 
-    def value(key: str) -> float:
+    def value(key: str) -> Any:
         head, *rest = key.split(".")
         if head == "adhesion":
             return getattr(vehicle.adhesion[good if rest[0] == "good" else poor], rest[1])
@@ -166,102 +167,129 @@ def car(two_stage: bool = False) -> Car:
     return Car(**_derived(bool(two_stage)))
 
 
-@stored
-def _derived(two_stage: bool) -> dict:
-    """Attributes of a `Car`."""
-    states = TWO_STAGE_STATES if two_stage else STATES
-    x = ca.SX.sym("x", len(states))
-    u = ca.SX.sym("u", len(WHEELS))
-    rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
-    contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
-    par_ = ca.SX.sym("par", len(PARAMETERS))
-    state, commands, par, stages = named(states, x), named(WHEELS, u), named(PARAMETERS, par_), Stages()
-    row, cell = (dict(zip(names, ca.horzsplit(m), strict=True)) for names, m in ((BODIES, rows), (WHEELS, contacts)))
+@dataclass(frozen=True)
+class _Elements:
+    """Bodies of a car and what acts between them, each by name; `frames` and `primaries` belong to two stages."""
 
+    bodies: dict[str, Body]
+    frames: dict[str, Body]
+    suspensions: dict[str, Suspension]
+    primaries: dict[str, PrimaryStage]
+    wheels: dict[str, Contact]
+    speeds: dict[str, ca.SX]
+    torques: dict[str, ca.SX]
+
+    @property
+    def moving(self) -> dict[str, Body]:
+        """All bodies by the names of their states."""
+        return self.bodies | {FRAMES[name]: frame for name, frame in self.frames.items()}
+
+    @property
+    def forces(self) -> tuple:
+        """All elements that store energy."""
+        return (*self.suspensions.values(), *self.primaries.values(), *self.wheels.values())
+
+
+def _elements(state: dict, row: dict, cell: dict, par: dict, stages: Stages, two_stage: bool) -> _Elements:
     bodies = {name: Body(name, state, row[name]) for name in BODIES}
-    body = bodies["body"]
     frames = {gear: Body(frame, state, row[gear]) for gear, frame in FRAMES.items()} if two_stage else {}
     suspensions = {
-        gear: Suspension(body, frames.get(gear, bodies[gear]), end, par, stages)
+        gear: Suspension(bodies["body"], frames.get(gear, bodies[gear]), end, par, stages)
         for gear, end in zip(GEARS, (1, -1), strict=True)
     }
     primaries = {gear: PrimaryStage(frame, bodies[gear], par, stages) for gear, frame in frames.items()}
     speeds, torques = ({wheel: state[f"{name}.{wheel}"] for wheel in WHEELS} for name in ("w", "tau"))
-    places = {f"{gear}_{side}": (bodies[gear], side) for gear in GEARS for side in SIDES}
-    wheels = {wheel: Contact(*places[wheel], speeds[wheel], cell[wheel], par, stages) for wheel in WHEELS}
+    wheels = {
+        f"{gear}_{side}": Contact(bodies[gear], side, speeds[f"{gear}_{side}"], cell[f"{gear}_{side}"], par, stages)
+        for gear in GEARS
+        for side in SIDES
+    }
+    return _Elements(bodies, frames, suspensions, primaries, wheels, speeds, torques)
 
-    gravity = ca.vertcat(0, 0, par["gravity"])
-    inertias = _inertias(par, two_stage)
+
+@stored
+def _derived(two_stage: bool) -> dict:
+    """Attributes of a `Car`."""
+    states = TWO_STAGE_STATES if two_stage else STATES
+    x, u = ca.SX.sym("x", len(states)), ca.SX.sym("u", len(WHEELS))
+    rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
+    contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
+    par_, h = ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("h")
+    state, commands, par, stages = named(states, x), named(WHEELS, u), named(PARAMETERS, par_), Stages()
+    row, cell = (dict(zip(names, ca.horzsplit(m), strict=True)) for names, m in ((BODIES, rows), (WHEELS, contacts)))
+    elements, inertias = _elements(state, row, cell, par, stages, two_stage), _inertias(par, two_stage)
+    staged, feels = _motion(elements, inertias, commands, par)
+    rate = ca.cse(stages.resolve(staged))
+
+    bodies, wheels = elements.bodies, elements.wheels
+    x_next, error = rodas3(rate, stages.jacobian(staged, x), x, h)
+    outputs = _outputs(bodies, wheels, elements.speeds, elements.torques, elements.suspensions)
+    outputs |= _floor(bodies["body"], feels, par)
+    energies = _energies(elements, inertias, par)
+    shifts = [shift_to_flange(bodies[wheel.split("_")[0]], wheel.split("_")[1], par) for wheel in WHEELS]
+    look_up = ca.vertcat(*(bodies[name].s for name in BODIES), *shifts)
+    forces = {
+        "all": rate,
+        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.moment) for w in wheels.values()))),
+        "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in elements.suspensions.values()))),
+    }
+    kind = "two_stage_car" if two_stage else "car"
+    inputs, names, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
+    step = ca.Function(f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], cse)
+    y, energy = stages.resolve(ca.vertcat(*outputs.values())), stages.resolve(ca.vertcat(*energies))
+    return dict(
+        states=states,
+        rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
+        step=share_reciprocals(step),
+        coordinates=ca.Function(f"{kind}_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
+        output=ca.Function(f"{kind}_output", inputs, [y], names, ["y"], cse),
+        energy=ca.Function(f"{kind}_energy", inputs, [energy], names, ["energies"], cse),
+        outputs=tuple(outputs),
+        operations={name: ca.Function(name, inputs, [f], cse).n_instructions() for name, f in forces.items()},
+    )
+
+
+def _motion(elements: _Elements, inertias: dict, commands: dict, par: dict) -> tuple[ca.SX, dict]:
+    """Derivatives of the states, and force per mass and angular acceleration that the car body feels."""
+    bodies, frames, speeds, torques = elements.bodies, elements.frames, elements.speeds, elements.torques
+    body, gravity = bodies["body"], ca.vertcat(0, 0, par["gravity"])
     carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
-    for gear, suspension in suspensions.items():
+    for gear, suspension in elements.suspensions.items():
         carrying = frames.get(gear, bodies[gear])
         carried += body.section.rotation.T @ carrying.attitude @ suspension.force_on_upper
         moment += suspension.moment_on_upper
     force = carried + par["body.mass"] * body.section.rotation.T @ gravity
     derivatives = [body.derivatives(force, moment, *inertias["body"])]
     feels = {"force": body.rotation.T @ carried / par["body.mass"], "turning": derivatives[0][-3:]}
-    for name in GEARS:
-        gear, own = bodies[name], [f"{name}_{side}" for side in SIDES]
-        stage = primaries.get(name, suspensions[name])
-        force = inertias[name][0] * gear.section.rotation.T @ gravity + gear.rotation @ stage.force_on_lower
-        moment = stage.moment_on_lower
-        for wheel in own:
-            force += wheels[wheel].force
-            moment += wheels[wheel].moment * ca.vertcat(1, 0, 1) + ca.vertcat(0, torques[wheel], 0)
-        spin = -par["wheel.spin_inertia"] * sum(speeds[wheel] for wheel in own)
-        derivatives.append(gear.derivatives(force, moment, *inertias[name], spin))
+    derivatives += [_gear_motion(name, elements, inertias[name], gravity, par) for name in GEARS]
     coupling = {wheel: par["gear.axle_damping"] * (speeds[_opposite(wheel)] - speeds[wheel]) for wheel in WHEELS}
     spin_up = [
-        (torques[wheel] + coupling[wheel] - wheels[wheel].moment[1]) / par["wheel.spin_inertia"] for wheel in WHEELS
+        (torques[wheel] + coupling[wheel] - elements.wheels[wheel].moment[1]) / par["wheel.spin_inertia"]
+        for wheel in WHEELS
     ]
     lag = [_torque_rate(commands[wheel], speeds[wheel], torques[wheel], par) for wheel in WHEELS]
     framed = []
     for name, frame in frames.items():
-        above, below = suspensions[name], primaries[name]
+        above, below = elements.suspensions[name], elements.primaries[name]
         pushed = frame.section.rotation.T @ bodies[name].attitude @ below.force_on_upper
         force = inertias[FRAMES[name]][0] * frame.section.rotation.T @ gravity + pushed
         force += frame.rotation @ above.force_on_lower
         moment = below.moment_on_upper + above.moment_on_lower
         framed.append(frame.derivatives(force, moment, *inertias[FRAMES[name]]))
-    staged = ca.vertcat(*derivatives, *spin_up, *lag, *framed)
-    rate = ca.cse(stages.resolve(staged))
+    return ca.vertcat(*derivatives, *spin_up, *lag, *framed), feels
 
-    inputs, names = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"]
-    h = ca.SX.sym("h")
-    x_next, error = rodas3(rate, stages.jacobian(staged, x), x, h)
-    shifts = [shift_to_flange(*places[wheel], par) for wheel in WHEELS]
-    outputs = _outputs(bodies, wheels, speeds, torques, suspensions) | _floor(body, feels, par)
-    moving = bodies | {FRAMES[name]: frame for name, frame in frames.items()}
-    elements = (*suspensions.values(), *primaries.values(), *wheels.values())
-    energies = _energies(moving, inertias, elements, wheels, speeds, torques, par)
-    look_up = ca.vertcat(*(bodies[name].s for name in BODIES), *shifts)
-    forces = {
-        "all": rate,
-        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.moment) for w in wheels.values()))),
-        "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in suspensions.values()))),
-    }
-    counts = {
-        name: ca.Function(name, inputs, [entry], {"cse": True}).n_instructions() for name, entry in forces.items()
-    }
-    kind = "two_stage_car" if two_stage else "car"
-    return dict(
-        states=states,
-        rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
-        step=share_reciprocals(
-            ca.Function(
-                f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], {"cse": True}
-            )
-        ),
-        coordinates=ca.Function(f"{kind}_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
-        output=ca.Function(
-            f"{kind}_output", inputs, [stages.resolve(ca.vertcat(*outputs.values()))], names, ["y"], {"cse": True}
-        ),
-        energy=ca.Function(
-            f"{kind}_energy", inputs, [stages.resolve(ca.vertcat(*energies))], names, ["energies"], {"cse": True}
-        ),
-        outputs=tuple(outputs),
-        operations=counts,
-    )
+
+def _gear_motion(name: str, elements: _Elements, inertia: tuple, gravity: ca.SX, par: dict) -> ca.SX:
+    """Derivatives of the states of a running gear's carrier."""
+    gear, wheels = elements.bodies[name], [f"{name}_{side}" for side in SIDES]
+    stage = elements.primaries.get(name, elements.suspensions[name])
+    force = inertia[0] * gear.section.rotation.T @ gravity + gear.rotation @ stage.force_on_lower
+    moment = stage.moment_on_lower
+    for wheel in wheels:
+        force += elements.wheels[wheel].force
+        moment += elements.wheels[wheel].moment * ca.vertcat(1, 0, 1) + ca.vertcat(0, elements.torques[wheel], 0)
+    spin = -par["wheel.spin_inertia"] * sum(elements.speeds[wheel] for wheel in wheels)
+    return gear.derivatives(force, moment, *inertia, spin)
 
 
 def _opposite(wheel: str) -> str:
@@ -305,7 +333,7 @@ def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
 
     Source: eqs. (parameters) and (kalker): psi_Ax, psi_TrAx, y_TrAx; f_x, s_x.
     """
-    out = {}
+    out: dict[str, ca.SX] = {}
     for name in GEARS:
         gear = bodies[name]
         out |= {
@@ -347,7 +375,7 @@ def _floor(body: Body, feels: dict[str, ca.SX], par: dict[str, ca.SX]) -> dict[s
 
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rigid body).
     """
-    out = {}
+    out: dict[str, ca.SX] = {}
     for point, place in FLOOR.items():
         lever = ca.vertcat(place * par["body.gear_spacing"], 0, par["body.cg_height"] - par["body.floor_height"])
         swing = ca.cross(feels["turning"], lever) + ca.cross(body.w, ca.cross(body.w, lever))
@@ -357,17 +385,18 @@ def _floor(body: Body, feels: dict[str, ca.SX], par: dict[str, ca.SX]) -> dict[s
     return out
 
 
-def _energies(bodies, inertias, elements, wheels, speeds, torques, par) -> list[ca.SX]:
+def _energies(elements: _Elements, inertias: dict, par: dict) -> list[ca.SX]:
     """Mechanical energy, motor power and losses, for the energy balance."""
-    energy = sum(element.energy for element in elements)
-    for name, body in bodies.items():
+    speeds, torques, wheels = elements.speeds, elements.torques, elements.wheels
+    energy = sum(force.energy for force in elements.forces)
+    for name, body in elements.moving.items():
         mass, inertia = inertias[name]
         energy += mass * (ca.sumsqr(body.v) / 2 - par["gravity"] * body.position[2])
         energy += ca.dot(inertia, body.w**2) / 2
     energy += par["wheel.spin_inertia"] * ca.sumsqr(ca.vertcat(*speeds.values())) / 2
     motor = sum(torques[wheel] * (speeds[wheel] + wheels[wheel].gear.wy) for wheel in WHEELS)
     creep = sum(wheel.friction_loss for wheel in wheels.values())
-    damping = sum(element.dissipation for element in elements)
+    damping = sum(force.dissipation for force in elements.forces)
     damping += par["gear.axle_damping"] * sum((speeds[f"{g}_le"] - speeds[f"{g}_ri"]) ** 2 for g in GEARS)
     return [energy, motor, damping, creep]
 

@@ -18,8 +18,9 @@ class Stages:
     Differentiating a force law once by its few arguments is far cheaper than once by every state.
     """
 
-    def __init__(self):
-        self._symbols, self._definitions = [], []
+    def __init__(self) -> None:
+        self._symbols: list[ca.SX] = []
+        self._definitions: list[ca.SX] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
         """Replace expressions (of the state and earlier stages) by symbols of the same shapes."""
@@ -39,7 +40,7 @@ class Stages:
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
         """Total derivative of an expression with respect to x, resolved."""
-        totals = []
+        totals: list[ca.SX] = []
         for k, definition in enumerate((*self._definitions, expression)):
             total = ca.jacobian(definition, x)
             for symbols, inner in zip(self._symbols[:k], totals, strict=False):
@@ -104,7 +105,7 @@ def factorise(matrix: ca.SX):
     Source: Markowitz 1957 (order of the pivots).
     """
     n = matrix.shape[0]
-    rows = [{} for _ in range(n)]
+    rows: list[dict] = [{} for _ in range(n)]
     for column in range(n):
         for entry in range(matrix.colind(column), matrix.colind(column + 1)):
             rows[matrix.row(entry)][column] = matrix.nz[entry]

@@ -6,6 +6,7 @@ Serves the paper's section Coordinate Frames, for the plant.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 
@@ -25,12 +26,12 @@ def named(names: tuple[str, ...], vector: ca.SX) -> dict[str, ca.SX]:
 def rotation(axis: str, angle: ca.SX) -> ca.SX:
     """Elementary rotation matrix about one axis, shape (3, 3); maps components of the turned frame to the old one."""
     c, s = ca.cos(angle), ca.sin(angle)
-    entries = {
+    entries: Any = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
         "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
         "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
     }[axis]
-    return ca.vertcat(*(ca.horzcat(*row) for row in entries))
+    return ca.vertcat(*[ca.horzcat(*row) for row in entries])
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
@@ -91,6 +92,19 @@ class Body:
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rates of the angles, rotating frame).
     """
 
+    s: ca.SX
+    y: ca.SX
+    z: ca.SX
+    psi: ca.SX
+    pitch: ca.SX
+    phi: ca.SX
+    vx: ca.SX
+    vy: ca.SX
+    vz: ca.SX
+    wx: ca.SX
+    wy: ca.SX
+    wz: ca.SX
+
     def __init__(self, name: str, state: dict[str, ca.SX], row: ca.SX):
         for coordinate in COORDINATES:
             setattr(self, coordinate, state[f"{name}.{coordinate}"])
@@ -114,7 +128,7 @@ class Body:
         self.attitude = self.section.rotation @ self.rotation
         self.position = self.section.position + self.section.rotation @ ca.vertcat(0, self.y, self.z)
 
-    def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX = 0) -> ca.SX:
+    def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
         """Rates of change of `COORDINATES` after Newton and Euler, shape (12, 1).
 
         Parameters

@@ -7,9 +7,10 @@ CasADi's virtual machine, slower, with equal results up to rounding. Serves the 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -129,8 +130,8 @@ class CarStepper:
             "output": (common, [self.outputs]),
             "step": ([*common, self.period], [self.next_state, np.zeros_like(self.state)]),
         }
-        self._library = library(two_stage) if compiled else None
-        form = codegen.InterpretedFunction
+        self._library: Any = library(two_stage) if compiled else None
+        form: Callable = codegen.InterpretedFunction
         if self._library is not None:
             form = partial(codegen.CompiledFunction, self._library)
         self.functions = {name: form(getattr(self.model, name), *binding) for name, binding in bindings.items()}
@@ -159,7 +160,7 @@ class CarStepper:
         state, following = self.state.ctypes.data, self.next_state.ctypes.data
         return _Car(*calls, places, lookups, len(tables), state, following, self.state.size, self.substeps)
 
-    def c_functions(self) -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
+    def c_functions(self) -> tuple[ctypes.c_void_p, ...]:
         """Addresses of `car_measure` and `car_advance` for callers written in C."""
         return tuple(ctypes.cast(f, ctypes.c_void_p) for f in (self._library.car_measure, self._library.car_advance))
 

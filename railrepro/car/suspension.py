@@ -37,7 +37,8 @@ class Stage:
         self._relative, self._offset, self._velocity, self._upper_turn = held
         self._lower_turn = lower.w
         self.force_on_lower, self.moment_on_lower, self._on_upper = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
-        self.energy, self.dissipation = 0, 0
+        self.energy: ca.SX | int = 0
+        self.dissipation: ca.SX | int = 0
 
     @property
     def force_on_upper(self) -> ca.SX:

@@ -50,8 +50,8 @@ class Contact:
     Source: eq. (kalker); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
     """
 
-    def __init__(self, gear: Body, side: str, speed: ca.SX, cell: ca.SX, par: dict[str, ca.SX], stages: Stages):
-        sign, cell = _SIGN[side], named(CELL_COLUMNS, cell)
+    def __init__(self, gear: Body, side: str, speed: ca.SX, row: ca.SX, par: dict[str, ca.SX], stages: Stages):
+        sign, cell = _SIGN[side], named(CELL_COLUMNS, row)
         self.gear, section = gear, gear.section
         offset = shift_to_flange(gear, side, par) - cell["shift"]
         at = in_cell(cell, offset)
@@ -82,10 +82,10 @@ class Contact:
         spin = to_body.T @ ca.vertcat(gear.wx, -speed, gear.wz)
         slide = upright.T @ gear.v + ca.cross(spin, at_contact)  # the hub lies on the axis of the spin that it adds
         rolling_speed = ca.sqrt(gear.vx**2 + par["contact.rest_speed"] ** 2)
-        motion = (offset, self.penetration, self._penetration_rate(gear, sign, par), ca.dot(slide, tangent))
-        motion += (ca.dot(slide, lateral), ca.dot(spin, normal), rolling_speed)
-        self._forces(stages.hold(*motion), cell, section.poor[side], par)
-        self.normal, self.spin_moment, *self.tangential = stages.hold(self.normal, self.spin_moment, *self.tangential)
+        motion = [offset, self.penetration, self._penetration_rate(gear, sign, par), ca.dot(slide, tangent)]
+        motion += [ca.dot(slide, lateral), ca.dot(spin, normal), rolling_speed]
+        forces = self._forces(stages.hold(*motion), cell, section.poor[side], par)
+        self.normal, self.spin_moment, *self.tangential = stages.hold(*forces)
 
         creep_force = tangent * self.tangential[0] + lateral * self.tangential[1]
         normal_force = -normal * self.normal
@@ -96,8 +96,8 @@ class Contact:
         moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + normal * self.spin_moment
         self.force, self.moment = upright @ (creep_force + normal_force), to_body @ moment
 
-    def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: dict[str, ca.SX]) -> None:
-        """Hertzian normal force with damping, and creep forces, from the motion of the contact.
+    def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: dict[str, ca.SX]) -> list[ca.SX]:
+        """Normal force (Hertz, with damping), spin moment and both creep forces from the motion of the contact.
 
         Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping).
         """
@@ -105,19 +105,20 @@ class Contact:
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)
         elastic = at["normal_stiffness"] * compression * ca.sqrt(compression + 1e-20)
-        self.normal = ca.fmax(elastic * (1 + par["contact.normal_damping"] * rate), 0)
+        normal = ca.fmax(elastic * (1 + par["contact.normal_damping"] * rate), 0)
         self.energy = elastic * compression / 2.5
-        self.dissipation = (self.normal - elastic) * rate
+        self.dissipation = (normal - elastic) * rate
         self.creepage = (self.sliding[0] / rolling_speed, self.sliding[1] / rolling_speed)
         self.spin = self.turn / rolling_speed
-        scale = ((self.normal + 1) / par["contact.nominal_load"]) ** (1 / 3)
+        scale = ((normal + 1) / par["contact.nominal_load"]) ** (1 / 3)
         adhesion = [par[f"adhesion.good.{n}"] * (1 - poor) + par[f"adhesion.poor.{n}"] * poor for n in ADHESION]
         slip_speed = ca.sqrt(self.sliding[0] ** 2 + self.sliding[1] ** 2 + 1e-12)
         creep = (
-            *self.creepage, self.spin, self.normal, at["semi_axis_x"] * scale, at["semi_axis_y"] * scale,
+            *self.creepage, self.spin, normal, at["semi_axis_x"] * scale, at["semi_axis_y"] * scale,
             at["c11"], at["c22"], at["c23"], par["contact.shear_modulus"], *adhesion, slip_speed,
         )  # fmt: skip
-        self.tangential, self.spin_moment = polach(*creep), spin_moment(*creep, at["c33"])
+        tangential = polach(*creep)
+        return [normal, spin_moment(*creep, at["c33"]), *tangential]
 
     def _penetration_rate(self, gear: Body, sign: int, par: dict[str, ca.SX]) -> ca.SX:
         """Time derivative of the penetration along the motion of the carrier over the rail (m/s)."""

@@ -56,7 +56,8 @@ def share_reciprocals(function: ca.Function) -> ca.Function:
 
 def _denominators(instructions: list[tuple[int, list[int], list[int]]]) -> dict[int, int]:
     """Instructions (kind, output, inputs) that divide, each with the instruction that made its denominator."""
-    dividing, made = {}, {}
+    dividing: dict[int, int] = {}
+    made: dict[int, int] = {}
     for k, (kind, to, of) in enumerate(instructions):
         if kind in (ca.OP_DIV, ca.OP_INV):
             dividing[k] = made[of[-1]]

@@ -114,7 +114,9 @@ def _system_3() -> str:
 def _variables(unit: Unit) -> list[tuple[dict[str, str], dict[str, str]]]:
     """Attributes of each variable, and those of its number; value references count outputs first, then inputs."""
     limits = {"min": f"{-unit.largest:g}", "max": f"{unit.largest:g}", "start": "0"}
-    names = [(name, "output", {}) for name in unit.outputs] + [(name, "input", limits) for name in unit.inputs]
+    names: list[tuple] = [(name, "output", {}) for name in unit.outputs] + [
+        (name, "input", limits) for name in unit.inputs
+    ]
     return [
         ({"variability": "continuous", "name": name, "valueReference": str(i), "causality": causality}, number)
         for i, (name, causality, number) in enumerate(names)

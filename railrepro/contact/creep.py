@@ -72,7 +72,8 @@ def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.n
 
     Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
     """
-    return tuple(_at_ratio(_TABLE[:, 1 + 3 * i : 4 + 3 * i], ratio, poisson) for i in range(3))
+    c11, c22, c23 = (_at_ratio(_TABLE[:, 1 + 3 * i : 4 + 3 * i], ratio, poisson) for i in range(3))
+    return c11, c22, c23
 
 
 def spin_coefficient(ratio, poisson: float = STEEL) -> np.ndarray:

@@ -206,7 +206,7 @@ def _influence(shape: tuple[int, int], sides: np.ndarray, modulus: float) -> np.
     Source: Love 1929.
     """
     x, y = np.meshgrid(*(fft.fftfreq(2 * n, 1 / (2 * n)) * d for n, d in zip(shape, sides, strict=True)), indexing="ij")
-    total = 0.0
+    total = np.zeros_like(x)
     for sign_x in (1, -1):
         for sign_y in (1, -1):
             u, v = x + sign_x * sides[0] / 2, y + sign_y * sides[1] / 2

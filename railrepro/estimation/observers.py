@@ -121,7 +121,7 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
     """
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
-    gains = {}
+    gains: dict[str, float] = {}
     for k, speed in enumerate(SPEEDS):
         found, _ = lateral_filter(vehicle, loop, speed)
         gains |= {
@@ -138,8 +138,8 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
         f"{name}_pole": EXCHANGE_PERIOD / (getattr(rates, f"{name}_lag") + EXCHANGE_PERIOD)
         for name in ("creep", "speed")
     }
-    values = (vehicle.gear.inertia_z, inertia, vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping)
-    values += (radius, vehicle.gear.contact_base, vehicle.gamma, vehicle.drive.lag, vehicle.effective_yaw_inertia)
+    values = [vehicle.gear.inertia_z, inertia, vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping]
+    values += [radius, vehicle.gear.contact_base, vehicle.gamma, vehicle.drive.lag, vehicle.effective_yaw_inertia]
     return gains | {f"model.{name}": float(value) for name, value in zip(MODEL, values, strict=True)}
 
 

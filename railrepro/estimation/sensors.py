@@ -32,12 +32,12 @@ _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
 
-def _upto(high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)):
-    return Annotated[float, Parameter(0.0, high, unit, closed=True, usual=usual)]
+def _upto(high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)) -> Parameter:
+    return Parameter(0.0, high, unit, closed=True, usual=usual)
 
 
-_PERIOD = _upto(0.1, "s")
-_DROPOUT = _upto(0.9, "-")
+_PERIOD = Annotated[float, _upto(0.1, "s")]
+_DROPOUT = Annotated[float, _upto(0.9, "-")]
 
 
 @schema.table
@@ -45,9 +45,9 @@ class Lateral:
     """Displacement of the axle against the rails in planes `base` apart."""
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
-    noise: _upto(0.01, "m")
-    bias: _upto(0.01, "m")
-    resolution: _upto(0.001, "m")
+    noise: Annotated[float, _upto(0.01, "m")]
+    bias: Annotated[float, _upto(0.01, "m")]
+    resolution: Annotated[float, _upto(0.001, "m")]
     period: _PERIOD
     dropout: _DROPOUT
 
@@ -59,9 +59,9 @@ class Rate:
     What is usual tells rad/s from degrees per second.
     """
 
-    noise: _upto(1.0, "rad/s", (1e-5, 0.1))
-    bias: _upto(1.0, "rad/s", (1e-6, 0.05))
-    resolution: _upto(0.1, "rad/s", (1e-7, 0.01))
+    noise: Annotated[float, _upto(1.0, "rad/s", (1e-5, 0.1))]
+    bias: Annotated[float, _upto(1.0, "rad/s", (1e-6, 0.05))]
+    resolution: Annotated[float, _upto(0.1, "rad/s", (1e-7, 0.01))]
     period: _PERIOD
     dropout: _DROPOUT
 
@@ -70,9 +70,9 @@ class Rate:
 class Speed:
     """Speed along the track."""
 
-    noise: _upto(1.0, "m/s")
-    bias: _upto(1.0, "m/s")
-    resolution: _upto(0.1, "m/s")
+    noise: Annotated[float, _upto(1.0, "m/s")]
+    bias: Annotated[float, _upto(1.0, "m/s")]
+    resolution: Annotated[float, _upto(0.1, "m/s")]
     period: _PERIOD
     dropout: _DROPOUT
 
@@ -81,9 +81,9 @@ class Speed:
 class Position:
     """Position along the track, told for the present moment."""
 
-    noise: _upto(1.0, "m")
-    bias: _upto(20.0, "m")
-    resolution: _upto(1.0, "m")
+    noise: Annotated[float, _upto(1.0, "m")]
+    bias: Annotated[float, _upto(20.0, "m")]
+    resolution: Annotated[float, _upto(1.0, "m")]
     period: _PERIOD
     dropout: _DROPOUT
 
@@ -92,15 +92,15 @@ class Position:
 class Latency:
     """Age of the readings and time from a command to the inverter."""
 
-    measurement: _upto(LONGEST * EXCHANGE_PERIOD, "s")
-    command: _upto(LONGEST * EXCHANGE_PERIOD, "s")
+    measurement: Annotated[float, _upto(LONGEST * EXCHANGE_PERIOD, "s")]
+    command: Annotated[float, _upto(LONGEST * EXCHANGE_PERIOD, "s")]
 
 
 @schema.table
 class Inverter:
     """What becomes of a command that arrived, unknown to controllers and filter: a further delay, and a gain."""
 
-    delay: _upto(LONGEST * EXCHANGE_PERIOD, "s")
+    delay: Annotated[float, _upto(LONGEST * EXCHANGE_PERIOD, "s")]
     gain: Annotated[float, Parameter(0.0, 10.0, "-")]
 
 
@@ -108,21 +108,21 @@ class Inverter:
 class Filter:
     """Process noise of the filter as spectral densities, and lags of what it hands on, see `observers`."""
 
-    force_rate: _upto(1e7, "N/s^0.5")
-    creep_rate: _upto(1.0, "rad/s^0.5")
-    yaw_acceleration: _upto(100.0, "rad/s^1.5")
-    gyro_drift: _upto(1.0, "rad/s^1.5")
-    creep_lag: _upto(10.0, "s")
-    speed_lag: _upto(1.0, "s")
+    force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
+    creep_rate: Annotated[float, _upto(1.0, "rad/s^0.5")]
+    yaw_acceleration: Annotated[float, _upto(100.0, "rad/s^1.5")]
+    gyro_drift: Annotated[float, _upto(1.0, "rad/s^1.5")]
+    creep_lag: Annotated[float, _upto(10.0, "s")]
+    speed_lag: Annotated[float, _upto(1.0, "s")]
 
 
 @schema.table
 class Adhesion:
     """What the adhesion law needs behind noise, see `railrepro.control.adhesion.AdhesionSettings`."""
 
-    filter_time: _upto(1.0, "s")
-    dead_zone: _upto(10.0, "1/s")
-    noise_speed: _upto(200.0, "m/s")
+    filter_time: Annotated[float, _upto(1.0, "s")]
+    dead_zone: Annotated[float, _upto(10.0, "1/s")]
+    noise_speed: Annotated[float, _upto(200.0, "m/s")]
 
 
 @schema.table
@@ -225,7 +225,7 @@ class Readings:
     def gains(self, gear: int) -> dict[str, float]:
         """Run-time numbers of a gear (0 front, 1 rear) by name."""
         draw = np.random.default_rng((self.seed, gear))
-        gains = {}
+        gains: dict[str, float] = {}
         for signal, group in _GROUP.items():
             settings = asdict(getattr(self.loop, group))
             settings["bias"] *= draw.uniform(-1.0, 1.0)

@@ -56,14 +56,9 @@ class ControlModel:
     def parameter_vector(vehicle: Vehicle) -> np.ndarray:
         """Values of `parameters` for a vehicle (SI), shape (14,)."""
         suspension, wheel = vehicle.suspension, vehicle.wheel
-        values = (
-            vehicle.gear.mass,
-            vehicle.gear.mass,
-            vehicle.residual_roll_inertia,
-            vehicle.residual_yaw_inertia,
-        )
-        values += (wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, vehicle.gear.contact_base)
-        values += (wheel.cone_angle, suspension.yaw_stiffness, suspension.yaw_damping)
+        values = [vehicle.gear.mass, vehicle.gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia]
+        values += [wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, vehicle.gear.contact_base]
+        values += [wheel.cone_angle, suspension.yaw_stiffness, suspension.yaw_damping]
         return np.array([*values, suspension.roll_stiffness, suspension.roll_damping, vehicle.gravity])
 
 
@@ -183,7 +178,9 @@ def _step(model: ControlModel, method: str) -> tuple[ca.Function, list[ca.SX], t
     rhs = ca.Function("rhs", [x, u, theta, par], [rate, *jacobians], {"cse": True})
     fractions, weights = _TABLEAU[method]
     x_next, by_x, by_u = x, ca.SX.eye(6), ca.SX(6, 2)
-    slope = slope_x = slope_u = 0
+    slope: ca.SX | int = 0
+    slope_x: ca.SX | int = 0
+    slope_u: ca.SX | int = 0
     for fraction, weight in zip(fractions, weights, strict=True):
         at = x + fraction * period * slope
         along_x, along_u = ca.SX.eye(6) + fraction * period * slope_x, fraction * period * slope_u

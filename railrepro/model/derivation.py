@@ -157,9 +157,9 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
     else:
         residual = [-force for force in forces]
         for coordinate, rate in zip(coordinates, rates, strict=True):
-            partial = along_track if coordinate == x else lambda e, c=coordinate: sp.diff(e, c)
-            inertia = time_derivative(sp.diff(t, rate), changes) - partial(t)
-            equation = inertia + partial(v) + sp.diff(d, rate)
+            by_t, by_v = (along_track(e) if coordinate == x else sp.diff(e, coordinate) for e in (t, v))
+            inertia = time_derivative(sp.diff(t, rate), changes) - by_t
+            equation = inertia + by_v + sp.diff(d, rate)
             velocity = kinematics.rates.get(rate, rate)
             for i, own in enumerate((xd, psid)):
                 residual[i] += equation * sp.diff(velocity, own)

@@ -15,6 +15,8 @@ from railrepro.contact.table import cone_patch
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
 
+FLANGE_ANGLE = np.radians(30)
+"""Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
 ACTIVITY = 5.0
 """Frequency above which a differential torque follows no set point (Hz): a sweep of 40 m at 400 km/h has 2.8 Hz."""
 

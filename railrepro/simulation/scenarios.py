@@ -28,7 +28,8 @@ FLANGEWAY = 8.0
 STEEPEST_RAMP = 10.0
 """Steepest cant ramp (mm/m), three times what railways allow; wheels lift on steeper ones."""
 _PERIOD = Annotated[Number, between(2 * route.CELL, 1e5, "m")]
-_PLACE, _FADE = Annotated[Number, between(-1e5, 1e5, "m")], Annotated[Number, above(0.0, 1e5, "m")]
+_PLACE = Annotated[Number, between(-1e5, 1e5, "m")]
+_FADE = Annotated[Number, above(0.0, 1e5, "m")]
 _SHARES = Annotated[tuple, steps("share", 0.0, 1.0)]
 
 

@@ -24,7 +24,7 @@ from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
 from railrepro.schema import between, require
 from railrepro.simulation.exchange import Exchange
-from railrepro.simulation.ride import FLANGE_ANGLE
+from railrepro.simulation.metrics import FLANGE_ANGLE
 from railrepro.simulation.scenarios import Scenario
 from railrepro.threads import one_thread
 from railrepro.track.route import Route

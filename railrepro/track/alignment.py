@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
@@ -145,8 +145,9 @@ class SegmentsEntry:
 def alignments(path: Path | str | None = None) -> dict[str, Alignment]:
     """Alignments of a TOML file (default data/tracks.toml) by name; InputError with one sentence on wrong entries."""
     file = schema.location(path, paths.source("data/tracks.toml"))
-    found = {}
+    found: dict = {}
     for name, entry in schema.read(file).items():
-        kind = SegmentsEntry if isinstance(entry, dict) and "segments" in entry else CurveEntry
-        found |= schema.build(dict[str, kind], {name: entry}, file.name)
+        piecewise = isinstance(entry, dict) and "segments" in entry
+        kind: Any = dict[str, SegmentsEntry] if piecewise else dict[str, CurveEntry]
+        found |= schema.build(kind, {name: entry}, file.name)
     return Entries({name: entry.alignment(name) for name, entry in found.items()}, "data/tracks.toml")

@@ -101,11 +101,13 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
     low = _ERRI["erri_low"]
     wavenumber = np.linspace(2 * np.pi / D1[1], 2 * np.pi / D1[0], 2000)
     density = {channel: irregularity_spectrum("erri_low", channel, wavenumber) for channel in CHANNELS}
-    level /= np.sqrt(np.trapezoid(density["vertical"] + _HALF_BASE**2 * density["crosslevel"], wavenumber))
-    alignment /= np.sqrt(np.trapezoid(density["lateral"] + density["gauge"] / 4, wavenumber))
+    vertical = level / float(
+        np.sqrt(np.trapezoid(density["vertical"] + _HALF_BASE**2 * density["crosslevel"], wavenumber))
+    )
+    lateral = alignment / float(np.sqrt(np.trapezoid(density["lateral"] + density["gauge"] / 4, wavenumber)))
     return {
-        "lateral": low["lateral"] * alignment**2,
-        "vertical": low["vertical"] * level**2,
+        "lateral": low["lateral"] * lateral**2,
+        "vertical": low["vertical"] * vertical**2,
         "gauge": low["gauge"] * alignment**2,
     }
 

@@ -57,14 +57,10 @@ def read_irregularities(
     frame = read_numbers(file, ("p_m", *CHANNELS.values()))
     frame["p_m"] -= chainage
     p = frame["p_m"].to_numpy()
-    steps = np.diff(p)
-    usual = float(np.median(steps))
-    if (steps > _GAP * usual).any():
-        row = int(np.argmax(steps > _GAP * usual))
-        raise InputError(
-            f"{file.name}: row {row + 3}, p_m has a gap from {p[row]:g} to {p[row + 1]:g} m, steps of up to {_GAP} "
-            f"times the usual {usual:g} m are allowed"
-        )
+    usual = float(np.median(np.diff(p)))
+    for row in np.flatnonzero(np.diff(p) > _GAP * usual)[:1]:
+        gap = f"p_m has a gap from {p[row]:g} to {p[row + 1]:g} m"
+        raise InputError(f"{file.name}: row {row + 3}, {gap}, steps of up to {_GAP} times {usual:g} m are allowed")
     for column in CHANNELS.values():
         _check_range(file, frame[column], (-LARGEST, LARGEST), " (unit?)")
     for column, allowed in FLANGEWAY.items():
@@ -74,12 +70,9 @@ def read_irregularities(
         raise InputError(
             f"{file.name}: p_m goes from {p[0]:g} to {p[-1]:g} m, the run needs 0 to {length:g} m; `chainage` shifts it"
         )
-    if steps.max() > shortest / 2:
-        row = int(np.argmax(steps > shortest / 2))
-        raise InputError(
-            f"{file.name}: row {row + 3}, p_m makes a step of {steps[row]:g} m, up to {shortest / 2:g} m is allowed "
-            f"for wavelengths of {shortest:g} m"
-        )
+    for row in np.flatnonzero(np.diff(p) > shortest / 2)[:1]:
+        step = f"p_m makes a step of {p[row + 1] - p[row]:g} m, up to {shortest / 2:g} m is allowed"
+        raise InputError(f"{file.name}: row {row + 3}, {step} for wavelengths of {shortest:g} m")
     return frame
 
 

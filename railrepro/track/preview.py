@@ -113,7 +113,7 @@ def _smoothest(target: np.ndarray, low: np.ndarray, high: np.ndarray, weight: fl
         "f": ca.sumsqr(y - target / _UNIT) + ca.sumsqr(bend),
         "g": bend - weight * (y[:-2] - 2 * y[1:-1] + y[2:]),
     }
-    options = {
+    options: dict = {
         "print_time": False,
         "error_on_fail": True,
         "ipopt": {

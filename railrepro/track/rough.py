@@ -59,7 +59,7 @@ def rough_track(
         measured = read_irregularities(paths.source(file), length=float(p[-1]), chainage=chainage)
         channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
         frame = faded(pd.DataFrame({"p_m": p} | channels))
-    shapes = {
+    shapes: dict[str, Callable] = {
         "dip": defects_.dip,
         "alignment_fault": defects_.alignment_fault,
         "lateral_offset": defects_.lateral_offset,

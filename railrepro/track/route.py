@@ -168,11 +168,9 @@ def lay(
         columns["second_profile"] = second_profile(p)
     for name, value in columns.items():
         cells[:, INDEX[name]] = value
-    if not np.isfinite(cells).all():
-        row, column = np.argwhere(~np.isfinite(cells))[0]
-        raise InputError(
-            f"route: {COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}, a finite number is needed"
-        )
+    for row, column in np.argwhere(~np.isfinite(cells))[:1]:
+        found = f"{COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}"
+        raise InputError(f"route: {found}, a finite number is needed")
     return Route(cells, track.length)
 
 
@@ -201,7 +199,7 @@ def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarra
     terms = value[:-1], first, (6 * secant - 4 * first - 2 * last) / CELL, 6 * (first + last - 2 * secant) / CELL**2
     return {
         name: column
-        for channel, columns in zip(CHANNELS, np.moveaxis(terms, 2, 0), strict=True)
+        for channel, columns in zip(CHANNELS, np.moveaxis(np.array(terms), 2, 0), strict=True)
         for name, column in zip(_orders(channel), columns, strict=True)
     }
 

@@ -58,12 +58,12 @@ class Parameter(schema.Quantity):
         return f"= {reprlib.repr(value)} {self.unit} is impossible, {floor} up to {self.high:g} is allowed"
 
 
-def _above(low: float, high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)):
-    return Annotated[float, Parameter(low, high, unit, usual=usual)]
+def _above(low: float, high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)) -> Parameter:
+    return Parameter(low, high, unit, usual=usual)
 
 
-def _from_zero(high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)):
-    return Annotated[float, Parameter(0.0, high, unit, closed=True, usual=usual)]
+def _from_zero(high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)) -> Parameter:
+    return Parameter(0.0, high, unit, closed=True, usual=usual)
 
 
 def profile_name(name: str) -> str:
@@ -76,26 +76,27 @@ def profile_name(name: str) -> str:
 _PLAIN = Parameter(0.0, 0.0, "-")
 _STIFF, _DAMPED = (1e3, 1e9), (50.0, 1e7)
 """Usual magnitudes, a thousand times more or less is another unit."""
-Mass, BodyInertia, Inertia = (
-    *(_above(0.0, 1e6, "kg", (100.0, 2e5)), _above(0.0, 1e8, "kg m2", (1e3, 1e7))),
-    _above(0.0, 1e8, "kg m2", (5.0, 2e4)),
-)
-Stiffness, Damping = _from_zero(1e9, "N/m", _STIFF), _from_zero(1e8, "N s/m", _DAMPED)
-AngularStiffness, AngularDamping = _from_zero(1e9, "N m/rad", _STIFF), _from_zero(1e8, "N m s/rad", _DAMPED)
+Mass = Annotated[float, _above(0.0, 1e6, "kg", (100.0, 2e5))]
+BodyInertia = Annotated[float, _above(0.0, 1e8, "kg m2", (1e3, 1e7))]
+Inertia = Annotated[float, _above(0.0, 1e8, "kg m2", (5.0, 2e4))]
+Stiffness = Annotated[float, _from_zero(1e9, "N/m", _STIFF)]
+Damping = Annotated[float, _from_zero(1e8, "N s/m", _DAMPED)]
+AngularStiffness = Annotated[float, _from_zero(1e9, "N m/rad", _STIFF)]
+AngularDamping = Annotated[float, _from_zero(1e8, "N m s/rad", _DAMPED)]
 
 
 @schema.table
 class CarBody:
     """Car body: mass, inertia about its centre of gravity, height above the rails, distance of the running gears."""
 
-    mass: _above(0.0, 1e6, "kg", (2e3, 2e5))
+    mass: Annotated[float, _above(0.0, 1e6, "kg", (2e3, 2e5))]
     inertia_x: BodyInertia
     inertia_y: BodyInertia
     inertia_z: BodyInertia
-    cg_height: _above(0.0, 5.0, "m")
-    gear_spacing: _above(1.0, 40.0, "m")
-    floor_height: _above(0.0, 5.0, "m")
-    length: _above(1.0, 60.0, "m")
+    cg_height: Annotated[float, _above(0.0, 5.0, "m")]
+    gear_spacing: Annotated[float, _above(1.0, 40.0, "m")]
+    floor_height: Annotated[float, _above(0.0, 5.0, "m")]
+    length: Annotated[float, _above(1.0, 60.0, "m")]
 
 
 @schema.table
@@ -106,42 +107,42 @@ class Gear:
     inertia_x: Inertia
     inertia_y: Inertia
     inertia_z: Inertia
-    contact_base: _above(0.5, 3.0, "m")
-    axle_damping: _from_zero(1e8, "N m s/rad")
+    contact_base: Annotated[float, _above(0.5, 3.0, "m")]
+    axle_damping: Annotated[float, _from_zero(1e8, "N m s/rad")]
 
 
 @schema.table
 class Wheel:
     """One independently rotating wheel with its motor."""
 
-    radius: _above(0.1, 1.0, "m")
+    radius: Annotated[float, _above(0.1, 1.0, "m")]
     spin_inertia: Inertia
     diametral_inertia: Inertia
-    cone_angle: _from_zero(0.2, "rad")
+    cone_angle: Annotated[float, _from_zero(0.2, "rad")]
 
 
 @schema.table
 class Suspension:
     """Stage between car body and one carrier; k and c belong to each of the two springs."""
 
-    half_spacing: _above(0.1, 2.0, "m")
-    height: _above(0.0, 3.0, "m")
+    half_spacing: Annotated[float, _above(0.1, 2.0, "m")]
+    height: Annotated[float, _above(0.0, 3.0, "m")]
     k_x: Stiffness
     c_x: Damping
     k_y: Stiffness
     c_y: Damping
-    k_z: _above(0.0, 1e9, "N/m", _STIFF)
+    k_z: Annotated[float, _above(0.0, 1e9, "N/m", _STIFF)]
     c_z: Damping
-    link_stiffness: _above(0.0, 1e10, "N/m", _STIFF)
+    link_stiffness: Annotated[float, _above(0.0, 1e10, "N/m", _STIFF)]
     link_damping: Damping
     antiroll_stiffness: AngularStiffness
     antiroll_damping: AngularDamping
-    pitch_stiffness: _above(0.0, 1e9, "N m/rad", _STIFF)
+    pitch_stiffness: Annotated[float, _above(0.0, 1e9, "N m/rad", _STIFF)]
     pitch_damping: AngularDamping
     pitch_rods_on_carrier: Annotated[float, Parameter(0.0, 1.0, "-", closed=True)]
-    yaw_stop_angle: _above(0.0, 0.5, "rad")
-    yaw_stop_stiffness: _from_zero(1e10, "N m/rad")
-    bump_clearance: _above(0.0, 1.0, "m")
+    yaw_stop_angle: Annotated[float, _above(0.0, 0.5, "rad")]
+    yaw_stop_stiffness: Annotated[float, _from_zero(1e10, "N m/rad")]
+    bump_clearance: Annotated[float, _above(0.0, 1.0, "m")]
     bump_stiffness: Stiffness
 
     @property
@@ -177,14 +178,14 @@ class Primary:
     frame_inertia_x: Inertia
     frame_inertia_y: Inertia
     frame_inertia_z: Inertia
-    half_spacing: _above(0.1, 2.0, "m")
-    k_x: _above(0.0, 1e9, "N/m", _STIFF)
+    half_spacing: Annotated[float, _above(0.1, 2.0, "m")]
+    k_x: Annotated[float, _above(0.0, 1e9, "N/m", _STIFF)]
     c_x: Damping
-    k_y: _above(0.0, 1e9, "N/m", _STIFF)
+    k_y: Annotated[float, _above(0.0, 1e9, "N/m", _STIFF)]
     c_y: Damping
-    k_z: _above(0.0, 1e9, "N/m", _STIFF)
+    k_z: Annotated[float, _above(0.0, 1e9, "N/m", _STIFF)]
     c_z: Damping
-    pitch_stiffness: _above(0.0, 1e9, "N m/rad", _STIFF)
+    pitch_stiffness: Annotated[float, _above(0.0, 1e9, "N m/rad", _STIFF)]
     pitch_damping: AngularDamping
 
 
@@ -192,23 +193,23 @@ class Primary:
 class ProbeTask:
     """Wheel motor."""
 
-    torque_limit: _above(0.0, 1e5, "N m", (50.0, 1e5))
-    power_limit: _above(0.0, 1e8, "W", (5e3, 1e8))
+    torque_limit: Annotated[float, _above(0.0, 1e5, "N m", (50.0, 1e5))]
+    power_limit: Annotated[float, _above(0.0, 1e8, "W", (5e3, 1e8))]
     power_limited: Annotated[schema.Flag, _PLAIN]
-    lag: _above(0.0, 1.0, "s")
+    lag: Annotated[float, _above(0.0, 1.0, "s")]
 
 
 @schema.table
 class WheelRail:
     """Material and regularisation of the wheel-rail contact; `profile`: "cone", "s1002", a CSV (`contact.points`)."""
 
-    young: _above(1e9, 1e12, "Pa")
-    poisson: _from_zero(0.5, "-")
-    shear_modulus: _above(1e9, 1e12, "Pa")
-    nominal_load: _above(0.0, 1e6, "N", (2e3, 1e6))
-    normal_stiffness: _above(0.0, 1e13, "N/m^1.5")
-    normal_damping: _from_zero(1e3, "s/m")
-    rest_speed: _above(0.0, 1.0, "m/s")
+    young: Annotated[float, _above(1e9, 1e12, "Pa")]
+    poisson: Annotated[float, _from_zero(0.5, "-")]
+    shear_modulus: Annotated[float, _above(1e9, 1e12, "Pa")]
+    nominal_load: Annotated[float, _above(0.0, 1e6, "N", (2e3, 1e6))]
+    normal_stiffness: Annotated[float, _above(0.0, 1e13, "N/m^1.5")]
+    normal_damping: Annotated[float, _from_zero(1e3, "s/m")]
+    rest_speed: Annotated[float, _above(0.0, 1.0, "m/s")]
     profile: Annotated[str, AfterValidator(profile_name), _PLAIN]
 
 
@@ -219,18 +220,18 @@ class AdhesionSet:
     Creep stiffness at rest is (k_a + k_s)/2 of Kalker's; a k_s above k_a counts as k_a.
     """
 
-    k_a: _above(0.0, 1.0, "-")
-    k_s: _above(0.0, 1.0, "-")
-    mu0: _from_zero(1.0, "-")
-    a_ratio: _from_zero(1.0, "-")
-    b_decay: _from_zero(10.0, "s/m")
+    k_a: Annotated[float, _above(0.0, 1.0, "-")]
+    k_s: Annotated[float, _above(0.0, 1.0, "-")]
+    mu0: Annotated[float, _from_zero(1.0, "-")]
+    a_ratio: Annotated[float, _from_zero(1.0, "-")]
+    b_decay: Annotated[float, _from_zero(10.0, "s/m")]
 
 
 @schema.table
 class Environment:
     """Surroundings."""
 
-    gravity: _above(0.0, 20.0, "m/s2")
+    gravity: Annotated[float, _above(0.0, 20.0, "m/s2")]
 
 
 @schema.table
@@ -352,7 +353,7 @@ def _checked(path: Path | str | None) -> tuple[Vehicle, Path, dict, dict[str, di
     file = schema.location(path, paths.source("data/vehicle.toml"))
     content = schema.read(file)
     vehicle = schema.build(Vehicle, content, file.name)
-    entries = {}
+    entries: dict[str, dict] = {}
     for group, table in content.items():
         named = table.items() if group == "adhesion" else [("", table)]
         entries |= {".".join(filter(None, (group, name, key))): e for name, t in named for key, e in t.items()}

@@ -21,9 +21,9 @@ from railrepro.control.registry import REGISTERED, guidance
 from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
-from railrepro.evidence.runs import sources, store, tuning
+from railrepro.evidence.runs import ride, sources, store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.simulation import metrics, ride, simulate
+from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track import preview
 from railrepro.track.rough import fit, rough_track
@@ -31,6 +31,8 @@ from railrepro.track.route import CELL
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
+_WITHOUT_RESULTS = tuple(f"railrepro.evidence.runs.{name}" for name in ("executor", "sources", "store", "tuning"))
+"""Modules that start, name and store runs; what a run gives does not depend on them."""
 _SERIES = {
     **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
     **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
@@ -253,8 +255,8 @@ def code(measure: Measure) -> list:
 @lru_cache
 def _reached() -> dict[str, str]:
     """Content of the modules that a run can reach: those of the library that this module imports, and theirs."""
-    imported = [name for name in sources.parsed(_source(__name__))[1] if not name.startswith("railrepro.evidence")]
-    parts = [name.rpartition(".") for name in imported if "." in name]
+    imported = sources.parsed(_source(__name__))[1]
+    parts = [name.rpartition(".") for name in imported if "." in name and not name.startswith(_WITHOUT_RESULTS)]
     return sources.closure([f"from {room} import {name}" for room, _, name in parts])
 
 

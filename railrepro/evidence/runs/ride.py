@@ -19,14 +19,13 @@ import scipy
 
 from railrepro.car.equations import FLOOR, GEARS, WHEELS
 from railrepro.errors import InputError
+from railrepro.simulation.metrics import FLANGE_ANGLE
 from railrepro.vehicle.parameters import Vehicle
 
 FORCE_CUTOFF = 20.0
 """Cut-off of rail forces (Hz). Source: EN 14363 and UIC 518 (read)."""
 Y_OVER_Q_LIMIT = 0.8
 """Largest sliding mean of Y/Q (-). Source: EN 14363 (recalled; Nadal's limit for a flange of 70 degrees)."""
-FLANGE_ANGLE = np.radians(30)
-"""Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
 COMFORT_BLOCK, COMFORT_RUN = 5.0, 300.0
 """Length of a block of mean comfort and of the run that its percentile is defined for (s). Source: EN 12299 (read,
 recalled)."""
