@@ -57,7 +57,12 @@ html_show_search_summary = False
 
 # One page of the library reference per sub-package.
 apidoc_modules = [
-    {"path": str(paths.ROOT / "railrepro"), "destination": "reference", "automodule_options": {"members"}, "max_depth": 1}
+    {
+        "path": str(paths.ROOT / "railrepro"),
+        "destination": "reference",
+        "automodule_options": {"members"},
+        "max_depth": 1,
+    }
 ]
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"

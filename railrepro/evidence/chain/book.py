@@ -5,10 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import subprocess
 from pathlib import Path
-
-from ruff import find_ruff_bin
 
 from railrepro import paths
 from railrepro.errors import InputError
@@ -68,8 +65,6 @@ def _source(folder: Path) -> Path:
     write(folder / "article.md", article.for_the_book(text))
     write(folder / "article.pdf", article.pdf(text))
     write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
-    # Lines of the page's width; what the library writes stays as it is.
-    subprocess.run([find_ruff_bin(), "format", "-q", "--isolated", "--line-length=84", folder / "notebooks"], check=True)
     return folder
 
 

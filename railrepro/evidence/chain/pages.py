@@ -142,13 +142,13 @@ def _with_figures(cell: dict) -> list[dict]:
     saved = _SAVED.findall(cell["source"])
     stored = [output for output in cell.get("outputs", []) if not (saved and _is_figure(output))]
     shown = [_markdown(_figure(name), name) for name in saved]
+    if folding.is_folded(cell["source"]):
+        return [cell | {"outputs": stored, "metadata": {"tags": [folding.FOLDED]}}, *shown]
     code, checks = folding.split(cell["source"])
-    tags = cell["metadata"].get("tags", [])
-    if not checks or folding.FOLDED in tags:
-        return [cell | {"outputs": stored}, *shown]
+    head = [cell | {"source": code, "outputs": stored}, *shown]
     prompts = dict.fromkeys(("code_prompt_show", "code_prompt_hide"), "Checks of this cell")
     folded = {"id": f"{cell['id']}-checks", "metadata": {"tags": [folding.FOLDED], "mystnb": prompts}, "source": checks}
-    return [cell | {"source": code, "outputs": stored}, *shown, cell | {"outputs": []} | folded]
+    return [*head, cell | {"outputs": []} | folded] if checks else head
 
 
 def _is_figure(output: dict) -> bool:
