@@ -1,6 +1,7 @@
 """The book: every notebook has its place, pages link what they should, and the check of links finds what is broken."""
 
 import csv
+import json
 import re
 import shutil
 
@@ -63,11 +64,6 @@ def test_a_style_sheet_that_loads_from_a_network_is_told(tmp_path):
     assert weblinks.faults(tmp_path) == ["style.css loads https://example.org/a.woff2"]
 
 
-def test_every_notebook_has_one_place_in_the_contents():
-    places = re.findall(r"^notebooks/(\w+)$", (paths.NOTEBOOKS / "book/index.md").read_text(), re.MULTILINE)
-    assert sorted(places) == [notebook.name for notebook in graph.chain()]
-
-
 def test_labels_of_the_source_become_numbers_of_the_pdf():
     assert pages.numbered("see eqs. (psi_trax) to (gen_forces) and eq. (18)") == "see eqs. (8) to (17) and eq. (18)"
     assert pages.numbered("eq. (eq.integration_rule)") == "eq. (41), (42)"
@@ -123,7 +119,12 @@ def test_a_chapter_links_equations_and_names_source_data_and_claims():
     assert made[0].endswith(", [`02_contact`](02_contact.ipynb), `99_none`")
     assert "(eq-8)=\n\\begin{equation*}\na = b \\tag{8}\n\\end{equation*}" in made[0]
     assert made[1] == "(01_one-c07)=" and ":name: fig10_tracks" in made[3]
-    for part in ("source/01_one.ipynb", "data/results/table1.csv", "it holds | reproduced", 'REPLICATION.html#C01"'):
+    for part in (
+        "source/01_one.ipynb",
+        "data/results/table1.csv",
+        "it holds | reproduced | reproduced | reproduced |",
+        'REPLICATION.html#C01"',
+    ):
         assert part in made[-1]
 
 
@@ -140,10 +141,43 @@ def test_the_report_leads_to_cells_of_the_book():
     assert pages.report(text) == '| <span id="C08"></span>C08 | ✓ | [06, cell c20](#06_curve_entry-c20) |'
 
 
-def test_every_module_is_in_the_reference():
-    listed = {m for page in pages.reference().values() for m in re.findall(r"automodule:: ([\w.]+)", page)}
-    files = [file.relative_to(paths.ROOT) for file in (paths.ROOT / "railrepro").rglob("*.py")]
-    assert {".".join(file.with_suffix("").parts) for file in files if not file.name.startswith("__")} <= listed
+def test_chapters_are_numbered_and_in_the_order_of_the_chain(monkeypatch, tmp_path):
+    places = re.findall(r"^notebooks/(\w+)$", (paths.NOTEBOOKS / "book/index.md").read_text(), re.MULTILINE)
+    assert places == [notebook.name for notebook in graph.chain()]
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    (tmp_path / "notebooks").mkdir()
+    for title in ("[Re] Tracks", "Beyond the paper: tracks", "Tracks"):
+        content = {"cells": [{"cell_type": "markdown", "source": [f"# {title}\n", "text"]}]}
+        (tmp_path / "notebooks/01_tracks.ipynb").write_text(json.dumps(content))
+        assert pages.executed(graph.find("01_tracks"))["cells"][0]["source"] == "# 01 Tracks\ntext"
+
+
+def test_every_figure_has_a_caption_that_says_more_than_its_name():
+    drawn = [figure for notebook in graph.chain() for figure in notebook.figures]
+    assert sorted(pages.captions()) == sorted(drawn), "notebooks/book/captions.toml"
+    short = [name for name, caption in pages.captions().items() if len(caption.split()) < 7 or caption[-1] != "."]
+    assert short == []
+
+
+def test_checks_follow_a_cell_folded_and_its_output_stays_with_the_code():
+    code = {"cell_type": "code", "id": "c01", "source": "a = 1\nassert a\na", "metadata": {}, "outputs": [{"x": 1}]}
+    plot = {"cell_type": "code", "id": "c02", "source": "plt.plot(a)\nassert a", "metadata": {}}
+    made = pages.chapter(graph.Notebook("01_one", "one"), {"cells": [code, plot]}, {}, [])["cells"]
+    shown = [cell for cell in made if cell["cell_type"] == "code"]
+    assert [cell["source"] for cell in shown] == ["a = 1\na", "assert a", plot["source"]]
+    assert shown[0]["outputs"] == [{"x": 1}] and shown[1]["outputs"] == []
+    assert [cell["metadata"].get("tags", []) for cell in shown] == [[], ["hide-input"], ["hide-input"]]
+
+
+def test_a_statement_has_one_row_with_its_verdict_in_each_setting():
+    rows = [
+        {"id": "C01", "statement": "it holds", "verdict": verdict, "setting": setting}
+        for setting, verdict in (("paper", "reproduced"), ("loop", "not reproduced"))
+    ] + [{"id": "C02", "statement": "so does it", "verdict": "partly", "setting": ""}]
+    made = pages.chapter(graph.Notebook("01_one", "one"), {"cells": []}, {}, rows)["cells"][-1]["source"]
+    assert (
+        "| it holds | reproduced |  | not reproduced |" in made and "| so does it | partly | partly | partly |" in made
+    )
 
 
 def test_a_book_without_executed_notebooks_is_refused(monkeypatch, tmp_path):

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from railrepro.evidence.chain import graph
+from railrepro.evidence.chain import folding, graph
 from railrepro.evidence.chain.manifest import cells
 
 LINES, WIDTH = 15, 120
@@ -19,6 +19,9 @@ def faults(content):
             continue
         if len(rows) > LINES:
             found.append(f"cell {names[i]} has {len(rows)} lines, {LINES} are allowed")
+        tags = cell.get("metadata", {}).get("tags", [])
+        if folding.is_folded(cell["source"]) != (folding.FOLDED in tags):
+            found.append(f"cell {names[i]} and its tag {folding.FOLDED!r} do not agree; `make strip` sets it")
         if max(map(len, rows)) > WIDTH:
             found.append(f"cell {names[i]} has a line of {max(map(len, rows))} characters, {WIDTH} are allowed")
         if "save_figure(" in cell["source"] and follower["cell_type"] != "markdown":
@@ -53,7 +56,11 @@ END = "## What differs\n\nMuch, and it is told here.\n\n## What to try\n\n- one\
 
 def chapter(*sources, title=TITLE, end=END):
     kinds = ["markdown" if source.startswith("text") else "code" for source in sources]
-    middle = [{"cell_type": k, "id": f"c{i}", "source": s} for i, (k, s) in enumerate(zip(kinds, sources, strict=True))]
+    tags = {"metadata": {"tags": ["hide-input"]}}
+    middle = [
+        {"cell_type": k, "id": f"c{i}", "source": s} | (tags if "save_figure(" in s else {})
+        for i, (k, s) in enumerate(zip(kinds, sources, strict=True))
+    ]
     return [{"cell_type": "markdown", "source": title}, *middle, {"cell_type": "markdown", "source": end}]
 
 
@@ -61,6 +68,9 @@ def chapter(*sources, title=TITLE, end=END):
     ("content", "fault"),
     [
         (chapter("x = 1"), None),
+        (chapter("text", "for x in y:\n    assert x"), "cell c1 and its tag 'hide-input' do not agree"),
+        (chapter("text", "ax.plot(x)\nassert x"), "cell c1 and its tag 'hide-input' do not agree"),
+        (chapter("text", "z = x\nassert x"), None),
         (chapter("x\n" * 16), "cell c0 has 17 lines, 15 are allowed"),
         (chapter("x = " + "1" * 120), "cell c0 has a line of 124 characters, 120 are allowed"),
         (chapter("save_figure(fig)", "x"), "cell c0 draws a figure and no prose follows"),
@@ -75,3 +85,11 @@ def chapter(*sources, title=TITLE, end=END):
 def test_a_fault_of_the_form_is_told(content, fault):
     found = faults(content)
     assert not found if fault is None else len(found) == 1 and fault in found[0]
+
+
+def test_asserts_are_parted_from_what_a_cell_computes():
+    code = "a = 1\nassert a\nif a:\n    # because\n    assert (\n        a\n    )\nif a:\n    b = 2\n    assert b\na"
+    assert folding.split(code) == (
+        "a = 1\nif a:\n    b = 2\n    assert b\na",
+        "assert a\nif a:\n    # because\n    assert (\n        a\n    )",
+    )

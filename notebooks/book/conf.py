@@ -4,7 +4,7 @@ import re
 from importlib.util import find_spec
 from pathlib import Path
 
-from railrepro import __version__
+from railrepro import __version__, paths
 from railrepro.evidence.chain import pages
 
 project = "railrepro"
@@ -12,14 +12,23 @@ author = "railrepro contributors"
 copyright = "railrepro contributors, text and figures under CC-BY-4.0"
 release = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinxcontrib.bibtex"]
-exclude_patterns = ["data", "figures", "railrepro", "source"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.apidoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinxcontrib.bibtex",
+]
+exclude_patterns = ["data", "figures", "railrepro", "source", "reference/modules.rst"]
 suppress_warnings = ["myst.header", "ref.python"]
 bibtex_bibfiles = ["references.bib"]
 
 # The book shows what the chain executed and runs nothing itself.
 nb_execution_mode = "off"
 nb_merge_streams = True
+nb_code_prompt_show = "Show the code"
+nb_code_prompt_hide = "Hide the code"
 nb_ipywidgets_js = {}
 nb_mime_priority_overrides = [("html", "text/latex", 5)]
 nb_render_markdown_format = "myst"
@@ -38,6 +47,7 @@ _mathjax = find_spec("sphinx-mathjax-offline").submodule_search_locations[0]
 html_static_path = ["book.css", str(Path(_mathjax) / "static" / "mathjax" / "tex-svg-full.js")]
 
 html_theme = "furo"
+html_search_scorer = str(Path(__file__).parent / "scorer.js")
 html_title = "railrepro"
 html_css_files = ["book.css"]
 html_show_sphinx = False
@@ -45,6 +55,15 @@ html_copy_source = False
 # Summaries would be fetched, which a browser refuses between files.
 html_show_search_summary = False
 
+# One page of the library reference per sub-package.
+apidoc_modules = [
+    {
+        "path": str(paths.ROOT / "railrepro"),
+        "destination": "reference",
+        "automodule_options": {"members"},
+        "max_depth": 1,
+    }
+]
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"

@@ -65,8 +65,6 @@ def _source(folder: Path) -> Path:
     write(folder / "article.md", article.for_the_book(text))
     write(folder / "article.pdf", article.pdf(text))
     write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
-    for name, text in pages.reference().items():
-        write(folder / "reference" / f"{name}.md", text)
     return folder
 
 

@@ -1,4 +1,7 @@
-"""What is taken out of notebooks: of committed ones all that a run adds, of executed ones what differs between runs."""
+"""What is taken out of notebooks: of committed ones all that a run adds, of executed ones what differs between runs.
+
+Committed ones also get the tag of cells that the book folds.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,21 @@ import nbformat
 from nbconvert.preprocessors import ClearMetadataPreprocessor, ClearOutputPreprocessor
 
 from railrepro import paths
+from railrepro.evidence.chain import folding
 
 _KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
 
 
 def strip(path: Path) -> None:
-    """Remove outputs, execution counts and metadata but tags; name cells c01, c02, …"""
+    """Remove outputs, execution counts and metadata but tags; tag the cells that the book folds."""
     notebook = nbformat.read(path, 4)
     clearing = ClearOutputPreprocessor(), ClearMetadataPreprocessor(preserve_cell_metadata_mask={("tags",)})
     for step in clearing:
         notebook, _ = step.preprocess(notebook, {})
-    for i, cell in enumerate(notebook.cells):
-        cell["id"] = f"c{i + 1:02d}"
+    for cell in notebook.cells:
+        tags = [tag for tag in cell.metadata.get("tags", []) if tag != folding.FOLDED]
+        tags += [folding.FOLDED] * (cell.cell_type == "code" and folding.is_folded(cell.source))
+        cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
     notebook.metadata = nbformat.from_dict({"kernelspec": _KERNEL, "language_info": {"name": "python"}})
     nbformat.write(notebook, path)
 

@@ -1,20 +1,22 @@
-"""Source pages of the book: executed notebooks with their surroundings, report, notation, library reference."""
+"""Source pages of the book: executed notebooks with their surroundings, report, leaderboard, notation."""
 
 from __future__ import annotations
 
 import csv
 import json
 import re
+import tomllib
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
+import pandas as pd
+
 from railrepro import paths
 from railrepro.errors import InputError
+from railrepro.evidence.chain import folding
 from railrepro.evidence.chain.graph import Notebook
-
-ORDER = ("compile", "vehicle", "track", "contact", "model", "car", "estimation", "control", "simulation", "evidence")
-"""Rooms from the ground up, then the rest."""
+from railrepro.evidence.runs.tuning import SETTINGS
 
 _EQUATION = re.compile(r"\beqs?\. (\([^()\s]+\)(?:(?:, | and | to )\([^()\s]+\))*)")
 _DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
@@ -55,12 +57,15 @@ def prose(content: dict) -> str:
 
 
 def executed(notebook: Notebook) -> dict:
-    """Content of an executed notebook, sources as single strings and the title bare; InputError when there is none."""
+    """Content of an executed notebook, sources as single strings, its number in the title; InputError without one."""
     file = paths.BUILD / "notebooks" / f"{notebook.name}.ipynb"
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         for cell in content["cells"]:
-            cell["source"] = re.sub(r"^# \[Re\] ", "# ", "".join(cell["source"]))
+            cell["source"] = "".join(cell["source"])
+        first = content["cells"][0]
+        title = re.compile(r"^# (?:\[Re\] |Beyond the paper: )?(.)")
+        first["source"] = title.sub(lambda m: f"# {notebook.name[:2]} {m[1].upper()}", first["source"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{file}: there is no executed notebook; `make figures` makes it") from error
     return content
@@ -133,24 +138,36 @@ def _is_chapter(name: str) -> bool:
 
 
 def _with_figures(cell: dict) -> list[dict]:
-    """A code cell, and in place of the images of the figures that it saves the saved files with captions."""
+    """A code cell, its checks folded behind it; in place of images of figures that it saves the files with captions."""
     saved = _SAVED.findall(cell["source"])
     stored = [output for output in cell.get("outputs", []) if not (saved and _is_figure(output))]
     shown = [_markdown(_figure(name), name) for name in saved]
-    return [cell | {"outputs": stored}, *shown]
+    if folding.is_folded(cell["source"]):
+        return [cell | {"outputs": stored, "metadata": {"tags": [folding.FOLDED]}}, *shown]
+    code, checks = folding.split(cell["source"])
+    head = [cell | {"source": code, "outputs": stored}, *shown]
+    prompts = dict.fromkeys(("code_prompt_show", "code_prompt_hide"), "Checks of this cell")
+    folded = {"id": f"{cell['id']}-checks", "metadata": {"tags": [folding.FOLDED], "mystnb": prompts}, "source": checks}
+    return [*head, cell | {"outputs": []} | folded] if checks else head
 
 
 def _is_figure(output: dict) -> bool:
     return {"image/png", "text/latex"} & set(output.get("data", {})) == {"image/png"}
 
 
+@cache
+def captions() -> dict[str, str]:
+    """What each figure shows, from notebooks/book/captions.toml."""
+    return tomllib.loads((paths.NOTEBOOKS / "book" / "captions.toml").read_text(encoding="utf-8"))
+
+
 def _figure(name: str) -> str:
     """A saved figure as a numbered one: drawn when that is a small file, else in pixels."""
-    drawn = paths.FIGURES / f"{name}.svg"
+    drawn, caption = paths.FIGURES / f"{name}.svg", captions().get(name, name[6:].replace("_", " "))
     suffix = "svg" if drawn.exists() and drawn.stat().st_size < 500_000 else "png"
     files = ", ".join(f"{{download}}`{kind} <../figures/{name}.{kind}>`" for kind in ("pdf", "svg", "csv"))
-    head = f"```{{figure}} ../figures/{name}.{suffix}\n:name: {name}\n:alt: {name[6:].replace('_', ' ')}\n\n"
-    return f"{head}Figure {int(name[3:5])}, {name[6:].replace('_', ' ')} ({files})\n```"
+    head = f"```{{figure}} ../figures/{name}.{suffix}\n:name: {name}\n:alt: {caption}\n\n"
+    return f"{head}**Figure {int(name[3:5])}.** {caption} ({files})\n```"
 
 
 def _download(path: str) -> str:
@@ -166,13 +183,20 @@ def _around(notebook: Notebook, rows: list[dict]) -> str:
     if notebook.writes:
         lines += [f"Writes: {', '.join(map(_download, notebook.writes))}; figures above.", ""]
     if rows:
-        lines += ["Statements of the paper that rest on this chapter:", "", *_head("", "statement", "verdict")]
-        for row in rows:
-            setting = f", {row['setting']}" if row.get("setting") else ""
-            lines.append(f"| {_claim(row['id'])} | {row['statement']} | {row['verdict']}{setting} |")
+        lines += ["Statements of the paper that rest on this chapter:", "", *_verdicts(rows)]
     else:
         lines += ["No statement of the paper rests on this chapter."]
     return "\n".join(lines)
+
+
+def _verdicts(rows: list[dict]) -> list[str]:
+    """One row per statement, its verdict in each setting; one that has no setting is judged once, for all."""
+    lines = _head("", "statement", *(f"`{setting}`" for setting in SETTINGS))
+    for (identity, statement), own in pd.DataFrame(rows).groupby(["id", "statement"], sort=False):
+        known = dict(zip(own.get("setting", [""] * len(own)), own["verdict"], strict=True))
+        verdicts = (known.get(setting, known.get("", "")) for setting in SETTINGS)
+        lines.append(f"| {_claim(str(identity))} | {statement} | {' | '.join(verdicts)} |")
+    return lines
 
 
 def _head(*names: str) -> list[str]:
@@ -230,29 +254,3 @@ def notation(rows: Iterable[dict]) -> str:
         cells = (row["symbol"], row["meaning"], row["unit"], f"`{row['python']}`" if row["python"] else "", shown)
         lines.append("| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
-
-
-def reference() -> dict[str, str]:
-    """Pages of the library reference by name, one per room, from the docstrings."""
-    base = paths.ROOT / "railrepro"
-    rooms = sorted((p.parent for p in base.glob("*/__init__.py")), key=lambda p: (_rank(p.name), p.name))
-    pages = {"library": _room("railrepro", base)}
-    pages |= {room.name: _room(f"railrepro.{room.name}", room) for room in rooms}
-    listed = "\n".join(pages)
-    head = "# Library reference\n\nFrom the docstrings, room by room, from the ground up.\n\n"
-    return {"index": f"{head}```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n"} | pages
-
-
-def _rank(name: str) -> int:
-    return ORDER.index(name) if name in ORDER else len(ORDER)
-
-
-def _room(package: str, folder: Path) -> str:
-    found = folder.glob("*.py") if package == "railrepro" else folder.rglob("*.py")
-    files = sorted(file.relative_to(paths.ROOT).with_suffix("") for file in found if not file.name.startswith("__"))
-    modules = [".".join(file.parts) for file in files]
-    lines = [f"# {package}", "", "```{eval-rst}", f".. automodule:: {package}", "   :no-index:", "```", ""]
-    for module in modules:
-        lines += [f"## {module.removeprefix(package + '.')}", "", "```{eval-rst}", f".. automodule:: {module}"]
-        lines += ["   :members:", "```", ""]
-    return "\n".join(lines)

@@ -1,0 +1,38 @@
+"""Code cells of a notebook: which of them a reader may skip, and a cell without its checks."""
+
+from __future__ import annotations
+
+import ast
+import re
+
+FOLDED = "hide-input"
+"""Tag of cells that the book folds: they draw, or only check."""
+_DRAWS = re.compile(r"\bplt\.\w|\bsave_figure\(|\.(?:plot|semilog[xy]|loglog|scatter|subplots|set_[xy]label)\(")
+
+
+def _checks(node: ast.stmt) -> bool:
+    """Whether a statement only asserts, below a condition or a loop for instance."""
+    parts = [*getattr(node, "body", ()), *getattr(node, "orelse", ())]
+    return isinstance(node, ast.Assert) or (isinstance(node, ast.If | ast.For) and all(map(_checks, parts)))
+
+
+def _body(source: str) -> list[ast.stmt]:
+    try:
+        return ast.parse(source).body
+    except SyntaxError:
+        return []
+
+
+def is_folded(source: str) -> bool:
+    """Whether a code cell draws, or has nothing but asserts."""
+    body = _body(source)
+    return bool(_DRAWS.search(source)) or (bool(body) and all(map(_checks, body)))
+
+
+def split(source: str) -> tuple[str, str]:
+    """Code of a cell without its asserts, and these."""
+    lines, checks = source.split("\n"), []
+    for node in reversed([node for node in _body(source) if _checks(node)]):
+        checks[:0] = lines[node.lineno - 1 : node.end_lineno]
+        del lines[node.lineno - 1 : node.end_lineno]
+    return "\n".join(lines).strip("\n"), "\n".join(checks)
