@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from railrepro.evidence.report import figures
-from railrepro.evidence.score import card
+from railrepro.evidence.score import card, suite
 
 
 def leaderboard(table: pd.DataFrame) -> Figure:
@@ -18,10 +18,10 @@ def leaderboard(table: pd.DataFrame) -> Figure:
     table : DataFrame
         data/results/leaderboard.csv.
     """
-    ranked = card.ranking(table)
+    ranked = card.ranking(table, suite.draws().published)
     place = np.arange(len(ranked))
     figure, axes = figures.new_figure(height=0.2 * len(ranked) + 0.8)
-    axes.barh(place, ranked[card.ALL], 0.6, color="0.85", label="score (mean)")
+    axes.barh(place, ranked["ranked"].fillna(ranked["published"]), 0.6, color="0.85", label="score (mean)")
     for setting, face in (("equal", "white"), ("loop", "black")):
         look = {"marker": figures.SETTING_MARKERS[setting], "markerfacecolor": face, "markeredgecolor": "black"}
         axes.plot(ranked[setting], place, linestyle="", markersize=4.5, label=f"setting {setting}", **look)
