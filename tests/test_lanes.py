@@ -93,3 +93,13 @@ def test_runs_of_the_executor_go_side_by_side(monkeypatch):
     )
     assert executor._here(abs, [-1, -2], True)[0] == executor._here(abs, [-1, -2], False)[0] == [1, 2]
     assert calls == [2]
+
+
+def test_a_car_that_is_no_number_ends_without_its_neighbours():
+    vehicle, scenario = load_vehicle(), SCENARIOS["sine_tracking"]
+    route = simulate.checked_route(scenario, vehicle)
+    one, lost, other = (simulate.start(scenario, tuned("ndi"), route, vehicle, vehicle) for _ in range(3))
+    lost.state[0] = np.nan
+    rows = lanes.SideBySide([lost, one]).run(30)
+    assert (len(rows[0]), lost.ended, lost.exchanges) == (1, True, 0)
+    assert rows[1].tobytes() == other.run(30).tobytes() and one.exchanges == 30 and not one.ended
