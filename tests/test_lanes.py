@@ -103,3 +103,9 @@ def test_a_car_that_is_no_number_ends_without_its_neighbours():
     rows = lanes.SideBySide([lost, one]).run(30)
     assert (len(rows[0]), lost.ended, lost.exchanges) == (1, True, 0)
     assert rows[1].tobytes() == other.run(30).tobytes() and one.exchanges == 30 and not one.ended
+
+
+def test_tasks_fill_their_lanes_and_leave_no_worker_idle():
+    sizes = [executor._batch(number, 2, True, True) for number in (0, 1, 6, 8, 15, 24, 100, 1000)]
+    assert sizes == [1, 1, 1, 4, 8, 8, 25, 32]
+    assert executor._batch(100, 2, True, False) == 1 and executor._batch(6, 2, False, True) == 2
