@@ -70,7 +70,12 @@ SOLVERS = ["control/solvers/riccati.c", "control/solvers/interior.c"]
 @pytest.mark.parametrize("command", ["gcc", "clang"])
 @pytest.mark.parametrize(
     "parts",
-    [["car/car.c"], ["simulation/loop.c"], ["compile/lanes.h", "compile/elementary.c", GENERATED, *SOLVERS]],
+    [
+        ["car/car.c"],
+        ["simulation/loop.c"],
+        ["compile/lanes.h", "compile/elementary.c", GENERATED, *SOLVERS],
+        ["compile/lanes.h", "compile/elementary.c", "car/car.c", "simulation/lanes.c"],
+    ],
     ids=lambda parts: parts[-1],
 )
 def test_hand_written_c_compiles_without_warning(tmp_path, command, parts):

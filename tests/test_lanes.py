@@ -93,3 +93,19 @@ def test_runs_of_the_executor_go_side_by_side(monkeypatch):
     )
     assert executor._here(abs, [-1, -2], True)[0] == executor._here(abs, [-1, -2], False)[0] == [1, 2]
     assert calls == [2]
+
+
+def test_a_car_that_is_no_number_ends_without_its_neighbours():
+    vehicle, scenario = load_vehicle(), SCENARIOS["sine_tracking"]
+    route = simulate.checked_route(scenario, vehicle)
+    one, lost, other = (simulate.start(scenario, tuned("ndi"), route, vehicle, vehicle) for _ in range(3))
+    lost.state[0] = np.nan
+    rows = lanes.SideBySide([lost, one]).run(30)
+    assert (len(rows[0]), lost.ended, lost.exchanges) == (1, True, 0)
+    assert rows[1].tobytes() == other.run(30).tobytes() and one.exchanges == 30 and not one.ended
+
+
+def test_tasks_fill_their_lanes_and_leave_no_worker_idle():
+    sizes = [executor._batch(number, 2, True, True) for number in (0, 1, 6, 8, 15, 24, 100, 1000)]
+    assert sizes == [1, 1, 1, 4, 8, 8, 25, 32]
+    assert executor._batch(100, 2, True, False) == 1 and executor._batch(6, 2, False, True) == 2

@@ -153,7 +153,7 @@ def ordered_map(
     known = _known(task, arguments) if stored else {}
     missing = [i for i in range(len(arguments)) if i not in known]
     local = isinstance(pool, ProcessPoolExecutor)
-    size = 1 if local and not stored else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
+    size = _batch(len(missing), _workers(pool), local, stored)
     batches = [missing[i : i + size] for i in range(0, len(missing), size)]
     work = _here if local else _elsewhere
     try:
@@ -185,6 +185,14 @@ def ordered_map(
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error
         raise
+
+
+def _batch(number: int, workers: int, local: bool, stored: bool) -> int:
+    """Arguments of one task: some tasks for each worker, and full lanes where there is enough for all."""
+    share, several = -(-number // workers), -(-number // (2 * workers)) or 1
+    if stored and share >= lanes.LANES:
+        return min(BATCH, max(several, min(share, 2 * lanes.LANES)))
+    return 1 if local else min(BATCH, several)
 
 
 def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
