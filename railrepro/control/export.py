@@ -114,7 +114,10 @@ class Export:
         places = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
         text = _places("MEASURED", law.MEASURED) + _places("TORQUE", TORQUES)
         text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("PLACES", places)
-        return text + constant("CELLS", self.route.cells) + constant("GAINS", control.gains)
+        cells = self.route.cells.copy()
+        if lateral.split(self.guidance)[1] is None:
+            cells[:, ~_read(control.function)] = 0.0
+        return text + constant("CELLS", cells) + constant("GAINS", control.gains)
 
     @staticmethod
     def _functions(planner: PredictiveController) -> tuple[ca.Function, ...]:
@@ -164,6 +167,13 @@ def _work(name: str, functions) -> dict[str, int]:
 
 def _defines(values: dict) -> str:
     return "".join(f"#define {name} {value}\n" for name, value in values.items())
+
+
+def _read(function: ca.Function) -> np.ndarray:
+    """Which columns of a cell the torques and memory of a law depend on, and where it begins; bool, (len(COLUMNS),)."""
+    rows = function.index_in("rows")
+    places = [p for output in range(2) for p in function.jac_sparsity(output, rows).get_triplet()[1]]
+    return np.isin(np.arange(len(COLUMNS)), [INDEX["p"], *(place % len(COLUMNS) for place in places)])
 
 
 def _places(prefix: str, names: tuple[str, ...]) -> str:
