@@ -118,6 +118,16 @@ def test_the_c_behind_sensors_gives_the_torques_of_a_run_and_needs_nothing(name,
     assert {name for name in wanted if not name.startswith("_")} <= mathematics | {"memcpy", "memset", "memmove"}
 
 
+def test_the_c_names_its_inputs_and_holds_what_the_law_needs():
+    route = SCENARIO.route()
+    text, whole = (Export(GUIDANCE[name], route).source() for name in ("ndi", "ltv_mpc"))
+    for prefix, names in (("MEASURED", law.MEASURED), ("TORQUE", TORQUES)):
+        listed = text.split(f"enum {{ {prefix}_")[1].split(" }")[0].split(f", {prefix}_")
+        assert listed == [name.replace(".", "_").upper() for name in names]
+    cells = {key: len(each.split("CELLS[")[1].split(";")[0]) for key, each in {"law": text, "mpc": whole}.items()}
+    assert cells["law"] < 0.8 * cells["mpc"]
+
+
 def test_what_is_written_in_python_cannot_be_taken_away():
     class Own:
         period = 0.005

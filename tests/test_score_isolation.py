@@ -28,6 +28,7 @@ class Mine:
         {}
 """
 CASE = suite.Case("short", "equal", load_scenario("curve_entry_T3").but(end_m=15.0), group="short")
+BRAKING = load_scenario("braking").but(end_m=15.0, poor_share=((0.0, 1.0),), side_force_kN=((0.0, 1.0),))
 PID = str(paths.ROOT / "examples/pid.py")
 FOOL = '{"scenario": "short", "failure": "", "rmse_y": 0.0, "effort_du": 0.0}'
 INTO_PIPES = f"""
@@ -79,7 +80,7 @@ def test_a_trick_is_a_failure_and_ends_in_time(what, tmp_path):
     text, said = TRICKS[what]
     row, seconds = driven(tmp_path, text)
     assert said in row["failure"] and "rmse_y" not in row and seconds < 30
-    assert card.judged([row | {"nothing": 1.0, "limit": 0.0}])["points"].tolist() == [0.0]
+    assert card.judged([row | {"nothing": 1.0, "best": 0.0, "limit": 0.0}])["points"].tolist() == [0.0]
 
 
 @linux
@@ -122,11 +123,11 @@ def test_the_state_of_the_car_is_nowhere_in_the_process(tmp_path):
 
 def test_a_controller_knows_neither_friction_nor_irregularities(tmp_path):
     rough = suite.Case(
-        "rough", "equal", load_scenario("braking").but(end_m=15.0, poor_share=((0.0, 1.0),)), group="rough",
+        "rough", "equal", BRAKING, group="rough",
         irregular={"spectrum": "en_B_300", "seed": 1},
     )  # fmt: skip
     file = tmp_path / "own.py"
-    hidden = "['lateral', 'ddvertical', 'gauge', 'poor_le', 'poor_ri']"
+    hidden = "['lateral', 'ddvertical', 'gauge', 'poor_le', 'side_force']"
     show = f"""from railrepro.track.route import INDEX
         found = [float(abs(self.route.cells[:, INDEX[n]]).max()) for n in {hidden} + ['force', 'y_ref']]
         raise ValueError([value > 0 for value in found])"""

@@ -52,7 +52,7 @@ class Unit:
 
 def constant(name: str, values: np.ndarray) -> str:
     """C constant that holds numbers exactly."""
-    numbers = ",".join(float(v).hex() for v in np.ravel(values))
+    numbers = ",".join(float(v).hex() if v else "0" for v in np.ravel(values))
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
 

@@ -3,7 +3,7 @@
    the constants of the exported one; controller_plan is that of the slower controllers, where there are some. */
 
 typedef struct {
-  /* what is measured, in the order of MEASURED; torques that follow (N m) */
+  /* what is measured (SI), by the enumerated MEASURED_...; torques that follow (N m), by TORQUE_... */
   double measured[N_MEASURED], torque[N_TORQUE];
   double rows[GEARS * N_CELL_COLUMNS], held[GEARS], memory[N_MEMORY], next[N_MEMORY];
   const double *in[LAW_ARG];

@@ -75,7 +75,10 @@ class Export:
         lateral.split(self.guidance)
 
     def source(self) -> str:
-        """C source: controller_t with `measured` and `torque`, controller_reset(c), controller_step(c) every ms."""
+        """C source: controller_t with `measured` and `torque`, controller_reset(c), controller_step(c) every ms.
+
+        Places in both are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI).
+        """
         lateral_law, factory = lateral.split(self.guidance)
         limits = {"lateral": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, *self.settings, **limits)
@@ -109,8 +112,12 @@ class Export:
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
         sizes |= {"PERIOD": float(EXCHANGE_PERIOD).hex()}
         places = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
-        text = _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("PLACES", places)
-        return text + constant("CELLS", self.route.cells) + constant("GAINS", control.gains)
+        text = _places("MEASURED", law.MEASURED) + _places("TORQUE", TORQUES)
+        text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("PLACES", places)
+        cells = self.route.cells.copy()
+        if lateral.split(self.guidance)[1] is None:
+            cells[:, ~_read(control.function)] = 0.0
+        return text + constant("CELLS", cells) + constant("GAINS", control.gains)
 
     @staticmethod
     def _functions(planner: PredictiveController) -> tuple[ca.Function, ...]:
@@ -160,6 +167,18 @@ def _work(name: str, functions) -> dict[str, int]:
 
 def _defines(values: dict) -> str:
     return "".join(f"#define {name} {value}\n" for name, value in values.items())
+
+
+def _read(function: ca.Function) -> np.ndarray:
+    """Which columns of a cell the torques and memory of a law depend on, and where it begins; bool, (len(COLUMNS),)."""
+    rows = function.index_in("rows")
+    places = [p for output in range(2) for p in function.jac_sparsity(output, rows).get_triplet()[1]]
+    return np.isin(np.arange(len(COLUMNS)), [INDEX["p"], *(place % len(COLUMNS) for place in places)])
+
+
+def _places(prefix: str, names: tuple[str, ...]) -> str:
+    """C enumeration of the places of named values, MEASURED_FRONT_P and so on."""
+    return f"enum {{ {', '.join(f'{prefix}_{name.replace(chr(46), chr(95)).upper()}' for name in names)} }};\n"
 
 
 def _integers(name: str, values) -> str:

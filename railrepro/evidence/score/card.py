@@ -69,11 +69,10 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points of a row with its anchors `nothing` and `limit` (J and m), 0 to 100; see the module."""
+    """Points of a row with its anchors `nothing` and `best` (J), 0 to 100; see the module."""
     if row["failure"]:
         return 0.0
-    limit = row["limit"] / 1e-3 if np.isfinite(row["limit"]) else 0.0
-    q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], limit))
+    q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
     return float(np.clip(100 * (q - nothing) / (best - nothing), 0.0, 100.0)) if best > nothing else 0.0
 
 
@@ -83,7 +82,7 @@ def error(row: dict) -> float:
 
 
 def judged(rows: list[dict]) -> pd.DataFrame:
-    """Rows of `trial.Trial` with their error and points; each has `nothing` and `limit`, see `points`."""
+    """Rows of `trial.Trial` with their error and points; each has `nothing`, `best` and `limit`, see `limit`."""
     table = pd.DataFrame([row | {"error": error(row)} for row in rows])
     table["points"] = [points(row) for row in table.to_dict("records")]
     return table

@@ -270,9 +270,10 @@ class HandedGuidance(HandedLaw):
 
 
 def known(route: Route) -> Route:
-    """What a controller may know of a route: neither irregularities nor friction nor profiles of the rails."""
+    """What a controller may know of a route: no irregularities, friction, profiles of the rails, side forces."""
     cells = np.array(route.cells)
-    names = [name for name in INDEX if name.lstrip("d") in CHANNELS or name in ("poor_le", "poor_ri", "second_profile")]
+    hidden = (*CHANNELS, "poor_le", "poor_ri", "second_profile", "side_force")
+    names = [name for name in INDEX if name.lstrip("d") in hidden or name in hidden]
     cells[:, [INDEX[name] for name in names]] = 0.0
     return Route(cells, route.length)
 
