@@ -126,6 +126,8 @@ def test_every_negative_control_is_used():
 
 T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
 NDI, FIXED = "ndi", "nmpc, fixed share"
+SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
+"""No pair of the sweep shifts the emphasis, so that nothing weaker is found."""
 
 
 @pytest.mark.parametrize(
@@ -178,6 +180,8 @@ NDI, FIXED = "ndi", "nmpc, fixed share"
         ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5)], NOT),
         ("C30", [(BRAKE, BETWEEN, "rmse_y", 0.9e-3), (BRAKE, "sweep of R", "rmse_y 10", 0.9e-3)], NOT),
         ("C30", [(BRAKE, SOFTEST, "stopping_distance", 1002.5)], PARTLY),
+        ("C30", [*SWEPT_WRONG, (BRAKE, BETWEEN, "stopping_distance", 1000.5)], NOT),
+        ("C30", [*SWEPT_WRONG, (BRAKE, BETWEEN, "rmse_y", 1.002e-3), (BRAKE, SOFTEST, "rmse_y", 1.005e-3)], NOT),
         ("C30", [(BRAKE, name, "failed", 1.0) for name in (SOFTEST, "sweep of R")], NOT),
         ("C46", [(BRAKE, "sweep of poles", f"stopping_distance {f}", 1001.5) for f in (1, 10, 100)], NOT),
         ("C46", [(BRAKE, "sweep of poles", "rmse_y 1", 0.9e-3)], PARTLY),

@@ -241,6 +241,15 @@ def _s1002_straight(nominal: Nominal) -> str:
 
 
 @named
+def _forecast_shift(nominal: Nominal) -> str:
+    """What the mean braking of Fig. 9 moves the forecast over the horizon of NMPC of the setting `equal` (cm)."""
+    file = nominal.results.file(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
+    horizon = json.loads(file.read_text(encoding="utf-8"))["parameters"]["horizon_s"]
+    way = nominal.evidence(tuning.EQUAL)("braking", "nmpc", "stopping_distance")
+    return quantity(100 * load_scenario("braking").speed ** 2 / (2 * way) * horizon**2 / 2, "cm")
+
+
+@named
 def _degrees_of_freedom(nominal: Nominal) -> str:
     """Those of the bodies, and one per wheel."""
     nominal.results.file("railrepro/car/equations.py")

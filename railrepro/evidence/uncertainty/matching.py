@@ -4,7 +4,7 @@ The paper's results are observations of a car that nobody published. History mat
 space-filling design, an emulator per statement with its error, points ruled out where a statement is implausible, the
 next runs in what is left; then an evolution strategy from the closest run. What no run has may still be there: the
 calibrated car (data/paper_like.toml) was found by hand. `python -m railrepro matching [small]` writes
-data/results/matching_*.csv and the named set `paper_like`; every finished run is in the store, so an interrupted
+data/results/matching_*.csv with the closest run; every finished run is in the store, so an interrupted
 matching goes on where it was.
 
 Source: Craig, Goldstein, Seheult and Smith 1997; Vernon, Goldstein and Bower 2010 (implausibility, waves).
@@ -437,20 +437,20 @@ def rules() -> dict[str, Statement]:
 
 
 @schema.table
-class PaperLike:
-    """The named set `paper_like`: values by dimension, statements that hold there."""
+class Closest:
+    """The closest run: values by dimension, statements that hold there."""
 
     values: dict[str, schema.Plain]
     holds: tuple[str, ...]
     fails: tuple[str, ...]
 
 
-def paper_like() -> ProbeSetup:
+def closest() -> ProbeSetup:
     """Car, controllers and experiments that come closest to the paper's statements, see `best`."""
-    file = paths.source("data/results/paper_like.json")
+    file = paths.source("data/results/matching_closest.json")
     if not file.exists():
         raise InputError(f"{file.name}: is missing; `python -m railrepro matching` makes it")
-    return world(schema.build(PaperLike, schema.read(file), file.name).values)
+    return world(schema.build(Closest, schema.read(file), file.name).values)
 
 
 def missed(margins: pd.DataFrame) -> pd.Series:
@@ -468,7 +468,7 @@ def best(problem: Problem, matched: Matched) -> dict:
     told_apart = matched.margins.iloc[row] > 0
     names = list(matched.margins.columns)
     return asdict(
-        PaperLike(
+        Closest(
             dict(problem.values(matched.points[row])),
             tuple(name for name in names if told_apart[name]),
             tuple(name for name in names if not told_apart[name]),
@@ -520,7 +520,7 @@ def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
 
 
 def main(size: str = "committed") -> None:
-    """Match at a size and write the tables and the named set."""
+    """Match at a size and write the tables and the closest run."""
     if size not in SIZES:
         raise InputError(f"matching takes one of the sizes {sorted(SIZES)}, found {size!r}")
     waves, count, generations = SIZES[size]
@@ -534,5 +534,5 @@ def main(size: str = "committed") -> None:
     matched = match(problem, waves, count, generations)
     for name, table in (tables(problem, matched) | {"switched": switched(run)}).items():
         write(paths.product(f"data/results/matching_{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
-    write(paths.product("data/results/paper_like.json"), json.dumps(best(problem, matched), indent=2) + "\n")
+    write(paths.product("data/results/matching_closest.json"), json.dumps(best(problem, matched), indent=2) + "\n")
     print(matched.waves.to_string(index=False))
