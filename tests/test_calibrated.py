@@ -101,6 +101,8 @@ def test_the_committed_tables_hold_all_statements():
     assert tuple(sorted(found["statement"])) == tuple(sorted(calibrated.MATCHED)) and found["holds"].all()
     back = pd.read_csv(paths.source("data/results/paper_like_alone.csv"))
     assert list(back["choice"]) == list(CHOICES)
+    for name, falls in zip(back["choice"], back["falls"].fillna(""), strict=True):
+        assert set(falls.split()) <= set(CHOICES[name].statements), name
 
 
 @pytest.mark.slow
