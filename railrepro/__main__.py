@@ -84,6 +84,11 @@ def parser() -> argparse.ArgumentParser:
     command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, tell what is", chain)
     added = command("run", "chain.runner:refresh", "run one notebook if it is stale", chain)
     added.add_argument("name")
+    command(
+        "times", "chain.runner:store_times", "enter the durations of the last runs into notebooks/chain.toml", chain
+    )
+    added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts", chain)
+    added.add_argument("name", help="its name or two digits")
     command("html", "chain.book:html", "executed notebooks as a book in build/html", chain)
     command("strip", "chain.cleaning:strip_all", "remove outputs from the notebooks", chain)
     added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products", chain)
