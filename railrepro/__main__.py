@@ -78,6 +78,10 @@ def parser() -> argparse.ArgumentParser:
     added.add_argument("--setting", default="equal", help="paper, equal (default) or loop")
     added.add_argument("--no-movie", action="store_false", dest="with_movie", help="only the page")
 
+    command("cite", "chain.release:cite", "print how this version is cited, write build/metadata.yaml")
+    command("codemeta", "chain.release:store_codemeta", "write codemeta.json from CITATION.cff and pyproject.toml")
+    command("dist", "chain.release:dist", "archive of the committed files and a wheel, in build/dist")
+
     words = "the notebooks and their products"
     chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
     command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml", chain)
