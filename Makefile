@@ -75,7 +75,7 @@ endif
 # Where there is no C compiler one comes as a Python package, with a pin of its own.
 COMPILER_LOCK := railrepro/compile/compiler.lock
 
-.PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article answers verify variants bench study html lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article answers verify variants bench study html script cite dist lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -157,7 +157,16 @@ study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, ma
 html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
 	$(PY) -m railrepro chain html
 
-strip: $(VENV)  ## remove outputs from the notebooks
+script: $(VENV)  ## a chapter as a Python script in build/scripts: NB=06
+	@$(PY) -m railrepro chain script "$(or $(NB),00)"
+
+cite: $(VENV)  ## how this version is cited, with its Software Heritage id
+	@$(PY) -m railrepro cite
+
+dist: $(VENV)  ## an archive that builds without git and a wheel, in build/dist
+	@$(PY) -m railrepro dist
+
+strip: $(VENV)  ## remove outputs from the notebooks, tag the cells that the book folds
 	$(PY) -m railrepro chain strip
 
 lock:  ## renew environment.lock from pyproject.toml, and the locks that share its pins

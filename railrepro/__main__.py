@@ -83,12 +83,21 @@ def parser() -> argparse.ArgumentParser:
     added.add_argument("--setting", default="equal", help="paper, equal (default) or loop")
     added.add_argument("--no-movie", action="store_false", dest="with_movie", help="only the page")
 
+    command("cite", "chain.release:cite", "print how this version is cited, write build/metadata.yaml")
+    command("codemeta", "chain.release:store_codemeta", "write codemeta.json from CITATION.cff and pyproject.toml")
+    command("dist", "chain.release:dist", "archive of the committed files and a wheel, in build/dist")
+
     words = "the notebooks and their products"
     chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
     command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml", chain)
     command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, else list the stale ones", chain)
     added = command("run", "chain.runner:refresh", "run one notebook if it is stale", chain)
     added.add_argument("name")
+    command(
+        "times", "chain.runner:store_times", "enter the durations of the last runs into notebooks/chain.toml", chain
+    )
+    added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts", chain)
+    added.add_argument("name", help="its name or two digits")
     command("html", "chain.book:html", "executed notebooks as a book in build/html", chain)
     command("strip", "chain.cleaning:strip_all", "remove outputs from the notebooks", chain)
     added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products", chain)

@@ -12,7 +12,7 @@ import pytest
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.evidence.chain import cleaning, graph, manifest, runner
+from railrepro.evidence.chain import book, cleaning, graph, manifest, runner
 
 CELLS = [
     "from railrepro import paths",
@@ -156,6 +156,43 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     assert manifest.is_fresh(notebook)
     file.write_text(text.replace("speed_kmh = 280", "speed_kmh = 281"))
     assert not manifest.is_fresh(notebook)
+
+
+def test_the_estimate_of_time_is_that_of_the_last_runs_and_can_be_stored(tiny):
+    notebook = graph.find("01_tiny")
+    assert runner.estimate([notebook] * 4, at_once=2) == 2.0
+    runner.refresh("01_tiny")
+    stamp = tiny / "build/stamps/01_tiny.json"
+    known = json.loads(stamp.read_text())
+    assert 0 < known["seconds"] < 120
+    stamp.write_text(json.dumps(known | {"seconds": 30.0}))
+    assert runner.estimate([notebook] * 4, at_once=2) == 1.0
+    assert runner.estimate([notebook] * 2, at_once=4) == 0.5
+    file = tiny / "notebooks/chain.toml"
+    other = '[[notebook]]\nname = "02_other"\ntitle = "other"\nminutes = 3.0\n'
+    file.write_text(file.read_text() + "minutes = 7.0\n" + other)
+    runner.store_times()
+    assert [n.minutes for n in graph.chain()] == [0.5, 3.0]
+
+
+def test_readme_and_console_say_the_same_time():
+    estimate = runner.estimate(graph.chain(), at_once=2)
+    lines = [line for line in (paths.ROOT / "README.md").read_text().splitlines() if "make figures" in line]
+    said = [re.search(r"(\d+) min|\| (\d+),? [^|]*\|$", line) for line in lines]
+    for minutes in (float(match[1] or match[2]) for match in said if match):
+        assert 2 / 3 < minutes / estimate < 3 / 2
+
+
+def test_a_chapter_is_had_as_a_script(tiny, monkeypatch):
+    monkeypatch.chdir(tiny)
+    script = book.script("01")
+    code = script.read_text()
+    exec(
+        compile(code.replace("os.environ.setdefault", "monkeypatch.setenv"), script, "exec"),
+        {"monkeypatch": monkeypatch},
+    )
+    assert (tiny / "build/tried/01_tiny/data/results/out.csv").read_text() == "a\n1\n"
+    assert not (tiny / "data/results/out.csv").exists()
 
 
 def test_another_package_in_the_lock_makes_products_stale(tiny):

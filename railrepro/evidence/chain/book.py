@@ -10,7 +10,7 @@ from pathlib import Path
 from railrepro import paths
 from railrepro.errors import InputError
 from railrepro.evidence.chain import pages, weblinks
-from railrepro.evidence.chain.graph import chain
+from railrepro.evidence.chain.graph import chain, find
 from railrepro.files import write, written
 
 
@@ -32,6 +32,24 @@ def html() -> Path:
     if faults:
         raise InputError(f"the book has {len(faults)} faulty links, the first: {faults[0]}")
     return folder / "index.html"
+
+
+def script(name: str) -> Path:
+    """A chapter as a Python script in build/scripts, with its prose as comments; what it writes goes to build/tried.
+
+    Parameters
+    ----------
+    name : str
+        Name of the notebook, or its two digits.
+    """
+    from nbconvert import PythonExporter
+
+    notebook = find(next((known.name for known in chain() if known.name[:2] == name), name))
+    text, _ = PythonExporter(exclude_input_prompt=True).from_filename(str(notebook.path))
+    head = f"import os\n\nos.environ.setdefault('RAILREPRO_OUTPUT', {str(paths.BUILD / 'tried' / notebook.name)!r})\n"
+    file = paths.BUILD / "scripts" / f"{notebook.name}.py"
+    write(file, head + text.partition("coding: utf-8")[2])
+    return file
 
 
 def _source(folder: Path) -> Path:

@@ -24,12 +24,16 @@ def _hash(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file in hexadecimal, or "missing" where there is none that can be read."""
+def _content(file: Path) -> bytes:
     try:
-        return _hash(path.read_bytes())
+        return file.read_bytes()
     except OSError:
-        return "missing"
+        return b"missing"
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file in hexadecimal, that of "missing" where there is none that can be read."""
+    return _hash(_content(path))
 
 
 def cells(notebook: Notebook) -> list[dict]:
@@ -65,13 +69,6 @@ class Inputs:
         known = entries or {}
         reads = {read: _entries(content, known.get(read, [ALL])) for read, content in self._reads.items()}
         return _hash(json.dumps(self._rest | {"reads": reads}, sort_keys=True).encode())
-
-
-def _content(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError:
-        return b"missing"
 
 
 def _entries(content: bytes, names: list[str]) -> str:
@@ -134,7 +131,15 @@ def enter_again(notebook: Notebook) -> None:
         _enter(notebook, known["products"], known["inputs"])
 
 
-def record(notebook: Notebook, inputs: Inputs, entries: dict[str, list[str]] | None = None) -> None:
+def minutes(notebook: Notebook) -> float:
+    """How long its last run here took, else what chain.toml says (minutes)."""
+    seconds = (_stamped(notebook) or {}).get("seconds")
+    return seconds / 60 if isinstance(seconds, int | float) else notebook.minutes
+
+
+def record(
+    notebook: Notebook, inputs: Inputs, entries: dict[str, list[str]] | None = None, seconds: float | None = None
+) -> None:
     """Enter the products of a run into the manifests and stamp it as fresh.
 
     Parameters
@@ -144,10 +149,12 @@ def record(notebook: Notebook, inputs: Inputs, entries: dict[str, list[str]] | N
         From before the run, so that an input edited meanwhile makes it stale.
     entries : dict, optional
         See `entries_read`; other files count as a whole.
+    seconds : float, optional
+        How long the run took.
     """
     products, digest = products_hash(notebook), inputs.hash(entries)
     _enter(notebook, products, digest)
-    stamp = {"inputs": digest, "entries": entries or {}, "products": products}
+    stamp = {"inputs": digest, "entries": entries or {}, "products": products, "seconds": seconds}
     write(_stamp(notebook), json.dumps(stamp, indent=1))
 
 

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from railrepro import paths, reads
 from railrepro.errors import InputError
+from railrepro.evidence.chain import manifest
 from railrepro.evidence.chain.graph import Notebook, chain, find
 from railrepro.evidence.chain.manifest import Inputs, cells, enter_again, entries_read, is_entered, is_fresh, record
-from railrepro.files import move, scratch, written
+from railrepro.files import move, scratch, write, written
 
 
 def fresh() -> int:
@@ -26,11 +28,34 @@ def fresh() -> int:
     notebooks = chain()
     stale = [notebook for notebook in notebooks if not is_fresh(notebook)]
     if stale:
-        minutes = max(1, round(sum(notebook.minutes for notebook in stale)))
+        minutes = max(1, round(estimate(stale)))
         names = ", ".join(notebook.name for notebook in stale)
         print(f"{len(stale)} of {len(notebooks)} notebooks are stale and run first, about {minutes} min: {names}",
               file=sys.stderr)  # fmt: skip
     return int(bool(stale) or not all(map(is_entered, notebooks)))
+
+
+def estimate(notebooks: Sequence[Notebook], at_once: int = 0) -> float:
+    """How long notebooks take, several at a time (minutes), from their last runs here or from chain.toml.
+
+    Parameters
+    ----------
+    notebooks : sequence of Notebook
+    at_once : int
+        How many of them; 0 takes what the Makefile takes, at most four.
+    """
+    times = [manifest.minutes(notebook) for notebook in notebooks]
+    return max(max(times), sum(times) / (at_once or min(os.cpu_count() or 1, 4)))
+
+
+def store_times() -> None:
+    """Enter the durations of the last runs here into notebooks/chain.toml, for clones that have run nothing yet."""
+    file = paths.NOTEBOOKS / "chain.toml"
+    text = file.read_text(encoding="utf-8")
+    for notebook in chain():
+        entry = re.compile(rf'(name = "{notebook.name}"(?:(?!\[\[)[\s\S])*?^minutes = )[\d.]+', re.MULTILINE)
+        text = entry.sub(lambda m: f"{m[1]}{max(manifest.minutes(notebook), 0.1):.1f}", text)  # noqa: B023
+    write(file, text)
 
 
 def refresh(name: str) -> None:
@@ -39,16 +64,17 @@ def refresh(name: str) -> None:
     if is_fresh(notebook):
         enter_again(notebook)
         return
-    print(f"{name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
+    print(f"{name}: running, about {manifest.minutes(notebook):.1f} min", file=sys.stderr, flush=True)
     inputs, begin, log = Inputs(notebook), time.monotonic(), paths.BUILD / "stamps" / f"{name}.reads"
     with written():
         log.parent.mkdir(parents=True, exist_ok=True)
         log.unlink(missing_ok=True)
     with _environment({reads.LOG: str(log)}):
         run_notebook(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
-    record(notebook, inputs, entries_read(log))
+    seconds = round(time.monotonic() - begin, 1)
+    record(notebook, inputs, entries_read(log), seconds)
     log.unlink(missing_ok=True)
-    print(f"{name}: done in {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
+    print(f"{name}: done in {seconds:.0f} s", file=sys.stderr, flush=True)
 
 
 def run_notebook(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Path:

@@ -39,7 +39,7 @@ VARIANTS = {
 
 "old-processor" also keeps the mathematical library and NumPy from fused and wide instructions."""
 _NEEDS = {"v2": "ssse3", "v3": "avx2", "v4": "avx512f", "clang-v3": "avx2"}
-QUICK_MINUTES = 1.0
+QUICK_MINUTES = 0.65
 """Longest stated run time of a notebook that the variants rerun (minutes)."""
 
 

@@ -1,0 +1,73 @@
+"""A release: its metadata agree, its id is that of git's tree, its archive needs no git."""
+
+import json
+import re
+import shutil
+import subprocess
+import tarfile
+
+import pytest
+
+from railrepro import __version__, paths
+from railrepro.errors import InputError
+from railrepro.evidence.chain import release
+
+
+def test_codemeta_is_that_of_its_sources():
+    stored = json.loads((paths.ROOT / "codemeta.json").read_text())
+    assert stored == release.codemeta(), "`python -m railrepro codemeta` writes it"
+    assert stored["version"] == __version__ == release._citation()["version"]
+
+
+def test_the_changelog_is_short_and_begins_with_this_version():
+    lines = (paths.ROOT / "CHANGELOG.md").read_text().splitlines()
+    assert len(lines) <= 60
+    assert f"## {__version__.partition('.dev')[0]}" in next(line for line in lines if line.startswith("## "))
+
+
+pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="there is no git")
+
+
+@pytest.fixture
+def clone(tmp_path, monkeypatch):
+    """A repository with one file, and the file that `git archive` fills."""
+    (tmp_path / release.ARCHIVED).parent.mkdir(parents=True)
+    (tmp_path / release.ARCHIVED).write_text("$Format:%T$\n")
+    (tmp_path / ".gitattributes").write_text((paths.ROOT / ".gitattributes").read_text())
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    for command in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "one"]):
+        subprocess.run([*git, *command], check=True)
+    monkeypatch.setattr(paths, "ROOT", tmp_path)
+    monkeypatch.setattr(paths, "BUILD", tmp_path.parent / "build")
+    return tmp_path
+
+
+def test_an_archive_knows_the_id_of_its_tree_without_git(clone, monkeypatch, tmp_path_factory):
+    identity = release.directory_id()
+    assert re.fullmatch(r"swh:1:dir:[0-9a-f]{40}", identity)
+    archive, elsewhere = clone.parent / "one.tar", tmp_path_factory.mktemp("elsewhere")
+    release._git("archive", f"--output={archive}", "HEAD")
+    with tarfile.open(archive) as content:
+        content.extractall(elsewhere, filter="data")
+    monkeypatch.setattr(paths, "ROOT", elsewhere)
+    monkeypatch.setenv("PATH", "")
+    assert release.directory_id() == identity
+
+
+def test_what_is_not_committed_makes_no_archive(clone, monkeypatch):
+    (clone / "two").write_text("")
+    with pytest.raises(InputError, match="changes that are not committed"):
+        release.dist()
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(InputError, match="needs git and a clone"):
+        release.dist()
+
+
+def test_how_to_cite_names_version_paper_and_tree(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    monkeypatch.setattr(release, "directory_id", lambda: "swh:1:dir:" + 40 * "a")
+    release.cite()
+    said = capsys.readouterr().out
+    for part in (__version__, "swh:1:dir:aaaa", "arXiv:2309.09769", "@softwareversion{"):
+        assert part in said
+    assert "swh: swh:1:dir:aaaa" in (tmp_path / "metadata.yaml").read_text()
