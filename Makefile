@@ -152,6 +152,7 @@ study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, ma
 	$(PY) -m railrepro robustness
 	$(PY) -m railrepro matching
 	$(PY) -m railrepro margins
+	$(PY) -m railrepro loop
 	$(PY) -m railrepro order
 
 html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html

@@ -60,6 +60,9 @@ def parser() -> argparse.ArgumentParser:
     added = command("matching", "uncertainty.matching:main", "parameters consistent with the paper (long, resumes)")
     added.add_argument("size", nargs="?", default="committed", help="committed (default) or small")
     command("margins", "uncertainty.margins:main", "stability margins of all tuned sets (long)")
+    command(
+        "loop", "uncertainty.loop:main", "closed loop with sensors over unseen seeds, and its limit (long, resumes)"
+    )
     command("order", "uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)")
     added = command("bench", "bench.speed:main", "measure speed, write data/results")
     added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")

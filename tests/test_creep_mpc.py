@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from test_symmetry import drive_with, mirrored, turned
 
-from railrepro.control.creep_gains import CreepSettings, Schedule, _riccati, gains
+from railrepro.control.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains
 from railrepro.control.creep_mpc import CreepGuide, CreepMPC
+from railrepro.control.tuned import tuned
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at, lateral_model
@@ -187,7 +188,8 @@ def measured(v, y=0.0):
     return np.array([100.0, 0.0, v, 0.0, y, 0.0])
 
 
-def test_torque_keeps_its_limit_and_the_filter_knows(guide):
+def test_torque_keeps_its_limit_and_the_filter_knows():
+    guide = CreepMPC(CreepSettings(period=2e-3))(V, T3.route(), 0)
     assert guide.plan(measured(50.0), 0.0) != 0.0
     guide.plan(measured(50.0, 4e-3), 0.0)
     assert abs(guide.plan(measured(50.0, 8e-3), 0.0)) == V.drive.torque_limit
@@ -252,6 +254,71 @@ def test_schedule_meets_its_nodes_and_softens_with_slip():
     damping = STATES.index("vy"), STATES.index("vy")
     assert slipping.step[damping] > rolling.step[damping]  # less of the lateral speed is lost in a period
     assert slipping.step.shape == (len(STATES), free + 2 + len(KNOWN))
+
+
+def test_weight_and_walks_follow_speed_slip_and_alertness():
+    own = CreepSettings(change=0.2, speed_power=1.5, slip_factor=3.0, quiet=0.01, quiet_change=0.1)
+    at = Schedule(V, own, DRY)._settings_at
+    assert at(FAST, True, 0.0) == own and at(FAST / 4, True, 0.0).change == pytest.approx(0.2 / 8)
+    assert at(FAST / 4, False, 0.0).change == at(FAST, False, 0.0).change == pytest.approx(0.6)
+    calm = at(FAST, True, 1.0)
+    assert (calm.change, calm.force_rate) == pytest.approx((0.02, 0.01 * own.force_rate))
+    assert at(FAST, True, 0.5).moment_rate == pytest.approx(0.1 * own.moment_rate)
+
+
+def test_slipping_wheels_keep_the_filter_awake():
+    schedule = Schedule(V, CreepSettings(quiet=0.01), DRY)
+    calm, awake = (schedule.around(FAST, 0.0, 0.0, alert)[0].read for alert in (0, ALERT))
+    assert np.abs(calm).max() < 0.5 * np.abs(awake).max()
+    assert schedule.around(FAST, 0.09, 0.012, 0)[0] is schedule.around(FAST, 0.09, 0.012, ALERT)[0]
+
+
+def test_white_innovations_calm_the_filter_and_slow_ones_wake_it(guide):
+    generator = np.random.default_rng(2)
+    for noise in generator.normal(0.0, 1e-4, 4000):
+        guide._notice_colour(noise)
+        calm = guide._alertness()
+    assert calm == 0
+    for k, noise in enumerate(generator.normal(0.0, 1e-4, 300)):
+        guide._notice_colour(noise + 1e-4 * np.sin(0.01 * k))
+        awake = guide._alertness()
+    assert awake == ALERT
+    for noise in generator.normal(0.0, 1e-4, 4000):
+        guide._notice_colour(noise)
+        calm = guide._alertness()
+    assert calm <= 1
+
+
+def test_a_biased_gyro_is_learnt():
+    """At 1e-6 rad/s after a second the bias stays in the error for the whole run."""
+    scenario, loop = load_scenario("sine_tracking").but(end_m=400.0), {"gyro.bias": 0.003, "lateral.bias": 0.0}
+    settings = CreepSettings(
+        change=0.2, force_rate=1.3e5, moment_rate=8e3, y_noise=2.8e-4, psi_noise=2.9e-3, r_noise=4e-3
+    )
+    errors = []
+    for drift in (1e-6, 1e-4):
+        law = CreepMPC(replace(settings, r_drift=drift))
+        series = simulate.run(scenario, law, sensors=readings(seed=3, **loop)).series
+        errors.append(abs((series["front.y"] - series["front.y_ref"])[1500:].mean()))
+    assert errors[1] < 0.5 * errors[0] > 1e-4
+
+
+@pytest.mark.parametrize("radius", [0.985, 1.01])
+def test_the_radius_of_wheels_is_learnt_while_nothing_is_demanded(radius):
+    scenario = load_scenario("sine_tracking").but(end_m=120.0)
+    law, plant = tuned("creep_mpc", setting="loop"), load_vehicle(**{"wheel.radius": radius * V.wheel.radius})
+    runs = [simulate.run(scenario, law, plant_vehicle=car, sensors=readings(seed=1)) for car in (V, plant)]
+    guides = [run.controllers[0] for run in runs]
+    assert guides[1]._offset == pytest.approx(1 / radius - 1, abs=6e-4)
+    assert abs(guides[1]._slip[1]) < 3e-4
+    assert metrics.rmse(runs[1].series) < 1.15 * metrics.rmse(runs[0].series)
+
+
+def test_what_slips_under_demand_is_not_learnt_as_a_radius(guide):
+    for _ in range(400):
+        guide.plan(measured(100.0), 1500.0)
+        guide.notice(np.array([0.001, 0.001]), np.array([-0.01, -0.01]))
+    assert guide._offset == 0.0 and guide._slip[1] == pytest.approx(0.01, rel=1e-3)
 
 
 def test_factory_is_picklable():

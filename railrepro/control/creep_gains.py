@@ -14,7 +14,7 @@ Source: Anderson and Moore 1990, Optimal Control, ch. 2 and 4 (tracking, known d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -28,6 +28,10 @@ READ = ("y", "psi", "r")
 """States that are measured."""
 SPEEDS = np.geomspace(LEAST_SPEED, 125.0, 31)
 """Speeds at which gains are computed (m/s); in between they are interpolated over the logarithm."""
+FAST = 400 / 3.6
+"""Speed at which the weight of a change of torque is stated (m/s)."""
+ALERT = 4
+"""Steps of alertness from quiet to awake, see `Schedule`."""
 _PRIOR = 1e-4
 """Slip that the ratio of adhesion and slip has anyway, so that it exists without traction (-)."""
 _TOLERANCE = 5e-4
@@ -55,8 +59,14 @@ class CreepSettings:
         How far ahead road and set point are known (s).
     error, change : float
         Weights q of the lateral error (1/m2) and rho of a change of the differential torque (1/(N m)2).
+    speed_power : float
+        Power with which `change` grows over the speed where wheels roll; at `FAST` it is what it says (-).
+    slip_factor : float
+        Factor on `change` where wheels slip, at all speeds (-).
     force_rate, moment_rate : float
         Random walks of the disturbances, standard deviation after one second (N, N m).
+    quiet, quiet_change : float
+        Factors on both walks and on `change` while wheels roll and innovations are white, see `Schedule` (-).
     y_noise, psi_noise, r_noise : float
         Standard deviations of what is read (m, rad, rad/s).
     r_drift : float
@@ -68,12 +78,16 @@ class CreepSettings:
         When a value is not a number in its range.
     """
 
-    period: float = 2e-3
+    period: float = 1e-3
     preview: float = 0.6
     error: float = 1e7
     change: float = 1e-3
+    speed_power: float = 0.0
+    slip_factor: float = 1.0
     force_rate: float = 3e4
     moment_rate: float = 1e4
+    quiet: float = 1.0
+    quiet_change: float = 1.0
     y_noise: float = 1e-5
     psi_noise: float = 1e-5
     r_noise: float = 1e-4
@@ -82,6 +96,8 @@ class CreepSettings:
     def __post_init__(self):
         ranges = {"period": between(1e-3, 0.1, "s"), "preview": between(0.0, 5.0, "s")}
         ranges |= {"error": between(1e-3, 1e12, "1/m2"), "change": between(1e-9, 1e6, "1/(N m)2")}
+        ranges |= {"speed_power": between(-5.0, 5.0), "slip_factor": between(1e-6, 1e6)}
+        ranges |= {"quiet": between(1e-6, 1.0), "quiet_change": between(1e-6, 1e3)}
         ranges |= {"force_rate": between(1e-3, 1e8, "N"), "moment_rate": between(1e-3, 1e8, "N m")}
         ranges |= {"y_noise": between(1e-9, 1.0, "m"), "psi_noise": between(1e-9, 1.0, "rad")}
         ranges |= {name: between(1e-9, 10.0, "rad/s") for name in ("r_noise", "r_drift")}
@@ -153,7 +169,11 @@ def gains(vehicle: Vehicle, speed: float, creep: Creep, settings: CreepSettings,
 
 
 class Schedule:
-    """Gains over speed, used adhesion and slip, computed when they are needed first (about 3 ms).
+    """Gains over speed, used adhesion, slip and alertness, computed when they are needed first (some ms).
+
+    Alertness 0 is for wheels that roll as the model says: disturbances hardly walk, so the filter averages for longer,
+    and what it finds is quiet enough for a controller that changes its torque more freely. At `ALERT` walks and weight
+    are those of the settings; in between they are interpolated geometrically.
 
     Parameters
     ----------
@@ -168,9 +188,9 @@ class Schedule:
     def __init__(self, vehicle: Vehicle, settings: CreepSettings, creep: Creep, delay: float = 0.0):
         self._vehicle, self._settings, self._creep, self._delay = vehicle, settings, creep, delay
         self._load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-        self._nodes: dict[tuple[int, int, int], Gains] = {}
+        self._nodes: dict[tuple[int, int, int, int], Gains] = {}
 
-    def around(self, speed: float, adhesion: float, slip: float) -> tuple[Gains, Gains, float]:
+    def around(self, speed: float, adhesion: float, slip: float, alert: int = ALERT) -> tuple[Gains, Gains, float]:
         """Gains at the speeds below and above a speed (m/s), and the share of the latter.
 
         Parameters
@@ -178,6 +198,8 @@ class Schedule:
         speed : float
         adhesion, slip : float
             Used adhesion and slip, traction positive (-).
+        alert : int
+            Alertness, 0 to `ALERT`; wheels that slip keep the filter awake.
         """
         place = float(np.interp(np.log(max(speed, SPEEDS[0])), np.log(SPEEDS), np.arange(len(SPEEDS))))
         node = min(int(place), len(SPEEDS) - 2)
@@ -185,18 +207,29 @@ class Schedule:
         beyond = max(abs(slip) - linear - _TOLERANCE, 0.0)
         level = round(np.log(linear / (linear + beyond)) / _SOFTNESS_STEP)
         used = round(adhesion / _ADHESION_STEP)
-        return self._node(node, level, used), self._node(node + 1, level, used), place - node
+        key = level, used, alert if level == 0 else ALERT
+        return self._node(node, *key), self._node(node + 1, *key), place - node
 
-    def _node(self, node: int, level: int, used: int) -> Gains:
-        key = node, level, used
+    def _node(self, node: int, level: int, used: int, alert: int) -> Gains:
+        key = node, level, used, alert
         if key not in self._nodes:
             softness, adhesion = float(np.exp(_SOFTNESS_STEP * level)), _ADHESION_STEP * used
             across = softness * self._creep.across
             slip = self._load * adhesion / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
             creep = Creep(along, across, adhesion)
-            self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, self._settings, self._delay)
+            settings = self._settings_at(float(SPEEDS[node]), level == 0, 1 - alert / ALERT)
+            self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, settings, self._delay)
         return self._nodes[key]
+
+    def _settings_at(self, speed: float, rolling: bool, quiet: float) -> CreepSettings:
+        """Settings with the weight and the walks of a node; `quiet` is 1 minus the alertness."""
+        own = self._settings
+        walks = own.quiet**quiet
+        change = (
+            own.change * own.quiet_change**quiet * ((speed / FAST) ** own.speed_power if rolling else own.slip_factor)
+        )
+        return replace(own, change=change, force_rate=walks * own.force_rate, moment_rate=walks * own.moment_rate)
 
 
 _SHARED: dict[tuple, Schedule] = {}

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.control.creep_gains import READ, CreepSettings, delay_of, schedule
+from railrepro.control.creep_gains import ALERT, READ, CreepSettings, delay_of, schedule
 from railrepro.control.predictive import Solve
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
@@ -31,12 +31,17 @@ from railrepro.vehicle.parameters import Vehicle
 
 _SLIP_LAG = 0.02
 """Time constant of the low-pass of measured adhesion and slip (s)."""
-_FREE, _RADIUS_LAG = 0.03, 0.1
-"""Used adhesion below which a wheel rolls (-), and time constant in which its radius is learnt then (s)."""
-_DOUBT = 1e-3
-"""Slip that is not taken for an error of the radius: creep is softer on a poor rail than on a dry one (-)."""
+_FREE, _RADIUS_LAG = 3e-3, 0.03
+"""Demanded adhesion below which a wheel rolls on any rail (-), and time constant in which its radius is then
+learnt (s). Under more demand a wheel that slips on a poor rail looks like one of another radius."""
 _LOST = 5e-3
 """Distance between filter and reading of the displacement beyond which the filter begins anew (m)."""
+_WHITE_LAG, _MEAN_LAG = 0.03, 0.15
+"""Time constants of the low-pass that tells coloured innovations from white ones, and of its mean square (s)."""
+_CALM, _AWAKE = 1.5, 2.5
+"""Power of low-passed innovations over that of white ones up to which the filter is quiet, from which it is awake."""
+_SETTLED = 2.0
+"""Time that it takes from awake to quiet (s)."""
 _GRID = 0.25
 """Pitch of the table of the road ahead (m)."""
 
@@ -101,9 +106,10 @@ class CreepGuide:
         self._ahead, self._start = _table(route, partner), route.start
         self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
         weight = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity
-        self._load, self._offset = weight / 2, 0.0
+        self._load, self._offset, self._learnt, self._demanded = weight / 2, 0.0, 0, 0.0
         self._bounds = self._load * np.array([1.0, vehicle.gear.contact_base])
         self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros(2)
+        self._slow, self._power, self._slow_power, self._alert = 0.0, 0.0, 0.0, 0.0
         self._read: np.ndarray | None = None
         self._wait(0.0)
 
@@ -124,13 +130,15 @@ class CreepGuide:
     def notice(self, adhesion: np.ndarray, slip: np.ndarray) -> None:
         """Used adhesion (traction positive) and slip of both wheels (-), see `SlowController`."""
         used, over = adhesion.sum() / 2, -slip.sum() / 2
-        if not (np.isfinite(used) and np.isfinite(over)):
-            return
-        if abs(used) < _FREE:  # such a wheel rolls: what it seems to slip more is an error of its radius
+        if not (np.isfinite(used) and np.isfinite(over)) or not (adhesion.any() or slip.any()):
+            return  # nothing was measured yet
+        if self._demanded < _FREE:  # such a wheel rolls: what it seems to slip more is its radius
             seeming = over - self._load * used / self._creep.across
-            self._offset += self.period / (self.period + _RADIUS_LAG) * (seeming - self._offset)
-        worn = self._offset - min(max(self._offset, -_DOUBT), _DOUBT)
-        self._slip += self.period / (self.period + _SLIP_LAG) * (np.array([used, over - worn]) - self._slip)
+            self._learnt += 1
+            share = max(self.period / (self.period + _RADIUS_LAG), 1 / self._learnt)  # at first the mean
+            self._offset += share * (seeming - self._offset)
+        seen = np.array([used, over - self._offset])
+        self._slip += self.period / (self.period + _SLIP_LAG) * (seen - self._slip)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) from the measured states (6,) and the base torque per wheel (N m).
@@ -144,6 +152,8 @@ class CreepGuide:
         else:
             self.missed += 1
             self._seen[model.X] += self._seen[model.XDOT] * self.period
+        if np.isfinite(u_d):
+            self._demanded = abs(u_d) / (self._vehicle.wheel.radius * self._load)
         v = float(self._seen[model.XDOT])
         curvature, ahead = self._track_ahead(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
         read = self._seen[[model.Y, model.PSI_TRAX, model.PSIDOT_AX]] if self._read is None else self._read.copy()
@@ -163,12 +173,14 @@ class CreepGuide:
 
     def _follow(self, read: np.ndarray | None, ahead: np.ndarray, v: float) -> None:
         """Correct the state by what was read, choose the torque, predict the state of the next sample."""
-        low, high, share = self._schedule.around(v, *self._slip)
+        low, high, share = self._schedule.around(v, self._slip[0], self._slip[1], self._alertness())
         state, limit, free = self.state, self._vehicle.drive.torque_limit, len(STATES) + len(UNKNOWN)
         if read is not None:
             expected = state[_READ]
             expected[-1] += state[-1]
-            state += (low.read + share * (high.read - low.read)) @ (read - expected)
+            surprise = read - expected
+            state += (low.read + share * (high.read - low.read)) @ surprise
+            self._notice_colour(float(surprise[0]))
             state[len(STATES) : free] = np.minimum(np.maximum(state[len(STATES) : free], -self._bounds), self._bounds)
         known = np.concatenate([state, self.sent, ahead.ravel()])
         below, above = low.change @ known, high.change @ known
@@ -178,6 +190,21 @@ class CreepGuide:
         step = low.step + share * (high.step - low.step)
         state[: len(STATES)] = step @ np.concatenate([state[:free], acts, ahead[: len(KNOWN), 0]])
         self.sent = torques[: len(self.sent)]
+
+    def _notice_colour(self, surprise: float) -> None:
+        """Power of the innovation of the displacement (m), and of its low-pass, which noise alone would leave small."""
+        h = self.period
+        self._slow += h / (h + _WHITE_LAG) * (surprise - self._slow)
+        mean = h / (h + _MEAN_LAG)
+        self._power += mean * (surprise**2 - self._power)
+        self._slow_power += mean * (self._slow**2 - self._slow_power)
+
+    def _alertness(self) -> int:
+        """Steps from quiet (0: innovations are white, the model says what happens) to awake (`ALERT`)."""
+        colour = self._slow_power * (1 + 2 * _WHITE_LAG / self.period) / self._power if self._power > 0.0 else 0.0
+        now = min(max((colour - _CALM) / (_AWAKE - _CALM), 0.0), 1.0)
+        self._alert = max(now, self._alert - self.period / _SETTLED)
+        return round(ALERT * self._alert)
 
     def _begin(self, v: float, read: np.ndarray) -> None:
         """State without creepage and disturbance at what was read; the torque stays."""

@@ -1,0 +1,48 @@
+"""The table of the closed loop: its rows, its means, and the walks and limits beside them."""
+
+import numpy as np
+import pytest
+
+from railrepro.control import limit as bound
+from railrepro.control.registry import OURS
+from railrepro.estimation.sensors import load_loop
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.executor import executor
+from railrepro.evidence.uncertainty import loop
+from railrepro.vehicle.parameters import load_vehicle
+
+
+def test_seeds_and_held_out_kinds_are_none_of_tuning():
+    task = tuning.load_task(setting="loop")
+    assert not {run.sensors["seed"] for run in task.runs} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 12
+    tuned = [(run.scenario.track, run.scenario.good, run.plant, run.irregular) for run in task.runs]
+    for case in loop.cases():
+        one = case.experiment(OURS, loop.SEEDS[0])
+        known = (one.scenario.track, one.scenario.good, one.plant, one.irregular) in tuned
+        changed = {"poor_share_left", "poor_share", "force_kN", "side_force_kN"} & set(case.change)
+        assert (case.kind == "held out") <= (not known or bool(changed) or "gyro.dropout" in one.sensors)
+
+
+def test_means_are_over_the_seeds(monkeypatch):
+    case = loop.Case("loop", "short", "sine_tracking", {"end_m": 40.0})
+    monkeypatch.setattr(loop, "COMPARED", ("ndi_feedforward",))
+    monkeypatch.setattr(loop, "SEEDS", (201, 202))
+    with executor() as pool:
+        table = loop.table([case], pool)
+    errors = [loop._call((case, "ndi_feedforward", seed))["error_mm"] for seed in (201, 202)]
+    assert table["error_mm"].item() == pytest.approx(np.mean(errors)) and table["seeds"].item() == 2
+    assert table["spread_mm"].item() == pytest.approx(np.std(errors, ddof=1)) and errors[0] != errors[1]
+    assert table["failed"].item() == 0
+
+
+def test_walks_are_those_of_perfect_runs_and_bound_the_loop_from_below():
+    """From outside, over all runs: 220 to 1900 N/s^0.5 and 20 to 83 N m/s^0.5; a bound of .11 mm on the sine."""
+    case = next(case for case in loop.cases() if case.name == "sine_tracking" and case.rolls)
+    force, moment = loop.walks(case)
+    assert 70 < force < 4000 and 7 < moment < 120
+    row = loop.limit_of(case)
+    assert row["limit_low_mm"] < row["limit_mm"] < row["limit_high_mm"] < 0.5
+    assert 0.09 < row["limit_at_believed_place_mm"] < 0.2
+    believed = bound.limit(load_vehicle(), load_loop(), 400 / 3.6, (force, moment)).error
+    assert row["limit_at_believed_place_mm"] == pytest.approx(1e3 * believed)
+    assert row["limit_mm"] > row["limit_at_believed_place_mm"]
