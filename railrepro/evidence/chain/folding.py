@@ -31,7 +31,8 @@ def is_folded(source: str) -> bool:
 
 def split(source: str) -> tuple[str, str]:
     """Code of a cell without its asserts, and these."""
-    lines, checks = source.split("\n"), []
+    lines = source.split("\n")
+    checks: list[str] = []
     for node in reversed([node for node in _body(source) if _checks(node)]):
         checks[:0] = lines[node.lineno - 1 : node.end_lineno]
         del lines[node.lineno - 1 : node.end_lineno]
