@@ -194,7 +194,7 @@ def _verdicts(rows: list[dict]) -> list[str]:
     lines = _head("", "statement", *(f"`{setting}`" for setting in SETTINGS))
     for (identity, statement), own in pd.DataFrame(rows).groupby(["id", "statement"], sort=False):
         known = dict(zip(own.get("setting", [""] * len(own)), own["verdict"], strict=True))
-        verdicts = (str(known.get(setting, known.get("", ""))) for setting in SETTINGS)
+        verdicts = [str(known.get(setting, known.get("", ""))) for setting in SETTINGS]
         lines.append(f"| {_claim(str(identity))} | {statement} | {' | '.join(verdicts)} |")
     return lines
 
