@@ -6,7 +6,7 @@ from matplotlib import pyplot as plt
 
 from railrepro.evidence.claims import statements
 from railrepro.evidence.report import overview
-from railrepro.evidence.score import card, picture
+from railrepro.evidence.score import card, picture, suite
 
 CLAIMS = pd.DataFrame(
     [("C03", "statement", "paper", "reproduced"), ("C03", "statement", "loop", "not reproduced"),
@@ -36,7 +36,8 @@ def test_the_leaderboard_is_drawn_in_the_order_of_its_score():
     rows = [(card.ALL, name, "score", value, setting) for name, values in scores.items()
             for setting, value in zip(("equal", "loop", card.ALL), values, strict=True)]  # fmt: skip
     rows += [(card.ALL, name, "failures", 0.0, setting) for name in ("pid", "ndi") for setting in ("equal", "loop")]
-    figure = picture.leaderboard(pd.DataFrame(rows, columns=["scenario", "controller", "metric", "value", "setting"]))
+    table = pd.DataFrame(rows, columns=["scenario", "controller", "metric", "value", "setting"])
+    figure = picture.leaderboard(table.assign(seed=suite.draws().published))
     axes = figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["NDI", "pid (example)"]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([35.0, 15.0])

@@ -11,21 +11,21 @@ README = (paths.ROOT / "README.md").read_text()
 GUIDE = paths.NOTEBOOKS / "book"
 CASES = {"T1": "curve_entry_T1", "T2": "curve_entry_T2", "T3": "curve_entry_T3", "T4": "curve_entry_T4"}
 CASES |= {"sine, 400 km/h": "sine_tracking"}
-ORDER = {
-    "Fig. 6": [("curve_entry_T3", name, "rmse_y") for name in ("nmpc", "ltv_mpc_printed", "ndi")],
-    "Fig. 7": [("sine_tracking 400", name, "rmse_y") for name in ("nmpc", "ltv_mpc_printed", "ndi")],
-    "Fig. 8": [("adhesion_loss", "ndi", "rmse_y")],
-    "Fig. 9": [("braking", name, metric) for name in ("nmpc", "nmpc, R x 100", "ndi")
-               for metric in ("rmse_y", "stopping_distance")],
-}  # fmt: skip
+TABLES = {"Fig. 6": "fig06_curve_entry", "Fig. 7": "fig07_sine_tracking", "Fig. 8": "fig08_adhesion_loss"}
+TABLES |= {"Fig. 9": "fig09_braking"}
 
 
-@pytest.fixture(scope="module")
-def measured():
-    """Of the setting `paper` with its best swarm."""
-    table = pd.read_csv(paths.ROOT / "data/results/nominal_metrics.csv")
-    chosen = table[(table["setting"] == "paper") & (table["swarm"] == 0)]
-    return chosen.set_index(["scenario", "controller", "metric"])["value"]
+def of_the_paper(figure):
+    """RMSE (mm) of each run of a figure by car, for braking with the distance (m); the highest speed of several."""
+    table = pd.read_csv(paths.ROOT / f"data/results/{TABLES[figure]}.csv").query("setting == 'paper'")
+    if "speed_kmh" in table:
+        table = table[table["speed_kmh"] == table["speed_kmh"].max()]
+    found = {}
+    for (car, *_), rows in table.groupby(["car", "controller", "case"] if "case" in table else ["car", "controller"],
+                                         sort=False):  # fmt: skip
+        error = 1e3 * ((rows["y_m"] - rows["y_ref_m"]) ** 2).mean() ** 0.5
+        found.setdefault(car, []).extend([error, rows["p_m"].iloc[-1]] if figure == "Fig. 9" else [error])
+    return found["uncalibrated"] + found["calibrated"]
 
 
 def test_the_readme_has_at_most_900_words():
@@ -37,17 +37,12 @@ def test_files_that_the_readme_links_are_there():
     assert len(links) > 20 and [link for link in links if not (paths.ROOT / link).exists()] == []
 
 
-@pytest.mark.parametrize("figure", ORDER)
-def test_results_of_the_paper_stand_beside_ours(figure, measured):
-    here = re.search(rf"^\| {re.escape(figure)}: .*\|(.*)\|$", README, re.M).group(1)
+@pytest.mark.parametrize("figure", TABLES)
+def test_results_of_the_paper_stand_beside_ours(figure):
+    here = re.search(rf"^\| \[{re.escape(figure)}\].*?\|.*?\|(.*)\|$", README, re.M).group(1)
     said = [float(number) for number in re.findall(r"(\d+\.\d+) m", here)]
-    values = [measured[key] * (1e3 if key[2] == "rmse_y" else 1.0) for key in ORDER[figure]]
-    assert said == [pytest.approx(v, abs=5.1e-3 if key[2] == "rmse_y" else 0.051)
-                    for v, key in zip(values, ORDER[figure], strict=True)]  # fmt: skip
-
-
-def test_on_poor_rail_the_predictive_controller_derails_and_the_inversion_does_not(measured):
-    assert measured["adhesion_loss", "nmpc", "failed"] == 1 and measured["adhesion_loss", "ndi", "failed"] == 0
+    tolerance = 0.051 if figure == "Fig. 9" else 5.1e-3
+    assert said == pytest.approx(of_the_paper(figure), abs=tolerance)
 
 
 @pytest.mark.parametrize("row", CASES)
