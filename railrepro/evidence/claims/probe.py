@@ -451,9 +451,13 @@ def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
     return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
 
 
+PROFILE = "s1002"
+"""Wheels of the uncalibrated car: the paper has cones in its prediction model only."""
+
+
 @dataclass(frozen=True)
 class Nominal:
-    """The nominal car with the tuned sets of a setting and swarm; picklable.
+    """The uncalibrated car with the tuned sets of a setting and swarm; picklable.
 
     Attributes
     ----------
@@ -475,7 +479,7 @@ class Nominal:
             swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
             parameters[name] = swarms[self.rank]["parameters"] if self.rank < len(swarms) else tuned["parameters"]
         sensors = {"seed": self.seed} if self.setting == tuning.LOOP else {}
-        world = ProbeSetup(parameters, sensors=sensors)
+        world = ProbeSetup(parameters, profile=PROFILE, sensors=sensors)
         # braking takes most of the time: once per setting
         parts = (*PARTS, ALLOCATED) if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
         return [(*row, UNITS.get(row[2], "-"), self.setting, self.rank, self.seed) for row in probe(world, parts)]
