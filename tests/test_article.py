@@ -11,7 +11,6 @@ from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal, Results
 from railrepro.evidence.report import article, claims, region, text
-from railrepro.evidence.report.references import References
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.uncertainty import matching
 
@@ -26,7 +25,7 @@ def shown(table, nominal):
 
 
 def test_nothing_is_left_unfilled(shown):
-    bare = re.sub(r"\$\$?[^$]+\$\$?", "", shown)
+    bare = re.sub(r"\$\$?[^$]+\$\$?|\[@[^]]*\]|\{#refs\}", "", shown)
     assert not re.search(r"[{}]|(?<!\\)\[\[|\bn/a\b|@\w", bare)
 
 
@@ -35,13 +34,13 @@ def test_each_link_leads_somewhere(shown):
     assert len(targets) > 200
     assert [target for target in targets if not (paths.ROOT / target).exists()] == []
     inside = set(re.findall(r"\]\(#([^)]+)\)", shown))
-    assert inside == {"references", *(f"article-{name}" for name in re.findall(r"\(figures/(\w+)\.png\)", shown))}
+    assert inside == {*(f"article-{name}" for name in re.findall(r"\(figures/(\w+)\.png\)", shown))}
 
 
 def test_each_number_of_the_prose_is_a_link_to_a_table(shown):
     prose = "\n".join(line for line in shown.splitlines() if not line.startswith(("|", "**Table")))
     prose = prose[: prose.index("## References")]
-    prose = re.sub(r"\[[^\]]*\]\([^)]*\)", "", re.sub(r"\\\[.*?\\\]", "", prose))
+    prose = re.sub(r"\[[^\]]*\]\([^)]*\)", "", re.sub(r"\[@[^]]*\]", "", prose))
     allowed = (
         r"\$\$?[^$]+\$\$?",
         r"\*\*Figure \d\.\*\*",
@@ -194,19 +193,13 @@ def test_without_the_studies_both_read_well(plain):
         assert "Not run yet: `python -m railrepro matching`" in page
 
 
-def test_citations_are_numbered_by_their_first_mention():
-    references = References()
-    assert references.numbered("a [@Polach2005] b [@Waechter2006; @Polach2005]") == (
-        "a \\[[1](#references)\\] b \\[[2](#references), [1](#references)\\]"
-    )
-    assert references.listed()[1].startswith("2. A. Wächter, L. T. Biegler. On the implementation")
-
-
 def test_the_book_has_the_article_with_its_pdf(shown):
     page = article.for_the_book(shown)
     assert "{download}`As a PDF <article.pdf>`" in page
     assert page.count("```{figure} figures/") == shown.count("![Figure")
     assert '<a href="REPLICATION.html#C05">C05</a>' in page and "REPLICATION.md" not in page
+    assert "{cite:p}`Polach1999,Polach2005`" in page and "See the {doc}`bibliography`." in page
+    assert not re.search(r"\[@|refs", page)
 
 
 def test_the_pdf_has_equal_bytes_and_few_pages(shown):

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+import symbols
 
 from railrepro.car import equations
 from railrepro.control import law
@@ -87,7 +88,7 @@ LOCAL = {"b:M", "b:v", "b:v_biM", "b:z", "b:z_vw", "z", "i", "j"}
 
 
 def ours():
-    return set().union(*(notation.symbols(cell.replace("$", " ")) for cell in TABLE["symbol"]))
+    return set().union(*(symbols.symbols(cell.replace("$", " ")) for cell in TABLE["symbol"]))
 
 
 @pytest.mark.parametrize(
@@ -102,7 +103,7 @@ def ours():
     ],
 )
 def test_symbols_are_read_from_formulas(latex, found):
-    assert notation.symbols(latex) == found
+    assert symbols.symbols(latex) == found
 
 
 def test_known_symbols_are_there():
@@ -114,6 +115,6 @@ def test_known_symbols_are_there():
     "RAILREPRO_PAPER" not in os.environ, reason="RAILREPRO_PAPER does not name the paper's LaTeX source"
 )
 def test_no_symbol_of_the_paper_is_left_out():
-    theirs = notation.symbols(notation.formulas(Path(os.environ["RAILREPRO_PAPER"]).read_text(encoding="utf-8")))
+    theirs = symbols.symbols(symbols.formulas(Path(os.environ["RAILREPRO_PAPER"]).read_text(encoding="utf-8")))
     assert len(theirs) > 80
     assert theirs - ours() - LOCAL == set()

@@ -179,7 +179,9 @@ def test_readme_and_console_say_the_same_time():
     estimate = runner.estimate(graph.chain(), at_once=2)
     lines = [line for line in (paths.ROOT / "README.md").read_text().splitlines() if "make figures" in line]
     said = [re.search(r"(\d+) min|\| (\d+),? [^|]*\|$", line) for line in lines]
-    for minutes in (float(match[1] or match[2]) for match in said if match):
+    stated = [float(match[1] or match[2]) for match in said if match]
+    assert stated
+    for minutes in stated:
         assert 2 / 3 < minutes / estimate < 3 / 2
 
 

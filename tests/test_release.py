@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import tarfile
 
 import pytest
@@ -71,3 +72,21 @@ def test_how_to_cite_names_version_paper_and_tree(monkeypatch, capsys, tmp_path)
     for part in (__version__, "swh:1:dir:aaaa", "arXiv:2309.09769", "@softwareversion{"):
         assert part in said
     assert "swh: swh:1:dir:aaaa" in (tmp_path / "metadata.yaml").read_text()
+
+
+@pytest.mark.slow
+def test_the_archive_passes_tests_without_git_and_has_a_wheel_beside_it(monkeypatch, tmp_path):
+    if not (paths.ROOT / ".git").exists():
+        pytest.skip("this is an archive")
+    clone = tmp_path / "clone"
+    subprocess.run(["git", "clone", "-q", str(paths.ROOT), str(clone)], check=True)
+    monkeypatch.setattr(paths, "ROOT", clone)
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    archive = release.dist()
+    assert [file.suffix for file in archive.parent.glob("*.whl")] == [".whl"]
+    with tarfile.open(archive) as content:
+        content.extractall(tmp_path, filter="data")
+    monkeypatch.setenv("PATH", "")
+    command = [sys.executable, "-m", "pytest", "-q", "tests/test_release.py", "tests/test_model.py", "-m", "not slow"]
+    folder = tmp_path / archive.name.removesuffix(".tar.gz")
+    assert subprocess.run([*command, "-p", "no:cacheprovider"], cwd=folder, check=False).returncode == 0

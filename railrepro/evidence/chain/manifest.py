@@ -1,4 +1,4 @@
-"""What products depend on: hashes of inputs, stamps of runs, and the manifests that tell where each product comes from.
+"""What products depend on: hashes of inputs, stamps of runs, and the manifests that say where each product comes from.
 
 Staleness is decided by content, never by time.
 """

@@ -230,8 +230,8 @@ def leaderboard(table: str) -> str:
         "# Leaderboard",
         "",
         "The open benchmark: 28 runs and two searches for margins, in the setting `equal` (perfect measurements) and "
-        "`loop` (behind sensors), at most 100 points. How to enter a controller of your own: "
-        "{doc}`notebooks/16_own_controller`.",
+        "`loop` (with sensor noise, latency and state estimation), at most 100 points. How to enter a controller of "
+        "your own: {doc}`notebooks/16_own_controller`.",
         "",
         table or "There is no table yet: `make leaderboard` makes it, and the next book shows it.",
         "",

@@ -24,7 +24,7 @@ from railrepro.files import move, scratch, write, written
 
 
 def fresh() -> int:
-    """Tell which notebooks are stale; 0 when none is and the manifests hold all of them."""
+    """Print which notebooks are stale; 0 when none is and the manifests hold all of them."""
     notebooks = chain()
     stale = [notebook for notebook in notebooks if not is_fresh(notebook)]
     if stale:

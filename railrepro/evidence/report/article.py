@@ -1,7 +1,7 @@
 """The article: data/article_page.md with its numbers filled in, as Markdown for the book and as PDF.
 
-`python -m railrepro article` writes build/article.pdf with the packages of the book: pandoc turns
-Markdown into Typst, Typst typesets it. No number of the prose is typed: each is a link to the file that it comes from.
+`python -m railrepro article` writes build/article.pdf with the packages of the book: pandoc resolves citations and
+makes Typst of the Markdown, Typst typesets it. No number of the prose is typed: each links to the file it comes from.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 
 import pandas as pd
+import yaml
 
 from railrepro import __version__, paths
 from railrepro.control.registry import PAPER_TRIO
@@ -18,11 +19,13 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.report import claims, text, theses
 from railrepro.evidence.report.reasons import filled, link, quantity
-from railrepro.evidence.report.references import References
 from railrepro.evidence.runs import tuning
 from railrepro.files import write
 
 TEMPLATE = "data/article_page.md"
+WORKS = paths.NOTEBOOKS / "book" / "references.bib"
+"""Works that the article cites, like [@Polach1999; @Polach2005]."""
+_CITED = re.compile(r"\[(@\w+(?:; @\w+)*)\]")
 _FIGURE = re.compile(r"!\[(fig\d\d_\w+)\] (.*)")
 _SHOWN = re.compile(r"!\[Figure \d+\]\(figures/(\w+)\.png\)\n\n\*\*Figure \d+\.\*\* ([^\n]*)")
 _MATH = re.compile(r"(\$\$?[^$]+\$\$?)")
@@ -54,11 +57,16 @@ def render(table: pd.DataFrame, nominal: Nominal) -> str:
     return _Article(table, nominal).text()
 
 
+_REFERENCES = "::: {#refs}\n:::"
+"""Where pandoc lists the works."""
+
+
 class _Article:
-    """One rendering: figures, tables and references are numbered on the way."""
+    """One rendering: figures and tables are numbered on the way."""
 
     def __init__(self, table: pd.DataFrame, nominal: Nominal):
-        self._table, self._nominal, self._references = table, nominal, References()
+        self._table, self._nominal = table, nominal
+        self._works = set(re.findall(r"^@\w+\{(\w+),", WORKS.read_text(encoding="utf-8"), re.MULTILINE))
         template = paths.source(TEMPLATE).read_text(encoding="utf-8")
         self._figures = [match[1] for match in _FIGURE.finditer(template)]
         self._verdicts = claims.verdicts(table)
@@ -82,7 +90,7 @@ class _Article:
             "matching": self._matching,
             "questions": text.questions,
             "tables": self._sources,
-            "references": self._references.listed,
+            "references": lambda: [_REFERENCES],
         }
         return text.page(TEMPLATE, blocks, self._line)
 
@@ -111,7 +119,11 @@ class _Article:
         words = re.sub(r"\{(\w+)\}", lambda m: self._own.get(m[1], m[0]), words)
         words = re.sub(r"\{(C\d\d)\}", lambda m: self._verdict(m[1]), words)
         words = re.sub(r"\{(fig\d\d_\w+)\}", lambda m: self._mention(m[1]), words)
-        return self._references.numbered(filled(words, self._nominal, linked=True, strict=True))
+        for cited in _CITED.findall(words):
+            missing = sorted(set(re.findall(r"@(\w+)", cited)) - self._works)
+            if missing:
+                raise InputError(f"[@{missing[0]}]: references.bib has no such work; it has {sorted(self._works)}")
+        return filled(words, self._nominal, linked=True, strict=True)
 
     def _verdict(self, identity: str) -> str:
         if identity not in self._verdicts:
@@ -164,7 +176,6 @@ class _Article:
             self._figures.append(name)
             lines += ["", self._figure(name, "What is left of the prior, in pairs of the narrowest directions.")]
             lines[0] += f" {self._mention(name)} draws what is left."
-        lines = [self._references.numbered(line) for line in lines]
         self._lines += lines
         return lines
 
@@ -235,6 +246,7 @@ def pdf(article: str) -> bytes:
     title, body = article.removeprefix("# ").split("\n", 1)
     source = paths.NOTEBOOKS / "book" / "article.typ"
     options = ["--shift-heading-level-by=-1", "--wrap=none"]
+    options += ["--citeproc", f"--bibliography={WORKS}", "--metadata=link-citations=true"]
     content = pypandoc.convert_text(_for_print(body), "typst", format="markdown-smart", extra_args=options)
     inputs = {"title": title, "version": __version__, "original": _original()}
     try:
@@ -259,7 +271,8 @@ def for_the_book(article: str) -> str:
     """The article as a page of the book: figures with captions, links to claims and to the PDF."""
     body = re.sub(r"\[(C\d\d)\]\(REPLICATION\.md#C\d\d\)", r'<a href="REPLICATION.html#\1">\1</a>', article)
     body = _SHOWN.sub(lambda m: _book_figure(m[1], m[2]), body)
-    title, rest = body.split("\n", 1)
+    body = _CITED.sub(lambda m: f"{{cite:p}}`{re.sub(r'; @', ',', m[1][1:])}`", body)
+    title, rest = body.replace(_REFERENCES, "See the {doc}`bibliography`.").split("\n", 1)
     return f"{title}\n\n{{download}}`As a PDF <article.pdf>`, for a journal.\n{rest}"
 
 
@@ -269,9 +282,9 @@ def _book_figure(name: str, caption: str) -> str:
 
 def _original() -> str:
     """The paper that is replicated, in a line."""
-    references = References()
-    references.numbered("[@Ewering2023]")
-    return references.listed()[0].removeprefix("1. ").replace("*", "").removesuffix(".")
+    paper = yaml.safe_load((paths.ROOT / "CITATION.cff").read_text(encoding="utf-8"))["references"][0]
+    names = [f"{author['given-names']} {author['family-names']}" for author in paper["authors"]]
+    return f"{', '.join(names)}. {paper['title']}. {paper['identifiers'][0]['value']}"
 
 
 def main() -> None:
