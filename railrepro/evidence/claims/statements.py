@@ -32,6 +32,7 @@ SOFTEST, BETWEEN = "nmpc, second R", "nmpc, R between"
 FIXED, GUIDES_AS_WELL = "nmpc, fixed share", 1.1
 """NMPC with the smallest fixed allocation whose error is at most so many times that of the variable one."""
 REGULAR = "regular operation"
+NO_LAW = "no slip control"
 """Name under which evidence has how the longitudinal law does below the maximum, whatever comes after."""
 MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
 T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
@@ -344,6 +345,20 @@ def _as_tuned_or_soft(e: Evidence, metric: str) -> Finding:
     return Finding(e(LOSS, "nmpc", metric), soft)
 
 
+def _due_to_the_law(e: Evidence, metric: str, smaller: bool) -> Finding:
+    """As `_as_tuned_or_soft`; not a number where the run without slip control is not worse by a tenth."""
+    found = _as_tuned_or_soft(e, metric)
+    try:
+        without = e(LOSS, NO_LAW, metric)
+    except MissingEvidence:
+        without = float("nan")
+    if not np.isfinite(without):  # it derails
+        return found
+    own = found.value if np.isfinite(found.value) or found.weaker is None else found.weaker
+    worse = own < 0.9 * without if smaller else without < 0.9 * own
+    return found if worse else Finding(float("nan"))
+
+
 @value("C21")
 def _regular(e: Evidence) -> float:
     return e(LOSS, REGULAR, "regular_end_deviation")
@@ -351,18 +366,18 @@ def _regular(e: Evidence) -> float:
 
 @value("C23")
 def _no_macro_slip(e: Evidence) -> Finding:
-    found, limit = _as_tuned_or_soft(e, "largest_slip"), e(LOSS, NOTHING, "slip_at_maximum")
+    found, limit = _due_to_the_law(e, "largest_slip", True), e(LOSS, NOTHING, "slip_at_maximum")
     return Finding(found.value / limit, None if found.weaker is None else found.weaker / limit)
 
 
 @value("C24")
 def _returns_from_macro_slip(e: Evidence) -> Finding:
-    return _as_tuned_or_soft(e, "recovered_share")
+    return _due_to_the_law(e, "recovered_share", False)
 
 
 @value("C50")
 def _uses_the_maximum(e: Evidence) -> Finding:
-    return _as_tuned_or_soft(e, "utilisation_late")
+    return _due_to_the_law(e, "utilisation_late", False)
 
 
 @value("C25")
