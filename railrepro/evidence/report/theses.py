@@ -2,7 +2,7 @@
 
 data/theses.toml has a sentence with its placeholders (`reasons`), the statements that it explains, and conditions:
 comparisons like "paper: scenario/controller/metric > 0.71 * paper: scenario/nothing/metric" or "0.1 < name < 0.5" with
-a name of `reasons.NAMED`, and verdicts like "C05 paper holds" or "C05 equal fails".
+a name of `reasons.NAMED`, and verdicts like "C05 paper holds", "C05 equal fails" or "C05 calibrated holds".
 """
 
 from __future__ import annotations
@@ -63,6 +63,9 @@ def holds(condition: str, nominal: Nominal) -> bool:
 
 
 def _reproduced(identity: str, setting: str, nominal: Nominal) -> bool:
+    if setting == "calibrated":
+        table = nominal.results.optional("paper_like")
+        return table is not None and bool(table.set_index("statement")["holds"].get(identity, False))
     finding = statements.find(identity, nominal.evidence(setting))
     return statements.load()[identity].judge(finding) == REPRODUCED
 
