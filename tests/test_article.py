@@ -45,7 +45,7 @@ def test_each_number_of_the_prose_is_a_link_to_a_table(shown):
         r"\$\$?[^$]+\$\$?",
         r"\*\*Figure \d\.\*\*",
         r"^\d+\. ",
-        r"\bFigs?\. \d( and \d)?",
+        r"\bFigs?\. \d( (?:and|to) \d)?",
         r"\bT\d\b",
         r"[Ss]1002",
         "y = 0",
@@ -65,9 +65,9 @@ def test_the_counts_are_those_of_the_table(shown):
 
 
 SAID = {
-    "reproduced": "C05 C10 C11 C13 C18 C20 C21 C25 C26 C34 C39 C42",
-    "partly": "C06 C14 C17 C36",
-    "not reproduced": "C07 C24 C28 C30 C41 C46 C50",
+    "reproduced": "C05 C10 C11 C13 C18 C20 C21 C25 C26 C30 C34 C36 C39 C42",
+    "partly": "C06 C14 C17",
+    "not reproduced": "C07 C24 C28 C41 C46 C50",
 }
 """Verdicts on `paper` that sentences of the article rest on: who changes one reads the sentence again."""
 
@@ -87,13 +87,14 @@ def test_sentences_say_what_the_numbers_say(nominal):
     }
     assert errors["paper"]["nmpc"] < errors["paper"]["ndi"]
     assert errors["equal"]["ndi"] < errors["equal"]["nmpc"]
-    assert 0.8 < errors["loop"]["ndi"] / errors["loop"]["nmpc"] < 1.25
+    assert 0.67 < errors["loop"]["ndi"] / errors["loop"]["nmpc"] < 1.5
     equal = nominal.evidence("equal")
-    assert equal("curve_entry_T3", "ltv_mpc_printed", "rmse_y") < equal("curve_entry_T3", "nmpc", "rmse_y")
-    assert equal("curve_entry_T3", "ltv_mpc", "rmse_y") == pytest.approx(errors["equal"]["nmpc"], rel=0.02)
+    paper = nominal.evidence("paper")
+    assert paper("curve_entry_T3", "ltv_mpc_printed", "rmse_y") < errors["paper"]["nmpc"]
     assert equal("adhesion_loss", "ndi", "rmse_y") < equal("adhesion_loss", "nmpc", "rmse_y")
-    assert statements.find("C46", nominal.evidence("paper")).value == 0.0, "no R beats NDI's front"
-    assert nominal.evidence("paper")("adhesion_loss", "nmpc", "rmse_y") == float("inf")
+    assert 0 < statements.find("C46", paper).value < 0.9, "the sweep of R dominates in part"
+    for name in ("nmpc", "no slip control"):
+        assert paper("adhesion_loss", name, "rmse_y") > 2 * paper("adhesion_loss", "nothing", "rmse_y")
 
 
 def rendered(line, table, nominal, monkeypatch, tmp_path):
@@ -175,7 +176,7 @@ def test_article_and_report_show_shares_and_the_matching_when_they_are_there(pla
     fragile = (plain["id"] == "C05") & (plain["setting"] == "paper")
     table = plain.assign(**{column: plain[column].mask(fragile, value) for column, value in shares.items()})
     made, report = article.render(table, Nominal(Studied())), text.render(table, Nominal(Studied()))
-    assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.28\d*; 25 % \(10 to 95\) \|", report)
+    assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.34\d*; 25 % \(10 to 95\) \|", report)
     assert "Fragile, by rule, are [C05]" in made and "[C05](REPLICATION.md#C05): fragile" in made
     for page in (made, report):
         assert "[1](data/results/robustness_claims.csv) of [3]" in page and "1 fragile" in page
