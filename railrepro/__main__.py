@@ -9,6 +9,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -38,16 +39,25 @@ def _whole(low: int, high: int) -> Callable[[str], int]:
     return read
 
 
+def _add(group, name: str, call: str, words: str) -> argparse.ArgumentParser:
+    added = group.add_parser(name, help=words, description=words)
+    added.set_defaults(call=f"railrepro.evidence.{call}")
+    return added
+
+
 def parser() -> argparse.ArgumentParser:
     """The commands and their arguments; `call` of what it parses is the function, as "module:name"."""
     top = _Parser(prog=PROGRAM, description="Model predictive control of railway running gears, replicated.")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
+    _studies(partial(_add, commands))
+    _tools(partial(_add, commands))
+    words = "the notebooks and their products"
+    chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
+    _chain(partial(_add, chain))
+    return top
 
-    def command(name: str, call: str, words: str, group=commands) -> argparse.ArgumentParser:
-        added = group.add_parser(name, help=words, description=words)
-        added.set_defaults(call=f"railrepro.evidence.{call}")
-        return added
 
+def _studies(command: Callable) -> None:
     added = command("tune", "runs.swarm:main", "tune controllers by particle swarm, write data/tuned (long, resumes)")
     added.add_argument("names", nargs="*", metavar="NAME", help="settings and controllers; default all")
     added = command("probe", "claims.probe:main", "metrics of the nominal car, for the statements (long)")
@@ -73,6 +83,9 @@ def parser() -> argparse.ArgumentParser:
     added = command("answers", "report.answers:main", "verdicts that flip with the authors' answers")
     added.add_argument("sheet", nargs="?", help="a filled sheet; default data/answers.toml")
     command("article", "report.article:main", "the report as an article, build/article.pdf")
+
+
+def _tools(command: Callable) -> None:
     added = command("score", "score.command:main", "score a controller on the benchmark, write build/score")
     added.add_argument("controller", nargs="?", help="a Python file with one controller class, or a registered name")
     added.add_argument("--describe", action="store_true", help="only print what a law may use, with unit and meaning")
@@ -90,25 +103,22 @@ def parser() -> argparse.ArgumentParser:
     command("codemeta", "chain.release:store_codemeta", "write codemeta.json from CITATION.cff and pyproject.toml")
     command("dist", "chain.release:dist", "archive of the committed files and a wheel, in build/dist")
 
-    words = "the notebooks and their products"
-    chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
-    command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml", chain)
-    command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, else list the stale ones", chain)
-    added = command("run", "chain.runner:refresh", "run one notebook if it is stale", chain)
+
+def _chain(command: Callable) -> None:
+    command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml")
+    command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, else list the stale ones")
+    added = command("run", "chain.runner:refresh", "run one notebook if it is stale")
     added.add_argument("name")
-    command(
-        "times", "chain.runner:store_times", "enter the durations of the last runs into notebooks/chain.toml", chain
-    )
-    added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts", chain)
+    command("times", "chain.runner:store_times", "enter the durations of the last runs into notebooks/chain.toml")
+    added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts")
     added.add_argument("name", help="its name or two digits")
-    command("html", "chain.book:html", "executed notebooks as a book in build/html", chain)
-    command("strip", "chain.cleaning:strip_all", "remove outputs from the notebooks", chain)
-    added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products", chain)
+    command("html", "chain.book:html", "executed notebooks as a book in build/html")
+    command("strip", "chain.cleaning:strip_all", "remove outputs from the notebooks")
+    added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products")
     added.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
     added.add_argument("--into", type=Path, help="new or empty folder for the products, default build/verify")
-    added = command("variants", "chain.verify:variants", "rerun the quick notebooks with other compilers", chain)
+    added = command("variants", "chain.verify:variants", "rerun the quick notebooks with other compilers")
     added.add_argument("names", nargs="*", metavar="NAME")
-    return top
 
 
 def main(arguments: list[str] | None = None) -> int:

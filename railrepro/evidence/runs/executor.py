@@ -174,17 +174,21 @@ def ordered_map(
                     raise InputError(_LOST)
         return [known[i] for i in range(len(arguments))]
     except (BrokenExecutor, CancelledError) as error:
-        if not isinstance(pool, ProcessPoolExecutor):
-            raise InputError(_LOST) from error
-        processes = _started(pool)
-        pool.shutdown()  # a process has no exit code before the pool has waited for it
-        if any(process.exitcode == _UNGUARDED for process in processes):
-            raise InputError(_READ_AGAIN) from None
-        raise InputError(_KILLED) from error
+        raise _ended(pool) from error
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error
         raise
+
+
+def _ended(pool: Executor) -> InputError:
+    """Why an executor gave up."""
+    if not isinstance(pool, ProcessPoolExecutor):
+        return InputError(_LOST)
+    processes = _started(pool)
+    pool.shutdown()  # a process has no exit code before the pool has waited for it
+    unguarded = any(process.exitcode == _UNGUARDED for process in processes)
+    return InputError(_READ_AGAIN if unguarded else _KILLED)
 
 
 def _batch(number: int, workers: int, local: bool, stored: bool) -> int:
