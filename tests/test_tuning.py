@@ -82,7 +82,7 @@ def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('"poor_stressed"]', '"poor_wet"]', r"\[setting.loop\] has the run 'poor_wet'"),
+        ('"poor_stressed"]', '"poor_wet"]', r"\[setting.equal\] has the run 'poor_wet'"),
         ("gain = 1.2 }", "gian = 1.2 }", r"\[run.poor_stressed\] has inverter.gian"),
         ("[setting.loop]", "[setting.laboratory]", "allowed are 'paper', 'equal' or 'loop'"),
         ("seeds = [1, 2, 3]", "seeds = []", "at least one entry is needed"),
@@ -157,7 +157,8 @@ def test_behind_sensors_the_error_counts_from_the_rails(driven):
 
 def test_an_evaluation_beyond_its_limit_stops():
     task = tuning.load_task()
-    curve, loss = (replace(task.runs[i], scenario=task.runs[i].scenario.but(end_m=60.0)) for i in (2, -1))
+    runs = {run.name: replace(run, scenario=run.scenario.but(end_m=60.0)) for run in task.runs}
+    curve, loss = runs["T3"], runs["poor"]
     evaluation = swarm.Evaluation("ndi", replace(task, runs=(curve, loss)))
     poles = {"pole": 40.0, "frequency": 30.0, "damping": 1.0}
     whole, parts = evaluation(poles)

@@ -101,14 +101,15 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
     low = _ERRI["erri_low"]
     wavenumber = np.linspace(2 * np.pi / D1[1], 2 * np.pi / D1[0], 2000)
     density = {channel: irregularity_spectrum("erri_low", channel, wavenumber) for channel in CHANNELS}
-    vertical = level / float(
-        np.sqrt(np.trapezoid(density["vertical"] + _HALF_BASE**2 * density["crosslevel"], wavenumber))
+    rails = density["vertical"] + _HALF_BASE**2 * density["crosslevel"], density["lateral"] + density["gauge"] / 4
+    upwards, across = (
+        wanted / float(np.sqrt(np.trapezoid(has, wavenumber)))
+        for wanted, has in zip((level, alignment), rails, strict=True)
     )
-    lateral = alignment / float(np.sqrt(np.trapezoid(density["lateral"] + density["gauge"] / 4, wavenumber)))
     return {
-        "lateral": low["lateral"] * lateral**2,
-        "vertical": low["vertical"] * vertical**2,
-        "gauge": low["gauge"] * alignment**2,
+        "lateral": low["lateral"] * across**2,
+        "vertical": low["vertical"] * upwards**2,
+        "gauge": low["gauge"] * across**2,
     }
 
 

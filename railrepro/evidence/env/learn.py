@@ -51,7 +51,7 @@ def evolve(
     for generation in range(generations):
         rows = np.vstack([mean, mean + spread * draw.standard_normal((population - 1, SIZE))])
         found = returns(envs, rows, generation)
-        best = rows[np.argsort(found)[-population // 4 :]]
+        best = rows[np.argsort(found, kind="stable")[-population // 4 :]]
         mean, spread = best.mean(axis=0), 0.5 * spread + 0.5 * best.std(axis=0)
         print(f"generation {generation}: return of the mean {found[0]:.3f}, best {found.max():.3f}", flush=True)
     envs.close()
