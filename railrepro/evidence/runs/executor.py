@@ -174,7 +174,8 @@ def ordered_map(
                     raise InputError(_LOST)
         return [known[i] for i in range(len(arguments))]
     except (BrokenExecutor, CancelledError) as error:
-        raise _ended(pool) from error
+        reason = _ended(pool)
+        raise reason from (None if str(reason) == _READ_AGAIN else error)
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error
