@@ -255,7 +255,7 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
         ("data/tuned/equal/ndi.json", '"pole": ', '"pole": NaN, "x": ', "parameters.pole = nan"),
         ("data/tuned/equal/ndi.json", '"pole"', '"colour"', r"parameters \['colour', 'damping', 'frequency'\]"),
         ("notebooks/chain.toml", "title = ", "titel = ", "00_first_run has the unknown key 'titel'"),
-        ("notebooks/chain.toml", "minutes = 0.", "minutes = true # 0.", "00_first_run: minutes is True, a number in min"),
+        ("notebooks/chain.toml", "minutes = 0.", "minutes = true # 0.", "00_first_run: minutes is True, a number"),
         ("notebooks/chain.toml", "seconds = 2.0", "seconds = nan", "04_car: test_parameters.energy_seconds has nan"),
         ("notebooks/chain.toml", "[verify]", "[verfy]", r"unknown group \[verfy\]"),
         ("data/vehicle.toml", 'symbol = "m_CB", ', "", "lacks the key body.mass.symbol"),
