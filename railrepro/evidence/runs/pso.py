@@ -54,6 +54,14 @@ class Dimension:
         value = self.low + position * (self.high - self.low)
         return round(value) if self.scale == "integer" else float(value)
 
+    def position(self, value: float) -> float:
+        """Position in [0, 1] of a parameter value; InputError when it lies outside of the bounds."""
+        if not self.low <= value <= self.high:
+            raise InputError(f"dimension {self.name}: start {value!r} is not in {self.low}..{self.high}")
+        if self.scale == "log":
+            return float(np.log(value / self.low) / np.log(self.high / self.low))
+        return float((value - self.low) / (self.high - self.low))
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -77,12 +85,15 @@ class Swarm:
     """State of a swarm; `ask` gives parameter sets, `tell` takes their costs and moves the particles.
 
     The random numbers of a move belong to (seed, iteration, particle), so a swarm does not depend on who evaluates it.
+    With `start` (values of all parameters) the first particle begins there.
     """
 
-    def __init__(self, dimensions: list[Dimension], particles: int, seed: int):
+    def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
         self.dimensions, self.seed, self.iteration = dimensions, seed, 0
         shape = (particles, len(dimensions))
         self.position = np.array([self._random(i, len(dimensions)) for i in range(particles)])
+        if start:
+            self.position[0] = [d.position(start[d.name]) for d in dimensions]
         self.velocity = np.zeros(shape)
         self.own_position, self.own_cost = self.position.copy(), np.full(particles, np.inf)
         self.rows: list[dict] = []
@@ -148,6 +159,7 @@ def minimise(
     seed: int,
     patience: int = 1000,
     report: Callable[[Swarm], None] = lambda swarm: None,
+    start: dict[str, float] | None = None,
 ) -> Outcome:
     """Run a swarm to the end of its budget, or until it stagnates.
 
@@ -162,6 +174,8 @@ def minimise(
         Iterations without improvement before it stops.
     report : callable
         Called with the swarm after each iteration.
+    start : dict, optional
+        Where the first particle begins.
 
     Returns
     -------
@@ -173,7 +187,7 @@ def minimise(
             raise InputError(f"swarm: {name} = {value!r}, a whole number from {low} is needed")
     if not dimensions:
         raise InputError("swarm: there are no dimensions, at least one is needed")
-    swarm = Swarm(dimensions, particles, seed)
+    swarm = Swarm(dimensions, particles, seed, start)
     while swarm.iteration < iterations and not swarm.stagnant(patience):
         swarm.tell(evaluate(swarm.ask(), swarm.limits))
         report(swarm)
