@@ -218,7 +218,8 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
         rail = rails.get(str(run.irregular.get("spectrum")), None)
         runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
     loop = load_loop() if any(run.sensors for run in task.runs) else None
-    return store.digest(runs, car, loop, task.budget, task.cost, task.dimensions[controller], task.start.get(controller))[:16]
+    search = task.dimensions[controller], task.start.get(controller)
+    return store.digest(runs, car, loop, task.budget, task.cost, *search)[:16]
 
 
 def is_current(controller: str, setting: str) -> bool:
