@@ -183,7 +183,7 @@ def test_article_and_report_show_shares_and_the_matching_when_they_are_there(pla
         assert "one parameter at a time: C05 on `paper` by wheel.radius." in page
         assert "[256](data/results/matching_waves.csv) runs, at best [11 of 20]" in page
         assert "1. Which rails did the runs have" in page
-    assert "**Figure 5.** What is left of the prior" in made and "Vernon" in made
+    assert "**Figure 5.** Non-implausible region" in made and "Vernon" in made
 
 
 def test_without_the_studies_both_read_well(plain):
@@ -247,7 +247,7 @@ def test_the_region_is_drawn_against_the_whole_prior():
 
 
 def test_a_region_without_points_or_with_a_strange_direction_is_told():
-    with pytest.raises(InputError, match="nothing of the prior is left"):
+    with pytest.raises(InputError, match="the non-implausible region is empty"):
         region.draw(left().iloc[:0], narrowing("pole"), DIMENSIONS)
     with pytest.raises(InputError, match="direction 'mass', which prior or survivors do not have"):
         region.draw(left(), narrowing("pole", "mass"), DIMENSIONS)

@@ -132,7 +132,7 @@ class _Article:
 
     def _figure(self, name: str, caption: str) -> str:
         if not (paths.source(f"figures/{name}.png")).exists():
-            raise InputError(f"figures has no {name}; `make figures` makes what the notebooks draw")
+            raise InputError(f"figures has no {name}; `make figures` draws the figures of the notebooks")
         number = self._figures.index(name) + 1
         return f"![Figure {number}](figures/{name}.png)\n\n**Figure {number}.** {caption}"
 
@@ -160,7 +160,7 @@ class _Article:
         for role, head in (("why", ""), ("holds_if", "would hold if ")):
             for of, says in text.explained(self._table, self._nominal, role):
                 rows.append([", ".join(map(_claim, of)), head + says])
-        return text.rows_of(rows, ["", "why not, and when"], (14, 86))
+        return text.rows_of(rows, ["", "reason, and condition under which it would hold"], (14, 86))
 
     def _robustness(self) -> list[str]:
         """How many verdicts hold in most of the samples."""
@@ -169,13 +169,13 @@ class _Article:
         return [f"**Robustness.** {text.robust(self._nominal)}{said}"]
 
     def _matching(self) -> list[str]:
-        """What the matching found, with the figure of its region when a notebook has drawn it."""
-        lines = [f"**Matching** [@Vernon2010]. {text.matched(self._nominal)}"]
+        """Result of the history matching, with the figure of its region when a notebook has drawn it."""
+        lines = [f"**History matching** [@Vernon2010]. {text.matched(self._nominal)}"]
         name = text.region_figure()
         if name and self._nominal.results.optional("matching_waves") is not None:
             self._figures.append(name)
-            lines += ["", self._figure(name, "What is left of the prior, in pairs of the narrowest directions.")]
-            lines[0] += f" {self._mention(name)} draws what is left."
+            lines += ["", self._figure(name, "Non-implausible region in pairs of its narrowest directions.")]
+            lines[0] += f" {self._mention(name)} shows the non-implausible region."
         self._lines += lines
         return lines
 
