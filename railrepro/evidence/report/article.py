@@ -20,7 +20,6 @@ from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.report import claims, text, theses
 from railrepro.evidence.report.reasons import filled, link, quantity
 from railrepro.evidence.runs import tuning
-from railrepro.files import write
 
 TEMPLATE = "data/article_page.md"
 WORKS = paths.NOTEBOOKS / "book" / "references.bib"
@@ -287,9 +286,34 @@ def _original() -> str:
     return f"{', '.join(names)}. {paper['title']}. {paper['identifiers'][0]['value']}"
 
 
-def main() -> None:
-    """Write build/article.pdf."""
-    nominal = Nominal()
-    file = paths.BUILD / "article.pdf"
-    write(file, pdf(render(claims.evaluate(nominal), nominal)))
-    print(file.relative_to(paths.ROOT))
+_MARKS = {"✓": r"$\checkmark$", "✗": r"$\times$", "◐": r"$\circ$"}
+_PREAMBLE = r"""% input this in article.tex of the template, before \begin{document}
+\usepackage{longtable,booktabs,array,calc,graphicx,amssymb}
+\providecommand{\tightlist}{}
+\providecommand{\pandocbounded}[1]{#1}
+"""
+
+
+def latex(article: str) -> dict[str, bytes]:
+    """The article for the template of ReScience C: content by file name, to be copied over those of the template.
+
+    Links to files of the checkout are dropped; figures are PDF files beside the text.
+    """
+    import pypandoc
+
+    body = re.sub(r"(?<!!)\[([^\]]*)\]\((?!#)[^)]*\)", r"\1", article.split("\n", 1)[1])
+    shown = {f"{name}.pdf": (paths.source("figures") / f"{name}.pdf").read_bytes() for name, _ in _SHOWN.findall(body)}
+    body = _SHOWN.sub(lambda m: f"![{m[2]}]({m[1]}.pdf){{#article-{m[1]} width=100%}}", body).replace(_REFERENCES, "")
+    body = re.sub(r"^\*\*Table \d+\.\*\* ", "Table: ", body.replace("## References", ""), flags=re.MULTILINE)
+    for mark, command in _MARKS.items():
+        body = body.replace(mark, command)
+    options = ["--shift-heading-level-by=-1", "--wrap=none", "--natbib"]
+    content = pypandoc.convert_text(body, "latex", format="markdown-smart", extra_args=options)
+    own = {"content.tex": content.encode(), "preamble.tex": _PREAMBLE.encode(), "bibliography.bib": WORKS.read_bytes()}
+    return own | shown
+
+
+def abstract(article: str) -> str:
+    """The abstract without links."""
+    section = article.partition("## Abstract\n")[2].partition("\n[")[0].partition("\n## ")[0]
+    return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", re.sub(r" \[@\w+\]", "", section)).strip()

@@ -32,7 +32,7 @@ _CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
 def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
     """Verdicts, one row per statement and setting (contract of data/results/claims.csv).
 
-    `setting` is empty for statements that no tuned set enters. `judged` is the verdict with fragile and tie as separate verdicts;
+    `setting` is empty for statements that no tuned set enters. `judged` is the verdict, with fragile and tie;
     `calibrated` whether the statement holds on the calibrated car ("yes", "no" or empty when it was not asked).
     """
     nominal = nominal or Nominal()

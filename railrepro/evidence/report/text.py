@@ -131,9 +131,7 @@ def _number(value: float, unit: str = "") -> str:
 def without(table: pd.DataFrame) -> str:
     """How many entries have no verdict."""
     number = sum(verdict == claims.NO_VERDICT for verdict in claims.verdicts(table).values())
-    return (
-        f"{number} sentences get no verdict: a choice of ours was set by them, or they are motivation or arithmetic."
-    )
+    return f"{number} sentences get no verdict: a choice of ours was set by them, or they are motivation or arithmetic."
 
 
 def _numbers(nominal: Nominal) -> list[str]:
@@ -324,7 +322,5 @@ def _rules(table: pd.DataFrame) -> list[str]:
     last = log.drop_duplicates("id", keep="last")
     rows = [[r.id, r.old, r.old_verdict, r.new, found.get(r.id, "none"), r.why] for r in last.itertuples()]
     heads = ["id", "old rule", "verdict then", "new rule", "verdict now", "why"]
-    said = (
-        f"{len(log)} changes. The table shows the last change of each rule; {file_link('data/rule_changes.csv')} has all."
-    )
+    said = f"{len(log)} changes; the table shows the last one of each rule, {file_link('data/rule_changes.csv')} all."
     return [said, "", *rows_of(rows, heads)]
