@@ -126,7 +126,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
 
         outcome = pso.minimise(
             evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
-            budget["patience"], report, task.start.get(controller),
+            budget["patience"], report,
         )  # fmt: skip
         bar.close()
         found = {"seed": seed, "cost": outcome.cost, "evaluations": len(outcome.history), "parameters": outcome.best}

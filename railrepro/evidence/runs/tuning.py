@@ -66,8 +66,6 @@ class Task:
         Controller -> list of `pso.Dimension`.
     designed : dict
         Controller -> parameters that are given, not searched.
-    start : dict
-        Controller -> parameters at which the first particle of each swarm begins.
     """
 
     setting: str
@@ -76,7 +74,6 @@ class Task:
     runs: tuple[TuningRun, ...]
     dimensions: dict[str, list[pso.Dimension]]
     designed: dict[str, dict] = field(default_factory=dict)
-    start: dict[str, dict] = field(default_factory=dict)
 
     @property
     def searched(self) -> list[str]:
@@ -125,7 +122,6 @@ class SettingEntry:
     sensors: schema.Flag
     runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
     designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
-    start: dict[str, dict[str, Number]] = field(default_factory=dict)
 
 
 def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
@@ -176,16 +172,7 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
         if name not in dimensions:
             raise InputError(f"{file.name}: [setting.{setting}.designed] has {name!r}; there are {sorted(dimensions)}")
         guidance(name, parameters)
-    for name, parameters in entry.start.items():
-        where = f"{file.name}: [setting.{setting}.start]"
-        if name not in dimensions:
-            raise InputError(f"{where} has {name!r}; there are {sorted(dimensions)}")
-        needed = sorted(dimension.name for dimension in dimensions[name])
-        if sorted(parameters) != needed:
-            raise InputError(f"{where}: {name} has {sorted(parameters)}, {needed} are needed")
-        for dimension in dimensions[name]:
-            dimension.position(parameters[dimension.name])
-    return Task(setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start)
+    return Task(setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed)
 
 
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
@@ -218,8 +205,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
         rail = rails.get(str(run.irregular.get("spectrum")), None)
         runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
     loop = load_loop() if any(run.sensors for run in task.runs) else None
-    search = task.dimensions[controller], task.start.get(controller)
-    return store.digest(runs, car, loop, task.budget, task.cost, *search)[:16]
+    return store.digest(runs, car, loop, task.budget, task.cost, task.dimensions[controller])[:16]
 
 
 def is_current(controller: str, setting: str) -> bool:
