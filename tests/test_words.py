@@ -15,8 +15,6 @@ GONE = (
     *("on the brink", "what is left", "road ahead", "Take it away", "Words of the railway", "Hands off", "knob"),
     *("share used", "begin of the"),
 )  # fmt: skip
-LATER = ("06_curve_entry", "07_sine_tracking", "08_adhesion", "09_braking", "13_estimation", "15_creep_mpc")
-"""Chapters whose prose is still to be gone over."""
 
 
 def texts():
@@ -24,9 +22,8 @@ def texts():
     files = [paths.ROOT / "README.md", paths.ROOT / "CONTRIBUTING.md", *sorted((paths.NOTEBOOKS / "book").glob("*.md"))]
     found = {file.name: file.read_text() for file in files}
     for notebook in graph.chain():
-        if notebook.name not in LATER:
-            prose = [cell["source"] for cell in cells(notebook) if cell["cell_type"] == "markdown"]
-            found[notebook.name] = "\n\n".join(prose)
+        prose = [cell["source"] for cell in cells(notebook) if cell["cell_type"] == "markdown"]
+        found[notebook.name] = "\n\n".join(prose)
     return found
 
 
