@@ -14,7 +14,7 @@ from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
-V = load_vehicle()
+V = load_vehicle(**{"contact.profile": "cone"})  # the wheels of the model
 _LATERAL = ("y", "psi", "phi", "vy", "wx", "wz")
 
 
@@ -67,7 +67,7 @@ def test_used_adhesion_makes_the_gear_unstable_as_in_the_car(slip):
 
 def test_steady_creep_in_an_arc_is_that_of_the_car_and_of_the_hand_formula():
     scenario = load_scenario("curve_entry_T3").but(set_point={"kind": "none"})
-    run = simulate.run(scenario, NDI(integral=0.05))
+    run = simulate.run(scenario, NDI(integral=0.05), vehicle=V)
     last = run.series.tail(500).mean()
     _, kappa, phi, *_ = load_track("T3").interpolate(np.array([last["front.p"]]))[:, 0]
     speed = last["front.v"]

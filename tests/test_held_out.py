@@ -47,14 +47,14 @@ def test_a_side_force_is_carried_by_both_gears_in_halves():
     """Held by the gears, the body sways by F over the stiffness of both pairs of springs, plus its roll."""
     scenario = STRAIGHT.but(side_force_kN=((0.0, 4.0),), end_m=250.0)
     last = simulate.run(scenario, LAW).series.tail(1000).mean()
-    lateral = sum(last[f"{wheel}.Fy"] - last[f"{wheel}.N"] * side(wheel) for wheel in equations.WHEELS)
+    lateral = sum(last[f"{wheel}.Fy"] - last[f"{wheel}.N"] * side(wheel, last) for wheel in equations.WHEELS)
     assert lateral == pytest.approx(-4000.0, rel=0.05)
     assert last["body.y"] > 1e-3 and last["body.phi"] > 0
 
 
-def side(wheel):
-    """Lateral share of the normal force on the cone, to the left positive for the right wheel."""
-    return np.tan(0.025) * (1 if wheel.endswith("ri") else -1)
+def side(wheel, last):
+    """Lateral share of the normal force, to the left positive for the right wheel."""
+    return np.tan(last[f"{wheel}.angle"]) * (1 if wheel.endswith("ri") else -1)
 
 
 def test_nothing_asked_for_changes_no_bit():

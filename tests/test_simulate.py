@@ -45,8 +45,14 @@ def test_two_runs_are_identical(curve):
     assert simulate.run(scenario, NMPC).series.equals(curve["nmpc"].series)
 
 
+def unguided():
+    """A car on cones, which have no flange, in a curve."""
+    vehicle = load_vehicle(**{"contact.profile": "cone"})
+    return simulate.run(scenarios.load_scenario("curve_entry_T2"), NDI(pole=1e-3, frequency=1e-3), vehicle=vehicle)
+
+
 def test_an_unguided_car_leaves_the_rail_and_the_run_says_so():
-    run = simulate.run(scenarios.load_scenario("curve_entry_T2"), NDI(pole=1e-3, frequency=1e-3))
+    run = unguided()
     assert run.failed
     assert "left the rail" in run.ended
 
@@ -249,7 +255,7 @@ def test_a_run_ends_at_its_stop_speed_and_at_its_end():
 
 
 def test_a_derailment_tells_which_gear_left_the_rail_how_far_and_where():
-    run = simulate.run(scenarios.load_scenario("curve_entry_T2"), NDI(pole=1e-3, frequency=1e-3))
+    run = unguided()
     last = run.series.iloc[-1]
     gear = "front" if abs(last["front.y"]) >= simulate.DERAILED else "rear"
     assert run.failed

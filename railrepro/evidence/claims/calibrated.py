@@ -110,7 +110,7 @@ def setup(values: Mapping[str, Any]) -> ProbeSetup:
         parameters[NDI] = {"pole": values[_POLE], "frequency": values[_POLE], "damping": 1.0}
     own = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items() if name in _SETUP}
     car = {name: value for name, value in values.items() if name not in _SETUP | {_LTV_R, _POLE}}
-    return ProbeSetup(parameters, car, **{"profile": "s1002"} | own)
+    return ProbeSetup(parameters, car, **own)
 
 
 def cars() -> dict[str, ProbeSetup]:

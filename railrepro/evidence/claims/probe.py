@@ -82,7 +82,7 @@ class ProbeSetup:
     vehicle : dict
         Changed parameters of car and controllers.
     profile, good : str
-        Profiles of the car's wheels, adhesion set of a good rail.
+        Profiles of the car's wheels, when others than the nominal ones; adhesion set of a good rail.
     variant : str
         Control model of the predictive controllers, "corrected" or "printed".
     amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
@@ -451,10 +451,6 @@ def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
     return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
 
 
-PROFILE = "s1002"
-"""Wheels of the uncalibrated car: the paper has cones in its prediction model only."""
-
-
 @dataclass(frozen=True)
 class Nominal:
     """The uncalibrated car with the tuned sets of a setting and swarm; picklable.
@@ -479,7 +475,7 @@ class Nominal:
             swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
             parameters[name] = swarms[self.rank]["parameters"] if self.rank < len(swarms) else tuned["parameters"]
         sensors = {"seed": self.seed} if self.setting == tuning.LOOP else {}
-        world = ProbeSetup(parameters, profile=PROFILE, sensors=sensors)
+        world = ProbeSetup(parameters, sensors=sensors)
         # braking takes most of the time: once per setting
         parts = (*PARTS, ALLOCATED) if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
         return [(*row, UNITS.get(row[2], "-"), self.setting, self.rank, self.seed) for row in probe(world, parts)]

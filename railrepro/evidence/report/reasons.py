@@ -232,12 +232,12 @@ def _cause(nominal: Nominal, cause: str) -> str:
 
 @named
 def _cone_straight(nominal: Nominal) -> str:
-    return _cause(nominal, "as tuned")
+    return _cause(nominal, "cones")
 
 
 @named
 def _s1002_straight(nominal: Nominal) -> str:
-    return _cause(nominal, "S1002 profiles")
+    return _cause(nominal, "as tuned")
 
 
 @named

@@ -199,6 +199,6 @@ def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:
     runs["braking_patch"] = load_scenario("braking").but(poor_share=_PATCH, end_m=1450.0), {}, {}
     curve = curves["T3"].but(end_m=500.0)
     runs["irregular"] = curve, {"spectrum": "en_B_300", "seed": seed}, {}
-    runs["s1002"] = curve, {}, {"contact.profile": "s1002"}
+    runs["cone"] = curve, {}, {"contact.profile": "cone"}
     runs |= {f"mismatch_{k}": (curve, {}, mismatch(seed, k)) for k in (1, 2)}
     return runs
