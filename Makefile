@@ -32,7 +32,7 @@ unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 # Where the cache of uv cannot be written, as without a home, there is one in build; pip says so itself and does without.
 ifneq ($(shell d="$${UV_CACHE_DIR:-$${XDG_CACHE_HOME:-$${HOME:-/nonexistent}/.cache}/uv}"; \
-    until test -e "$$d"; do d=$$(dirname "$$d"); done; test -w "$$d" && echo yes),yes)
+    until test -e "$$d"; do d=$$(dirname "$$d"); done; test -d "$$d" -a -w "$$d" && echo yes),yes)
   export UV_CACHE_DIR := $(CURDIR)/build/uv
   export PIP_NO_CACHE_DIR := 1
 endif

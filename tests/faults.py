@@ -55,6 +55,12 @@ for suffix in ("pdf", "svg", "png", "csv"):
 """
 
 
+USUAL = 15.0
+"""Time of the first run of the toy chain on an idle machine (s)."""
+slow = 1.0
+"""How many times slower this machine was at the first run; all times are that many times longer, and none shorter."""
+
+
 def toy(folder: Path) -> Path:
     """A checkout with two small notebooks and the library of this one."""
     for name in ("notebooks", "data", "figures", "build"):
@@ -80,7 +86,7 @@ class Lost(AssertionError):
 def run(folder: Path, *goals: str, code: int | None = 0, seconds: float = 120, **environment: str) -> str:
     """Output of make in the toy checkout; it must end in time and with this code, and without a traceback."""
     done = subprocess.run(
-        [*MAKE, *goals], cwd=folder, env=clean(environment), capture_output=True, text=True, timeout=seconds
+        [*MAKE, *goals], cwd=folder, env=clean(environment), capture_output=True, text=True, timeout=slow * seconds
     )
     said = done.stdout + done.stderr
     if "Traceback" in said or (code is not None and done.returncode != code):
@@ -148,15 +154,15 @@ def make_stale(folder: Path) -> None:
 
 
 def wait_for_orphans(folder: Path) -> None:
-    """Nothing lives on for more than 5 s."""
-    end = time.monotonic() + 5.0
+    """Nothing lives on for more than 5 s, longer on a busy machine."""
+    end = time.monotonic() + 5.0 * slow
     while processes(folder) and time.monotonic() < end:
         time.sleep(0.1)
     if left := processes(folder):
         said = [Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()[:80] for process in left]
         for process in left:
             os.kill(process, signal.SIGKILL)
-        raise Lost(f"orphans after 5 s: {said}")
+        raise Lost(f"orphans after {5.0 * slow:.0f} s: {said}")
 
 
 def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int) -> str:
@@ -167,7 +173,7 @@ def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int
         [*MAKE, "figures"], cwd=folder, env=clean({}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         start_new_session=True, text=True,
     )  # fmt: skip
-    moment = random.uniform(0.3, 9.0)
+    moment = slow * random.uniform(0.3, 9.0)
     try:
         started.wait(moment)
     except subprocess.TimeoutExpired:
@@ -186,7 +192,7 @@ def kill_at_random(folder: Path, whole: dict[str, str], victim: str, number: int
     if victim in ("make", "everything at once"):
         started.wait()
         wait_for_orphans(folder)
-    said = started.communicate(timeout=60)[1]
+    said = started.communicate(timeout=60 * slow)[1]
     wait_for_orphans(folder)
     if "Traceback" in said:
         raise Lost(said[-1500:])
@@ -251,12 +257,12 @@ def interrupt(folder: Path, whole: dict[str, str], number: int) -> str:
         [*MAKE, "figures"], cwd=folder, env=clean({}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         start_new_session=True, text=True,
     )  # fmt: skip
-    moment = random.uniform(1.5, 7.0)
+    moment = slow * random.uniform(1.5, 7.0)
     try:
         started.wait(moment)
     except subprocess.TimeoutExpired:
         os.killpg(started.pid, signal.SIGINT)
-    said = started.communicate(timeout=30)[1]
+    said = started.communicate(timeout=30 * slow)[1]
     wait_for_orphans(folder)
     strange = [
         line for line in said.splitlines()
@@ -345,7 +351,7 @@ def broken_compiler(folder: Path, whole: dict[str, str], how: str) -> None:
     broken.write_text(f"#!/bin/sh\ncase $* in *--version*) echo broken; exit;; esac\n{find}\n{COMPILERS[how]}\n")
     broken.chmod(0o755)
     shutil.rmtree(folder / "build/stamps")
-    run(folder, "figures", CC=str(broken), RAILREPRO_COMPILER_SECONDS="3")
+    run(folder, "figures", CC=str(broken), RAILREPRO_COMPILER_SECONDS=f"{3 * slow:.0f}")
     if products(folder) != whole:
         raise Lost("interpreted, it gives other products")
     check_next_run(folder, whole)
@@ -416,7 +422,7 @@ def kill_in_a_long_call(folder: Path, whole: dict[str, str]) -> None:
         [*MAKE, "figures"], cwd=folder, env=clean({}), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         start_new_session=True, preexec_fn=ignores,
     )  # fmt: skip
-    end = time.monotonic() + 60
+    end = time.monotonic() + 60 * slow
     while not list(folder.glob("build/staging/*/data/here")) and time.monotonic() < end:
         time.sleep(0.1)
     started.kill()
@@ -447,8 +453,11 @@ def chosen_faults(folder: Path, small: Path | None, short: bool):
 
 def all_faults(folder: Path, small: Path | None):
     """Kind, name and call of every fault, in the order in which they are tried."""
+    global slow
     whole: dict[str, str] = {}
-    run(folder, "figures")
+    begin = time.monotonic()
+    run(folder, "figures", seconds=1800)
+    slow = max(1.0, (time.monotonic() - begin) / USUAL)
     whole |= products(folder)
     for number in range(8):
         victim = ("make", "everything at once", "the notebook's process", "the kernel")[number % 4]

@@ -10,6 +10,7 @@ from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
 from railrepro.compile.unit import Unit, constant, write_unit
 from railrepro.errors import InputError
+from railrepro.schema import location
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -49,6 +50,7 @@ def export_fmu(
     InputError
         Without C compiler, with an impossible speed or another version, or where the file cannot be written.
     """
+    path = location(path)
     if codegen.compiler() is None:
         raise InputError("an FMU holds compiled code: a C compiler is needed")
     car = SteppedCar(route, speed, vehicle)

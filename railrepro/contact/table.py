@@ -27,6 +27,7 @@ from railrepro.contact import normal, profiles
 from railrepro.contact.creep import elementary, kalker_coefficients, spin_coefficient
 from railrepro.contact.points import STANDARD, Pair, read_pair
 from railrepro.errors import InputError
+from railrepro.schema import require
 from railrepro.vehicle.parameters import Vehicle
 
 _LINEAR = (
@@ -149,9 +150,10 @@ def in_cell(cell: dict, offset) -> dict:
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
     """Contact table of a profile pair ("cone", "s1002" or a CSV of `points`) for a vehicle; see `ContactTable`."""
+    require("vehicle", vehicle, Vehicle)
     if profile == "cone":
         return _cone(vehicle)
-    if profile != "s1002" and not profile.endswith(".csv"):
+    if profile != "s1002" and not str(profile).endswith(".csv"):
         raise InputError(f"contact profile {profile!r} is not known; there are 'cone', 's1002' and CSV files of points")
     material = vehicle.contact
     modulus = normal.contact_modulus(material.young, material.poisson)

@@ -11,7 +11,7 @@ import inspect
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf
 from typing import Protocol
 
 import casadi as ca
@@ -19,10 +19,12 @@ import numpy as np
 
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES, THETA
-from railrepro.schema import between, require
+from railrepro.schema import between, is_number, require
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
+LONGEST_PERIOD = 1.0
+"""Longest period of a slower controller (s)."""
 GEAR = (*STATES, "xddot", "held")
 """What a 1 kHz law knows of its gear (SI): measured states, acceleration by the base torque, held torque (N m)."""
 ROAD = (*(name for name in THETA if name != "m_CB"), "ddpsi_dp", "y_ref", "dy_ref", "ddy_ref", "dddy_ref")
@@ -198,7 +200,10 @@ def check_controller(controller: SlowController) -> None:
     owner = f"lateral controller {type(controller).__name__}"
     if not callable(getattr(controller, "plan", None)):
         raise InputError(f"{owner}: has no plan(x_hat, u_d)")
-    require(f"{owner}: period", getattr(controller, "period", None), between(-inf, inf, "s"))
+    for name in ("notice", "read"):
+        if not callable(getattr(controller, name, print)):
+            raise InputError(f"{owner}: {name} is {reprlib.repr(getattr(controller, name))}, a method is needed")
+    require(f"{owner}: period", getattr(controller, "period", None), between(-inf, LONGEST_PERIOD, "s"))
 
 
 def planned(torque) -> float:
@@ -265,8 +270,10 @@ def kind(law: LateralLaw) -> Kind:
             f"lateral law {owner}: torque() cannot be called with (gear, track_ahead, memory, gain, model)"
         )
     memory = tuple(law.memory)
+    if len(set(memory)) < len(memory):
+        raise InputError(f"lateral law {owner}: memory is {list(memory)}, each name once is needed")
     for name, value in gains.items():
-        if not isinstance(value, int | float) or not isfinite(value):
+        if not is_number(value):
             raise InputError(f"lateral law {owner}: gain {name!r} is {value!r}, a finite number is needed")
     groups = {"gear state": GEAR, "road entry": ROAD, "memory": memory, "gain": tuple(gains), "model parameter": MODEL}
     named = [_Named(names, owner, what) for what, names in groups.items()]
@@ -289,6 +296,8 @@ def _scalar(value, what: str, owner: str) -> ca.SX:
         expression = ca.SX(value)
     except NotImplementedError:
         raise InputError(f"lateral law {owner}: its {what} is {value!r}, a scalar expression is needed") from None
+    if expression.is_constant() and not np.isfinite(ca.evalf(expression).full()).all():
+        raise InputError(f"lateral law {owner}: its {what} is {value!r}, a finite number is needed")
     if expression.shape != (1, 1):
         raise InputError(
             f"lateral law {owner}: its {what} is an expression of shape {expression.shape}, a scalar is needed"

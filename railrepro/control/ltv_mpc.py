@@ -12,6 +12,7 @@ import numpy as np
 
 from railrepro.control.predictive import PredictiveController
 from railrepro.model.control_model import DPSI_DP, PSI_AX, PSI_TR, PSIDOT_AX, XDOT, X
+from railrepro.schema import require
 
 
 @dataclass
@@ -22,6 +23,7 @@ class LTVMPC(PredictiveController):
 
     def __post_init__(self):
         super().__post_init__()
+        require("LTVMPC: printed", self.printed, bool)
         self.horizon.affine = 0.0 if self.printed else 1.0
 
     def expected_state(self) -> np.ndarray:

@@ -12,6 +12,7 @@ from railrepro.control.solvers.riccati import horizon
 from railrepro.model import forecast
 from railrepro.model.control_model import PSI_TRAX, XDOT, Y, control_model, kept_as_printed
 from railrepro.model.forecast import Forecast
+from railrepro.schema import between, require
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -56,6 +57,10 @@ class PredictiveController:
     recorded: list | None = None
 
     def __post_init__(self):
+        require("MPC: vehicle", self.vehicle, Vehicle)
+        require("MPC: route", self.route, Route)
+        require("MPC: gear", self.gear, between(0, 1), whole=True)
+        require("MPC: settings", self.settings, MPCSettings)
         self.stats: list[Solve] = []
         s = self.settings
         self.parameters = control_model(s.variant).parameter_vector(self.vehicle)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from numbers import Integral
 from typing import NamedTuple
 
 import casadi as ca
@@ -34,7 +33,7 @@ from railrepro.model.control_model import (
 )
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
-from railrepro.schema import is_number
+from railrepro.schema import above, between, is_number, require
 
 TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "lateral_bound", "bound_weight")
 """Entries of a tuning vector: what the statement takes from `MPCSettings`, for solvers of any kind."""
@@ -150,6 +149,17 @@ def _curvature(tuning: tuple[float, ...], steps: int) -> Curvature:
     return Curvature(np.vstack([np.tile(on_the_way, (steps - 1, 1)), last]), torque.item(), of_slack.item())
 
 
+_RANGES = {
+    "r": above(0.0, 1e9, "1/(N m)^2"),
+    "q_terminal": between(0.0, 1e9),
+    "period": above(0.0, 1.0, "s"),
+    "steps": between(2, 1000),
+    "lateral_bound": above(0.0, 0.1, "m"),
+    "bound_weight": between(0.0, 1e9),
+    "observer": between(0.0, 1.0),
+}
+
+
 @dataclass(frozen=True)
 class MPCSettings:
     """Tuning of a predictive controller.
@@ -199,18 +209,14 @@ class MPCSettings:
     observer: float = 0.0
 
     def __post_init__(self):
-        numbers = {f"q_diag {i + 1}": value for i, value in enumerate(self.q_diag)}
-        named = ("r", "q_terminal", "period", "steps", "lateral_bound", "bound_weight", "observer")
-        for name, value in (numbers | {name: getattr(self, name) for name in named}).items():
-            if not is_number(value):
-                raise InputError(f"MPC: {name} = {value!r}, a finite number is needed")
-        if len(self.q_diag) != len(STATES) or min(self.q_diag) < 0 or self.q_diag[Y] <= 0 or self.r <= 0:
-            raise InputError(
-                f"MPC weights: q_diag = {self.q_diag}, r = {self.r}; six weights not below 0, those of y and du above, "
-                "are needed"
-            )
-        if not isinstance(self.steps, Integral) or self.steps < 2 or self.period <= 0:
-            raise InputError(f"MPC horizon: {self.steps} steps of {self.period} s; 2 or more above 0 s are needed")
+        for name, allowed in _RANGES.items():
+            require(f"MPC: {name}", getattr(self, name), allowed, whole=name == "steps")
+        for name, kind in (("yielding", bool), ("informed", bool), ("discretisation", str), ("variant", str)):
+            require(f"MPC: {name}", getattr(self, name), kind)
+        q = self.q_diag
+        numbers = isinstance(q, tuple | list) and len(q) == len(STATES) and all(map(is_number, q))
+        if not numbers or min(q) < 0 or q[Y] <= 0:
+            raise InputError(f"MPC: q_diag is {q!r}, {len(STATES)} weights not below 0, that of y above, are needed")
 
     def tuning(self) -> np.ndarray:
         """What the statement weighs with, shape (len(TUNING),)."""

@@ -19,7 +19,7 @@ from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES
-from railrepro.schema import is_number
+from railrepro.schema import above, is_number, require
 
 MOST_STEPS, LEAST_STEPS = 100, 5
 """Range of the horizon length L in tuning."""
@@ -54,6 +54,7 @@ def mpc_settings(parameters: dict) -> MPCSettings:
     """MPC settings from tuning parameters q_psi_TrAx, q_psidot_Ax, r, q_terminal, period_ms, horizon_s, observer."""
     p = dict(parameters)
     period = 1e-3 * p.pop("period_ms")
+    require("MPC: horizon_s", p["horizon_s"], above(0.0, 100.0, "s"))
     steps = min(max(round(p.pop("horizon_s") / period), LEAST_STEPS), MOST_STEPS)
     weights = {"psidot_Ax": p.pop("q_psidot_Ax"), "y_TrAx": 1.0, "psi_TrAx": p.pop("q_psi_TrAx")}
     return MPCSettings(tuple(weights.get(name, 0.0) for name in STATES), period=period, steps=steps, **p)
@@ -141,9 +142,10 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     LateralLaw or callable
         See `simulate.run`.
     """
-    if name not in REGISTERED:
+    if name not in tuple(REGISTERED):
         raise InputError(f"controller {name!r} is not known; there are {sorted(REGISTERED)}")
     controller = REGISTERED[name]
+    require(f"controller {name}: options", options or {}, dict)
     if not isinstance(parameters, dict):
         raise InputError(f"controller {name}: parameters are {reprlib.repr(parameters)}, a table of numbers is needed")
     wrong = [key for key, value in parameters.items() if not is_number(value)]

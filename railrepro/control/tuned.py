@@ -87,6 +87,7 @@ def parameters(controller: str, setting: str = EQUAL) -> dict:
     InputError
         When the setting is not known, or there is no tuned set, see `read`.
     """
+    schema.require("controller", controller, str)
     if setting not in SETTINGS:
         raise InputError(f"setting {reprlib.repr(setting)} is not known; there are {sorted(SETTINGS)}")
     designed = _designed().get((setting, controller))

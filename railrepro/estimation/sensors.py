@@ -224,6 +224,7 @@ class Readings:
 
     def gains(self, gear: int) -> dict[str, float]:
         """Run-time numbers of a gear (0 front, 1 rear) by name."""
+        schema.require("Readings: gear", gear, schema.between(0, 1), whole=True)
         draw = np.random.default_rng((self.seed, gear))
         gains: dict[str, float] = {}
         for signal, group in _GROUP.items():

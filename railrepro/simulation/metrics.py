@@ -12,6 +12,8 @@ import scipy
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import cone_patch
+from railrepro.errors import InputError
+from railrepro.schema import above, require
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
 
@@ -26,9 +28,17 @@ def order_of_magnitude(value: float, floor: float) -> float:
     return float(10.0 ** np.ceil(np.log10(max(abs(value), floor))))
 
 
+def _of(series: pd.DataFrame, name: str) -> np.ndarray:
+    """A column of the series of a run; InputError when it has none of this name, or no row."""
+    require("metrics: series", series, pd.DataFrame)
+    if name not in series or series.empty:
+        raise InputError(f"metrics: a series of {len(series)} rows has no {name!r}, the series of a run is needed")
+    return series[name].to_numpy()
+
+
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
     """y_TrAx - y* (m), shape (n,)."""
-    return (series[f"{gear}.y"] - series[f"{gear}.y_ref"]).to_numpy()
+    return _of(series, f"{gear}.y") - _of(series, f"{gear}.y_ref")
 
 
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
@@ -38,12 +48,12 @@ def rmse(series: pd.DataFrame, gear: str = "front") -> float:
 
 def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared error of the displacement against the rails where they lie, from the set point (m)."""
-    return float(np.sqrt(np.mean((lateral_error(series, gear) - series[f"{gear}.rail_y"]) ** 2)))
+    return float(np.sqrt(np.mean((lateral_error(series, gear) - _of(series, f"{gear}.rail_y")) ** 2)))
 
 
 def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared displacement from the middle between the rails where they lie (m)."""
-    return float(np.sqrt(np.mean((series[f"{gear}.y"] - series[f"{gear}.rail_y"]) ** 2)))
+    return float(np.sqrt(np.mean((_of(series, f"{gear}.y") - _of(series, f"{gear}.rail_y")) ** 2)))
 
 
 def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step: float = 0.1) -> float:
@@ -64,9 +74,11 @@ def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step
     float
         Positive when y comes after y* (m); nan when the set point does not move.
     """
-    p = series[f"{gear}.p"].to_numpy()
+    require("delay: longest", longest, above(0.0, 1e5, "m"))
+    require("delay: step", step, above(1e-4, longest, "m"))
+    p = _of(series, f"{gear}.p")
     grid = np.arange(p[0], p[-1], step)
-    y, reference = (_detrended(np.interp(grid, p, series[f"{gear}.{name}"])) for name in ("y", "y_ref"))
+    y, reference = (_detrended(np.interp(grid, p, _of(series, f"{gear}.{name}"))) for name in ("y", "y_ref"))
     if np.ptp(reference) < 1e-9:
         return float("nan")
     most = min(round(longest / step), grid.size // 2)
@@ -87,7 +99,7 @@ def _detrended(values: np.ndarray) -> np.ndarray:
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared differential torque (N m)."""
-    return float(np.sqrt(np.mean(series[f"{gear}.du"].to_numpy() ** 2)))
+    return float(np.sqrt(np.mean(_of(series, f"{gear}.du") ** 2)))
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
@@ -96,22 +108,20 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
     Rows of `EXCHANGE_PERIOD`; a Butterworth filter of fourth order, forth and back.
     """
     sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / EXCHANGE_PERIOD, output="sos")
-    du = series[f"{gear}.du"].to_numpy()
+    du = _of(series, f"{gear}.du")
     return float(np.sqrt(np.mean(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)) ** 2)))
 
 
 def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
     """Share of time in which a motor of the gear works at its torque limit (-)."""
-    torque = np.maximum(
-        np.abs(series[f"{gear}.tau_long"] + series[f"{gear}.du"]),
-        np.abs(series[f"{gear}.tau_long"] - series[f"{gear}.du"]),
-    )
+    require("metrics: torque limit", limit, above(0.0, 1e5, "N m"))
+    torque = np.abs(_of(series, f"{gear}.tau_long")) + np.abs(_of(series, f"{gear}.du"))
     return float(np.mean(torque >= 0.999 * limit))
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
     """Way of the front gear from the first to the last row (m)."""
-    return float(series["front.p"].iloc[-1] - series["front.p"].iloc[0])
+    return float(_of(series, "front.p")[-1] - _of(series, "front.p")[0])
 
 
 def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float, str]]:
@@ -152,7 +162,9 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
 
     `utilisation` is the mean adhesion of both wheels over the largest possible, where the demand exceeds the latter.
     """
-    p, v = series["front.p"].to_numpy(), series["front.v"].to_numpy()
+    require("scenario", scenario, Scenario)
+    require("vehicle", vehicle, Vehicle)
+    p, v = _of(series, "front.p"), _of(series, "front.v")
     wheels = [f"{gear}_{side}" for gear in ("front", "rear") for side in ("le", "ri")]
     moving = v > 2.0
     slip = np.abs(series.loc[moving, [f"{wheel}.sx" for wheel in wheels]].to_numpy())

@@ -101,6 +101,8 @@ class Scenario:
     def __post_init__(self) -> None:
         if (self.second_profile is None) != (not self.second_profile_share):
             raise ValueError("second_profile and second_profile_share are needed together")
+        if self.poor_share and self.poor_share_left and self.poor_share_right:
+            raise ValueError("has poor_share beside that of both rails, which hides it")
         if self.stop_kmh is not None and not self.stop_kmh < self.speed_kmh:
             raise ValueError(
                 f"stops below {self.stop_kmh} km/h, less than its speed of {self.speed_kmh} km/h is needed"
@@ -127,7 +129,8 @@ class Scenario:
         return schema.build(Scenario, vars(self) | changes, "scenario")
 
     def check(self, vehicle: Vehicle) -> None:
-        """Refuse adhesion sets that the vehicle does not have, and set points beyond its flangeway (InputError)."""
+        """Refuse wrong fields, adhesion sets that a vehicle lacks, set points beyond its flangeway (InputError)."""
+        self.but()
         for name in (self.good, self.poor):
             if name not in vehicle.adhesion:
                 known = list(vehicle.adhesion)

@@ -19,7 +19,7 @@ import scipy
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
-from railrepro.schema import Number, above, between, require
+from railrepro.schema import Number, above, between, is_number, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channels in the order of their random generators, with their columns."""
@@ -224,11 +224,12 @@ def check(frame: pd.DataFrame) -> None:
         raise InputError(f"irregularities have {p.size} row, at least 2 are needed")
     for column in CHANNELS.values():
         low, high = FLANGEWAY.get(column, (-LARGEST, LARGEST))
-        inside = frame[column].between(low, high).to_numpy()
+        values = pd.to_numeric(frame[column], errors="coerce").astype(float)
+        inside = values.between(low, high).to_numpy()
         if not inside.all():
             row = int(np.argmin(inside))
             raise InputError(
-                f"irregularities: {column} = {frame[column].iloc[row]:g} at p = {p[row]:g} m, {low:g} to {high:g} is "
+                f"irregularities: {column} = {values.iloc[row]:g} at p = {p[row]:g} m, {low:g} to {high:g} is "
                 "allowed"
             )
     doubt(frame, "irregularities")
@@ -296,7 +297,8 @@ def track_centre(offsets: pd.DataFrame) -> pd.DataFrame:
 
 def sampling(frame: pd.DataFrame) -> float:
     """Distance of the rows of a frame (m); InputError when they are not evenly spaced."""
-    steps = np.diff(frame["p_m"])
+    require("irregularities", frame, pd.DataFrame)
+    steps = np.diff(frame.get("p_m", ()))
     if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.max():
         raise InputError("irregularities: p_m is not evenly spaced and increasing, resample the frame first")
     return float(steps.mean())
@@ -323,7 +325,10 @@ def band_standard_deviation(frame: pd.DataFrame, band: tuple[float, float] = D1)
 
     Source: EN 13848-1, bands; its filter is less steep (confidence R).
     """
-    shortest, longest = band
+    ends = [end for end in band if is_number(end)] if isinstance(band, tuple | list) else []
+    if len(ends) != 2 or not 0 < ends[0] < ends[1]:
+        raise InputError(f"irregularities: band is {band!r}, two wavelengths (m), the shorter first, are needed")
+    shortest, longest = ends
     step, order = sampling(frame), 4
     # Two passes damp twice: each is widened so that the power is halved at the ends of the band only once.
     widened = (np.sqrt(2) - 1) ** (1 / (2 * order))

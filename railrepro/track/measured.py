@@ -54,6 +54,8 @@ def read_irregularities(
     """
     file = schema.location(path)
     schema.require("chainage", chainage, schema.between(-1e7, 1e7, "m"))
+    schema.require("shortest", shortest, schema.above(0.0, 1e5, "m"))
+    schema.require("length", length or 0.0, schema.between(0.0, 1e7, "m"))
     frame = read_numbers(file, ("p_m", *CHANNELS.values()))
     frame["p_m"] -= chainage
     p = frame["p_m"].to_numpy()

@@ -43,6 +43,7 @@ def known(
     require("known irregularities: amplitude_error", amplitude_error, between(-10.0, 10.0))
     require("known irregularities: localisation_error_m", localisation_error_m, between(-1e5, 1e5, "m"))
     require("known irregularities: smoothing_m", smoothing_m, between(0.0, 1e5, "m"))
+    require("known irregularities", frame, pd.DataFrame)
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     values = channels.to_numpy()
     if smoothing_m > 0:

@@ -20,6 +20,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from railrepro.errors import InputError
+from railrepro.schema import require
 from railrepro.track.irregularity import CHANNELS, check
 from railrepro.track.table import Track
 
@@ -153,6 +154,11 @@ def lay(
     InputError
         When irregularities or line are malformed, or something laid is not finite.
     """
+    require("track", track, Track)
+    if reference is not None:
+        require("reference", reference, ca.Function)
+    left, right = poor if isinstance(poor, tuple) and len(poor) == 2 else (poor, poor)
+    profiles = {"poor_le": left, "poor_ri": right, "force": force, "second_profile": second_profile}
     columns = dict(_geometry(track))
     p = columns["p"]
     cells = np.zeros((p.size, len(COLUMNS)))
@@ -162,21 +168,27 @@ def lay(
         columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
         columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
-    if poor is not None:
-        left, right = poor if isinstance(poor, tuple) else (poor, poor)
-        columns |= {"poor_le": left(p), "poor_ri": right(p)}
-    if force is not None:
-        columns["force"] = force(p)
-    if second_profile is not None:
-        columns["second_profile"] = second_profile(p)
-    if side_force is not None:
-        columns["side_force"] = side_force(p)
+    for name, profile in (profiles | {"side_force": side_force}).items():
+        if profile is not None:
+            columns[name] = _along(name, profile, p)
     for name, value in columns.items():
         cells[:, INDEX[name]] = value
     for row, column in np.argwhere(~np.isfinite(cells))[:1]:
         found = f"{COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}"
         raise InputError(f"route: {found}, a finite number is needed")
     return Route(cells, track.length)
+
+
+def _along(name: str, profile: Profile, p: np.ndarray) -> np.ndarray:
+    """Values of a profile at p; InputError when it is no function of p, or a share beyond 0 to 1."""
+    if not callable(profile):
+        raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function of p (m) is needed")
+    values = np.asarray(profile(p))
+    if values.dtype.kind not in "iuf" or values.shape not in ((), p.shape):
+        raise InputError(f"route: {name} gives {reprlib.repr(values)}, one number for each p is needed")
+    if "force" not in name and (np.abs(values - 0.5) > 0.5 + 1e-9).any():
+        raise InputError(f"route: {name} goes from {values.min():g} to {values.max():g}, a share of 0 to 1 is needed")
+    return values
 
 
 @lru_cache

@@ -59,6 +59,7 @@ class Parameters:
 
     def scenario(self, scenario: Scenario) -> Scenario:
         """A scenario with this speed and friction."""
+        require("scenario", scenario, Scenario)
         changes: dict = {} if self.speed_kmh is None else {"speed_kmh": self.speed_kmh}
         if self.friction is not None:
             adhesion = load_vehicle().adhesion
@@ -79,6 +80,7 @@ class Parameters:
 
 def turned(scenario: Scenario, knobs: Parameters, setting: str = tuning.EQUAL) -> dict[str, simulate.Run]:
     """Runs of `CONTROLLERS` with the knobs where they are."""
+    require("knobs", knobs, Parameters)
     driven = knobs.scenario(scenario)
     laws = {name: guidance(name, knobs.parameters(name, setting)) for name in CONTROLLERS}
     return {name: simulate.run(driven, delayed(law, 1e-3 * knobs.delay_ms)) for name, law in laws.items()}

@@ -5,6 +5,7 @@ Serves the paper's Figs. 6 to 9, in motion.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -28,6 +29,7 @@ from railrepro.simulation.simulate import Run
 from railrepro.track.route import INDEX, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
+_COUNT = between(2, 100_000)
 FRAMES = 600
 """Frames of a film unless told otherwise."""
 SEED = 101
@@ -120,6 +122,8 @@ def film(scenario: str, controllers: tuple[str, ...], setting: str = tuning.EQUA
         Unknown names, or not two controllers.
     """
     driven = load_scenario(scenario)
+    require("frames", frames, _COUNT, whole=True)
+    require("controllers", controllers, (tuple, list))
     if len(set(controllers)) != 2 or len(controllers) != 2:
         raise InputError(f"a film shows two different controllers, found {list(controllers)}")
     sensors = {"seed": SEED} if setting == tuning.LOOP else {}
@@ -149,11 +153,11 @@ def compose(scenario: Scenario, runs: Mapping[str, Run], vehicle: Vehicle, frame
     frames : int
     title : str
     """
-    require("frames", frames, between(2, 100_000), whole=True)
+    require("frames", frames, _COUNT, whole=True)
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
-    if not runs:
-        raise InputError("a film shows at least one run, found none")
+    if not isinstance(runs, Mapping) or not runs or not all(isinstance(run, Run) for run in runs.values()):
+        raise InputError(f"a film shows at least one run by the name of its controller, found {reprlib.repr(runs)}")
     longest = max(len(run.series) for run in runs.values())
     stride, way = max(longest // frames, 1), scenario.route()
     times = np.arange(0, longest, stride) * EXCHANGE_PERIOD

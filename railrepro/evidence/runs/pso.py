@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro.errors import InputError
-from railrepro.schema import is_number
+from railrepro.schema import is_number, require
 
 CONSTRICTION, ATTRACTION = 0.7298, 2.05
 
@@ -187,6 +187,10 @@ def minimise(
             raise InputError(f"swarm: {name} = {value!r}, a whole number from {low} is needed")
     if not dimensions:
         raise InputError("swarm: there are no dimensions, at least one is needed")
+    for dimension in dimensions:
+        require("swarm: dimension", dimension, Dimension)
+    if len({dimension.name for dimension in dimensions}) < len(dimensions):
+        raise InputError("swarm: two dimensions have one name, each once is needed")
     swarm = Swarm(dimensions, particles, seed, start)
     while swarm.iteration < iterations and not swarm.stagnant(patience):
         swarm.tell(evaluate(swarm.ask(), swarm.limits))

@@ -19,6 +19,7 @@ from railrepro.control import lateral
 from railrepro.control.registry import REGISTERED, Controller
 from railrepro.errors import InputError
 from railrepro.evidence.runs import tuning
+from railrepro.schema import location
 
 NOTHING = "nothing"
 """Name of the controller that gives no torque."""
@@ -69,7 +70,7 @@ def entry(controller: str) -> Entry:
     """The entry for a registered name or the path of a file; InputError when it is neither."""
     if controller in tuple(REGISTERED) or controller == NOTHING:
         return Entry(controller)
-    file = Path(controller)
+    file = location(controller)
     if not file.is_file():
         known = [*REGISTERED, NOTHING]
         raise InputError(f"controller {controller!r} is neither a file nor a registered controller; there are {known}")

@@ -1,0 +1,234 @@
+# ruff: noqa: F401, F811 (names for the calls of the table)
+"""What the calls of misuse.toml are made of: things that are right, and ways to spoil one of them."""
+
+import inspect
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from railrepro import (
+    LTVMPC,
+    NDI,
+    NMPC,
+    CreepMPC,
+    Export,
+    Readings,
+    Scenario,
+    SteppedCar,
+    Vehicle,
+    export_fmu,
+    lay,
+    load_loop,
+    load_scenario,
+    load_track,
+    load_vehicle,
+    metrics,
+    paths,
+    simulate,
+    tuned,
+)
+from railrepro.contact.points import read_pair
+from railrepro.contact.table import contact_table
+from railrepro.control import lateral
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.law import EstimateSettings
+from railrepro.control.problem import MPCSettings
+from railrepro.control.registry import guidance
+from railrepro.control.slip import SlipSettings
+from railrepro.estimation.sensors import readings
+from railrepro.evidence.chain import graph
+from railrepro.evidence.claims import answers, statements
+from railrepro.evidence.film import knobs, scene
+from railrepro.evidence.film.scene import film
+from railrepro.evidence.runs import experiment, pso, tuning
+from railrepro.evidence.score.entry import entry, load_class, made
+from railrepro.evidence.uncertainty import robustness
+from railrepro.track import irregularity, measured, preview
+from railrepro.track.alignment import alignments
+from railrepro.track.irregularity import irregularities
+from railrepro.track.rough import rough_track
+from railrepro.track.table import build_table, read_table
+
+nan, inf = np.nan, np.inf
+folder = Path()
+"""Where files are written; the test sets it."""
+WAY = np.arange(0.0, 100.0, 0.5)
+FLAT = np.zeros((4, WAY.size))
+FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
+SINE = {"kind": "sine", "amplitude_mm": 3, "period_m": 50, "start_m": 0}
+NMPC_SET = {"q_psi_TrAx": 1.0, "q_psidot_Ax": 1.0, "r": 1e-11, "q_terminal": 1.0, "period_ms": 10, "horizon_s": 0.3}
+THREE = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
+
+
+def scenario(**changes):
+    return load_scenario("curve_entry_T3").but(**{"end_m": 5.0} | changes)
+
+
+OPTIONS = set(inspect.signature(simulate).parameters)
+CONE = {"contact.profile": "cone"}
+CONES = load_vehicle(**CONE)
+"""A car whose contact table takes no time."""
+
+
+def drive(law=None, **changes):
+    options = {"vehicle": CONES} | {name: changes.pop(name) for name in OPTIONS & set(changes)}
+    return simulate(scenario(**changes), NDI() if law is None else law, **options)
+
+
+def vehicle(**changes):
+    return load_vehicle(**{key.replace("__", "."): value for key, value in changes.items()})
+
+
+def T3():
+    return lay(load_track("T3"))
+
+
+def CAR():
+    return SteppedCar("T5", 50.0, CONES)
+
+
+def spoilt_car(value):
+    car = CAR()
+    car.state[3] = value
+    car.step()
+
+
+_SERIES = []
+
+
+def SERIES():
+    if not _SERIES:
+        _SERIES.append(drive().series)
+    return _SERIES[0]
+
+
+def rough(**channels):
+    return irregularities(WAY).assign(**channels)
+
+
+def experience(irregular=None, preview=None):
+    irregular = {"seed": 1} if irregular is None else irregular
+    known = {} if preview is None else preview
+    given = {"parameters": THREE, "vehicle": CONE, "irregular": irregular, "preview": known}
+    return experiment.Experiment(scenario(), "ndi", **given)()
+
+
+def swarm(dimensions=None, particles=3, iterations=3, seed=1):
+    dimensions = [pso.Dimension("x", 0, 1)] if dimensions is None else dimensions
+    return pso.minimise(lambda sets, limits: [1.0] * len(sets), dimensions, particles, iterations, seed)
+
+
+def planning(torque, **attributes):
+    """A run whose slower controllers plan a torque."""
+    controller = type("Plan", (), {"period": 0.01, "plan": lambda self, x, u: torque} | attributes)
+    return drive(lambda *_: controller())
+
+
+class Law:
+    """A 1 kHz law that answers what it is given."""
+
+    memory = ()
+
+    def __init__(self, answer, gains=None):
+        self.answer, self.gains = answer, lambda: {} if gains is None else gains
+
+    def torque(self, gear, track_ahead, memory, gain, model):
+        return self.answer
+
+
+def law(answer, gains=None):
+    return lateral.kind(Law(answer, gains))
+
+
+def law_with(**attributes):
+    own = type("Mine", (), {"torque": lambda self, y: -y} | attributes)
+    return lateral.kind(lateral.split(own())[0])
+
+
+def file(text, read, name="mine.csv"):
+    """Read a file of some text, in bytes or not."""
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read(path)
+
+
+def edited(name, old, new, read):
+    """Read a file of the project with a passage replaced."""
+    text = (paths.ROOT / "data" / name).read_text()
+    assert old in text, "the row is out of date"
+    return file(text.replace(old, new, 1), read, name)
+
+
+def quality(text):
+    return file(text, irregularity.track_quality, "irregularities.toml")
+
+
+def tracks(text):
+    return [build_table(each) for each in file(text, alignments, "tracks.toml").values()]
+
+
+def line(text):
+    return file(text, load_track)
+
+
+def rails(text, **options):
+    return file(text, lambda path: measured.read_irregularities(path, **options))
+
+
+def task(old, new):
+    return edited("tuning.toml", old, new, lambda path: tuning.load_task(path, "paper"))
+
+
+def points_of(text):
+    return file(text, read_pair, "pair.csv")
+
+
+def wheel(scale, missing=None):
+    """Points of a flat wheel from -60 to 60 mm, scaled."""
+    return "".join(f"wheel,{scale * 1.5 * i},{-1e-3 * abs(i)}\n" for i in range(-40, 41) if i != missing)
+
+
+POINTS = "part,lateral_mm,height_mm\n"
+ROUGH = "p_m,lateral_m,vertical_m,crosslevel_rad,gauge_m\n"
+GOOD = "".join(f"{p},0,0,0,0\n" for p in range(20))
+
+
+def table_csv(column=None, row=None, value=None, drop=(), scale=None, order="", rows=60, separator=",", rename=None):
+    """Read the table of a track with one thing changed."""
+    table = read_table(paths.ROOT / "data/tracks/T3.csv").iloc[100 : 100 + rows].reset_index(drop=True)
+    if column:
+        table[column] = table[column].astype(object)
+        table.loc[row, column] = value.strip('"')
+    table = table.drop(columns=[drop] if drop else []).rename(columns=rename or {})
+    for name, factor in (scale or {}).items():
+        table[name] *= factor
+    if order == "reversed":
+        table = table[::-1]
+    if order == "twice":
+        table = table.loc[np.repeat(table.index, 2)]
+    return file(table.to_csv(index=False, sep=separator), load_track)
+
+
+def enter(path):
+    return made(load_class(path), "loop")
+
+
+def rough_of(**channels):
+    return irregularity.check(rough(**channels))
+
+
+def at_the_end():
+    car = SteppedCar("T5", 100.0, CONES)
+    for name in ("body.s", "front.s", "rear.s"):
+        car.state[car.model.states.index(name)] += car.route.length
+    return car
+
+
+def tuned_file(text):
+    return file(text, lambda path: tuning.load("ndi", folder=path.parent), "ndi.json")
+
+
+def chain_file(text):
+    return file(text, graph.chain, "chain.toml")
