@@ -10,11 +10,10 @@ from railrepro.contact.table import (
     ContactTable,
     cone_patch,
     contact_table,
-    equivalent_conicity,
     in_cell,
-    rigid_contact,
     section,
 )
+from railrepro.evidence.bench.contact import equivalent_conicity, rigid_contact
 from railrepro.vehicle.parameters import load_vehicle
 
 

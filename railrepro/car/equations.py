@@ -160,10 +160,6 @@ def car(two_stage: bool = False) -> Car:
     ----------
     two_stage : bool
         With a frame on a primary suspension between each carrier and the car body.
-
-    Returns
-    -------
-    Car
     """
     return Car(**_derived(bool(two_stage)))
 

@@ -41,10 +41,6 @@ def export_fmu(
     fmi : str
         Version of FMI, "2.0" or "3.0".
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     InputError

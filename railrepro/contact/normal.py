@@ -107,10 +107,6 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     modulus : float
         Contact modulus E* (Pa).
 
-    Returns
-    -------
-    Patch
-
     Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4 (contact of half spaces).
     """
     overlap = height - rail_depth

@@ -20,7 +20,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import PchipInterpolator
 
 from railrepro import paths
 from railrepro.contact import normal, profiles
@@ -243,29 +243,6 @@ def section(shift: float, step: float = _LATERAL_STEP, pair: Pair = STANDARD) ->
     return Section(position, height, -slope, depth)
 
 
-def rigid_contact(shifts, radius: float) -> pd.DataFrame:
-    """Point contact of rigid S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
-
-    Parameters
-    ----------
-    shifts : array_like, shape (n,)
-        Shifts towards the flange (m).
-    radius : float
-        Nominal rolling radius (m).
-
-    Returns
-    -------
-    DataFrame
-        shift_m, position_m (from the track centre), tan_angle (-), rolling_radius_m.
-    """
-    rows = []
-    for shift in shifts:
-        cut = section(shift)
-        i = cut.first_contact
-        rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
-    return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
-
-
 @cache
 def pair_table(radius: float, load: float, modulus: float, stiffness: float, pair: Pair = STANDARD) -> ContactTable:
     """A pair of profiles, by default S1002 on 60E1 at 1:40, averaged over the elastic patch.
@@ -324,43 +301,3 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
         "approach_m": approach,
     }
     return ContactTable(pair.name, pd.DataFrame(columns))
-
-
-def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> float:
-    """Conicity of the cone whose wheelset would run with the same wavelength.
-
-    The wheelset rolls as it moves to the side, because one wheel climbs and the other sinks. Its wheels, a radius below
-    the axle, then shift further than the axle does.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Of a `ContactTable`, covering both signs of the amplitude.
-    amplitude : float
-        Amplitude of the lateral motion of the axle (m).
-    base : float
-        Lateral distance of the contacts (m).
-
-    Returns
-    -------
-    float (-)
-
-    Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
-    """
-    shift = np.linspace(0.0, 1.5 * amplitude, 6001)
-    right, left = (
-        {
-            name: np.interp(side * shift, frame["shift_m"], frame[f"{name}_m"])
-            for name in ("effective_radius", "rolling_radius")
-        }
-        for side in (1, -1)
-    )
-    roll = (left["effective_radius"] - right["effective_radius"]) / base
-    lateral = shift + roll * left["effective_radius"][0]
-    y = np.linspace(0.0, amplitude, 4001)
-    difference = np.interp(y, lateral, right["rolling_radius"] - left["rolling_radius"])
-    potential = CubicSpline(y, difference).antiderivative()
-    phase = (np.arange(4000) + 0.5) * np.pi / 8000
-    speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(phase))))
-    quarter = np.mean(amplitude * np.cos(phase) / speed) * np.pi / 2
-    return float((np.pi / 2 / quarter) ** 2 / 2)

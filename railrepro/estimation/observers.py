@@ -114,10 +114,6 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
     vehicle : Vehicle
         What the filter believes.
     loop : Loop
-
-    Returns
-    -------
-    dict
     """
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius

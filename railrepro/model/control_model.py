@@ -71,10 +71,6 @@ def control_model(variant: str = "corrected", discrepancies: Iterable[str] | Non
         "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3".
     discrepancies : iterable of str, optional
         Instead of a variant: which entries of `DISCREPANCIES` to keep as printed.
-
-    Returns
-    -------
-    ControlModel
     """
     stored = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
     if stored - set(DISCREPANCIES) - OUTSIDE:

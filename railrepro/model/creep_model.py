@@ -148,10 +148,6 @@ def lateral_model(vehicle: Vehicle, speed: float, creep: Creep) -> LateralModel:
         (m/s), at least `LEAST_SPEED`.
     creep : Creep
 
-    Returns
-    -------
-    LateralModel
-
     Raises
     ------
     InputError

@@ -98,10 +98,6 @@ def forecast(route: Route, nominal: np.ndarray, x_hat: np.ndarray, u_d: float, p
         Base torque per wheel, traction-positive (N m).
     period, steps : float, int
         Time step T (s) and number of steps L.
-
-    Returns
-    -------
-    Forecast
     """
     place, stage = functions()
     t = period * np.arange(steps + 1)[None, :]

@@ -27,10 +27,6 @@ def dip(p: np.ndarray, start: float, length: float, depth: float, rail: str = "b
         Begin, length and greatest depth (m); a negative depth is a hump.
     rail : str
         "both", "le" or "ri".
-
-    Returns
-    -------
-    DataFrame
     """
     if rail not in ("both", "le", "ri"):
         raise InputError(f"dip: rail is {rail!r}, 'both', 'le' or 'ri' is allowed")
@@ -57,10 +53,6 @@ def lateral_offset(p: np.ndarray, start: float, length: float, offset: float, tr
         Offset in between, right positive (m).
     transition : float
         Length of each transition, which has continuous second derivatives (m).
-
-    Returns
-    -------
-    DataFrame
     """
     require("lateral offset: offset", offset, _HEIGHT)
     _check_place("lateral offset", p, start, length, transition)

@@ -138,16 +138,12 @@ def lay(
         p_m and the channels of `railrepro.track.irregularity.CHANNELS`, joined by a cubic spline; zero outside.
     line : pair of ndarray, shapes (m,) and (4, m), optional
         Coordinates, and a set point with its first three derivatives there, which hold from one coordinate to the next
-        and are zero outside; added to the reference. See `railrepro.track.preview.planned_line`.
+        and are zero outside; added to the reference. See `railrepro.evidence.runs.preview`.
     second_profile : callable, optional
         Share of the second pair of profiles in [0, 1] over p (m), see `railrepro.contact.table`; changes within metres
         at least, because its slope makes no force of its own.
     side_force : callable, optional
         Force on the car body over p of its centre of gravity (N), lateral in the track frame, to the right positive.
-
-    Returns
-    -------
-    Route
 
     Raises
     ------

@@ -208,10 +208,6 @@ def read_table(path: Path | str) -> pd.DataFrame:
         CSV with the columns `COLUMNS`; x_m, y_m, z_m may be missing and are then integrated. Or one with chainage,
         curvature or radius, and cant, see `railrepro.track.survey`; all else is then derived.
 
-    Returns
-    -------
-    DataFrame
-
     Raises
     ------
     InputError

@@ -322,10 +322,6 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     overrides
         Values by dotted key, `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})` (SI units).
 
-    Returns
-    -------
-    Vehicle
-
     Raises
     ------
     InputError

@@ -45,10 +45,6 @@ def render(table: pd.DataFrame, nominal: Nominal) -> str:
     nominal : Nominal
         Where numbers in the prose come from.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError

@@ -56,10 +56,6 @@ def render(table: pd.DataFrame, nominal: Nominal) -> str:
         See `railrepro.evidence.report.claims.evaluate`.
     nominal : Nominal
         Where numbers in the prose come from.
-
-    Returns
-    -------
-    str
     """
     blocks: dict[str, Callable[[], list[str]]] = {
         "counts": lambda: [f"**{claims.counted(table)}** {without(table)}"],

@@ -200,10 +200,6 @@ def match(
     seed : int
     candidates : int
         Points of the prior on which the region is measured.
-
-    Returns
-    -------
-    Matched
     """
     size = len(problem.dimensions)
     prior = stats.qmc.Sobol(size, seed=seed).random(candidates)
@@ -476,14 +472,6 @@ def best(problem: Problem, matched: Matched) -> dict:
     )
 
 
-def _sentence(row) -> str:
-    report_errors = f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; "
-    if np.isfinite(row.second):
-        return report_errors + f"{names_of_choice(row.what)[1]} in {100 * row.second:.0f} % of what is left"
-    low, high, least, most = (f"{float(f'{x:.3g}'):g}" for x in (row.low, row.high, row.prior_low, row.prior_high))
-    return report_errors + f"plausible are {low} to {high} of {least} to {most}"
-
-
 def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFrame:
     """The nominal car with choices of two thrown by hand: a look at what the emulators say that needs none of them.
 
@@ -502,17 +490,14 @@ def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFr
 
 
 def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
-    """Tables by name: waves, region, questions, conflicts, best (margins of all runs with their points), survivors."""
-    projection = region(problem, matched)
-    asked = projection.assign(sentence=[_sentence(row) for row in projection.itertuples()])
+    """Tables by name: waves, region, conflicts, best (margins of all runs with their points), survivors."""
     values, left = (
         pd.DataFrame([dict(problem.values(point)) for point in points])
         for points in (matched.points, np.random.default_rng(0).permutation(matched.survivors)[:SHOWN])
     )
     return {
         "waves": matched.waves,
-        "region": projection,
-        "questions": asked[["what", "reduction", "sentence"]],
+        "region": region(problem, matched),
         "conflicts": conflicts(matched.margins > 0),
         "best": pd.concat([matched.margins, values], axis=1),
         "survivors": left,
