@@ -112,7 +112,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
     """
     budget, evaluation = task.budget, Evaluation(controller, task)
     swarms, tables = [], []
-    for seed in budget["seeds"]:
+    for seed in budget["seeds"][:1] if controller in task.one_swarm else budget["seeds"]:
         name = f"{task.setting} {controller} {seed}"
         bar = tqdm(total=budget["iterations"], desc=name, unit="iteration", disable=quiet)
 

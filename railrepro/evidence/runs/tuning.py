@@ -68,6 +68,8 @@ class Task:
         Controller -> parameters that are given, not searched.
     start : dict
         Controller -> parameters at which the first particle of each swarm begins.
+    one_swarm : tuple of str
+        Controllers of which only the first swarm is made.
     """
 
     setting: str
@@ -77,6 +79,7 @@ class Task:
     dimensions: dict[str, list[pso.Dimension]]
     designed: dict[str, dict] = field(default_factory=dict)
     start: dict[str, dict] = field(default_factory=dict)
+    one_swarm: tuple[str, ...] = ()
 
     @property
     def searched(self) -> list[str]:
@@ -147,6 +150,7 @@ class TaskFile:
     run: Annotated[dict[str, RunEntry], schema.NOT_EMPTY]
     setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], schema.NOT_EMPTY]
     controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], schema.NOT_EMPTY]
+    one_swarm: tuple[str, ...] = ()
 
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
@@ -185,7 +189,11 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
             raise InputError(f"{where}: {name} has {sorted(parameters)}, {needed} are needed")
         for dimension in dimensions[name]:
             dimension.position(parameters[dimension.name])
-    return Task(setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start)
+    if unknown := sorted(set(content.one_swarm) - set(dimensions)):
+        raise InputError(f"{file.name}: one_swarm has {unknown[0]!r}; there are {sorted(dimensions)}")
+    return Task(
+        setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start, content.one_swarm
+    )
 
 
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
