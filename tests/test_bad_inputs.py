@@ -259,7 +259,8 @@ def test_a_cant_ramp_that_is_too_short_is_refused(monkeypatch):
 
 
 def test_a_car_that_leaves_the_rail_says_so():
-    run = drive(NDI(pole=2000.0, frequency=2000.0, damping=0.1), end_m=200.0)
+    cone = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
+    run = drive(NDI(pole=2000.0, frequency=2000.0, damping=0.1), vehicle=cone, end_m=200.0)
     assert run.failed and "left the rail" in run.ended
 
 
@@ -303,7 +304,7 @@ def test_the_car_answers_in_one_sentence_and_stays_where_it_is(what):
 
 
 def test_a_stepped_car_that_leaves_the_rail_says_so_once():
-    car = SteppedCar("T3", 77.8)
+    car = SteppedCar("T3", 77.8, load_vehicle(**{"contact.profile": "cone"}))  # no flange holds it
     car.step([300, -300, 300, -300], exchanges=100)
     assert car.left_rail == ""
     with pytest.warns(UserWarning, match=r"gear left the rail, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as said:

@@ -11,6 +11,7 @@ from railrepro.contact.table import (
     cone_patch,
     contact_table,
     in_cell,
+    middle_patch,
     section,
 )
 from railrepro.evidence.bench.contact import equivalent_conicity, rigid_contact
@@ -103,6 +104,7 @@ def test_cone_stands_on_the_crown_of_the_rail():
     a, b, coefficients = cone_patch(vehicle)
     assert [1e3 * a, 1e3 * b] == pytest.approx([6.635, 4.990], abs=2e-3)
     assert coefficients == pytest.approx((4.55, 4.14, 1.86), abs=0.01)
+    assert middle_patch(load_vehicle(**{"contact.profile": "cone"})) == (a, b, coefficients)
     wider, _, _ = cone_patch(load_vehicle(**{"wheel.radius": 0.5}))
     assert wider > a
     modulus = normal.contact_modulus(vehicle.contact.young, vehicle.contact.poisson)

@@ -13,7 +13,7 @@ from railrepro.car.component import SteppedCar
 from railrepro.car.kinematics import orientation
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.creep import polach
-from railrepro.contact.table import CELL_COLUMNS, cone_patch, contact_table
+from railrepro.contact.table import CELL_COLUMNS, contact_table, middle_patch
 from railrepro.control import law
 from railrepro.control.ndi import NDI
 from railrepro.simulation import exchange
@@ -452,12 +452,13 @@ def test_outputs_that_are_states_bear_their_names():
     assert [car.outputs[name] for name in shared] == car.state[equations.indices(*shared)].tolist()
 
 
-def test_small_traction_slips_by_kalkers_longitudinal_coefficient():
-    own = {"contact.profile": "cone", "wheel.cone_angle": 1e-5}  # no spin, so the creepage is longitudinal
-    vehicle = load_vehicle(**own)
+@pytest.mark.parametrize("profile", ["cone", "s1002"])
+def test_small_traction_slips_by_kalkers_longitudinal_coefficient(profile):
+    """The creepage is longitudinal: a cone of hardly any angle has no spin, that of S1002 in the middle is small."""
+    vehicle = load_vehicle(**{"contact.profile": profile, "wheel.cone_angle": 1e-5})
     car = SteppedCar("T5", 60.0, vehicle)
     car.step(np.full(4, 100.0), 3000)
-    out, (a, b, (c11, *_)) = car.outputs, cone_patch(vehicle)
+    out, (a, b, (c11, *_)) = car.outputs, middle_patch(vehicle)
     adhesion = vehicle.adhesion["dry"]
     linear = vehicle.contact.shear_modulus * a * b * c11
     expected = linear * (adhesion.k_a + adhesion.k_s) / 2

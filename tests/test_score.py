@@ -77,7 +77,8 @@ def test_a_fault_is_a_line_and_no_points(what, tmp_path):
     text, said = FAULTS[what]
     file = tmp_path / "own.py"
     file.write_text(text)
-    row = Trial(Entry("own.py", str(file)), CASE)()
+    cone = {"contact.profile": "cone"}  # no flange holds it
+    row = Trial(Entry("own.py", str(file)), dataclasses.replace(CASE, plant=cone))()
     assert said in row["failure"] and "\n" not in row["failure"] and "Possible prototypes" not in row["failure"]
     table = card.judged([row | ANCHORS])
     assert table["points"].tolist() == [0.0]

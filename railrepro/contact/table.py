@@ -186,6 +186,14 @@ def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
     return float(a), float(b), tuple(float(c) for c in kalker_coefficients(a / b))
 
 
+def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
+    """Contact ellipse of the car's own wheels in the middle of the track, as `cone_patch` gives that of the cone."""
+    frame = contact_table(vehicle.contact.profile, vehicle).frame
+    middle = frame.iloc[frame["shift_m"].abs().argmin()]
+    c11, c22, c23 = (float(middle[name]) for name in ("c11", "c22", "c23"))
+    return float(middle["semi_axis_x_m"]), float(middle["semi_axis_y_m"]), (c11, c22, c23)
+
+
 def _cone(vehicle: Vehicle) -> ContactTable:
     """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse. Source: paper, eq. (z_and_phi)."""
     shift = np.arange(-400, 401) * 1e-4

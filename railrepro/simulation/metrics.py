@@ -11,7 +11,7 @@ import scipy
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.creep import adhesion_maximum
-from railrepro.contact.table import cone_patch
+from railrepro.contact.table import middle_patch
 from railrepro.errors import InputError
 from railrepro.schema import above, require
 from railrepro.simulation.scenarios import Scenario
@@ -148,7 +148,7 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
     Knowledge of the analyst, never of a controller. Between the sets it is interpolated.
     """
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    patch = (load, *cone_patch(vehicle), vehicle.contact.shear_modulus)
+    patch = (load, *middle_patch(vehicle), vehicle.contact.shear_modulus)
     grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
     good, poor = (
         np.interp(speed, grid, [adhesion_maximum(vehicle.adhesion[name], v, *patch)[0] for v in grid])

@@ -21,7 +21,7 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.contact.creep import adhesion_maximum
-from railrepro.contact.table import cone_patch
+from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
 from railrepro.errors import InputError
@@ -447,7 +447,7 @@ def _until(time: np.ndarray, there: np.ndarray, start: int) -> float:
 def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
     """Slip of the adhesion maximum of a scenario's poor rail at nominal load."""
     load = (car.body.mass / 2 + car.gear.mass) * car.gravity / 2
-    patch = (load, *cone_patch(car), car.contact.shear_modulus)
+    patch = (load, *middle_patch(car), car.contact.shear_modulus)
     return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
 
 

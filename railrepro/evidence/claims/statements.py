@@ -487,7 +487,7 @@ def _variable_allocation(e: Evidence) -> float:
 
 @value("C35")
 def _cones(e: Evidence) -> Finding:
-    """Largest change of the error from cones to S1002: in units of a fifth of it, or of a tenth of the amplitude."""
+    """Largest change of the error from cones to S1002, over the acceptable one: a fifth, a tenth of the amplitude."""
     table = e.table("sine_causes").pivot(index="case", columns="cause", values="rmse_y")
     change = (table["as tuned"] - table["cones"]).abs()
     found = np.minimum(change / table["cones"] / 0.2, change / (0.1 * AMPLITUDE))

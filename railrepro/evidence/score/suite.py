@@ -27,7 +27,7 @@ from railrepro.vehicle.parameters import sample_ranges
 
 JUDGED_ON = (EQUAL, LOOP)
 """Setting of the benchmark."""
-MISMATCH = ("body.mass", "gear.mass", "gear.inertia_z", "wheel.spin_inertia", "wheel.cone_angle", "suspension.k_x")
+MISMATCH = ("body.mass", "gear.mass", "gear.inertia_z", "wheel.spin_inertia", "suspension.k_x")
 MISMATCH += ("suspension.c_x", "suspension.k_y", "drive.lag")
 """Parameters that the car has and its controller does not know, drawn over the ranges of data/vehicle.toml."""
 _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))

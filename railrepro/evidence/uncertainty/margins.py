@@ -25,7 +25,7 @@ from railrepro.evidence.runs.experiment import Experiment, code
 from railrepro.files import write
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.vehicle.parameters import load_vehicle
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 WINDOW, SETTLED = 4.0, 2.0
 """Length of the window that is analysed and time before it (s); all frequencies are whole multiples of 1 / WINDOW."""
@@ -118,7 +118,9 @@ class Sensitivity:
         return float(1 / np.abs(self.values - 0.5).max())
 
 
-def sensitivity(guidance, speed_kmh: float, sensors: dict | None = None) -> Sensitivity | None:
+def sensitivity(
+    guidance, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
+) -> Sensitivity | None:
     """Sensitivity on the straight dry track, the difference of a run with and one without disturbance.
 
     The noise of sensors is the same in both runs, so it does not enter.
@@ -129,6 +131,7 @@ def sensitivity(guidance, speed_kmh: float, sensors: dict | None = None) -> Sens
     speed_kmh : float
     sensors : dict, optional
         Arguments of `sensors.readings`.
+    vehicle : Vehicle, optional
 
     Returns
     -------
@@ -140,7 +143,7 @@ def sensitivity(guidance, speed_kmh: float, sensors: dict | None = None) -> Sens
     seen = readings(**sensors) if sensors else None
     first, count, found = round(SETTLED / EXCHANGE_PERIOD), round(WINDOW / EXCHANGE_PERIOD), []
     for amplitude in (0.0, AMPLITUDE):
-        run = simulate.run(scenario, probed(guidance, amplitude), sensors=seen)
+        run = simulate.run(scenario, probed(guidance, amplitude), vehicle=vehicle, sensors=seen)
         if run.failed:
             return None
         found.append(run.series["front.du"].to_numpy()[: first + count])
