@@ -183,15 +183,15 @@ def test_article_and_report_show_shares_and_the_matching_when_they_are_there(pla
         assert "one parameter at a time: C05 on `paper` by wheel.radius." in page
         assert "[256](data/results/matching_waves.csv) runs, at best [11 of 20]" in page
         assert "1. Which rails did the runs have" in page
-    assert "**Figure 5.** What is left of the prior" in made and "Vernon" in made
+    assert "**Figure 5.** Non-implausible region" in made and "Vernon" in made
 
 
 def test_without_the_studies_both_read_well(plain):
     nominal = Nominal(Unstudied())
     made, report = article.render(plain, nominal), text.render(plain, nominal)
     for page in (made, report):
-        assert "has not been run with these rules and this plant yet" in page
-        assert "Not run yet: `python -m railrepro matching`" in page
+        assert "has not run with these rules and this car yet" in page
+        assert "History matching has not run yet: `python -m railrepro matching`" in page
 
 
 def test_the_book_has_the_article_with_its_pdf(shown):
@@ -210,6 +210,21 @@ def test_the_pdf_has_equal_bytes_and_few_pages(shown):
     assert made.startswith(b"%PDF") and made == article.pdf(shown)
     pages = int(re.search(rb"/Count (\d+)", made)[1])
     assert 4 <= pages <= 8
+
+
+def test_the_article_in_latex_has_its_figures_citations_and_no_links_to_files(shown):
+    pytest.importorskip("pypandoc", reason="the packages of the book are installed by `make article`")
+    files = article.latex(shown)
+    content = files["content.tex"].decode()
+    drawn = re.findall(r"\\includegraphics\[[^]]*\]\{(\w+\.pdf)\}", content)
+    assert drawn and set(drawn) == {name for name in files if name.endswith(".pdf")}
+    assert r"\citep{Ewering2023}" in content and "data/results" not in content.replace(r"\_", "_")
+    assert not re.search("[✓✗◐]", content) and r"\section{Introduction}" in content
+
+
+def test_the_abstract_has_no_links(shown):
+    said = article.abstract(shown)
+    assert said.startswith("We replicate") and "](" not in said and "[@" not in said and "Introduction" not in said
 
 
 def test_without_the_packages_of_the_book_the_pdf_is_refused(shown, monkeypatch):
@@ -247,7 +262,7 @@ def test_the_region_is_drawn_against_the_whole_prior():
 
 
 def test_a_region_without_points_or_with_a_strange_direction_is_told():
-    with pytest.raises(InputError, match="nothing of the prior is left"):
+    with pytest.raises(InputError, match="the non-implausible region is empty"):
         region.draw(left().iloc[:0], narrowing("pole"), DIMENSIONS)
     with pytest.raises(InputError, match="direction 'mass', which prior or survivors do not have"):
         region.draw(left(), narrowing("pole", "mass"), DIMENSIONS)

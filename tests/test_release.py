@@ -90,3 +90,19 @@ def test_the_archive_passes_tests_without_git_and_has_a_wheel_beside_it(monkeypa
     command = [sys.executable, "-m", "pytest", "-q", "tests/test_release.py", "tests/test_model.py", "-m", "not slow"]
     folder = tmp_path / archive.name.removesuffix(".tar.gz")
     assert subprocess.run([*command, "-p", "no:cacheprovider"], cwd=folder, check=False).returncode == 0
+
+
+def test_metadata_have_the_form_of_the_template_of_rescience(monkeypatch):
+    """The parser of the template merges lists of entries with one key, and wants a contact among the authors."""
+    monkeypatch.setattr(release, "directory_id", lambda: "swh:1:dir:" + 40 * "a")
+    found = release.rescience("An abstract.")
+    wanted = {"code": {"url", "doi", "swh"}, "replication": {"cite", "bib", "url", "doi"}, "data": {"url", "doi"}}
+    wanted |= {"dates": {"received", "accepted", "published"}, "journal": {"name", "issn", "volume", "issue"}}
+    for key, names in wanted.items():
+        assert (
+            all(len(entry) == 1 for entry in found[key]) and {name for entry in found[key] for name in entry} == names
+        )
+    assert all(author["affiliations"] == "1,*" for author in found["authors"])
+    assert found["abstract"] == "An abstract." and found["title"].startswith("[Re] ")
+    works = (paths.NOTEBOOKS / "book" / "references.bib").read_text()
+    assert f"{{{found['replication'][1]['bib']}," in works

@@ -75,7 +75,7 @@ def _studies(command: Callable) -> None:
     added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/verdicts.csv")
     added = command("answers", "report.answers:main", "verdicts that flip with the authors' answers")
     added.add_argument("sheet", nargs="?", help="a filled sheet; default data/answers.toml")
-    command("article", "report.article:main", "the report as an article, build/article.pdf")
+    command("article", "chain.release:submission", "the report as an article, build/article.pdf, build/rescience")
 
 
 def _tools(command: Callable) -> None:

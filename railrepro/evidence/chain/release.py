@@ -73,45 +73,71 @@ def _person(author: dict) -> dict:
     return {"@type": "Person", "givenName": author["given-names"], "familyName": author["family-names"]}
 
 
-def rescience() -> dict:
-    """Metadata of the article in the words of ReScience C; what a journal gives is empty."""
+def rescience(abstract: str = "") -> dict:
+    """Metadata of the article as the template of ReScience C reads them (`metadata.yaml`); what the journal or the
+    authors add is empty."""
     citation, project = _citation(), _project()
     paper = citation["references"][0]
     names = [f"{author['given-names']} {author['family-names']}" for author in paper["authors"]]
     return {
         "title": f"[Re] {paper['title']}",
         "authors": [
-            {"name": author["name"], "orcid": "", "email": "", "affiliations": []} for author in citation["authors"]
+            {"name": author["name"], "orcid": "", "email": "", "affiliations": "1,*"} for author in citation["authors"]
         ],
-        "code": [{"url": "", "doi": "", "swh": directory_id()}],
-        "data": [{"url": "", "doi": ""}],
+        "affiliations": [{"code": 1, "name": "", "address": ""}],
+        "keywords": "model predictive control, independently rotating wheels, lateral guidance, wheel slide protection",
+        "code": [{"url": ""}, {"doi": ""}, {"swh": directory_id()}],
+        "data": [{"url": ""}, {"doi": ""}],
         "replication": [
-            {"cite": f"{', '.join(names)}. {paper['title']}.", "url": paper["identifiers"][0]["value"], "doi": ""}
+            {"cite": f"{', '.join(names)}. {paper['title']}."},
+            {"bib": "Ewering2023"},
+            {"url": f"https://arxiv.org/abs/{paper['identifiers'][0]['value'].removeprefix('arXiv:')}"},
+            {"doi": ""},
         ],
-        "abstract": project["description"],
+        "abstract": abstract or project["description"],
+        "bibliography": "bibliography.bib",
         "type": "Replication",
         "domain": "Control Engineering",
         "language": "Python",
-        "keywords": "model predictive control, independently rotating wheels, wheel slide protection",
-        "review": {"url": ""},
-        "contributors": [],
-        "dates": {"received": "", "accepted": "", "published": ""},
-        "article": {"number": "", "doi": "", "url": ""},
-        "journal": {"name": "ReScience C", "issn": "2430-3658", "volume": "", "issue": ""},
+        "review": [{"url": ""}],
+        "contributors": [{"name": "", "orcid": "", "role": role} for role in ("editor", "reviewer", "reviewer")],
+        "dates": [{"received": ""}, {"accepted": ""}, {"published": ""}],
+        "article": [{"number": ""}, {"doi": ""}, {"url": ""}],
+        "journal": [{"name": "ReScience C"}, {"issn": "2430-3658"}, {"volume": ""}, {"issue": ""}],
     }
+
+
+def submission() -> None:
+    """Write build/article.pdf, and build/rescience: the files that the template of ReScience C asks of authors."""
+    from railrepro.evidence.claims.nominal import Nominal
+    from railrepro.evidence.report import article, claims
+
+    nominal = Nominal()
+    shown = article.render(claims.evaluate(nominal), nominal)
+    folder = paths.BUILD / "rescience"
+    write(paths.BUILD / "article.pdf", article.pdf(shown))
+    for name, content in article.latex(shown).items():
+        write(folder / name, content)
+    _write_metadata(folder / "metadata.yaml", article.abstract(shown))
+    print(f"{(paths.BUILD / 'article.pdf').relative_to(paths.ROOT)}; for ReScience C {folder.relative_to(paths.ROOT)}")
+
+
+def _write_metadata(file: Path, abstract: str = "") -> None:
+    write(file, yaml.safe_dump(rescience(abstract), sort_keys=False, allow_unicode=True))
 
 
 def cite() -> None:
     """Print how this version is cited, with its id; write build/metadata.yaml."""
     citation, identity = _citation(), directory_id()
     authors = " and ".join(author["name"] for author in citation["authors"])
-    write(paths.BUILD / "metadata.yaml", yaml.safe_dump(rescience(), sort_keys=False, allow_unicode=True))
+    _write_metadata(paths.BUILD / "metadata.yaml")
     print(f"{authors}. {citation['title']}. Version {__version__}. {identity}\n")
     fields = {"author": f"{{{authors}}}", "title": citation["title"], "version": __version__, "swhid": identity}
     lines = [f"  {name} = {{{value}}}," for name, value in fields.items()]
     print("\n".join(["@softwareversion{railrepro,", *lines, "}\n"]))
-    print(f"together with the paper: {rescience()['replication'][0]['cite']} {rescience()['replication'][0]['url']}")
-    print("metadata: CITATION.cff, codemeta.json; for ReScience C build/metadata.yaml")
+    paper = citation["references"][0]["identifiers"][0]["value"]
+    print(f"together with the paper: {rescience()['replication'][0]['cite']} {paper}")
+    print("metadata: CITATION.cff, codemeta.json; for ReScience C build/metadata.yaml, text by `make article`")
 
 
 def store_codemeta() -> None:

@@ -16,7 +16,7 @@ TAIL = 0.4
 _TRACES = {"front.y_mm": "$y$ (mm)", "front.du_Nm": "$\\Delta u$ (N m)", "adhesion": "adhesion\nutilisation (%)"}
 _KEY = (
     "solid circle: friction limit now, dotted: largest of the run; dot: creep force (forward to the right), "
-    f"line: its last {TAIL:g} s\nupright bar: adhesion utilisation; lying bar: wheel torque, from the middle"
+    f"line: its last {TAIL:g} s\nvertical bar: adhesion utilisation; horizontal bar: wheel torque, zero in the middle"
 )
 
 
@@ -66,7 +66,7 @@ class _Stage:
         drawn = {"color": shot.color, "solid_capstyle": "butt"}
         self._poor = [self._plan.plot([], [], color=figures.SKY, linewidth=2.5)[0] for _ in SIDES]
         (self._wanted,) = self._plan.plot([], [], color=figures.BLACK, linestyle=":", label="set point")
-        (self._gone,) = self._plan.plot([], [], color=shot.color, linewidth=0.7, label="path of the front gear")
+        (self._gone,) = self._plan.plot([], [], color=shot.color, linewidth=0.7, label="path of the front running gear")
         self._axles = [self._plan.plot([], [], linewidth=1.5, **drawn)[0] for _ in GEARS]
         self._wheels = [self._plan.plot([], [], linewidth=4, **drawn)[0] for _ in WHEELS]
         (self._sleepers,) = self._plan.plot([], [], color="0.9", linewidth=2, zorder=-1)

@@ -20,7 +20,6 @@ from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.report import claims, text, theses
 from railrepro.evidence.report.reasons import filled, link, quantity
 from railrepro.evidence.runs import tuning
-from railrepro.files import write
 
 TEMPLATE = "data/article_page.md"
 WORKS = paths.NOTEBOOKS / "book" / "references.bib"
@@ -128,7 +127,7 @@ class _Article:
 
     def _figure(self, name: str, caption: str) -> str:
         if not (paths.source(f"figures/{name}.png")).exists():
-            raise InputError(f"figures has no {name}; `make figures` makes what the notebooks draw")
+            raise InputError(f"figures has no {name}; `make figures` draws the figures of the notebooks")
         number = self._figures.index(name) + 1
         return f"![Figure {number}](figures/{name}.png)\n\n**Figure {number}.** {caption}"
 
@@ -156,7 +155,7 @@ class _Article:
         for role, head in (("why", ""), ("holds_if", "would hold if ")):
             for of, says in text.explained(self._table, self._nominal, role):
                 rows.append([", ".join(map(_claim, of)), head + says])
-        return text.rows_of(rows, ["", "why not, and when"], (14, 86))
+        return text.rows_of(rows, ["", "reason, and condition under which it would hold"], (14, 86))
 
     def _robustness(self) -> list[str]:
         """How many verdicts hold in most of the samples."""
@@ -165,13 +164,13 @@ class _Article:
         return [f"**Robustness.** {text.robust(self._nominal)}{said}"]
 
     def _matching(self) -> list[str]:
-        """What the matching found, with the figure of its region when a notebook has drawn it."""
-        lines = [f"**Matching** [@Vernon2010]. {text.matched(self._nominal)}"]
+        """Result of the history matching, with the figure of its region when a notebook has drawn it."""
+        lines = [f"**History matching** [@Vernon2010]. {text.matched(self._nominal)}"]
         name = text.region_figure()
         if name and self._nominal.results.optional("matching_waves") is not None:
             self._figures.append(name)
-            lines += ["", self._figure(name, "What is left of the prior, in pairs of the narrowest directions.")]
-            lines[0] += f" {self._mention(name)} draws what is left."
+            lines += ["", self._figure(name, "Non-implausible region in pairs of its narrowest directions.")]
+            lines[0] += f" {self._mention(name)} shows the non-implausible region."
         self._lines += lines
         return lines
 
@@ -283,9 +282,34 @@ def _original() -> str:
     return f"{', '.join(names)}. {paper['title']}. {paper['identifiers'][0]['value']}"
 
 
-def main() -> None:
-    """Write build/article.pdf."""
-    nominal = Nominal()
-    file = paths.BUILD / "article.pdf"
-    write(file, pdf(render(claims.evaluate(nominal), nominal)))
-    print(file.relative_to(paths.ROOT))
+_MARKS = {"✓": r"$\checkmark$", "✗": r"$\times$", "◐": r"$\circ$"}
+_PREAMBLE = r"""% input this in article.tex of the template, before \begin{document}
+\usepackage{longtable,booktabs,array,calc,graphicx,amssymb}
+\providecommand{\tightlist}{}
+\providecommand{\pandocbounded}[1]{#1}
+"""
+
+
+def latex(article: str) -> dict[str, bytes]:
+    """The article for the template of ReScience C: content by file name, to be copied over those of the template.
+
+    Links to files of the checkout are dropped; figures are PDF files beside the text.
+    """
+    import pypandoc
+
+    body = re.sub(r"(?<!!)\[([^\]]*)\]\((?!#)[^)]*\)", r"\1", article.split("\n", 1)[1])
+    shown = {f"{name}.pdf": (paths.source("figures") / f"{name}.pdf").read_bytes() for name, _ in _SHOWN.findall(body)}
+    body = _SHOWN.sub(lambda m: f"![{m[2]}]({m[1]}.pdf){{#article-{m[1]} width=100%}}", body).replace(_REFERENCES, "")
+    body = re.sub(r"^\*\*Table \d+\.\*\* ", "Table: ", body.replace("## References", ""), flags=re.MULTILINE)
+    for mark, command in _MARKS.items():
+        body = body.replace(mark, command)
+    options = ["--shift-heading-level-by=-1", "--wrap=none", "--natbib"]
+    content = pypandoc.convert_text(body, "latex", format="markdown-smart", extra_args=options)
+    own = {"content.tex": content.encode(), "preamble.tex": _PREAMBLE.encode(), "bibliography.bib": WORKS.read_bytes()}
+    return own | shown
+
+
+def abstract(article: str) -> str:
+    """The abstract without links."""
+    section = article.partition("## Abstract\n")[2].partition("\n[")[0].partition("\n## ")[0]
+    return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", re.sub(r" \[@\w+\]", "", section)).strip()

@@ -32,7 +32,7 @@ _CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
 def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
     """Verdicts, one row per statement and setting (contract of data/results/claims.csv).
 
-    `setting` is empty for statements that no tuned set enters. `judged` is the verdict with fragile and tie told apart;
+    `setting` is empty for statements that no tuned set enters. `judged` is the verdict, with fragile and tie;
     `calibrated` whether the statement holds on the calibrated car ("yes", "no" or empty when it was not asked).
     """
     nominal = nominal or Nominal()
@@ -54,7 +54,7 @@ def on_calibrated_car(nominal: Nominal) -> dict[str, str]:
 
 
 def judged_on(identity: str, statement: statements.Statement, nominal: Nominal) -> list[str]:
-    """Settings whose evidence can tell; [""] for what does not depend on the setting."""
+    """Settings with evidence on a statement; [""] for a statement that does not depend on the setting."""
     found = []
     for setting in nominal.settings() if statement.kind == "statement" else ():
         try:
@@ -92,7 +92,7 @@ def _row(identity: str, statement: statements.Statement, setting: str, nominal: 
 def _found(
     identity: str, statement: statements.Statement, setting: str, nominal: Nominal
 ) -> tuple[Finding | None, list[str]]:
-    """What the predicate finds in some setting and in which tables; None when nothing can tell."""
+    """Finding of the predicate in some setting, and its tables; None without evidence."""
     if statement.kind != "statement":
         return None, []
     try:

@@ -1,4 +1,4 @@
-"""What history matching leaves of the prior, in pairs of directions; serves the question what would have to be true."""
+"""The non-implausible region of history matching, in pairs of directions: parameters consistent with the paper."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def draw(
     survivors: pd.DataFrame, region: pd.DataFrame, dimensions: Sequence[Dimension],
     marked: Mapping[str, Mapping[str, float]] | None = None, count: int = 5,
 ) -> tuple[Figure, pd.DataFrame]:  # fmt: skip
-    """Pairs of the narrowest directions; each panel is the whole prior, points are what is left of it.
+    """Pairs of the narrowest directions; each panel spans the whole prior, points are non-implausible.
 
-    On the diagonal the density of what is left over that of the prior, dashed. Without a mark left the column is empty.
+    The diagonal shows the density of the non-implausible points over that of the prior (dashed).
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def draw(
     Returns
     -------
     Figure, DataFrame
-        And what it shows.
+        The figure, and the plotted points.
 
     Raises
     ------
     InputError
-        When nothing is left, or a table knows another dimension.
+        When the region is empty, or a table has another dimension.
     """
     prior = {dimension.name: dimension for dimension in dimensions}
     names = [str(name) for name in region.sort_values("narrowing", ascending=False, kind="stable")["what"].head(count)]
@@ -58,7 +58,7 @@ def draw(
         raise InputError(
             f"the region has the direction {missing[0]!r}, which prior or survivors do not have"
             if missing
-            else "nothing of the prior is left, there is no region to draw"
+            else "the non-implausible region is empty, there is nothing to draw"
         )
     figure, axes = figures.new_figure(len(names), len(names), height=1.25, width=1.3, squeeze=False)
     for i, row in enumerate(names):

@@ -23,7 +23,7 @@ from railrepro.files import write
 
 MARKS = {"reproduced": "✓", "fragile": "✓?", "partly": "◐", "tie": "=", "not reproduced": "✗", "not testable": "–"}
 PROBES = "data/results/nominal_metrics.csv"
-"""What statements that depend on the setting are judged on."""
+"""Metrics on which statements that depend on the setting are judged."""
 CALIBRATED = {"yes": "✓", "no": "✗", "": ""}
 
 
@@ -127,11 +127,11 @@ def _number(value: float, unit: str = "") -> str:
 def without(table: pd.DataFrame) -> str:
     """How many entries have no verdict."""
     number = sum(verdict == claims.NO_VERDICT for verdict in claims.verdicts(table).values())
-    return f"{number} sentences get no verdict: they set choices of ours, motivate, or are true by arithmetic."
+    return f"{number} sentences get no verdict: a choice of ours was set by them, or they are motivation or arithmetic."
 
 
 def _numbers(nominal: Nominal) -> list[str]:
-    """Results of the paper that are numbers beside ours; what only went in is named in a line."""
+    """Results of the paper that are numbers beside ours; its numbers that are inputs here are listed in one line."""
     table = pd.read_csv(paths.source("data/paper_numbers.csv"), dtype=str)
     rows = [
         [row.what, f"{row.paper} {row.unit}".removesuffix(" -"), filled(row.here, nominal, linked=True)]
@@ -139,7 +139,7 @@ def _numbers(nominal: Nominal) -> list[str]:
     ]
     given = table[table["role"] == "input"]
     inputs = "; ".join(f"{row.what} {row.paper} {row.unit}".removesuffix(" -") for row in given.itertuples())
-    return [*rows_of(rows, ["number", "paper", "here"]), "", f"Taken as they are: {inputs}."]
+    return [*rows_of(rows, ["number", "paper", "here"]), "", f"Inputs taken from the paper: {inputs}."]
 
 
 def file_link(name: str) -> str:
@@ -148,7 +148,7 @@ def file_link(name: str) -> str:
 
 
 def questions() -> list[str]:
-    """Open questions to the authors, by how much their answers decide."""
+    """Open questions to the authors, in the order of their effect on the verdicts."""
     return [f"{i}. {question.asks}" for i, question in enumerate(answers.load().values(), 1)]
 
 
@@ -227,39 +227,39 @@ def _reasons(table: pd.DataFrame, nominal: Nominal) -> list[str]:
 
 
 def robust(nominal: Nominal) -> str:
-    """What the robustness study says as a whole; what to run when it does not have the form of these rules."""
+    """Result of the robustness study; the command to run when it does not have the form of these rules."""
     found, samples = (nominal.results.optional(f"robustness_{name}") for name in ("claims", "samples"))
     if found is None or claims.shares(samples).empty:
-        return "The robustness study has not been run with these rules and this plant yet (`make study`): no shares."
+        return "There are no shares: the robustness study (`make study`) has not run with these rules and this car yet."
     where = "data/results/robustness_claims.csv"
     decided = found[found["decided_by"].notna() & (found["decided_by"] != "")]
     named = "; ".join(f"{row.id} on `{row.setting}` by {row.decided_by}" for row in decided.itertuples())
     return (
-        f"Over cars and experiments drawn from the ranges of what is not published, every controller tuned again, "
-        f"[{(found['share'] > 0.5).sum()}]({where}) of [{len(found)}]({where}) pairs of statement and setting hold in "
-        f"more than half of [{int(found['samples'].max())}]({where}) samples. What decides, confirmed by changing one "
-        f"parameter at a time: {named or 'nothing'}."
+        f"Cars and experiments were drawn from the ranges of the unpublished parameters, with every controller tuned "
+        f"again: [{(found['share'] > 0.5).sum()}]({where}) of [{len(found)}]({where}) pairs of statement and setting "
+        f"hold in more than half of [{int(found['samples'].max())}]({where}) samples. Decisive parameters, confirmed "
+        f"by changing one at a time: {named or 'none'}."
     )
 
 
 def matched(nominal: Nominal) -> str:
-    """What the matching found: an exploration."""
+    """Result of the history matching, an exploration."""
     waves = nominal.results.optional("matching_waves")
     if waves is None:
-        return "Not run yet: `python -m railrepro matching` (part of `make study`)."
+        return "History matching has not run yet: `python -m railrepro matching` (part of `make study`)."
     where, last = "data/results/matching_waves.csv", waves.iloc[-1]
     runs, most = link(str(int(waves["points"].sum())), [where]), int(last["most_statements"])
     most_of = link(f"{most} of {int(last['statements'])}", [where])
-    earlier = "" if "stage" in waves else " These runs are of an earlier plant and earlier rules."
+    earlier = "" if "stage" in waves else " These runs were made with an earlier car and earlier rules."
     return (
-        f"A search of cars, weights and experiments for points at which the statements hold together: {runs} runs, at "
-        f"best {most_of} statements in one. It explores; what no run has may still be there.{earlier} The "
-        "chapter on matching shows it."
+        "History matching searches cars, weights and experiments for points at which the statements hold together: "
+        f"{runs} runs, at best {most_of} statements in one run. The search is an exploration: points that no run "
+        f"visited may hold more statements.{earlier} The chapter on history matching shows the result."
     )
 
 
 def region_figure() -> str:
-    """Name of the figure of the region that is left, when a notebook has drawn it."""
+    """Name of the figure of the non-implausible region, when a notebook has drawn it."""
     return next((file.stem for file in sorted(paths.source("figures").glob("fig*_region.png"))), "")
 
 
@@ -288,12 +288,12 @@ def _effect(own: pd.DataFrame) -> str:
         parts.append(f"RMSE {100 * worst['rmse_change']:+.1f} % ({worst['scenario']})")
         parts.append(f"torque {100 * effort['effort_change']:+.1f} % ({effort['scenario']})")
     if lost.any():
-        parts.append("leaves the rail or triples the error on " + ", ".join(own[lost]["scenario"]))
+        parts.append("derails or triples the error on " + ", ".join(own[lost]["scenario"]))
     return "; ".join(parts)
 
 
 def _elsewhere() -> list[str]:
-    """What another computer may differ by."""
+    """Tolerances of results between computers."""
     file = "notebooks/chain.toml"
     tolerance = tomllib.loads(paths.source(file).read_text(encoding="utf-8"))["verify"]
     own = "; ".join(
@@ -303,11 +303,11 @@ def _elsewhere() -> list[str]:
     )
     return [
         "On one machine with the locked packages tables and figures are bit-identical. Another processor or "
-        "mathematical library rounds differently; `make verify` reruns everything and compares. Numbers may be apart "
+        "mathematical library rounds differently; `make verify` reruns everything and compares. Numbers may differ "
         f"by {tolerance['relative']:g} of the largest value of their column or metric, images by "
         f"{tolerance['image_rms']:g} of 255 grey levels in the root mean square (`{file}`). Some numbers amplify "
-        f"rounding and may be apart by more; do not read them to more digits: {own}. Computers and compilers that were "
-        "tried are in `notebooks/book/reproducibility.md`."
+        f"rounding and have larger tolerances: {own}. `notebooks/book/reproducibility.md` lists the computers and "
+        "compilers that were tried."
     ]
 
 
@@ -318,7 +318,5 @@ def _rules(table: pd.DataFrame) -> list[str]:
     last = log.drop_duplicates("id", keep="last")
     rows = [[r.id, r.old, r.old_verdict, r.new, found.get(r.id, "none"), r.why] for r in last.itertuples()]
     heads = ["id", "old rule", "verdict then", "new rule", "verdict now", "why"]
-    said = (
-        f"{len(log)} changes; of each rule the last is shown, those before are in {file_link('data/rule_changes.csv')}."
-    )
+    said = f"{len(log)} changes; the table shows the last one of each rule, {file_link('data/rule_changes.csv')} all."
     return [said, "", *rows_of(rows, heads)]
