@@ -28,7 +28,7 @@ def table(nominal):
     return claims.evaluate(nominal)
 
 
-LONG = ("test_notebooks", "test_bench", "test_tuning", "test_claims", "test_adding", "test_bad_inputs")
+LONG = ("test_notebooks", "test_bench", "test_tuning", "test_claims", "test_adding", "test_bad_inputs", "test_misuse")
 """Files whose tests start first, so that what comes last is short and all workers end together."""
 
 

@@ -200,9 +200,10 @@ def check_controller(controller: SlowController) -> None:
     owner = f"lateral controller {type(controller).__name__}"
     if not callable(getattr(controller, "plan", None)):
         raise InputError(f"{owner}: has no plan(x_hat, u_d)")
-    for name in ("notice", "read"):
-        if not callable(getattr(controller, name, print)):
-            raise InputError(f"{owner}: {name} is {reprlib.repr(getattr(controller, name))}, a method is needed")
+    for name in ("plan", "notice", "read"):
+        method = getattr(controller, name, max)
+        if not (callable(method) and _takes(method, 2)):
+            raise InputError(f"{owner}: {name} is {reprlib.repr(method)}, a method of two arguments is needed")
     require(f"{owner}: period", getattr(controller, "period", None), between(-inf, LONGEST_PERIOD, "s"))
 
 

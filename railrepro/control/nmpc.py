@@ -32,9 +32,9 @@ class NMPC(PredictiveController):
     solver: str = "gauss_newton"
 
     def __post_init__(self):
-        super().__post_init__()
         if self.solver not in SOLVERS:
             raise InputError(f"NMPC solver {self.solver!r} is not known; there are {SOLVERS}")
+        super().__post_init__()
         self._reference = ipopt.solver(self.settings) if self.solver == "ipopt" else None
         self._started = False
 

@@ -154,7 +154,7 @@ _RANGES = {
     "q_terminal": between(0.0, 1e9),
     "period": above(0.0, 1.0, "s"),
     "steps": between(2, 1000),
-    "lateral_bound": above(0.0, 0.1, "m"),
+    "lateral_bound": above(0.0, 1.0, "m"),
     "bound_weight": between(0.0, 1e9),
     "observer": between(0.0, 1.0),
 }

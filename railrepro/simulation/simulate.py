@@ -126,6 +126,7 @@ def run(
     settings = adhesion, estimate, fixed_share, sensors
     law.check_settings(*settings)
     require("substeps", substeps, between(1, 10_000), whole=True)
+    require("compiled", compiled, bool)
     route = checked_route(scenario, body, irregularities, line)
     return lanes.drive(_run(scenario, guidance, route, vehicle, body, settings, substeps, compiled))
 

@@ -24,6 +24,7 @@ from railrepro.errors import InputError
 from railrepro.estimation import sensors
 from railrepro.evidence.runs import preview, ride, sources, store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.schema import require
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.rough import fit, rough_track
@@ -95,6 +96,11 @@ class Experiment:
     substeps: int | None = None
     ride: bool = False
     stride: int = 0
+
+    def __post_init__(self) -> None:
+        require("experiment: scenario", self.scenario, Scenario)
+        for name in ("vehicle", "plant", "sensors"):
+            require(f"experiment: {name}", getattr(self, name), dict)
 
     def car(self) -> Vehicle:
         """The car that is driven, with all changes."""
