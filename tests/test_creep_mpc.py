@@ -10,6 +10,7 @@ from test_symmetry import drive_with, mirrored, turned
 
 from railrepro.control.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains
 from railrepro.control.creep_mpc import CreepGuide, CreepMPC
+from railrepro.control.slip import SlipSettings
 from railrepro.control.tuned import tuned
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
@@ -309,8 +310,8 @@ def test_the_radius_of_wheels_is_learnt_while_nothing_is_demanded(radius):
     law, plant = tuned("creep_mpc", setting="loop"), load_vehicle(**{"wheel.radius": radius * V.wheel.radius})
     runs = [simulate.run(scenario, law, plant_vehicle=car, sensors=readings(seed=1)) for car in (V, plant)]
     guides = [run.controllers[0] for run in runs]
-    assert guides[1]._offset == pytest.approx(1 / radius - 1, abs=6e-4)
-    assert abs(guides[1]._slip[1]) < 3e-4
+    assert guides[1]._offset.mean() == pytest.approx(1 / radius - 1, abs=6e-4)
+    assert abs(guides[1]._slip[1].mean()) < 3e-4
     assert metrics.rmse(runs[1].series) < 1.15 * metrics.rmse(runs[0].series)
 
 
@@ -318,7 +319,43 @@ def test_what_slips_under_demand_is_not_learnt_as_a_radius(guide):
     for _ in range(400):
         guide.plan(measured(100.0), 1500.0)
         guide.notice(np.array([0.001, 0.001]), np.array([-0.01, -0.01]))
-    assert guide._offset == 0.0 and guide._slip[1] == pytest.approx(0.01, rel=1e-3)
+    assert not guide._offset.any() and guide._slip[1] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_what_the_differential_torque_makes_slip_is_not_learnt_as_a_radius_until_it_has_come_to_rest(guide):
+    for torque, learnt in ((1500.0, 0), (0.0, 0), (300.0, 1)):
+        guide.sent[:] = torque
+        guide.plan(measured(100.0), 0.0)
+        guide.notice(np.array([0.03, -0.03]), np.array([-0.01, 0.005]))
+        assert (guide._learnt > 0) == learnt
+        if torque == 0.0:
+            for _ in range(150):
+                guide.sent[:] = 0.0
+                guide.plan(measured(100.0), 0.0)
+
+
+def test_wheels_that_slip_in_opposite_directions_are_soft():
+    """On the mean of both they roll: a torque beyond the adhesion then looks like one that the wheels carry."""
+    schedule, damping = Schedule(V, CreepSettings(), DRY), (STATES.index("vy"), STATES.index("vy"))
+    apart, along = np.array([1.0, -1.0]), np.ones(2)
+    one, other, rolling = (
+        schedule.around(100.0, 0.035 * sides, slip * sides)[0].step[damping]
+        for sides, slip in ((apart, 0.01), (along, 0.01), (apart, 5e-4))
+    )
+    assert one == pytest.approx(other, rel=1e-3) and one > 1.02 * rolling
+
+
+def test_the_gear_stays_near_its_set_point_on_a_patch_where_both_wheels_slide_apart():
+    """200 m of mu = 0.05 at 400 km/h with slip control: on the mean of both wheels 7.2 mm, an inversion 2.0 mm."""
+    ice = ((0, 0), (200, 0), (201, 1), (400, 1), (401, 0))
+    scenario = load_scenario("adhesion_loss").but(end_m=450.0, good="dry", poor="very_poor", poor_share=ice)
+    settings = CreepSettings(
+        change=0.02, force_rate=2.92e6, moment_rate=5e3, y_noise=1e-6, psi_noise=1e-6, r_noise=9e-6
+    )
+    plant = load_vehicle(**{"adhesion.very_poor.mu0": 0.05})
+    run = simulate.run(scenario, CreepMPC(settings), plant_vehicle=plant, adhesion=SlipSettings())
+    assert np.abs(metrics.lateral_error(run.series)).max() < 3.5e-3
+    assert np.abs(run.controllers[0]._offset).max() < 5e-4
 
 
 def test_factory_is_picklable():

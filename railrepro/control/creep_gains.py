@@ -36,6 +36,8 @@ _PRIOR = 1e-4
 """Slip that the ratio of adhesion and slip has anyway, so that it exists without traction (-)."""
 _TOLERANCE = 5e-4
 """Slip beyond that of the linear range that a rolling wheel may show: by its radius, by the noise of the speed (-)."""
+_APART = 2e-3
+"""Slip against each other that rolling wheels may show (-): profiles off their middle, a yaw rate that is not known."""
 _SOFTNESS_STEP, _ADHESION_STEP = 0.15, 0.01
 """Steps of the logarithm of the secant stiffness and of the used adhesion (-), to which both are rounded."""
 _KNEE, _LEAST_SLOPE = 3e-3, 0.03
@@ -188,7 +190,7 @@ class Schedule:
     def __init__(self, vehicle: Vehicle, settings: CreepSettings, creep: Creep, delay: float = 0.0):
         self._vehicle, self._settings, self._creep, self._delay = vehicle, settings, creep, delay
         self._load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-        self._nodes: dict[tuple[int, int, int, int], Gains] = {}
+        self._nodes: dict[tuple[int, ...], Gains] = {}
 
     def around(self, speed: float, adhesion: float, slip: float, alert: int = ALERT) -> tuple[Gains, Gains, float]:
         """Gains at the speeds below and above a speed (m/s), and the share of the latter.
@@ -196,26 +198,30 @@ class Schedule:
         Parameters
         ----------
         speed : float
-        adhesion, slip : float
-            Used adhesion and slip, traction positive (-).
+        adhesion, slip : float or ndarray
+            Used adhesion and slip of all wheels or each, traction positive (-). Wheels that slip in opposite directions
+            are as soft as if both did in one.
         alert : int
             Alertness, 0 to `ALERT`; wheels that slip keep the filter awake.
         """
         place = float(np.interp(np.log(max(speed, SPEEDS[0])), np.log(SPEEDS), np.arange(len(SPEEDS))))
         node = min(int(place), len(SPEEDS) - 2)
-        linear = self._load * abs(adhesion) / self._creep.across + _PRIOR
-        beyond = max(abs(slip) - linear - _TOLERANCE, 0.0)
-        level = round(np.log(linear / (linear + beyond)) / _SOFTNESS_STEP)
-        used = round(adhesion / _ADHESION_STEP)
-        key = level, used, alert if level == 0 else ALERT
+        linear = self._load * np.abs(adhesion) / self._creep.across + _PRIOR
+        middle = np.mean(slip)
+        apart = slip - middle
+        against = np.sign(apart) * np.maximum(np.abs(apart) - _APART, 0.0)
+        beyond = np.maximum(np.abs(middle + against) - linear - _TOLERANCE, 0.0)
+        level = round(np.log(np.mean(linear) / np.mean(linear + beyond)) / _SOFTNESS_STEP)
+        used, each = round(np.mean(adhesion) / _ADHESION_STEP), round(np.mean(np.abs(adhesion)) / _ADHESION_STEP)
+        key = level, used, each, alert if level == 0 else ALERT
         return self._node(node, *key), self._node(node + 1, *key), place - node
 
-    def _node(self, node: int, level: int, used: int, alert: int) -> Gains:
-        key = node, level, used, alert
+    def _node(self, node: int, level: int, used: int, each: int, alert: int) -> Gains:
+        key = node, level, used, each, alert
         if key not in self._nodes:
             softness, adhesion = float(np.exp(_SOFTNESS_STEP * level)), _ADHESION_STEP * used
             across = softness * self._creep.across
-            slip = self._load * adhesion / across
+            slip = self._load * _ADHESION_STEP * each / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
             creep = Creep(along, across, adhesion)
             settings = self._settings_at(float(SPEEDS[node]), level == 0, 1 - alert / ALERT)
