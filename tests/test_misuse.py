@@ -147,7 +147,11 @@ REFUSED = {
     "an export for a name": (lambda _: Export(NDI_LAW, lay(load_track("T3")), "v"), "export: vehicle is 'v'"),
     "an export without settings": (
         lambda _: Export(NDI_LAW, lay(load_track("T3")), settings=None),
-        "export: settings are None, four (adhesion",
+        "export: settings is None, an object of the class LawSettings",
+    ),
+    "settings of an export in a row": (
+        lambda _: Export(NDI_LAW, lay(load_track("T3")), settings=(None, None, 0.0, None)),
+        "export: settings is (None, None, 0.0, None), an object of the class LawSettings",
     ),
     "an export to nowhere": (lambda _: Export(NDI_LAW, lay(load_track("T3"))).write_source(None), "None is no path"),
     "irregularities of nothing": (lambda _: measured.read_irregularities(None), "None is no path of a file"),

@@ -19,7 +19,7 @@ TORQUE = np.array([300.0, -300.0, 150.0, -150.0])
 def test_stepping_gives_what_the_exchange_gives():
     car = SteppedCar("T3", 50.0)
     way, vehicle = route.lay(load_track("T3")), load_vehicle()
-    control = law.control_law(vehicle, None, lateral=0.03, track_end=way.length, stop_speed=-1.0)
+    control = law.control_law(vehicle, None, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
     start = equations.rest_state(vehicle, car.table, 50.0)
     coupled = exchange.Exchange(equations.parameter_vector(vehicle), car.table, way, control, start)
     coupled.held[:] = 20.0

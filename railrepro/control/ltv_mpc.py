@@ -20,7 +20,7 @@ class LTVMPC(PredictiveController):
 
     printed: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         self.horizon.affine = 0.0 if self.printed else 1.0
 

@@ -55,14 +55,15 @@ class PredictiveController:
     settings: MPCSettings = field(default_factory=MPCSettings)
     recorded: list | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.stats: list[Solve] = []
         s = self.settings
         self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
         nominal = forecast.nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = horizon(s, nominal, self.parameters, self.route)
         self.plan_du = np.zeros(s.steps)
-        self.offset, self._expected_y = 0.0, None
+        self.offset = 0.0
+        self._expected_y: float | None = None
 
     @property
     def period(self) -> float:

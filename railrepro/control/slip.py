@@ -83,7 +83,7 @@ class SlipSettings:
     memory: ClassVar[tuple[str, ...]] = ("u", "demand", "limit", "f", "s", "mean_f", "mean_s", "s_s", "s_f")
     """Names of the states of the law, see `base_torque`."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, allowed in _RANGES.items():
             require(f"SlipSettings: {name}", getattr(self, name), allowed)
         require("SlipSettings: least", self.least, between(0.0, self.most))

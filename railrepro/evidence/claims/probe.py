@@ -446,7 +446,7 @@ def _until(time: np.ndarray, there: np.ndarray, start: int) -> float:
 
 def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
     """Slip of the adhesion maximum of a scenario's poor rail at nominal load."""
-    load = (car.body.mass / 2 + car.gear.mass) * car.gravity / 2
+    load = car.wheel_load
     patch = (load, *cone_patch(car), car.contact.shear_modulus)
     return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
 

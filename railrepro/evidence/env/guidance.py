@@ -25,7 +25,7 @@ import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
-from railrepro.control.law import GEARS
+from railrepro.control.law import GEARS, LawSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.evidence.env.observation import SIZE, Sight
@@ -86,7 +86,7 @@ class GuidanceEnv(gymnasium.Env):
             raise InputError(f"environment: options are {options!r}, there are none")
         super().reset(seed=seed)
         seen = readings(seed=int(self.np_random.integers(2**31))) if self._sensors else None
-        settings = None, None, 0.0, seen
+        settings = LawSettings(sensors=seen)
         self._exchange = simulate.start(self.scenario, lateral.Held(), self.route, self.vehicle, self.vehicle, settings)
         names = self._exchange.car.model.states
         for gear in GEARS:
