@@ -47,7 +47,7 @@ def test_linearisation_predicts_a_small_step():
     assert model.b.loc["tau.front_le", "front_le"] == pytest.approx(1 / lag)
 
 
-@pytest.mark.filterwarnings("ignore:.* left the rail")
+@pytest.mark.filterwarnings("ignore:.* derailed")
 def test_linearisation_is_the_slope_of_rates_and_outputs():
     car = SteppedCar("T3", 60.0)
     car.step(TORQUE, 1500)
@@ -143,7 +143,7 @@ def test_a_broken_state_is_named_and_kept_out():
     assert np.isfinite(car.state).all() and np.isfinite(good).all()
 
 
-@pytest.mark.filterwarnings("ignore:.* left the rail")
+@pytest.mark.filterwarnings("ignore:.* derailed")
 @pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
 def test_fmu_runs_in_fmpy_to_the_same_trajectory(tmp_path, monkeypatch):
     fmpy = pytest.importorskip("fmpy")

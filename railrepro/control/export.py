@@ -62,7 +62,7 @@ class Export:
     guidance: lateral.Guidance
     route: Route
     vehicle: Vehicle = field(default_factory=load_vehicle)
-    settings: law.LawSettings = field(default_factory=law.LawSettings)
+    settings: law.LawSettings = law.PLAIN
 
     def __post_init__(self) -> None:
         require("export: route", self.route, Route)
@@ -78,7 +78,7 @@ class Export:
         lateral_law, factory = lateral.split(self.guidance)
         limits = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, self.settings, **limits)
-        planners = [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(law.GEARS))] if factory else []
+        planners = self._planners(factory) if factory else []
         functions = [control.function, *(_functions(planners[0]) if planners else ())]
         text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
         text += self._constants(control) + (self._planner(planners, control) if planners else "")
@@ -103,8 +103,9 @@ class Export:
 
     def _constants(self, control: law.ControlLaw) -> str:
         """Sizes, road and gains of the law."""
-        sizes: dict[str, int | str] = {"N_MEASURED": len(law.MEASURED), "N_TORQUE": len(TORQUES), "N_MEMORY": len(control.kind.memory)}
-        sizes |= {"GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)} | _work("LAW", [control.function])
+        sizes: dict[str, int | str] = {"N_MEASURED": len(law.MEASURED), "N_TORQUE": len(TORQUES)}
+        sizes |= {"N_MEMORY": len(control.kind.memory), "GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)}
+        sizes |= _work("LAW", [control.function])
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
         sizes |= {"PERIOD": float(EXCHANGE_PERIOD).hex()}
         places = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
@@ -115,13 +116,17 @@ class Export:
             cells[:, ~_read(control.function)] = 0.0
         return text + constant("CELLS", cells) + constant("GAINS", control.gains)
 
+    def _planners(self, factory: lateral.Factory) -> list[PredictiveController]:
+        return [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(law.GEARS))]
+
     def _planner(self, planners: list[PredictiveController], control: law.ControlLaw) -> str:
         """The predictive controllers of both gears: solver, numbers, where they find what is measured."""
         settings, first = planners[0].settings, planners[0]
         functions, memory = _functions(first), control.kind.memory
         sizes: dict[str, int | str] = {"PLAN_STEPS": round(settings.period / EXCHANGE_PERIOD), "STEPS": settings.steps}
         sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
-        sizes |= {"INFORMED": int(settings.informed), "N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.kind.sensed)} | _work("PLAN", functions)
+        sizes |= {"INFORMED": int(settings.informed), "N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.kind.sensed)}
+        sizes |= _work("PLAN", functions)
         numbers = {"OBSERVER": settings.observer, "PLAN_PERIOD": settings.period, "AFFINE": first.horizon.affine}
         numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
         sizes |= {name: float(value).hex() for name, value in numbers.items()}

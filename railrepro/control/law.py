@@ -23,7 +23,6 @@ from railrepro.control import lateral, slip
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
 from railrepro.control.slip import SlipSettings
-from railrepro.errors import InputError
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
 from railrepro.model.control_model import STATES
@@ -133,6 +132,10 @@ class LawSettings:
         require("fixed_share", self.fixed_share, between(0.0, 1.0))
 
 
+PLAIN = LawSettings()
+"""The paper's adhesion law and allocation, with perfect measurements."""
+
+
 @dataclass(frozen=True)
 class LawKind:
     """A 1 kHz law without its numbers: laws of one kind share one compiled object.
@@ -205,7 +208,7 @@ class ControlLaw:
 def control_law(
     vehicle: Vehicle,
     guidance: lateral.LateralLaw | None = None,
-    settings: LawSettings = LawSettings(),  # noqa: B008 (frozen)
+    settings: LawSettings = PLAIN,
     *,
     lateral_limit: float,
     track_end: float,

@@ -9,6 +9,7 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import casadi as ca
 import numpy as np
 from pydantic import AfterValidator, Field
 
@@ -152,7 +153,7 @@ class Scenario:
         self._check_ramps(track)
         way = route.lay(
             track,
-            reference=self._reference(),
+            reference=self.reference(),
             poor=(_ramps(left), _ramps(right)),
             force=_steps(self.force_kN),
             irregularities=irregularities,
@@ -180,7 +181,8 @@ class Scenario:
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 
-    def _reference(self):
+    def reference(self) -> ca.Function | None:
+        """Lateral set point over the coordinate, if there is one."""
         point = self.set_point
         extra = {"fade": point["fade_m"]} if "fade_m" in point else {}
         if point["kind"] == "sine":

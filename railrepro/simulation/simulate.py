@@ -156,7 +156,7 @@ def checked_route(scenario: Scenario, body: Vehicle, irregularities=None, line=N
 
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    settings: law.LawSettings = law.LawSettings(), substeps: int = 1, compiled: bool = True,
+    settings: law.LawSettings = law.PLAIN, substeps: int = 1, compiled: bool = True,
 ) -> Exchange:  # fmt: skip
     """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
 
@@ -235,7 +235,7 @@ def _reason(exchange: Exchange, series: pd.DataFrame) -> tuple[str, bool]:
     margins = exchange.margins
     for name in GEARS:
         if margins[f"{name}.lateral"] <= 0:
-            return f"{name} gear left the rail, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True
+            return f"{name} gear derailed, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True
     if margins["track_end"] <= 0:
         return f"end of the run {at}", False
     if margins["stop_speed"] <= 0:

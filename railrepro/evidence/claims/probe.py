@@ -191,7 +191,7 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int]
 
 def nothing(scenario: Scenario) -> dict[str, float]:
     """What y = 0 gives: root mean square and largest value of the set point, and its shortest wavelength (m)."""
-    reference = scenario._reference()
+    reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]

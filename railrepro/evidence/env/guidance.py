@@ -6,10 +6,10 @@ track over 10 mrad/s; torque given last over its limit; set point less y over 1 
 lateral acceleration there over 1 m/s2.
 Action, `Box(2,)` in [-1, 1]: differential torque of front and rear gear over the torque limit, positive steers right.
 Reward of a step: -T min(`WORST`, mean over the gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2), T = 5 ms. When
-a gear leaves the rail, which is the only termination, the step costs `WORST` for all the time that the episode could
+a gear derails, which is the only termination, the step costs `WORST` for all the time that the episode could
 still have lasted: no early end is better than any way on. The end of the scenario, or of `duration`, truncates.
 Info of every step: `error` (m) and `torque` (N m) of both gears, shape (2,), `p` (m), `v` (m/s), `time` (s), and
-`margins`, the distances to the limits by name: `front.lateral` and `rear.lateral` (m, at 0 the gear leaves the rail),
+`margins`, the distances to the limits by name: `front.lateral` and `rear.lateral` (m, at 0 the gear derails),
 `track_end` (m), `stop_speed` (m/s). That of `reset` is the same without `margins`.
 A seed draws where the gears stand at the start, and noise and biases of the sensors where there are some.
 

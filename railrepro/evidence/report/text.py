@@ -292,7 +292,7 @@ def _effect(own: pd.DataFrame) -> str:
         parts.append(f"RMSE {100 * worst['rmse_change']:+.1f} % ({worst['scenario']})")
         parts.append(f"torque {100 * effort['effort_change']:+.1f} % ({effort['scenario']})")
     if lost.any():
-        parts.append("leaves the rail or triples the error on " + ", ".join(own[lost]["scenario"]))
+        parts.append("derails or triples the error on " + ", ".join(own[lost]["scenario"]))
     return "; ".join(parts)
 
 

@@ -156,7 +156,7 @@ def sensitivity(guidance, speed_kmh: float, sensors: dict | None = None) -> Sens
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is worsened until a controller leaves the rail.
+    """What is worsened until the car derails.
 
     Attributes
     ----------
