@@ -42,7 +42,7 @@ from railrepro.evidence.chain import graph
 from railrepro.evidence.claims import answers, statements
 from railrepro.evidence.film import knobs, scene
 from railrepro.evidence.film.scene import film
-from railrepro.evidence.runs import experiment, pso, ride, tuning
+from railrepro.evidence.runs import experiment, preview, pso, ride, tuning
 from railrepro.evidence.score.entry import entry, load_class, made
 from railrepro.evidence.uncertainty import robustness
 from railrepro.track import irregularity, measured

@@ -116,7 +116,7 @@ def test_a_run_that_ends_early_stays_where_it_ended():
     found = scene.compose(scenario, runs, load_vehicle(), 40, "one derails")
     rows = [len(shot.table) for shot in found.shots]
     assert runs["nmpc"].failed and rows[1] < rows[0] == found.times.size and found.still() < rows[1]
-    assert "left the rail" in found.shots[1].summary and found.scales["y_mm"] == scene.WIDEST
+    assert "derailed" in found.shots[1].summary and found.scales["y_mm"] == scene.WIDEST
     assert len(shown(page.html(found))["shots"][1]["columns"]["front.y_mm"]) == rows[1]
 
 

@@ -97,7 +97,7 @@ def test_a_car_that_leaves_the_rail_says_so_once(unit):
             break
     assert max(map(abs, car.get(["front.y", "rear.y"]))) > fmu.DERAILED
     car.step()
-    assert car.said == ["a gear left the rail, what follows means nothing"]
+    assert car.said == ["a gear derailed, what follows means nothing"]
 
 
 def test_two_instances_do_not_know_each_other(unit):

@@ -25,7 +25,7 @@ KEYS = ("gear.mass", "wheel.cone_angle", "suspension.c_y", "contact.normal_stiff
 
 
 def experiments(number, seed):
-    """Random runs: scenario, length, controller, car, sensors, steps of the car, rails; some leave the rails."""
+    """Random runs: scenario, length, controller, car, sensors, steps of the car, rails; some derail."""
     rng, drawn = np.random.default_rng(seed), []
     rough, ranges = rough_track(np.arange(0.0, 400.0, 0.25), seed=1), sample_ranges()
     laws = tuned("ndi"), tuned("ndi_feedforward"), NDI(pole=1e3, frequency=500.0, damping=0.01)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from railrepro.control import limit as bound
 from railrepro.estimation.sensors import load_loop
+from railrepro.evidence.uncertainty import limit as bound
 from railrepro.vehicle.parameters import load_vehicle
 
 V, LOOP = load_vehicle(), load_loop()

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from railrepro.control import limit as bound
 from railrepro.control.registry import OURS
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor
+from railrepro.evidence.uncertainty import limit as bound
 from railrepro.evidence.uncertainty import loop
 from railrepro.vehicle.parameters import load_vehicle
 

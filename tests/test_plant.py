@@ -45,7 +45,7 @@ def start(
     """An exchange at rest state (or `state`) on a named track."""
     table = contact_table(vehicle.contact.profile, vehicle)
     way = route.lay(load_track(track), reference, **lay)
-    control = law.control_law(vehicle, ndi, lateral=0.03, track_end=way.length, stop_speed=-1.0)
+    control = law.control_law(vehicle, ndi, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
     parameters = equations.parameter_vector(vehicle) if parameters is None else parameters
     state = equations.rest_state(vehicle, table, speed) if state is None else state
     return exchange.Exchange(parameters, table, way, control, state, compiled)
@@ -181,7 +181,7 @@ def test_left_and_right_curves_mirror_in_every_state_and_output(vehicle, profile
     runs = []
     for sign, geometry in ((1, track), (-1, replace(track, table=flipped))):
         way = route.lay(geometry, route.sweep(sign * 2e-3, 150, 60, 25, 500))
-        control = law.control_law(vehicle, NDI(), lateral=0.03, track_end=500.0, stop_speed=-1.0)
+        control = law.control_law(vehicle, NDI(), lateral_limit=0.03, track_end=500.0, stop_speed=-1.0)
         rest = equations.rest_state(vehicle, table, 280 * KMH)
         coupled = exchange.Exchange(equations.parameter_vector(vehicle), table, way, control, rest)
         log = frame(coupled.run(3000), coupled)

@@ -65,7 +65,7 @@ FAULTS = {
     "wrong use of CasADi": (LAW.format("import casadi; return casadi.fmin('a', gear['held']), {}"), "function 'fmin'."),
     "short form without its name": (SHORT.format("y, height", "y"), "torque() asks for 'height'; there are"),
     "constructor wants more": (SLOW.format("return 0.0").replace("gear)", "gear, more)"), "missing 1 required"),
-    "leaves the rail": (SLOW.format("return 3000.0"), "gear left the rail, |y| = 30."),
+    "derails": (SLOW.format("return 3000.0"), "gear derailed, |y| = 30."),
 }  # fmt: skip
 CASE = suite.Case("short", "equal", load_scenario("curve_entry_T3").but(end_m=60.0), group="short")
 ANCHORS = {"nothing": float("inf"), "best": 0.0, "limit": 0.0}

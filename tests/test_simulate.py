@@ -54,7 +54,7 @@ def unguided():
 def test_an_unguided_car_leaves_the_rail_and_the_run_says_so():
     run = unguided()
     assert run.failed
-    assert "left the rail" in run.ended
+    assert "derailed" in run.ended
 
 
 def test_delay_of_a_shifted_signal_is_found():
@@ -260,7 +260,7 @@ def test_a_derailment_tells_which_gear_left_the_rail_how_far_and_where():
     gear = "front" if abs(last["front.y"]) >= simulate.DERAILED else "rear"
     assert run.failed
     assert run.ended == (
-        f"{gear} gear left the rail, |y| = {1e3 * abs(last[gear + '.y']):.1f} mm "
+        f"{gear} gear derailed, |y| = {1e3 * abs(last[gear + '.y']):.1f} mm "
         f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
     )
     assert np.abs(run.series[["front.y", "rear.y"]].iloc[:-1].to_numpy()).max() < 0.030

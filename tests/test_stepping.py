@@ -19,7 +19,7 @@ TORQUE = np.array([300.0, -300.0, 150.0, -150.0])
 def test_stepping_gives_what_the_exchange_gives():
     car = SteppedCar("T3", 50.0)
     way, vehicle = route.lay(load_track("T3")), load_vehicle()
-    control = law.control_law(vehicle, None, lateral=0.03, track_end=way.length, stop_speed=-1.0)
+    control = law.control_law(vehicle, None, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
     start = equations.rest_state(vehicle, car.table, 50.0)
     coupled = exchange.Exchange(equations.parameter_vector(vehicle), car.table, way, control, start)
     coupled.held[:] = 20.0
@@ -47,7 +47,7 @@ def test_linearisation_predicts_a_small_step():
     assert model.b.loc["tau.front_le", "front_le"] == pytest.approx(1 / lag)
 
 
-@pytest.mark.filterwarnings("ignore:.* left the rail")
+@pytest.mark.filterwarnings("ignore:.* derailed")
 def test_linearisation_is_the_slope_of_rates_and_outputs():
     car = SteppedCar("T3", 60.0)
     car.step(TORQUE, 1500)
@@ -143,7 +143,7 @@ def test_a_broken_state_is_named_and_kept_out():
     assert np.isfinite(car.state).all() and np.isfinite(good).all()
 
 
-@pytest.mark.filterwarnings("ignore:.* left the rail")
+@pytest.mark.filterwarnings("ignore:.* derailed")
 @pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
 def test_fmu_runs_in_fmpy_to_the_same_trajectory(tmp_path, monkeypatch):
     fmpy = pytest.importorskip("fmpy")

@@ -95,7 +95,7 @@ class CreepSettings:
     r_noise: float = 1e-4
     r_drift: float = 1e-6
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         ranges = {"period": between(1e-3, 0.1, "s"), "preview": between(0.0, 5.0, "s")}
         ranges |= {"error": between(1e-3, 1e12, "1/m2"), "change": between(1e-9, 1e6, "1/(N m)2")}
         ranges |= {"speed_power": between(-5.0, 5.0), "slip_factor": between(1e-6, 1e6)}
@@ -189,7 +189,6 @@ class Schedule:
 
     def __init__(self, vehicle: Vehicle, settings: CreepSettings, creep: Creep, delay: float = 0.0):
         self._vehicle, self._settings, self._creep, self._delay = vehicle, settings, creep, delay
-        self._load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
         self._nodes: dict[tuple[int, ...], Gains] = {}
 
     def around(self, speed: float, adhesion: float, slip: float, alert: int = ALERT) -> tuple[Gains, Gains, float]:
@@ -206,7 +205,7 @@ class Schedule:
         """
         place = float(np.interp(np.log(max(speed, SPEEDS[0])), np.log(SPEEDS), np.arange(len(SPEEDS))))
         node = min(int(place), len(SPEEDS) - 2)
-        linear = self._load * np.abs(adhesion) / self._creep.across + _PRIOR
+        linear = self._vehicle.wheel_load * np.abs(adhesion) / self._creep.across + _PRIOR
         middle = np.mean(slip)
         apart = slip - middle
         against = np.sign(apart) * np.maximum(np.abs(apart) - _APART, 0.0)
@@ -221,7 +220,7 @@ class Schedule:
         if key not in self._nodes:
             softness, adhesion = float(np.exp(_SOFTNESS_STEP * level)), _ADHESION_STEP * used
             across = softness * self._creep.across
-            slip = self._load * _ADHESION_STEP * each / across
+            slip = self._vehicle.wheel_load * _ADHESION_STEP * each / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
             creep = Creep(along, across, adhesion)
             settings = self._settings_at(float(SPEEDS[node]), level == 0, 1 - alert / ALERT)

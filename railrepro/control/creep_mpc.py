@@ -68,7 +68,7 @@ class CreepMPC:
     settings: CreepSettings = field(default_factory=CreepSettings)
     creep: Creep | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require("CreepMPC: settings", self.settings, CreepSettings)
         if self.creep is not None:
             require("CreepMPC: creep", self.creep, Creep)
@@ -108,8 +108,7 @@ class CreepGuide:
         self._acceleration, partner, _ = nominal_values(vehicle, gear)
         self._ahead, self._start = _table(route, partner), route.start
         self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
-        weight = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity
-        self._load, self._offset, self._learnt, self._demanded = weight / 2, np.zeros(2), 0, 0.0
+        self._load, self._offset, self._learnt, self._demanded = vehicle.wheel_load, np.zeros(2), 0, 0.0
         self._bounds = self._load * np.array([1.0, vehicle.gear.contact_base])
         self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros((2, 2))
         self._slow, self._power, self._slow_power, self._alert = 0.0, 0.0, 0.0, 0.0

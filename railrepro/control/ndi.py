@@ -43,7 +43,7 @@ class NDI:
     memory = ("integral",)
     """Integral of y* - y (m s)."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("pole", "frequency", "damping", "integral"):
             value, low = getattr(self, name), 0.0
             if not (is_number(value) and (value > low or (name == "integral" and value == low)) and value <= 1e4):

@@ -86,7 +86,7 @@ def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step
     # Means, not sums: each lag has its own number of overlapping samples.
     correlation = [
         np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
-        for lag in lags
+        for lag in lags.tolist()
     ]
     return float(step * lags[np.argmax(correlation)])
 
@@ -147,8 +147,7 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
 
     Knowledge of the analyst, never of a controller. Between the sets it is interpolated.
     """
-    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    patch = (load, *middle_patch(vehicle), vehicle.contact.shear_modulus)
+    patch = (vehicle.wheel_load, *middle_patch(vehicle), vehicle.contact.shear_modulus)
     grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
     good, poor = (
         np.interp(speed, grid, [adhesion_maximum(vehicle.adhesion[name], v, *patch)[0] for v in grid])
@@ -175,7 +174,7 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
         "largest_slip": (float(slip.max()) if slip.size else float("nan"), "-"),
     }
     if scenario.force_kN:
-        shares = [np.interp(p, *zip(*points, strict=True)) for points in scenario.poor_shares]
+        shares = [np.interp(p, *np.transpose(points)) for points in scenario.poor_shares]
         limit = np.mean([adhesion_limit(v, share, scenario, vehicle) for share in shares], axis=0)
         f = (series["front_le.fx"] + series["front_ri.fx"]).to_numpy() / 2
         f_star = series["front.f_star"].to_numpy()

@@ -292,6 +292,11 @@ class Vehicle:
         return self.gear.mass + self.body.mass / 2
 
     @property
+    def wheel_load(self) -> float:
+        """Vertical force of a wheel at rest on straight level track (N)."""
+        return self.longitudinal_mass * self.gravity / 2
+
+    @property
     def effective_longitudinal_mass(self) -> float:
         """m_x with the spin inertia of both wheels, m_x + 2 J_Wy/r0^2 (kg)."""
         return self.longitudinal_mass + 2 * self.wheel.spin_inertia / self.wheel.radius**2

@@ -416,7 +416,7 @@ def _beside(scenario, vehicle: Vehicle, exchanges: int = 1000) -> tuple[float, f
 
 def _exchange(scenario, vehicle: Vehicle, rough=None, compiled: bool = True) -> Exchange:
     table = contact_table(vehicle.contact.profile, vehicle)
-    limits = {"lateral": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
+    limits = {"lateral_limit": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
     control = law.control_law(vehicle, NDI(), **limits)
     parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
     state = equations.rest_state(vehicle, table, scenario.speed)

@@ -191,7 +191,7 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int]
 
 def nothing(scenario: Scenario) -> dict[str, float]:
     """What y = 0 gives: root mean square and largest value of the set point, and its shortest wavelength (m)."""
-    reference = scenario._reference()
+    reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
@@ -446,8 +446,7 @@ def _until(time: np.ndarray, there: np.ndarray, start: int) -> float:
 
 def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
     """Slip of the adhesion maximum of a scenario's poor rail at nominal load."""
-    load = (car.body.mass / 2 + car.gear.mass) * car.gravity / 2
-    patch = (load, *middle_patch(car), car.contact.shear_modulus)
+    patch = (car.wheel_load, *middle_patch(car), car.contact.shear_modulus)
     return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
 
 

@@ -155,7 +155,8 @@ class Experiment:
         scenario["track"] = track.table.to_numpy(), track.design_speed
         plan = self.tuned(), self.options, self.changes, self.adhesion, self.estimate, self.fixed_share
         sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
-        cars = load_vehicle(**self.vehicle), self.car()
+        believed = load_vehicle(**self.vehicle)
+        cars = believed, self.car() if self.plant else believed
         more = self.rails(), sensed, self.substeps, self.ride, self.stride
         try:
             return store.key(code(measure), self.controller, scenario, cars, plan, more)

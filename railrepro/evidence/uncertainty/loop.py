@@ -1,4 +1,4 @@
-"""The closed loop with sensors over unseen seeds: our controller, rivals, and the limit of `control.limit`.
+"""The closed loop with sensors over unseen seeds: our controller, rivals, and the limit of `uncertainty.limit`.
 
 `python -m railrepro loop` writes data/results/loop_table.csv; runs that were made before are in the store. Kinds:
 `loop` are the runs of tuning with other seeds, `stressed` has what tuning's stressed run has, `held out` is what tuning
@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control import limit
 from railrepro.control.creep_gains import CreepSettings
 from railrepro.control.creep_mpc import CreepGuide
 from railrepro.control.registry import CONTROLLERS, OURS
@@ -21,6 +20,7 @@ from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.uncertainty import limit
 from railrepro.files import write
 from railrepro.model.creep_model import STATES, UNKNOWN, creep_at
 from railrepro.simulation import metrics, simulate

@@ -159,7 +159,7 @@ def sensitivity(
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is worsened until a controller leaves the rail.
+    """What is worsened until the car derails.
 
     Attributes
     ----------

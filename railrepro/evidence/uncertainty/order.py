@@ -130,7 +130,7 @@ class Case:
         return Experiment(scenario, self.controller, parameters=parameters, options=quick, **changed)
 
     def __call__(self) -> dict:
-        """Numbers of the run; of one that left the rail only how it ended."""
+        """Numbers of the run; of one that derailed only how it ended."""
         with tempfile.TemporaryDirectory() as folder:
             scenario = load_scenario(self.scenario)
             if self.axis == "unbalanced acceleration":
