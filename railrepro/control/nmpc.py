@@ -35,7 +35,6 @@ class NMPC(PredictiveController):
         if self.solver not in SOLVERS:
             raise InputError(f"NMPC solver {self.solver!r} is not known; there are {SOLVERS}")
         super().__post_init__()
-        self._reference = ipopt.solver(self.settings) if self.solver == "ipopt" else None
         self._started = False
 
     def solve(self, du: np.ndarray) -> tuple[np.ndarray, int]:
