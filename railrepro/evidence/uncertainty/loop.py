@@ -188,6 +188,35 @@ def seeds(case: Case) -> tuple[int, ...]:
     return FEW if case.kind == "held out" else SEEDS
 
 
+def standing(measured: pd.DataFrame) -> pd.DataFrame:
+    """Ours beside the best other, one row per kind and case, those that are not led first.
+
+    Parameters
+    ----------
+    measured : DataFrame
+        data/results/loop_table.csv.
+
+    Returns
+    -------
+    DataFrame
+        ours_mm, other_mm, other, spread_mm (larger standard deviation of both over the seeds), limit_mm, over_limit
+        (-), lost (runs of ours that left the rail), other_lost, and standing: `behind`, `tied` within the spread, or
+        `ahead`. Who loses fewer runs is ahead; the best other is the one that loses fewest.
+    """
+    names, ours = ["kind", "case"], measured["controller"] == OURS
+    own = measured[ours].set_index(names)
+    other = measured[~ours].sort_values(["failed", "error_mm"]).groupby(names, sort=False).first().reindex(own.index)
+    rows = pd.DataFrame({"ours_mm": own["error_mm"], "other_mm": other["error_mm"], "other": other["controller"]})
+    rows["spread_mm"] = np.fmax(own["spread_mm"], other["spread_mm"])
+    rows["limit_mm"], rows["over_limit"] = own["limit_mm"], own["error_mm"] / own["limit_mm"]
+    rows["lost"], rows["other_lost"] = own["failed"], other["failed"]
+    more, worse = rows["lost"] - rows["other_lost"], (rows["ours_mm"] - rows["other_mm"]).fillna(0.0)
+    level = np.where(more != 0, np.sign(more), np.sign(worse) * (worse.abs() > rows["spread_mm"]))
+    rows["standing"] = pd.Series(level, rows.index).map({1: "behind", 0: "tied", -1: "ahead"})
+    order = np.lexsort([-(rows["ours_mm"] / rows["other_mm"]), -level])
+    return rows.iloc[order]
+
+
 def main() -> None:
     """Measure all rows and write the table."""
     rows = cases()
