@@ -8,7 +8,7 @@ contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
 A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
 the patch spans the jump. So geometry is averaged over the pressure of elastic half spaces at nominal load, which makes
 it continuous. The rolling radius is that at which the patch rolls without longitudinal force (`normal.Patch`). One
-ellipse for a patch of two lobes makes too little of spin: 13 % of the lateral force of a gear 1 mm beside the middle.
+ellipse for a patch of two lobes makes too little of spin: 15 % of the lateral force of a gear 1 mm beside the middle.
 
 Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
 """
