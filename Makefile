@@ -129,7 +129,7 @@ tune: $(VENV)  ## tune all controllers in all settings by particle swarm (long, 
 report: figures  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro report
 
-article: figures $(BOOK)  ## the report as an article for a journal, build/article.pdf
+article: figures $(BOOK)  ## the report as an article, build/article.pdf, build/rescience
 	$(PY) -m railrepro article
 
 answers: $(VENV)  ## verdicts that flip with the answers in data/answers.toml; SHEET=FILE takes another sheet

@@ -132,7 +132,7 @@ class Nominal:
 
 
 def _normal(table: pd.DataFrame) -> pd.DataFrame:
-    """A table of metrics with one name per speed, and `failed` in place of where the car derailed."""
+    """A table of metrics with one name per speed, and `failed` in place of the place where a run derailed."""
     table = table.assign(scenario=table["scenario"].replace("sine_tracking", "sine_tracking 400"))
     lost = table[table["metric"] == "failed_at_m"].assign(metric="failed", value=1.0)
     return pd.concat([table[table["metric"] != "failed_at_m"], lost], ignore_index=True)

@@ -70,7 +70,7 @@ class Evidence:
     Attributes
     ----------
     metrics : mapping
-        (scenario, controller, metric) -> value (SI); `failed` is 1 where the car derailed.
+        (scenario, controller, metric) -> value (SI); `failed` is 1 where a run derailed.
     spread : mapping
         The same keys -> logarithm of largest over smallest value among the seeds of swarm and noise.
     tables : callable or None

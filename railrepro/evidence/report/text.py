@@ -238,7 +238,7 @@ def robust(nominal: Nominal) -> str:
         f"Cars and experiments were drawn from the ranges of the unpublished parameters, with every controller tuned "
         f"again: [{(found['share'] > 0.5).sum()}]({where}) of [{len(found)}]({where}) pairs of statement and setting "
         f"hold in more than half of [{int(found['samples'].max())}]({where}) samples. Decisive parameters, confirmed "
-        f"by changing one at a time: {named or 'none'}."
+        f"by changing one parameter at a time: {named or 'none'}."
     )
 
 

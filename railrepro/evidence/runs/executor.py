@@ -247,5 +247,5 @@ def _there(pool: Executor) -> bool:
         return True
     try:
         return bool(client.sync(client.scheduler.identity, callback_timeout=5)["workers"])
-    except Exception:  # whatever it is, nobody answers; time decides
+    except Exception:  # any error counts as no answer; time decides
         return False

@@ -37,7 +37,7 @@ def anchors(case: suite.Case) -> dict:
 
 
 def nothing(case: suite.Case) -> float:
-    """Cost J of a case that nobody guides, inf where a gear derails."""
+    """Cost J of a case without guidance, inf where a running gear derails."""
     undelayed = replace(case, delay=0.0)
     row, _ = Trial(Entry(NOTHING), undelayed).experiment([]).measured(_cost)
     return row["cost"]

@@ -1,4 +1,4 @@
-"""The runs of the benchmark: what is driven, in which setting, and what a seed draws.
+"""The runs of the benchmark: scenario, setting, and the random numbers of a seed.
 
 A seed draws noise and biases of the sensors, irregularities, and the car that differs from the one the controller
 believes in. Whoever develops uses the published seed; ranked is a file by a draw that its own bytes decide, so that

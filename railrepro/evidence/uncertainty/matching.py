@@ -1,8 +1,8 @@
 """An exploration: cars, weights and experiments for which the paper's statements hold together.
 
-The paper's results are observations of a car that nobody published. History matching by waves: runs over a
+The paper's results are observations of a car that is not published. History matching by waves: runs over a
 space-filling design, an emulator per statement with its error, points ruled out where a statement is implausible, the
-next runs in what is left; then an evolution strategy from the closest run. What no run has may still be there: the
+next runs in the region that remains; then an evolution strategy from the closest run. It is no proof of absence: the
 calibrated car (data/paper_like.toml) was found by hand. `python -m railrepro matching [small]` writes
 data/results/matching_*.csv with the closest run; every finished run is in the store, so an interrupted
 matching goes on where it was.
@@ -157,7 +157,7 @@ class Matched:
     margins : DataFrame, shape (n, statements)
     waves : DataFrame
         One row per wave: points, surviving share, statements allowed to be implausible, error of the emulators, which
-        statements are implausible in most of what is left.
+        statements are implausible in most of the remaining region.
     survivors : ndarray, shape (m, d)
         Points of the prior that are not ruled out.
     emulators : dict
