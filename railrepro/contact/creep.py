@@ -57,18 +57,9 @@ _SPINNING = 1.8
 
 
 def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kalker's creep coefficients of an elliptic contact.
+    """Kalker's creep coefficients c11, c22, c23 (-) of an elliptic contact.
 
-    Parameters
-    ----------
-    ratio : array_like
-        Semi-axis ratio a/b (a along, b across the rail); clipped to 0.1 to 10.
-    poisson : float
-        Poisson's ratio, 0 to 0.5 (-).
-
-    Returns
-    -------
-    c11, c22, c23 : ndarray (-)
+    The semi-axis ratio a/b (a along, b across the rail) is clipped to 0.1 to 10, Poisson's ratio is 0 to 0.5.
 
     Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
     """
@@ -167,24 +158,9 @@ def elementary(*values):
 
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
-    """Largest longitudinal adhesion of pure traction and its slip.
+    """Largest longitudinal adhesion f_x of pure traction and its slip (-), both counted positive.
 
-    Parameters
-    ----------
-    adhesion : AdhesionSet
-    speed : float
-        Running speed (m/s).
-    load, a, b : float
-        Normal force (N), semi-axes (m).
-    coefficients : tuple
-        c11, c22, c23.
-    shear_modulus : float
-        G (Pa).
-
-    Returns
-    -------
-    maximum, slip : float
-        Adhesion f_x (-) and slip (-), both counted positive.
+    Speed in m/s, normal force in N, semi-axes in m, coefficients c11, c22, c23, shear modulus in Pa.
     """
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = astuple(adhesion)

@@ -118,19 +118,12 @@ def on_one_grid(tables: tuple[ContactTable, ...]) -> tuple[ContactTable, ...]:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact at an offset from the start of a cell given by its columns (numbers, arrays or symbols).
+    """Contact at an offset (m) from the start of a cell given by its `CELL_COLUMNS` (numbers, arrays or symbols).
 
     A wheel that hits its flange leaves its cell by several widths within a stage of the integrator. Beyond the cell the
     effective radius goes on along its tangent, so that it stays the integral of its slope and the contact makes no
     energy, the rolling radius goes with it, as on a cone, and all else keeps its value, so that no ellipse grows a
     negative axis.
-
-    Parameters
-    ----------
-    cell : dict
-        Values of `CELL_COLUMNS`.
-    offset : float, ndarray or SX
-        Distance from the shift at the start of the cell (m).
 
     Returns
     -------
@@ -162,21 +155,10 @@ def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
 
 
 def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the cone at nominal load and its Kalker coefficients.
+    """Contact ellipse of the cone at nominal load: semi-axes a, b along and across the rail (m), (c11, c22, c23).
 
     A cone of 1:40 stands upright on a rail that is inclined 1:40 and touches its crown; its generating line is
     straight, so the crown alone curves the contact across the rail.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-
-    Returns
-    -------
-    a, b : float
-        Semi-axes along and across the rail (m).
-    coefficients : tuple of float
-        c11, c22, c23 (-).
 
     Source: Johnson 1985, Contact Mechanics, section 4.2.
     """

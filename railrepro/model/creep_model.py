@@ -97,20 +97,7 @@ class LateralModel:
 def creep_at(vehicle: Vehicle, adhesion: str, speed: float, slip: float = 0.0) -> Creep:
     """Creep of a vehicle's wheels on a rail about rolling with a longitudinal slip, as the plant's law has it.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-    adhesion : str
-        Adhesion set.
-    speed : float
-        Running speed (m/s).
-    slip : float
-        Traction positive (-).
-
-    Returns
-    -------
-    Creep
-        Means of both wheels, whose spins are opposite.
+    Means of both wheels, whose spins are opposite; speed in m/s, slip traction positive (-).
 
     Raises
     ------
@@ -139,20 +126,7 @@ def creep_at(vehicle: Vehicle, adhesion: str, speed: float, slip: float = 0.0) -
 
 
 def lateral_model(vehicle: Vehicle, speed: float, creep: Creep) -> LateralModel:
-    """The model of a gear at a speed.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    speed : float
-        (m/s), at least `LEAST_SPEED`.
-    creep : Creep
-
-    Raises
-    ------
-    InputError
-        When the speed is out of range.
-    """
+    """The model of a gear at a speed (m/s) of at least `LEAST_SPEED`; InputError when that is out of range."""
     require("lateral model: speed", speed, between(LEAST_SPEED, 200.0, "m/s"))
     names = (*STATES, "du", *KNOWN, *UNKNOWN)
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these

@@ -115,13 +115,7 @@ def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
 
 @dataclass(frozen=True)
 class Equations:
-    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd).
-
-    Attributes
-    ----------
-    mass : Matrix, shape (2, 2)
-    rest : Matrix, shape (2, 1)
-    """
+    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd): `mass` (2, 2), `rest` (2, 1)."""
 
     mass: sp.Matrix
     rest: sp.Matrix
@@ -129,13 +123,7 @@ class Equations:
 
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
-    """Derive the equations of motion.
-
-    Parameters
-    ----------
-    discrepancies : frozenset of str
-        Which of `parameters.DISCREPANCIES` to keep as printed; empty gives the corrected model.
-    """
+    """Derive the equations of motion with some of `DISCREPANCIES` kept as printed; none gives the corrected model."""
     kinematics = constraints(discrepancies)
     t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
     free = {xd: xdd, psid: psidd}

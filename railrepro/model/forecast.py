@@ -91,7 +91,7 @@ def forecast(route: Route, nominal: np.ndarray, x_hat: np.ndarray, u_d: float, p
     ----------
     route : Route
     nominal : ndarray
-        What the forecast needs of the vehicle, see `NOMINAL`.
+        See `NOMINAL`.
     x_hat : ndarray, shape (6,)
         Measured state.
     u_d : float

@@ -255,17 +255,9 @@ def faded(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def rails(frame: pd.DataFrame) -> pd.DataFrame:
-    """Offsets of both rails from their ideal places.
+    """Offsets of both rails from their ideal places, from p_m and the columns of `CHANNELS`.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        p_m and the columns of `CHANNELS`.
-
-    Returns
-    -------
-    DataFrame
-        p_m, then lateral_le_m, lateral_ri_m (right positive), vertical_le_m, vertical_ri_m (down positive).
+    Columns p_m, lateral_le_m, lateral_ri_m (right positive), vertical_le_m, vertical_ri_m (down positive).
     """
     columns = {"p_m": frame["p_m"]}
     for side, sign in (("le", -1), ("ri", 1)):

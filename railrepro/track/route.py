@@ -262,19 +262,10 @@ def _within(s: ca.SX, start: float, end: float, fade: float) -> ca.SX:
 
 @lru_cache
 def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
-    """Sinusoidal lateral set point.
+    """Sinusoidal lateral set point as a function p (m) -> y* (m).
 
-    Parameters
-    ----------
-    amplitude, period, start, end : float
-        Amplitude, spatial period, first and last track coordinate (m).
-    fade : float
-        Length over which the amplitude rises and falls smoothly (m).
-
-    Returns
-    -------
-    casadi.Function
-        p (m) -> y* (m).
+    Amplitude, spatial period, first and last track coordinate, and the length over which the amplitude rises and falls
+    smoothly (all m).
 
     Source: paper, caption of Fig. 7 (period 150 m).
     """
@@ -288,23 +279,10 @@ def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.in
 def sweep(
     amplitude: float, period_start: float, period_end: float, start: float, end: float, fade: float = 30.0
 ) -> ca.Function:
-    """Sine-sweep lateral set point whose wavenumber grows linearly from start to end.
+    """Sine-sweep lateral set point as a function p (m) -> y* (m); its wavenumber grows linearly from start to end.
 
-    Parameters
-    ----------
-    amplitude : float
-        Amplitude (m).
-    period_start, period_end : float
-        Spatial periods at both ends (m).
-    start, end : float
-        First and last track coordinate (m).
-    fade : float
-        Length over which the amplitude rises and falls smoothly (m).
-
-    Returns
-    -------
-    casadi.Function
-        p (m) -> y* (m).
+    Amplitude, spatial periods at both ends, first and last track coordinate, and the length over which the amplitude
+    rises and falls smoothly (all m).
 
     Source: paper, Figs. 6 and 9 (parameters not printed there).
     """

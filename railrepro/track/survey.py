@@ -35,24 +35,12 @@ _SHARPEST = 50.0
 
 
 def derived(points: pd.DataFrame, where: str) -> pd.DataFrame:
-    """Angles and rates of a track from surveyed points.
-
-    Parameters
-    ----------
-    points : DataFrame
-        `CHAINAGE` and columns of `COLUMNS`.
-    where : str
-        File that a sentence names.
-
-    Returns
-    -------
-    DataFrame
-        p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, see `railrepro.track.table`.
+    """Angles and rates of a track, as `railrepro.track.table` has them, from `CHAINAGE` and columns of `COLUMNS`.
 
     Raises
     ------
     InputError
-        Neither or both of curvature and radius, or cant twice; beyond what railways build.
+        Neither or both of curvature and radius, or cant twice; beyond what railways build. Names the file (`where`).
     """
     for pair, needed in ((COLUMNS[:2], True), (COLUMNS[2:4], False)):
         there = [column for column in pair if column in points]

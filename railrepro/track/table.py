@@ -43,18 +43,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def build_table(alignment: Alignment, step: float = STEP) -> pd.DataFrame:
-    """Table of an alignment with the contract columns.
+    """Table of an alignment with the columns `COLUMNS`, a row every `step` (m).
 
-    Parameters
-    ----------
-    alignment : Alignment
-    step : float
-        Distance of the rows (m); segment ends that are multiples of it are met exactly.
-
-    Returns
-    -------
-    DataFrame
-        Columns `COLUMNS`, one row per sample of p.
+    Segment ends that are multiples of the step are met exactly.
     """
     if not alignment.length >= step:
         raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, at least {step:g} m are needed")
@@ -126,18 +117,10 @@ class Track:
         return index, p - self.p[index]
 
     def interpolate(self, p) -> np.ndarray:
-        """Track angles and rates per metre.
+        """Track angles and rates per metre at coordinates p (m, shape (n,)), shape (6, n).
 
-        Parameters
-        ----------
-        p : array_like, shape (n,)
-            Track coordinates (m).
-
-        Returns
-        -------
-        ndarray, shape (6, n)
-            psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp
-            are right-continuous.
+        psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp are
+        right-continuous.
 
         Source: eqs. (track) of the paper, without the factor dp/dt.
         """

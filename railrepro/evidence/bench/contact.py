@@ -81,17 +81,8 @@ def _slide(p_x, p_y, bound, flexible_x, flexible_y):
 def rigid_contact(shifts, radius: float) -> pd.DataFrame:
     """Point contact of rigid S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
 
-    Parameters
-    ----------
-    shifts : array_like, shape (n,)
-        Shifts towards the flange (m).
-    radius : float
-        Nominal rolling radius (m).
-
-    Returns
-    -------
-    DataFrame
-        shift_m, position_m (from the track centre), tan_angle (-), rolling_radius_m.
+    At shifts towards the flange (m), shape (n,), for a nominal rolling radius (m): columns shift_m, position_m (from
+    the track centre), tan_angle (-), rolling_radius_m.
     """
     rows = []
     for shift in shifts:
@@ -102,7 +93,7 @@ def rigid_contact(shifts, radius: float) -> pd.DataFrame:
 
 
 def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> float:
-    """Conicity of the cone whose wheelset would run with the same wavelength.
+    """Conicity (-) of the cone whose wheelset would run with the same wavelength.
 
     The wheelset rolls as it moves to the side, because one wheel climbs and the other sinks. Its wheels, a radius below
     the axle, then shift further than the axle does.
@@ -111,14 +102,8 @@ def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> f
     ----------
     frame : DataFrame
         Of a `ContactTable`, covering both signs of the amplitude.
-    amplitude : float
-        Amplitude of the lateral motion of the axle (m).
-    base : float
-        Lateral distance of the contacts (m).
-
-    Returns
-    -------
-    float (-)
+    amplitude, base : float
+        Amplitude of the lateral motion of the axle, lateral distance of the contacts (m).
 
     Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
     """

@@ -119,10 +119,7 @@ def _dense(controller) -> Callable[[], None]:
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Solve a recording in order, warm-started like in closed loop.
 
-    Returns
-    -------
-    torques, seconds, iterations, failures
-        Planned torques (n, L) (N m), processor time per problem (s), iterations, number of failures.
+    Planned torques (n, L) (N m), processor time per problem (s), iterations, number of failures.
     """
     controller = _solver(kind, recording, vehicle)
     start = np.zeros(recording.problems[0].settings.steps)
@@ -173,16 +170,7 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFrame:
     """Cross-check of optimum and time with do-mpc, an independent MPC tool (extra `bench`).
 
-    Parameters
-    ----------
-    vehicle, settings
-    count : int
-        Problems of the curve entry on T3 that are solved.
-
-    Returns
-    -------
-    DataFrame
-        Time, first torque and largest difference of the plan for each problem.
+    Time, first torque and largest difference of the plan for the first `count` problems of the curve entry on T3.
     """
     import do_mpc
 

@@ -168,13 +168,7 @@ Rows = list[tuple[str, str, str, float]]
 
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SPEEDS) -> Rows:
-    """Drive a world and measure it.
-
-    Returns
-    -------
-    list of (scenario, controller, metric, value)
-        SI; a failed run has only `failed`.
-    """
+    """Drive a world and measure it: rows in SI; a failed run has only `failed`."""
     rows: Rows = []
     with tempfile.TemporaryDirectory() as folder:
         for part in parts:
@@ -405,11 +399,8 @@ def path_error(series: pd.DataFrame) -> float:
 def oscillation(series: pd.DataFrame) -> dict[str, float]:
     """How y goes about a moving set point once the maximum is reached; columns p_m, y_m, y_ref_m.
 
-    Returns
-    -------
-    dict
-        set_point_gain: slope of y over the set point, 0 for y = 0; error_growth: root mean squared error of the second
-        half of the way over that of the first.
+    set_point_gain: slope of y over the set point, 0 for y = 0; error_growth: root mean squared error of the second half
+    of the way over that of the first.
     """
     rows = series[series["p_m"] >= REACHED]
     error, half = rows["y_m"] - rows["y_ref_m"], rows["p_m"] >= rows["p_m"].iloc[[0, -1]].mean()

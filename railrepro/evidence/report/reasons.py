@@ -37,21 +37,12 @@ def named(function: Callable[[Nominal], str]) -> Callable:
 
 
 def filled(text: str, nominal: Nominal, linked: bool = False, strict: bool = False) -> str:
-    """A text with its placeholders filled in.
-
-    Parameters
-    ----------
-    text : str
-    nominal : Nominal
-    linked : bool
-        Whether each number is a Markdown link to the file that it comes from.
-    strict : bool
-        Whether what the results do not have is refused; else it reads n/a.
+    """A text with its placeholders filled in; `linked`: each number is a Markdown link to the file that it comes from.
 
     Raises
     ------
     InputError
-        When a placeholder names no number; with `strict` also when the results do not have it.
+        When a placeholder names no number; with `strict` also when the results do not have it, which else reads n/a.
     """
 
     def number(match: re.Match) -> str:

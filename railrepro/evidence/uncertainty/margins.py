@@ -46,11 +46,7 @@ _KMH = (100.0, 200.0, 300.0, 400.0)
 class ProbedLaw:
     """A 1 kHz law whose torque is disturbed by a sum of sines with Schroeder's phases; a `lateral.LateralLaw`.
 
-    Parameters
-    ----------
-    law : lateral.LateralLaw
-    amplitude : float
-        Of each sine (N m).
+    The amplitude (N m) is that of each sine.
     """
 
     def __init__(self, law: lateral.LateralLaw, amplitude: float):
@@ -96,10 +92,7 @@ def probed(guidance, amplitude: float):
 class Sensitivity:
     """Measured sensitivity of the loop of the front gear, broken at its differential torque.
 
-    Attributes
-    ----------
-    values : ndarray of complex, shape (len(FREQUENCIES),)
-        Torque over disturbance, S = 1 / (1 + L).
+    `values` are torque over disturbance, S = 1 / (1 + L), complex, shape (len(FREQUENCIES),).
     """
 
     values: np.ndarray
@@ -123,20 +116,8 @@ def sensitivity(
 ) -> Sensitivity | None:
     """Sensitivity on the straight dry track, the difference of a run with and one without disturbance.
 
-    The noise of sensors is the same in both runs, so it does not enter.
-
-    Parameters
-    ----------
-    guidance : lateral.Guidance
-    speed_kmh : float
-    sensors : dict, optional
-        Arguments of `sensors.readings`.
-    vehicle : Vehicle, optional
-
-    Returns
-    -------
-    Sensitivity or None
-        None when a run fails, or when the loop does not answer at the frequencies of the disturbance: it is unstable.
+    The noise of sensors (arguments of `sensors.readings`) is the same in both runs, so it does not enter. None when a
+    run fails, or when the loop does not answer at the frequencies of the disturbance: it is unstable.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)

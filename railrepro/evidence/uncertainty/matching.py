@@ -195,9 +195,8 @@ def match(
     problem : Problem
     waves, count : int
         Number of waves, runs in each.
-    generations : int
-        Of the evolution strategy; its runs are a last row of `waves`.
-    seed : int
+    generations, seed : int
+        Of the evolution strategy, whose runs are a last row of `waves`; of the draws.
     candidates : int
         Points of the prior on which the region is measured.
     """
@@ -275,12 +274,9 @@ def _within(problem, emulators, allowed: int, kept_points: np.ndarray, count: in
 def region(problem: Problem, matched: Matched) -> pd.DataFrame:
     """Projection of the region on each dimension, and what knowing it would tell.
 
-    Returns
-    -------
-    DataFrame
-        what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), second (share of them with the
-        second of two choices), narrowing (share of the prior that is lost: 1 - exp(-information), which is 1 - width
-        for a range), reduction (share of the variance of how many statements hold which goes when it is known).
+    Columns: what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), second (share of them with
+    the second of two choices), narrowing (share of the prior that is lost: 1 - exp(-information), which is 1 - width
+    for a range), reduction (share of the variance of how many statements hold which goes when it is known).
     """
     x = problem.encoded(matched.survivors)
     expected = np.zeros(len(x))
@@ -402,13 +398,7 @@ _FIELDS = {
 
 @dataclass(frozen=True)
 class ProbeTask:
-    """Runs of the car at some values, as "scenario/controller/metric" -> value; picklable.
-
-    Attributes
-    ----------
-    parts : tuple of str
-        See `probe`.
-    """
+    """Runs of the car at some values (see `probe`), as "scenario/controller/metric" -> value; picklable."""
 
     parts: tuple[str, ...] = PARTS
 
@@ -475,10 +465,7 @@ def best(problem: Problem, matched: Matched) -> dict:
 def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFrame:
     """The nominal car with choices of two thrown by hand: a look at what the emulators say that needs none of them.
 
-    Returns
-    -------
-    DataFrame
-        One column per choice, missed (sum of the squares of the missed margins), and the margins.
+    One column per choice, missed (sum of the squares of the missed margins), and the margins.
     """
     choices = [d for d in SEARCHED if choice(d)]
     places = [
