@@ -19,6 +19,8 @@ from railrepro.vehicle.parameters import Vehicle
 
 FLANGE_ANGLE = np.radians(30)
 """Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
+FLANGEWAY = 7e-3
+"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
 ACTIVITY = 5.0
 """Frequency above which a differential torque follows no set point (Hz): a sweep of 40 m at 400 km/h has 2.8 Hz."""
 
@@ -54,6 +56,17 @@ def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
 def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared displacement from the middle between the rails where they lie (m)."""
     return float(np.sqrt(np.mean((_of(series, f"{gear}.y") - _of(series, f"{gear}.rail_y")) ** 2)))
+
+
+def reaches_flange(series: pd.DataFrame) -> bool:
+    """Whether a wheel has touched with its flange, or a running gear on cones has been where flanges would touch.
+
+    Flanges hold a car of S1002 wheels on the rail whatever the torque does, so this, not derailing, is where active
+    guidance ends.
+    """
+    aside = max(float(np.abs(_of(series, f"{g}.y") - _of(series, f"{g}.rail_y")).max()) for g in ("front", "rear"))
+    angles = series.filter(regex=r"_(ri|le)\.angle$")
+    return aside > FLANGEWAY or bool((angles.abs() > FLANGE_ANGLE).to_numpy().any())
 
 
 def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step: float = 0.1) -> float:

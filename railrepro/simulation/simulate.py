@@ -25,7 +25,7 @@ from railrepro.model.control_model import X
 from railrepro.schema import between, require
 from railrepro.simulation import lanes
 from railrepro.simulation.exchange import Exchange
-from railrepro.simulation.metrics import FLANGE_ANGLE
+from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY
 from railrepro.simulation.scenarios import Scenario
 from railrepro.threads import one_thread
 from railrepro.track.route import Route
@@ -33,8 +33,6 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 LARGEST_LOG = 2 * 2**30
 """Most bytes that the log of a run may take; while its series is made, memory holds it three times."""
-FLANGEWAY = 7e-3
-"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
 
 
 @dataclass(frozen=True)

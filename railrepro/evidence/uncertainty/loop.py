@@ -151,11 +151,12 @@ def limit_of(case: Case) -> dict:
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Errors of both gears against the rails where they lie (mm), torque above 5 Hz (N m), and whether it failed."""
-    errors = {} if run.failed else {g: 1e3 * metrics.followed_rmse(run.series, g) for g in simulate.GEARS}
-    activity = float("nan") if run.failed else metrics.activity(run.series)
+    """Errors against the rails where they lie (mm), torque above 5 Hz (N m), and whether the flanges were reached."""
+    failed = run.failed or metrics.reaches_flange(run.series)
+    errors = {} if failed else {g: 1e3 * metrics.followed_rmse(run.series, g) for g in simulate.GEARS}
+    activity = float("nan") if failed else metrics.activity(run.series)
     row = {"error_mm": errors.get("front", float("nan")), "rear_mm": errors.get("rear", float("nan"))}
-    return row | {"activity_Nm": activity, "failed": run.failed}, None
+    return row | {"activity_Nm": activity, "failed": failed}, None
 
 
 def _call(task: tuple[Case, str, int]) -> dict:
@@ -166,7 +167,7 @@ def _call(task: tuple[Case, str, int]) -> dict:
 def table(rows: list[Case], pool) -> pd.DataFrame:
     """One row per case and controller: mean and standard deviation over the seeds of the error (mm), runs that failed.
 
-    Means are over the runs that ended on the rail.
+    Means are over the runs that kept off the flanges; `failed` counts the others.
     """
     tasks = [(case, name, seed) for case in rows for name in COMPARED for seed in seeds(case)]
     found = pd.DataFrame(ordered_map(pool, _call, tasks, "loop", stored=True))

@@ -23,7 +23,7 @@ from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, code
 from railrepro.files import write
-from railrepro.simulation import simulate
+from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -140,7 +140,7 @@ def sensitivity(
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is worsened until the car derails.
+    """What is worsened until the car derails or reaches the flanges.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:
 
 @dataclass(frozen=True)
 class Survival:
-    """Largest value of a quantity with which a tuned controller stays on a rail; picklable."""
+    """Largest value of a quantity with which a tuned controller keeps the car off its flanges; picklable."""
 
     setting: str
     controller: str
@@ -230,8 +230,8 @@ class Measured:
 
 
 def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Whether a run failed."""
-    return {"failed": run.failed}, None
+    """Whether a run derailed or reached the flanges."""
+    return {"failed": run.failed or metrics.reaches_flange(run.series)}, None
 
 
 def _call(task):

@@ -22,12 +22,13 @@ from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import PARTS, ProbeSetup, probe
-from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.runs.swarm import driven, run_cost
 from railrepro.files import write
+from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
@@ -45,10 +46,15 @@ def rows(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -
         return ordered_map(pool, task, arguments, title, quiet, stored=True)
 
 
+def _held(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed_at_m")
+    values = experiment.values(run)
+    row = {name: _plain(values.get(name)) for name in names}
+    return row | {"failed": run.failed or metrics.reaches_flange(run.series)}, None
+
+
 def _row(experiment: Experiment) -> dict:
-    names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed", "failed_at_m")
-    row, _ = experiment()
-    return {**experiment.label, **{name: _plain(row.get(name)) for name in names}}
+    return {**experiment.label, **experiment.measured(_held)[0]}
 
 
 def _plain(value):
@@ -59,8 +65,8 @@ def stability(
     speeds_kmh=(100, 200, 300, 400), sets=("dry", "wet", "poor", "very_poor"), factors=(0.1, 1, 10, 100),
     periods_ms=(5, 10, 20), poles=(10, 20, 30, 45, 70), quiet: bool = False,
 ) -> pd.DataFrame:  # fmt: skip
-    """Whether the car stays on the rail: speed, adhesion set, R and sampling time of NMPC, pole of NDI, ours with the
-    paper's adhesion law and with slip control; rolling and at the adhesion maximum.
+    """Whether the car keeps off its flanges: speed, adhesion set, R and sampling time of NMPC, pole of NDI, CreepMPC with
+    the adhesion law of the paper and with slip control; rolling and at the adhesion maximum.
 
     Columns speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, …, failed, failed_at_m.
     """
