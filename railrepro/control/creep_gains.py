@@ -15,6 +15,7 @@ Source: Anderson and Moore 1990, Optimal Control, ch. 2 and 4 (tracking, known d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import copysign, log
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -28,6 +29,7 @@ READ = ("y", "psi", "r")
 """States that are measured."""
 SPEEDS = np.geomspace(LEAST_SPEED, 125.0, 31)
 """Speeds at which gains are computed (m/s); in between they are interpolated over the logarithm."""
+_LOG_SPEEDS, _PLACES = np.log(SPEEDS), np.arange(len(SPEEDS))
 FAST = 400 / 3.6
 """Speed at which the weight of a change of torque is stated (m/s)."""
 ALERT = 4
@@ -203,15 +205,16 @@ class Schedule:
         alert : int
             Alertness, 0 to `ALERT`; wheels that slip keep the filter awake.
         """
-        place = float(np.interp(np.log(max(speed, SPEEDS[0])), np.log(SPEEDS), np.arange(len(SPEEDS))))
+        place = float(np.interp(np.log(max(speed, SPEEDS[0])), _LOG_SPEEDS, _PLACES))
         node = min(int(place), len(SPEEDS) - 2)
-        linear = self._vehicle.wheel_load * np.abs(adhesion) / self._creep.across + _PRIOR
-        middle = np.mean(slip)
-        apart = slip - middle
-        against = np.sign(apart) * np.maximum(np.abs(apart) - _APART, 0.0)
-        beyond = np.maximum(np.abs(middle + against) - linear - _TOLERANCE, 0.0)
-        level = round(np.log(np.mean(linear) / np.mean(linear + beyond)) / _SOFTNESS_STEP)
-        used, each = round(np.mean(adhesion) / _ADHESION_STEP), round(np.mean(np.abs(adhesion)) / _ADHESION_STEP)
+        wheels, slips = np.atleast_1d(adhesion).tolist(), np.atleast_1d(slip).tolist()
+        linear = [self._vehicle.wheel_load * abs(one) / self._creep.across + _PRIOR for one in wheels]
+        middle = sum(slips) / len(slips)
+        against = [copysign(max(abs(one - middle) - _APART, 0.0), one - middle) for one in slips]
+        beyond = [max(abs(middle + b) - a - _TOLERANCE, 0.0) for a, b in zip(linear, against, strict=True)]
+        level = round(log(sum(linear) / (sum(linear) + sum(beyond))) / _SOFTNESS_STEP)
+        used = round(sum(wheels) / len(wheels) / _ADHESION_STEP)
+        each = round(sum(map(abs, wheels)) / len(wheels) / _ADHESION_STEP)
         key = level, used, each, alert if level == 0 else ALERT
         return self._node(node, *key), self._node(node + 1, *key), place - node
 
@@ -292,8 +295,11 @@ def _tracking(model, last: np.ndarray, before: np.ndarray, late: Delay, settings
 
     row = np.empty((settings.steps + 1, size))
     row[0] = b[:, 0] / size_u
-    for k in range(settings.steps):
-        row[k + 1] = row[k] @ closed
+    done, power = 1, closed  # rows by doubling: those that are there times closed to the power of their number
+    while done <= settings.steps:
+        more = min(done, settings.steps + 1 - done)
+        row[done : done + more] = row[:more] @ power
+        done, power = done + more, power @ power
     rest = np.linalg.inv(np.eye(size) - closed)
     row[-1] = row[-1] @ rest
     state = np.concatenate([-feedback[:n], -row[0] @ rest @ unknown, [0.0], -feedback[n:]])

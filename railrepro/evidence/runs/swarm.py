@@ -110,9 +110,9 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
         The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm
         found (`swarms`), `origin`, and under `history` the table of all evaluated particles.
     """
-    budget, evaluation = task.budget, Evaluation(controller, task)
+    budget, evaluation = task.budget_of.get(controller, task.budget), Evaluation(controller, task)
     swarms, tables = [], []
-    for seed in budget["seeds"][:1] if controller in task.one_swarm else budget["seeds"]:
+    for seed in budget["seeds"]:
         name = f"{task.setting} {controller} {seed}"
         bar = tqdm(total=budget["iterations"], desc=name, unit="iteration", disable=quiet)
 

@@ -68,8 +68,8 @@ class Task:
         Controller -> parameters that are given, not searched.
     start : dict
         Controller -> parameters at which the first particle of each swarm begins.
-    one_swarm : tuple of str
-        Controllers of which only the first swarm is made.
+    budget_of : dict
+        Controller -> its own budget; the others have `budget`.
     """
 
     setting: str
@@ -79,7 +79,7 @@ class Task:
     dimensions: dict[str, list[pso.Dimension]]
     designed: dict[str, dict] = field(default_factory=dict)
     start: dict[str, dict] = field(default_factory=dict)
-    one_swarm: tuple[str, ...] = ()
+    budget_of: dict[str, dict] = field(default_factory=dict)
 
     @property
     def searched(self) -> list[str]:
@@ -150,7 +150,7 @@ class TaskFile:
     run: Annotated[dict[str, RunEntry], schema.NOT_EMPTY]
     setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], schema.NOT_EMPTY]
     controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], schema.NOT_EMPTY]
-    one_swarm: tuple[str, ...] = ()
+    budget_of: dict[str, Annotated[Budget, schema.AS_GIVEN]] = field(default_factory=dict)
 
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
@@ -189,10 +189,10 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
             raise InputError(f"{where}: {name} has {sorted(parameters)}, {needed} are needed")
         for dimension in dimensions[name]:
             dimension.position(parameters[dimension.name])
-    if unknown := sorted(set(content.one_swarm) - set(dimensions)):
-        raise InputError(f"{file.name}: one_swarm has {unknown[0]!r}; there are {sorted(dimensions)}")
+    if unknown := sorted(set(content.budget_of) - set(dimensions)):
+        raise InputError(f"{file.name}: [budget_of.{unknown[0]}] is not known; there are {sorted(dimensions)}")
     return Task(
-        setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start, content.one_swarm
+        setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start, content.budget_of
     )
 
 
@@ -227,7 +227,8 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
         runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
     loop = load_loop() if any(run.sensors for run in task.runs) else None
     search = task.dimensions[controller], task.start.get(controller)
-    return store.digest(runs, car, loop, task.budget, task.cost, *search)[:16]
+    budget = task.budget_of.get(controller, task.budget)
+    return store.digest(runs, car, loop, budget, task.cost, *search)[:16]
 
 
 def is_current(controller: str, setting: str) -> bool:

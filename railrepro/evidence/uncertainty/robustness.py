@@ -65,8 +65,8 @@ def stability(
     speeds_kmh=(100, 200, 300, 400), sets=("dry", "wet", "poor", "very_poor"), factors=(0.1, 1, 10, 100),
     periods_ms=(5, 10, 20), poles=(10, 20, 30, 45, 70), quiet: bool = False,
 ) -> pd.DataFrame:  # fmt: skip
-    """Whether the car keeps off its flanges: speed, adhesion set, R and sampling time of NMPC, pole of NDI, CreepMPC with
-    the adhesion law of the paper and with slip control; rolling and at the adhesion maximum.
+    """Whether the car keeps off its flanges: speed, adhesion set, R and sampling time of NMPC, pole of NDI, CreepMPC
+    with the adhesion law of the paper and with slip control; rolling and at the adhesion maximum.
 
     Columns speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, …, failed, failed_at_m.
     """
