@@ -398,7 +398,7 @@ _FIELDS = {
 
 @dataclass(frozen=True)
 class ProbeTask:
-    """Runs of the car at some values, in some parts (see `probe`), as "scenario/controller/metric" -> value; picklable."""
+    """Runs of the car at some values, in some parts of `probe`, as "scenario/controller/metric" -> value; picklable."""
 
     parts: tuple[str, ...] = PARTS
 
