@@ -205,12 +205,9 @@ def read_table(path: Path | str) -> pd.DataFrame:
         numbers = read_numbers(file, COLUMNS[:7], COLUMNS[7:])
     step = np.diff(numbers["p_m"])
     for column, (limit, unit) in _PLAUSIBLE.items():
-        if column in numbers and (numbers[column].abs() > limit).any():
-            row = int(np.argmax(numbers[column].abs() > limit))
-            found = numbers[column].iloc[row]
-            raise InputError(
-                f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit:g} {unit} is allowed (unit?)"
-            )
+        if column in numbers:
+            allowed = f"up to {limit:g} {unit} is allowed (unit?)"
+            survey.refuse(file.name, numbers[column], numbers[column].abs() > limit, allowed)
     _check_rates(file, numbers, step)
     if len(numbers.columns) == len(COLUMNS):
         _check_positions(file, numbers, step)
