@@ -33,7 +33,7 @@ from railrepro.contact.points import read_pair
 from railrepro.contact.table import contact_table
 from railrepro.control import lateral
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.law import EstimateSettings
+from railrepro.control.law import EstimateSettings, LawSettings
 from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import guidance
 from railrepro.control.slip import SlipSettings

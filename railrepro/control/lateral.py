@@ -182,7 +182,7 @@ class _ByName:
 
 
 def _takes(call: Callable, count: int) -> bool:
-    """Whether something can be called with so many arguments; what tells nothing of its own counts as one that can."""
+    """Whether something can be called with so many arguments; without a signature it counts as one that can."""
     try:
         inspect.signature(call).bind(*range(count))
     except TypeError:
