@@ -201,8 +201,8 @@ def standing(measured: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         ours_mm, other_mm, other, spread_mm (larger standard deviation of both), limit_mm, over_limit
-        (-), lost (runs of ours that reached the flanges), other_lost, and standing: `behind`, `tied` within the spread, or
-        `ahead`. Who loses fewer runs is ahead; the best other is the one that loses fewest.
+        (-), lost (runs of ours that reached the flanges), other_lost, and standing: `behind`, `tied` within the spread,
+        or `ahead`. Who loses fewer runs is ahead; the best other is the one that loses fewest.
     """
     names, ours = ["kind", "case"], measured["controller"] == OURS
     own = measured[ours].set_index(names)
