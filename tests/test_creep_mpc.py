@@ -20,6 +20,8 @@ from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
 
 V = load_vehicle()
+CONE = load_vehicle(**{"contact.profile": "cone"})
+"""The car with the wheels of the controller's model."""
 T3 = load_scenario("curve_entry_T3")
 DRY = creep_at(V, "dry", 20.0)
 HOT = CreepSettings(change=1e-4, force_rate=3e5, y_noise=1e-6, psi_noise=1e-6, r_noise=1e-5)
@@ -86,7 +88,7 @@ def test_an_unsolvable_riccati_equation_is_told_in_one_sentence():
 
 @pytest.mark.parametrize(("name", "limit_mm"), [("curve_entry_T3", 0.03), ("sine_tracking", 0.015)])
 def test_reach_with_perfect_measurements(name, limit_mm):
-    run = simulate.run(load_scenario(name).but(end_m=300.0), CreepMPC())
+    run = simulate.run(load_scenario(name).but(end_m=300.0), CreepMPC(), vehicle=CONE)
     for gear in ("front", "rear"):
         assert metrics.rmse(run.series, gear) < 1e-3 * limit_mm
     assert not run.failed and not any(controller.missed for controller in run.controllers)
@@ -131,8 +133,8 @@ class Blind(CreepGuide):
 def test_seen_slip_saves_adhesion_on_a_poor_rail():
     """Who takes a slipping wheel for a rolling one wastes the adhesion on a limit cycle of du."""
     scenario = load_scenario("adhesion_loss").but(end_m=500.0)
-    seeing = simulate.run(scenario, CreepMPC()).series
-    blind = simulate.run(scenario, lambda *on: Blind(*on, CreepSettings(), DRY)).series
+    seeing = simulate.run(scenario, CreepMPC(), vehicle=CONE).series
+    blind = simulate.run(scenario, lambda *on: Blind(*on, CreepSettings(), DRY), vehicle=CONE).series
     assert metrics.effort(seeing) < 0.4 * metrics.effort(blind)
     saved, wasted = (log.loc[log["front.p"] > 300, "front_le.fx"].mean() for log in (seeing, blind))
     assert saved > 0.085 > 0.06 > wasted
@@ -140,10 +142,10 @@ def test_seen_slip_saves_adhesion_on_a_poor_rail():
 
 @pytest.mark.parametrize("worn", [0.99, 1.01])
 def test_wheels_of_another_radius_are_not_taken_for_slipping_ones(worn):
-    plant, seen = load_vehicle(**{"wheel.radius": worn * V.wheel.radius}), readings(seed=1)
+    plant, seen = replace(CONE, wheel=replace(CONE.wheel, radius=worn * CONE.wheel.radius)), readings(seed=1)
     settings = CreepSettings(change=0.09, force_rate=1.3e5, y_noise=2.8e-4, psi_noise=2.9e-3, r_noise=4.3e-3)
     scenario = load_scenario("adhesion_loss").but(end_m=350.0)
-    run = simulate.run(scenario, CreepMPC(settings), plant_vehicle=plant, sensors=seen)
+    run = simulate.run(scenario, CreepMPC(settings), vehicle=CONE, plant_vehicle=plant, sensors=seen)
     assert not run.failed and metrics.rmse(run.series) < 2e-3
 
 

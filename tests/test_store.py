@@ -61,7 +61,7 @@ CHANGES = {
     "rail": lambda e: replace(e, scenario=e.scenario.but(good="wet")),
     "tuned set": lambda e: replace(e, setting="loop"),
     "vehicle": lambda e: replace(e, vehicle={"suspension.c_y": 2e4}),
-    "plant": lambda e: replace(e, plant={"contact.profile": "s1002"}),
+    "plant": lambda e: replace(e, plant={"contact.profile": "cone"}),
     "sensors": lambda e: replace(e, sensors={"seed": 1}),
     "seed": lambda e: replace(e, sensors={"seed": 2}),
     "irregular rails": lambda e: replace(e, irregular={"seed": 1}),
