@@ -1,5 +1,6 @@
 """What the predictive controllers think lies ahead: motion under a base torque, track of both gears, set point."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
@@ -88,7 +89,8 @@ def test_the_desired_state_follows_the_set_point_along_the_track(vehicle):
     """y* over p: the gear points along its tangent and turns with its bend and the track's curvature, (des_states)."""
     shape = Polynomial([1e-3, 2e-4, -3e-6, 1e-8])
     track = load_track("T3")
-    laid = route.lay(track, lambda p: sum(c * p**k for k, c in enumerate(shape.coef)))
+    place = ca.SX.sym("p")
+    laid = route.lay(track, ca.Function("y_ref", [place], [sum(c * place**k for k, c in enumerate(shape.coef))]))
     x_d, theta = ahead(vehicle, laid, 2000.0, xdot=77.0)
     p, v = x_d["x"], x_d["xdot"]
     assert x_d["y_TrAx"] == pytest.approx(shape(p), rel=1e-9)

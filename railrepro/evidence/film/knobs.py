@@ -87,7 +87,7 @@ def turned(scenario: Scenario, knobs: Parameters, setting: str = tuning.EQUAL) -
 
 
 def table(runs: dict[str, simulate.Run]) -> pd.DataFrame:
-    """How the runs went: error, delay and torque of the front gear, or where the car derailed."""
+    """How the runs went: error, delay and torque of the front gear, or where a run derailed."""
     rows = {}
     for name, run in runs.items():
         followed = not run.failed
