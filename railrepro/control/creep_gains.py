@@ -212,7 +212,8 @@ class Schedule:
         middle = sum(slips) / len(slips)
         against = [copysign(max(abs(one - middle) - _APART, 0.0), one - middle) for one in slips]
         beyond = [max(abs(middle + b) - a - _TOLERANCE, 0.0) for a, b in zip(linear, against, strict=True)]
-        level = round(log(sum(linear) / (sum(linear) + sum(beyond))) / _SOFTNESS_STEP)
+        softness = sum(a / (a + b) for a, b in zip(linear, beyond, strict=True)) / len(linear)
+        level = round(log(softness) / _SOFTNESS_STEP)
         used = round(sum(wheels) / len(wheels) / _ADHESION_STEP)
         each = round(sum(map(abs, wheels)) / len(wheels) / _ADHESION_STEP)
         key = level, used, each, alert if level == 0 else ALERT
@@ -225,7 +226,7 @@ class Schedule:
             across = softness * self._creep.across
             slip = self._vehicle.wheel_load * _ADHESION_STEP * each / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
-            creep = Creep(along, across, adhesion)
+            creep = Creep(along, across, adhesion, self._creep.spin.times(softness))
             settings = self._settings_at(float(SPEEDS[node]), level == 0, 1 - alert / ALERT)
             self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, settings, self._delay)
         return self._nodes[key]
