@@ -66,7 +66,7 @@ class CreepSettings:
     speed_power : float
         Power with which `change` grows over the speed where wheels roll; at `FAST` it is what it says (-).
     slip_factor : float
-        Factor on `change` where wheels slip, at all speeds (-).
+        Factor on `change` where wheels slip so much that they have no stiffness left, at all speeds (-).
     force_rate, moment_rate : float
         Random walks of the disturbances, standard deviation after one second (N, N m).
     quiet, quiet_change : float
@@ -227,17 +227,18 @@ class Schedule:
             slip = self._vehicle.wheel_load * _ADHESION_STEP * each / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
             creep = Creep(along, across, adhesion, self._creep.spin.times(softness))
-            settings = self._settings_at(float(SPEEDS[node]), level == 0, 1 - alert / ALERT)
+            settings = self._settings_at(float(SPEEDS[node]), softness, 1 - alert / ALERT)
             self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, settings, self._delay)
         return self._nodes[key]
 
-    def _settings_at(self, speed: float, rolling: bool, quiet: float) -> CreepSettings:
-        """Settings with the weight and the walks of a node; `quiet` is 1 minus the alertness."""
+    def _settings_at(self, speed: float, rolling: float, quiet: float) -> CreepSettings:
+        """Settings with the weight and the walks of a node.
+
+        `rolling` is 1 where wheels roll and falls to 0 as they soften, `quiet` is 1 minus the alertness.
+        """
         own = self._settings
-        walks = own.quiet**quiet
-        change = (
-            own.change * own.quiet_change**quiet * ((speed / FAST) ** own.speed_power if rolling else own.slip_factor)
-        )
+        walks, fast = own.quiet**quiet, (speed / FAST) ** own.speed_power
+        change = own.change * own.quiet_change**quiet * fast**rolling * own.slip_factor ** (1 - rolling)
         return replace(own, change=change, force_rate=walks * own.force_rate, moment_rate=walks * own.moment_rate)
 
 
