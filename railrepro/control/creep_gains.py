@@ -36,8 +36,9 @@ ALERT = 4
 """Steps of alertness from quiet to awake, see `Schedule`."""
 _PRIOR = 1e-4
 """Slip that the ratio of adhesion and slip has anyway, so that it exists without traction (-)."""
-_TOLERANCE = 5e-4
-"""Slip beyond that of the linear range that a rolling wheel may show: by its radius, by the noise of the speed (-)."""
+_TOLERANCE, _SPEED_NOISE = 5e-4, 0.015
+"""Slip beyond that of the linear range that a rolling wheel may show by its radius (-), and the noise of low-passed
+sliding speeds, three standard deviations (m/s)."""
 _APART = 2e-3
 """Slip against each other that rolling wheels may show (-): profiles off their middle, a yaw rate that is not known."""
 _SOFTNESS_STEP, _ADHESION_STEP = 0.15, 0.01
@@ -211,7 +212,8 @@ class Schedule:
         linear = [self._vehicle.wheel_load * abs(one) / self._creep.across + _PRIOR for one in wheels]
         middle = sum(slips) / len(slips)
         against = [copysign(max(abs(one - middle) - _APART, 0.0), one - middle) for one in slips]
-        beyond = [max(abs(middle + b) - a - _TOLERANCE, 0.0) for a, b in zip(linear, against, strict=True)]
+        unsure = _TOLERANCE + _SPEED_NOISE / max(speed, SPEEDS[0])
+        beyond = [max(abs(middle + b) - a - unsure, 0.0) for a, b in zip(linear, against, strict=True)]
         softness = sum(a / (a + b) for a, b in zip(linear, beyond, strict=True)) / len(linear)
         level = round(log(softness) / _SOFTNESS_STEP)
         used = round(sum(wheels) / len(wheels) / _ADHESION_STEP)

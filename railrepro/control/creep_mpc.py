@@ -14,11 +14,13 @@ No counterpart in the paper.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.contact.table import contact_table
 from railrepro.control.creep_gains import ALERT, READ, CreepSettings, delay_of, schedule
 from railrepro.control.predictive import Solve
 from railrepro.errors import InputError
@@ -109,6 +111,7 @@ class CreepGuide:
         self._ahead, self._start = _table(route, partner), route.start
         self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
         self._load, self._offset, self._learnt, self._demanded = vehicle.wheel_load, np.zeros(2), 0, 0.0
+        self._profile = _apparent_slip(vehicle)
         self._bounds = self._load * np.array([1.0, vehicle.gear.contact_base])
         self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros((2, 2))
         self._slow, self._power, self._slow_power, self._alert = 0.0, 0.0, 0.0, 0.0
@@ -131,7 +134,8 @@ class CreepGuide:
 
     def notice(self, adhesion: np.ndarray, slip: np.ndarray) -> None:
         """Used adhesion (traction positive) and slip of both wheels (-), see `SlowController`."""
-        over = -slip
+        side = np.array([-self._seen[model.Y], self._seen[model.Y]])  # shifts towards the flange, left and right
+        over = self._profile(side) - slip
         if not (np.isfinite(adhesion).all() and np.isfinite(over).all()) or not (adhesion.any() or slip.any()):
             return  # nothing was measured yet
         if self._demanded < 1.0:  # such wheels roll: what they seem to slip more is their radius
@@ -234,6 +238,13 @@ class CreepGuide:
 
 
 _READ = [STATES.index(name) for name in READ]
+
+
+def _apparent_slip(vehicle: Vehicle) -> Callable[[np.ndarray], np.ndarray]:
+    """Slip that a wheel of the nominal radius seems to have when it rolls, negative, over its shift (m)."""
+    frame = contact_table(vehicle.contact.profile, vehicle).frame
+    shift, radius = frame["shift_m"].to_numpy(), frame["rolling_radius_m"].to_numpy()
+    return lambda at: np.interp(at, shift, radius / vehicle.wheel.radius - 1)
 
 
 def _table(route: Route, partner: float) -> np.ndarray:
