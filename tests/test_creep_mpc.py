@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_symmetry import drive_with, mirrored, turned
 
+from railrepro.contact.table import contact_table
 from railrepro.control.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains
 from railrepro.control.creep_mpc import CreepGuide, CreepMPC
 from railrepro.control.slip import SlipSettings
@@ -334,6 +335,28 @@ def test_what_the_differential_torque_makes_slip_is_not_learnt_as_a_radius_until
             for _ in range(150):
                 guide.sent[:] = 0.0
                 guide.plan(measured(100.0), 0.0)
+
+
+def test_wheels_off_the_middle_roll_on_other_radii_and_do_not_slip():
+    """At 5 mm on S1002 wheels 461.9 and 459.8 mm: 4 per mille of the speed that no torque makes."""
+    vehicle = load_vehicle()
+    guide = CreepMPC()(vehicle, T3.route(), 0)
+    frame = contact_table("s1002", vehicle).frame
+    radii = np.interp([-5e-3, 5e-3], frame["shift_m"], frame["rolling_radius_m"])
+    seems = 1 - vehicle.wheel.radius / radii  # as the slip is counted: braking positive
+    assert np.ptp(seems) > 4e-3
+    for _ in range(200):
+        guide.plan(measured(100.0, y=5e-3), 1500.0)
+        guide.notice(np.array([1e-3, 1e-3]), seems)
+    assert np.abs(guide._slip[1]).max() < 5e-5
+
+
+def test_slip_that_the_noise_of_a_slow_train_can_make_is_none():
+    schedule, damping = Schedule(V, CreepSettings(), DRY), (STATES.index("vy"), STATES.index("vy"))
+    slow, still = (schedule.around(11.0, 0.0, slip)[0].step[damping] for slip in (1.5e-3, 0.0))
+    assert slow == still
+    fast, still = (schedule.around(111.0, 0.0, slip)[0].step[damping] for slip in (1.5e-3, 0.0))
+    assert fast != still
 
 
 def test_wheels_that_slip_in_opposite_directions_are_soft():
