@@ -374,11 +374,8 @@ def test_the_gear_stays_near_its_set_point_on_a_patch_where_both_wheels_slide_ap
     """200 m of mu = 0.05 at 400 km/h with slip control: on the mean of both wheels 7.2 mm, an inversion 2.0 mm."""
     ice = ((0, 0), (200, 0), (201, 1), (400, 1), (401, 0))
     scenario = load_scenario("adhesion_loss").but(end_m=450.0, good="dry", poor="very_poor", poor_share=ice)
-    settings = CreepSettings(
-        change=0.02, force_rate=2.92e6, moment_rate=5e3, y_noise=1e-6, psi_noise=1e-6, r_noise=9e-6
-    )
     plant = load_vehicle(**{"adhesion.very_poor.mu0": 0.05})
-    run = simulate.run(scenario, CreepMPC(settings), plant_vehicle=plant, adhesion=SlipSettings())
+    run = simulate.run(scenario, tuned("creep_mpc"), plant_vehicle=plant, adhesion=SlipSettings())
     assert np.abs(metrics.lateral_error(run.series)).max() < 3.5e-3
     assert np.abs(run.controllers[0]._offset).max() < 5e-4
 
