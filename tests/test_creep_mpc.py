@@ -11,7 +11,6 @@ from test_symmetry import drive_with, mirrored, turned
 from railrepro.contact.table import contact_table
 from railrepro.control.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains
 from railrepro.control.creep_mpc import CreepGuide, CreepMPC
-from railrepro.control.slip import SlipSettings
 from railrepro.control.tuned import tuned
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
@@ -322,7 +321,8 @@ def test_what_slips_under_demand_is_not_learnt_as_a_radius(guide):
     for _ in range(400):
         guide.plan(measured(100.0), 1500.0)
         guide.notice(np.array([0.001, 0.001]), np.array([-0.01, -0.01]))
-    assert not guide._offset.any() and guide._slip[1] == pytest.approx(0.01, rel=1e-3)
+    middle = guide._profile(np.zeros(2))
+    assert not guide._offset.any() and guide._slip[1] == pytest.approx(0.01 + middle, rel=1e-3)
 
 
 def test_what_the_differential_torque_makes_slip_is_not_learnt_as_a_radius_until_it_has_come_to_rest(guide):
@@ -371,13 +371,13 @@ def test_wheels_that_slip_in_opposite_directions_are_soft():
 
 
 def test_the_gear_stays_near_its_set_point_on_a_patch_where_both_wheels_slide_apart():
-    """200 m of mu = 0.05 at 400 km/h with slip control: on the mean of both wheels 7.2 mm, an inversion 2.0 mm."""
+    """200 m of mu = 0.05 at 400 km/h with the paper's adhesion control law; an inversion 2.4 mm."""
     ice = ((0, 0), (200, 0), (201, 1), (400, 1), (401, 0))
     scenario = load_scenario("adhesion_loss").but(end_m=450.0, good="dry", poor="very_poor", poor_share=ice)
     plant = load_vehicle(**{"adhesion.very_poor.mu0": 0.05})
-    run = simulate.run(scenario, tuned("creep_mpc"), plant_vehicle=plant, adhesion=SlipSettings())
-    assert np.abs(metrics.lateral_error(run.series)).max() < 3.5e-3
-    assert np.abs(run.controllers[0]._offset).max() < 5e-4
+    run = simulate.run(scenario, tuned("creep_mpc"), plant_vehicle=plant)
+    assert np.abs(metrics.lateral_error(run.series)).max() < 3e-3
+    assert np.abs(run.controllers[0]._offset).max() < 1.5e-3
 
 
 def test_factory_is_picklable():
