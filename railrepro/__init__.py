@@ -21,7 +21,7 @@ import signal
 import sys
 from typing import Any
 
-__version__ = "0.2.0.dev0"
+__version__ = "1.0.0"
 
 FACADE = {
     "simulate": "railrepro.simulation.simulate.run",

@@ -1,124 +1,12 @@
-"""The command line: `python -m railrepro COMMAND …`; make calls it.
-
-All arguments are checked before anything starts. What a command needs is imported when it runs.
-"""
+"""The command line: `python -m railrepro COMMAND …`; make calls it. What a command needs is imported when it runs."""
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import sys
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-from typing import NoReturn
 
 from railrepro.errors import InputError, report_errors
-
-PROGRAM = "python -m railrepro"
-
-
-class _Parser(argparse.ArgumentParser):
-    """Reports wrong arguments in one sentence; takes no abbreviations."""
-
-    def __init__(self, **options):
-        super().__init__(**options, allow_abbrev=False)
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"error: {message}; `{self.prog} --help` shows what is allowed\n")
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    """Reader of a whole number from `low` to `high`."""
-
-    def read(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and low <= int(text) <= high):
-            raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {low} to {high}")
-        return int(text)
-
-    return read
-
-
-def _add(group, name: str, call: str, words: str) -> argparse.ArgumentParser:
-    added = group.add_parser(name, help=words, description=words)
-    added.set_defaults(call=f"railrepro.evidence.{call}")
-    return added
-
-
-def parser() -> argparse.ArgumentParser:
-    """The commands and their arguments; `call` of what it parses is the function, as "module:name"."""
-    top = _Parser(prog=PROGRAM, description="Model predictive control of railway running gears, replicated.")
-    commands = top.add_subparsers(required=True, metavar="COMMAND")
-    _studies(partial(_add, commands))
-    _tools(partial(_add, commands))
-    words = "the notebooks and their products"
-    chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
-    _chain(partial(_add, chain))
-    return top
-
-
-def _studies(command: Callable) -> None:
-    added = command("tune", "runs.swarm:main", "tune controllers by particle swarm, write data/tuned (long, resumes)")
-    added.add_argument("names", nargs="*", metavar="NAME", help="settings and controllers; default all")
-    added = command("probe", "claims.probe:main", "metrics of the nominal car, for the statements (long)")
-    added.add_argument("settings", nargs="*", metavar="SETTING", help="paper, equal, loop; default all")
-    added = command("calibrated", "claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)")
-    added.add_argument("--draws", type=_whole(0, 1000), help="perturbations of each size, default 20")
-    added = command("robustness", "uncertainty.robustness:main", "stability map and robustness (long, resumes)")
-    added.add_argument("studies", nargs="*", metavar="STUDY", help="stability, robustness; default both")
-    added.add_argument("--samples", type=_whole(1, 4096), help="samples of the robustness study, default 128")
-    added = command("matching", "uncertainty.matching:main", "parameters consistent with the paper (long, resumes)")
-    added.add_argument("size", nargs="?", default="committed", help="committed (default) or small")
-    command("margins", "uncertainty.margins:main", "stability margins of all tuned sets (long)")
-    command(
-        "loop", "uncertainty.loop:main", "closed loop with sensors over unseen seeds, and its limit (long, resumes)"
-    )
-    command("order", "uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)")
-    added = command("bench", "bench.speed:main", "measure speed, write data/results")
-    added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")
-    added = command("second-opinion", "bench.second_opinion:main", "compare the car with one in Exudyn (extra `bench`)")
-    added.add_argument("names", nargs="*", metavar="CASE", help="cases, which are only printed; default all, written")
-    added = command("report", "report.text:main", "judge the statements, write REPLICATION.md")
-    added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/verdicts.csv")
-    added = command("answers", "report.answers:main", "verdicts that flip with the authors' answers")
-    added.add_argument("sheet", nargs="?", help="a filled sheet; default data/answers.toml")
-    command("article", "chain.release:submission", "the report as an article, build/article.pdf, build/rescience")
-
-
-def _tools(command: Callable) -> None:
-    added = command("score", "score.command:main", "score a controller on the benchmark, write build/score")
-    added.add_argument("controller", nargs="?", help="a Python file with one controller class, or a registered name")
-    added.add_argument("--describe", action="store_true", help="only print what a law may use, with unit and meaning")
-    added.add_argument("--seed", type=_whole(0, 2**31), help="a different random seed of noise, rails and cars")
-    added.add_argument("--small", action="store_true", help="only the quick runs of the published draw, no margins")
-    added = command("leaderboard", "score.leaderboard:main", "score registered controllers and examples/ (long)")
-    added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
-    added = command("film", "film.command:main", "page and movie of two controllers side by side, in build/film")
-    added.add_argument("scenario", nargs="?", default="all", help="key of scenarios.toml; default the usual four")
-    added.add_argument("controllers", nargs="*", help="two registered names or files; default nmpc ndi")
-    added.add_argument("--setting", default="equal", help="paper, equal (default) or loop")
-    added.add_argument("--no-movie", action="store_false", dest="with_movie", help="only the page")
-
-    command("cite", "chain.release:cite", "print how this version is cited, write build/metadata.yaml")
-    command("codemeta", "chain.release:store_codemeta", "write codemeta.json from CITATION.cff and pyproject.toml")
-    command("dist", "chain.release:dist", "archive of the committed files and a wheel, in build/dist")
-
-
-def _chain(command: Callable) -> None:
-    command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml")
-    command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, else list the stale ones")
-    added = command("run", "chain.runner:refresh", "run one notebook if it is stale")
-    added.add_argument("name")
-    command("times", "chain.runner:store_times", "enter the durations of the last runs into notebooks/chain.toml")
-    added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts")
-    added.add_argument("name", help="its name or two digits")
-    command("html", "chain.book:html", "executed notebooks as a book in build/html")
-    command("strip", "chain.cleaning:strip_all", "remove outputs from the notebooks")
-    added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products")
-    added.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
-    added.add_argument("--into", type=Path, help="new or empty folder for the products, default build/verify")
-    added = command("variants", "chain.verify:variants", "rerun the quick notebooks with other compilers")
-    added.add_argument("names", nargs="*", metavar="NAME")
+from railrepro.evidence.commands import parser
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -108,29 +108,6 @@ def alone(lock: Path, wait: bool = True) -> Iterator[int | None]:
         os.close(guard)
 
 
-MARK = ".railrepro-output"
-"""File in a folder that this library made for output and may therefore empty."""
-
-
-def emptied(folder: Path) -> None:
-    """Make a folder empty, and mark it as one that may be emptied again.
-
-    Raises
-    ------
-    InputError
-        When it holds anything and was not made by this function, or cannot be written; what was there is intact.
-    """
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise InputError(f"{folder}: is no folder, an empty or a new one is needed")
-    with written():
-        if folder.is_dir() and any(folder.iterdir()):
-            if not (folder / MARK).is_file():
-                raise InputError(f"{folder}: holds files that no run of railrepro wrote; name an empty or a new folder")
-            shutil.rmtree(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / MARK).touch()
-
-
 @contextmanager
 def scratch(folder: Path, name: str) -> Iterator[Path]:
     """A folder for one process at a time, gone afterwards; those that killed processes left in `folder` go first."""

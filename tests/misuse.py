@@ -33,7 +33,7 @@ from railrepro.contact.points import read_pair
 from railrepro.contact.table import contact_table
 from railrepro.control import lateral
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.law import EstimateSettings
+from railrepro.control.law import EstimateSettings, LawSettings
 from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import guidance
 from railrepro.control.slip import SlipSettings
@@ -42,10 +42,10 @@ from railrepro.evidence.chain import graph
 from railrepro.evidence.claims import answers, statements
 from railrepro.evidence.film import knobs, scene
 from railrepro.evidence.film.scene import film
-from railrepro.evidence.runs import experiment, pso, tuning
+from railrepro.evidence.runs import experiment, preview, pso, ride, tuning
 from railrepro.evidence.score.entry import entry, load_class, made
 from railrepro.evidence.uncertainty import robustness
-from railrepro.track import irregularity, measured, preview
+from railrepro.track import irregularity, measured
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track

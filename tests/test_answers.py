@@ -169,7 +169,7 @@ def test_our_own_curve_is_no_distance_away(tmp_path):
     value = own["nmpc"]["y"].iloc[0]
     theirs = report.digitised("fig07", curve(tmp_path, f"controller,speed_kmh,rmse_mm\nnmpc,400,{value + 0.25}\n"))
     assert report.distances(theirs, own)["rms_mm"].iloc[0] == pytest.approx(0.25)
-    assert 0.05 < value < 0.3
+    assert 0.2 < value < 0.6
 
 
 @pytest.mark.parametrize(

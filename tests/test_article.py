@@ -65,9 +65,9 @@ def test_the_counts_are_those_of_the_table(shown):
 
 
 SAID = {
-    "reproduced": "C05 C10 C11 C13 C18 C20 C21 C25 C26 C30 C34 C36 C39 C42",
-    "partly": "C06 C14 C17",
-    "not reproduced": "C07 C24 C28 C41 C46 C50",
+    "reproduced": "C05 C10 C11 C18 C20 C21 C25 C26 C30 C34 C36 C42",
+    "partly": "C06 C14 C17 C39",
+    "not reproduced": "C07 C13 C24 C28 C41 C46 C50",
 }
 """Verdicts on `paper` that sentences of the article rest on: who changes one reads the sentence again."""
 
@@ -176,7 +176,7 @@ def test_article_and_report_show_shares_and_the_matching_when_they_are_there(pla
     fragile = (plain["id"] == "C05") & (plain["setting"] == "paper")
     table = plain.assign(**{column: plain[column].mask(fragile, value) for column, value in shares.items()})
     made, report = article.render(table, Nominal(Studied())), text.render(table, Nominal(Studied()))
-    assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.34\d*; 25 % \(10 to 95\) \|", report)
+    assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.3[23]\d*; 25 % \(10 to 95\) \|", report)
     assert "Fragile, by rule, are [C05]" in made and "[C05](REPLICATION.md#C05): fragile" in made
     for page in (made, report):
         assert "[1](data/results/robustness_claims.csv) of [3]" in page and "1 fragile" in page

@@ -17,6 +17,7 @@ from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import table as tables
 from railrepro.track.alignment import Alignment, Segment
+from railrepro.vehicle.parameters import load_vehicle
 
 
 def scenario(**changes):
@@ -37,15 +38,16 @@ def test_a_cant_ramp_that_is_too_short_is_refused(monkeypatch):
 
 
 def test_a_car_that_leaves_the_rail_says_so():
-    run = simulate.run(scenario(end_m=200.0), NDI(pole=2000.0, frequency=2000.0, damping=0.1))
-    assert run.failed and "left the rail" in run.ended
+    cone = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
+    run = simulate.run(scenario(end_m=200.0), NDI(pole=2000.0, frequency=2000.0, damping=0.1), vehicle=cone)
+    assert run.failed and "derailed" in run.ended
 
 
 def test_a_stepped_car_that_leaves_the_rail_says_so_once():
-    car = SteppedCar("T3", 77.8)
+    car = SteppedCar("T3", 77.8, load_vehicle(**{"contact.profile": "cone"}))  # no flange holds it
     car.step([300, -300, 300, -300], exchanges=100)
     assert car.left_rail == ""
-    with pytest.warns(UserWarning, match=r"gear left the rail, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as said:
+    with pytest.warns(UserWarning, match=r"gear derailed, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as said:
         car.step(exchanges=400)
     assert [str(warning.message) for warning in said] == [car.left_rail] and said[0].filename == __file__
     with warnings.catch_warnings():

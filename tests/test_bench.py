@@ -63,7 +63,7 @@ def test_real_time_iteration_meets_the_bounds(problem_set):
 @pytest.fixture(scope="module")
 def short():
     """Two problems with a short horizon in the paper's discretisation, and the same with bounds that act."""
-    vehicle, settings = load_vehicle(), MPCSettings(r=1e-11, steps=5, discretisation="euler")
+    vehicle, settings = load_vehicle(), MPCSettings(r=1e-9, steps=5, discretisation="euler")
     plain = speed.record("curve_entry_T3", settings, vehicle, 2)
     return vehicle, [plain, speed.tightened(plain)]
 

@@ -26,11 +26,11 @@ def test_every_choice_names_known_statements_and_a_source():
 
 def test_the_uncalibrated_car_is_the_nominal_one_on_s1002_with_the_sets_of_paper():
     setup = calibrated.uncalibrated()
-    assert setup.profile == "s1002" and not setup.vehicle and setup.r_loss == setup.r_brake == 1
+    assert setup.car().contact.profile == "s1002" and not setup.vehicle and setup.r_loss == setup.r_brake == 1
     assert setup.parameters == {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
     nominal = {name: choice.nominal for name, choice in CHOICES.items() if name not in ("ltv_mpc_printed.r",)}
     as_given = calibrated.setup(nominal)
-    assert replace(as_given, vehicle={}, brake_sweep={}) == setup
+    assert replace(as_given, profile="", vehicle={}, brake_sweep={}) == setup
     assert as_given.car() == setup.car() and as_given.braking() == setup.braking()
 
 

@@ -58,7 +58,7 @@ def rolling():
 @pytest.fixture(scope="module")
 def sliding():
     """Linear model of the car without friction on wheels that are all but cylinders: rails carry, but do not guide."""
-    car = SteppedCar("T5", 50.0, load_vehicle(**{"wheel.cone_angle": 1e-6}))
+    car = SteppedCar("T5", 50.0, load_vehicle(**{"contact.profile": "cone", "wheel.cone_angle": 1e-6}))
     for i, name in enumerate(equations.PARAMETERS):
         if name.endswith(".mu0"):
             car.parameters[i] = 1e-12

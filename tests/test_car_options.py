@@ -20,6 +20,7 @@ from railrepro.track.rough import rough_track
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
+CONE = {"contact.profile": "cone"}
 TWO_STAGE = {"primary.two_stage": True}
 STIFF = {f"primary.{name}": 1e9 for name in ("k_x", "k_y", "k_z", "pitch_stiffness")}
 
@@ -130,10 +131,11 @@ def test_energy_of_braking_in_a_curve_with_either_pitch_rods(share):
 
 def test_axle_damping_makes_a_wheelset():
     """On cones it runs in Klingel's wave, 2 pi sqrt(b r / (2 delta)) long; independent wheels stay where they are."""
-    vehicle = load_vehicle(**{"gear.axle_damping": 1e6, "suspension.k_x": 1e3})
+    vehicle = load_vehicle(**CONE, **{"gear.axle_damping": 1e6, "suspension.k_x": 1e3})
     wave = 2 * np.pi * np.sqrt(vehicle.gear.contact_base * vehicle.wheel.radius / (2 * vehicle.wheel.cone_angle))
     ways = {}
-    for name, car in (("wheelset", SteppedCar("T5", 5.0, vehicle)), ("free", SteppedCar("T5", 5.0))):
+    for name, own in (("wheelset", vehicle), ("free", load_vehicle(**CONE))):
+        car = SteppedCar("T5", 5.0, own)
         car.state[equations.indices("front.y")] = 2e-3
         while car.outputs["front.y"] > 0 and car.outputs["front.p"] < wave:
             car.step(exchanges=10)
@@ -144,7 +146,7 @@ def test_axle_damping_makes_a_wheelset():
 
 def test_wider_gauge_sinks_cones_and_slows_them_less():
     """Rails 4 mm wider apart touch cones 2 mm further out, where these are smaller: radius less by 2 mm tan(delta)."""
-    vehicle = load_vehicle()
+    vehicle = load_vehicle(**CONE)
     plain, wide = (SteppedCar(lay(gauge=gauge), 20.0, vehicle) for gauge in (0.0, 4e-3))
     for car in (plain, wide):
         car.step(exchanges=8000)
@@ -188,14 +190,14 @@ def test_profiles_change_along_the_track():
 
 def test_a_scenario_names_the_second_profile():
     base = load_scenario("curve_entry_T3").but(end_m=60)
-    changed = base.but(second_profile="s1002", second_profile_share=[[20, 0], [30, 1]])
+    changed = base.but(second_profile="cone", second_profile_share=[[20, 0], [30, 1]])
     angles = [
         simulate.run(scenario, NDI()).series["front_ri.angle"].iloc[[100, -1]].to_numpy()
         for scenario in (base, changed)
     ]
     assert angles[0][0] == angles[1][0] and abs(angles[0][1] - angles[1][1]) > 1e-3
     with pytest.raises(InputError, match="second_profile and second_profile_share"):
-        base.but(second_profile="s1002")
+        base.but(second_profile="cone")
 
 
 def test_tables_of_different_grids_are_refused():

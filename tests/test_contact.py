@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from rolling import Rolling
 
-from railrepro.contact import normal, profiles
+from railrepro.contact import creep, normal, profiles
 from railrepro.contact.table import (
     CELL_COLUMNS,
     ContactTable,
     cone_patch,
     contact_table,
-    equivalent_conicity,
     in_cell,
-    rigid_contact,
+    middle_patch,
     section,
 )
+from railrepro.evidence.bench.contact import equivalent_conicity, rigid_contact
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -104,6 +104,7 @@ def test_cone_stands_on_the_crown_of_the_rail():
     a, b, coefficients = cone_patch(vehicle)
     assert [1e3 * a, 1e3 * b] == pytest.approx([6.635, 4.990], abs=2e-3)
     assert coefficients == pytest.approx((4.55, 4.14, 1.86), abs=0.01)
+    assert middle_patch(load_vehicle(**{"contact.profile": "cone"})) == (a, b, coefficients)
     wider, _, _ = cone_patch(load_vehicle(**{"wheel.radius": 0.5}))
     assert wider > a
     modulus = normal.contact_modulus(vehicle.contact.young, vehicle.contact.poisson)
@@ -145,9 +146,8 @@ def test_elastic_profiles_meet_published_values_at_80_kn():
     assert 1e3 * (right - left) == pytest.approx(0.39, abs=0.02)
 
 
-@pytest.mark.parametrize("shift", [-2e-3, -1e-3, -2.5e-4, 0.0, 2.5e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3])
-def test_rolling_radius_makes_no_longitudinal_force(shift):
-    """Half spaces in steady rolling on the real profiles: to 10 micrometres; radii there change by 1.2 mm."""
+def rolled(shift):
+    """The patch, and creep forces of half spaces on the real profiles over the radius of free rolling less nominal."""
     cut, radius, modulus = section(shift), 0.46, normal.contact_modulus(2.1e11, 0.28)
     patch = elastic(shift)
     cos, gap = np.cos(np.arctan(patch.slope)), (cut.height - cut.rail_depth).max() - cut.height + cut.rail_depth
@@ -160,9 +160,30 @@ def test_rolling_radius_makes_no_longitudinal_force(shift):
     x, y = (grid[touching] for grid in np.meshgrid(x, y, indexing="ij"))
     height, slope = (np.interp(y, cut.position, values) for values in (cut.height, cut.slope))
     cells, bound = Rolling(x, (y - patch.position) / cos, sides), 0.4 * pressure[touching]
+    return patch, lambda free: cells.load(bound, (free - height) / (radius + free), 0.0, -slope / radius)
+
+
+@pytest.mark.parametrize("shift", [-2e-3, -1e-3, -2.5e-4, 0.0, 2.5e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3])
+def test_rolling_radius_makes_no_longitudinal_force(shift):
+    """Half spaces in steady rolling on the real profiles: to 10 micrometres; radii there change by 1.2 mm."""
+    patch, load = rolled(shift)
     trials = patch.height + np.array([3e-5, -3e-5])
-    forces = [cells.load(bound, (free - height) / (radius + free), 0.0, -slope / radius)[0] for free in trials]
+    forces = [load(free)[0] for free in trials]
     assert patch.height == pytest.approx(np.interp(0.0, forces, trials), abs=1e-5)
+
+
+@pytest.mark.parametrize(("shift", "pushed"), [(1e-3, 0.85), (2e-3, 0.95), (3e-3, 1.0)])
+def test_spin_forces_of_a_gear_beside_the_middle_against_half_spaces(shift, pushed):
+    """The spin of both wheels pushes the gear on, too weakly where one ellipse stands for a patch of two lobes."""
+    half_spaces, ours = 0.0, 0.0
+    for side in (1, -1):
+        patch, load = rolled(side * shift)
+        a, b = patch.semi_axis_x, patch.semi_axis_y
+        spin = -np.sin(np.arctan(patch.slope)) / (0.46 + patch.height)
+        law = (8e4, a, b, *creep.kalker_coefficients(a / b), 8.2e10, 1.0, 1.0, 0.4, 1.0, 0.0, 0.0)
+        ours += side * float(creep.polach(0.0, 0.0, spin, *law)[1])
+        half_spaces += side * load(patch.height)[1]
+    assert ours / half_spaces == pytest.approx(pushed, abs=0.03)
 
 
 def test_half_space_agrees_with_hertz():

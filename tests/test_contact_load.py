@@ -9,7 +9,8 @@ from railrepro.contact import normal
 from railrepro.contact.table import cone_patch
 from railrepro.vehicle.parameters import load_vehicle
 
-VEHICLE = load_vehicle(**{"wheel.cone_angle": 1e-6})  # no spin, so each creepage makes its own force only
+# No spin, so each creepage makes its own force only.
+VEHICLE = load_vehicle(**{"contact.profile": "cone", "wheel.cone_angle": 1e-6})
 DRY = VEHICLE.adhesion["dry"]
 SPEED, CREEPAGE = 50.0, 2e-6
 

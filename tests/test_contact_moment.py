@@ -53,7 +53,8 @@ def test_sliding_takes_the_moment_away():
 
 def test_moment_turns_the_carrier():
     """A gear that drifts sideways on cones without cone angle: only the moments of its wheels turn it."""
-    vehicle = load_vehicle(**{"wheel.cone_angle": 1e-6, "adhesion.dry.b_decay": 0.0})
+    own = {"contact.profile": "cone", "wheel.cone_angle": 1e-6, "adhesion.dry.b_decay": 0.0}
+    vehicle = load_vehicle(**own)
     car = SteppedCar("T5", 50.0, vehicle)
     drift = 1e-5 * 50.0
     for name in ("front.vy", "rear.vy", "body.vy"):

@@ -7,11 +7,10 @@ import pytest
 from railrepro.control import lateral, law
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS, EstimateSettings
-from railrepro.errors import InputError
 from railrepro.track.route import CELL, COLUMNS, INDEX
 from railrepro.vehicle.parameters import load_vehicle
 
-LIMITS = {"lateral": 0.03, "track_end": 900.0, "stop_speed": 0.1}
+LIMITS = {"lateral_limit": 0.03, "track_end": 900.0, "stop_speed": 0.1}
 SEEN = (*lateral.GEAR, *lateral.ROAD, *lateral.MODEL)
 SPEED, PLACES = 40.0, {"front": 30.2, "rear": 16.3}
 WHEELS = tuple(f"{gear}_{side}" for gear in GEARS for side in law.SIDES)
@@ -34,7 +33,7 @@ class Probe:
         return seen, {"calls": memory["calls"] + 1}
 
 
-FUNCTION = law.function(lateral.kind(Probe()))
+FUNCTION = law.function(law.LawKind(lateral.kind(Probe())))
 
 
 def cells():
@@ -55,11 +54,12 @@ def measured(**values):
 
 def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, estimate=None, guidance=None, **options):
     """Command by wheel, memory, record and margins by name."""
-    control = law.control_law(load_vehicle(), guidance or Probe(), adhesion, estimate, **LIMITS, **options)
-    before = dict.fromkeys(control.memory, 0.0) | (memory or {})
+    settings = law.LawSettings(adhesion, estimate, **options)
+    control = law.control_law(load_vehicle(), guidance or Probe(), settings, **LIMITS)
+    before = dict.fromkeys(control.kind.memory, 0.0) | (memory or {})
     inputs = [y[name] for name in law.MEASURED], cells() if rows is None else rows, held, control.gains
-    found = FUNCTION(*inputs, [before[name] for name in control.memory])
-    names = (WHEELS, control.memory, law.RECORD, law.MARGINS)
+    found = FUNCTION(*inputs, [before[name] for name in control.kind.memory])
+    names = (WHEELS, control.kind.memory, law.RECORD, law.MARGINS)
     return tuple(dict(zip(group, np.array(v).ravel(), strict=True)) for group, v in zip(names, found, strict=True))
 
 
@@ -224,14 +224,9 @@ def test_noise_is_added_before_the_lag():
     assert slow[0] == pytest.approx(noisy[0] / 4)
 
 
-def test_limits_must_all_be_given():
-    with pytest.raises(InputError, match=r"the limits \['lateral'\] are given, \[.*\] are needed"):
-        law.control_law(load_vehicle(), lateral=0.03)
-
-
 def test_guidance_and_estimates_default_to_a_held_torque_and_the_exact_values():
     control = law.control_law(load_vehicle(), **LIMITS)
-    assert control.kind == lateral.kind(lateral.Held())
-    gains = dict(zip(law.gain_names(control.kind), control.gains, strict=True))
+    assert control.kind == law.LawKind(lateral.kind(lateral.Held()))
+    gains = dict(zip(control.kind.gains, control.gains, strict=True))
     assert not any(value for name, value in gains.items() if name.startswith("estimate."))
     assert gains["nominal_load"] == pytest.approx(78_480.0)

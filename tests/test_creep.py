@@ -11,6 +11,7 @@ from rolling import rolling
 from railrepro.contact import creep
 from railrepro.contact.table import CELL_COLUMNS, cone_patch, contact_table, in_cell
 from railrepro.errors import InputError
+from railrepro.evidence.bench.contact import fastsim
 from railrepro.vehicle.parameters import load_vehicle
 
 A, B = 6.28e-3, 7.02e-3  # the ellipse of the published peaks
@@ -109,7 +110,7 @@ def test_creepage_never_drives_the_contact():
 
 def test_agrees_with_fastsim_at_the_spin_of_the_cone():
     for nu_x, nu_y in ((1e-3, 0.0), (0.0, 1e-3), (2e-3, 1e-3)):
-        other = np.array(creep.fastsim(nu_x, nu_y, 0.06, LOAD, A, B, 0.4, KALKER, SHEAR))
+        other = np.array(fastsim(nu_x, nu_y, 0.06, LOAD, A, B, 0.4, KALKER, SHEAR))
         assert np.linalg.norm(force(nu_x, nu_y, 0.06) - other) < 0.08 * 0.4 * LOAD
 
 
@@ -118,12 +119,12 @@ def test_fastsim_of_small_mixed_creepages_follows_kalker(creepage):
     f11, f22, f23 = SHEAR * A * B * np.array([KALKER[0], KALKER[1], KALKER[2] * np.sqrt(A * B)])
     nu_x, nu_y, spin = creepage
     expected = np.array([-f11 * nu_x, -f22 * nu_y - f23 * spin])
-    found = np.array(creep.fastsim(*creepage, LOAD, A, B, 0.4, KALKER, SHEAR, (60, 61)))
+    found = np.array(fastsim(*creepage, LOAD, A, B, 0.4, KALKER, SHEAR, (60, 61)))
     assert found == pytest.approx(expected, rel=2e-3, abs=1e-3 * np.abs(expected).max())
 
 
 def test_fastsim_slides_against_the_creepage():
-    along, across = creep.fastsim(0.05, 0.02, 0.0, LOAD, 2 * A, B, 0.4, creep.kalker_coefficients(2 * A / B), SHEAR)
+    along, across = fastsim(0.05, 0.02, 0.0, LOAD, 2 * A, B, 0.4, creep.kalker_coefficients(2 * A / B), SHEAR)
     assert np.hypot(along, across) == pytest.approx(0.4 * LOAD, rel=2e-3)
     assert across / along == pytest.approx(0.4, rel=5e-3)
 

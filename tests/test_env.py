@@ -9,11 +9,13 @@ from railrepro.errors import InputError
 from railrepro.model.control_model import STATES
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra `learn` is installed by `make test-extras`")
 NAME = "railrepro.evidence.env.guidance:railrepro/Guidance-v0"
 from railrepro.evidence.env import guidance, learn  # noqa: E402
 
+CONE = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
 SHORT = load_scenario("curve_entry_T3").but(end_m=160.0)
 
 
@@ -59,6 +61,7 @@ def test_an_inversion_follows_and_random_torques_leave_the_rail():
     env.action_space.seed(1)
     good, steps, ended = driven(env, inversion, seed=1)
     assert ended == [False, True] and steps == pytest.approx(160 / (280 / 3.6) / 0.005, abs=2)
+    env.unwrapped.vehicle = CONE
     full, _, ended = driven(env, lambda env: np.ones(2, np.float32), seed=1)
     assert ended == [True, False] and full < good < 0
     driven(env, lambda _: env.action_space.sample(), seed=1)
@@ -67,6 +70,7 @@ def test_an_inversion_follows_and_random_torques_leave_the_rail():
 def test_no_early_end_is_better_than_any_way_on():
     """The step that derails costs all that the rest of the episode could: the worst return is that of derailing."""
     env = made().unwrapped
+    env.vehicle = CONE
     worst = -guidance.WORST * env.duration
     weak = driven(made(), lambda env: 0.1 * inversion(env, pole=5.0), seed=1)[0]
     for torque in (np.ones(2), -np.ones(2), np.array([1.0, -1.0]), np.array([0.05, 0.05])):

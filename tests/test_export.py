@@ -11,6 +11,7 @@ from railrepro.car.fmu import export_fmu
 from railrepro.compile import codegen
 from railrepro.control import law
 from railrepro.control.export import TORQUES, Export
+from railrepro.control.law import LawSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
@@ -90,7 +91,7 @@ def driven(source, folder, series):
 def test_the_c_behind_sensors_gives_the_torques_of_a_run_and_needs_nothing(name, tmp_path):
     seen = readings(seed=3)
     series = simulate.run(SCENARIO, GUIDANCE[name], sensors=seen).series
-    source = Export(GUIDANCE[name], SCENARIO.route(), settings=(None, None, 0.0, seen)).source()
+    source = Export(GUIDANCE[name], SCENARIO.route(), settings=LawSettings(sensors=seen)).source()
     torques, wanted = driven(source, tmp_path, series)
     du = (torques[:, 0] - torques[:, 1]) / 2
     late = round(seen.loop.latency.command / 1e-3)

@@ -8,11 +8,11 @@ from scipy.interpolate import CubicSpline
 from spoiling import set_cell
 
 from railrepro.errors import InputError
+from railrepro.evidence.runs.preview import known, planned_line
+from railrepro.evidence.runs.ride import D2, band_standard_deviation
 from railrepro.track import defects
 from railrepro.track.irregularity import (
     CHANNELS,
-    D2,
-    band_standard_deviation,
     faded,
     irregularities,
     irregularity_spectrum,
@@ -21,7 +21,6 @@ from railrepro.track.irregularity import (
     track_quality,
 )
 from railrepro.track.measured import read_irregularities
-from railrepro.track.preview import known, planned_line
 
 COLUMNS = ["p_m", *CHANNELS.values()]
 

@@ -59,12 +59,16 @@ def files() -> list[Path]:
 
 def prose(file: Path) -> str:
     """Text without code: of a notebook its Markdown, of a module docstrings, messages and comments."""
-    if file.suffix == ".ipynb":
-        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
-        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
-    else:
-        text = "\n".join(_strings(file)) if file.suffix == ".py" else file.read_text(encoding="utf-8")
+    text = "\n".join(_strings(file)) if file.suffix == ".py" else markdown(file)
     return re.sub(r"\s+", " ", _CODE.sub(" ", text))
+
+
+def markdown(file: Path) -> str:
+    """Text of a page or, of a notebook, its Markdown."""
+    if file.suffix != ".ipynb":
+        return file.read_text(encoding="utf-8")
+    cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+    return "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
 
 
 def _strings(file: Path) -> Iterator[str]:
@@ -97,6 +101,12 @@ def test_words_that_went_do_not_come_back(file):
     allowed = json.loads(ALLOWED.read_text()).get(file.relative_to(paths.ROOT).as_posix(), 0)
     there = found(file)
     assert len(there) <= allowed, f"{there}; what comes in their place: tests/test_language.py"
+
+
+@pytest.mark.parametrize("file", [f for f in files() if f.suffix in (".md", ".ipynb")], ids=lambda file: file.stem)
+def test_headings_ask_no_question(file):
+    text = re.sub(r"^```.*?^```", "", markdown(file), flags=re.MULTILINE | re.DOTALL)
+    assert [line for line in text.splitlines() if re.match(r"#+ .*\?$", line)] == []
 
 
 def test_the_allowance_only_falls():

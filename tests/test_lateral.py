@@ -183,8 +183,9 @@ def test_the_inversion_inverts_the_control_model(speed, base_torque, tolerance):
     extra = {name: lateral_quantity(size) for name, size in (("ddpsi_dp", 1e-5), ("y_ref", 3e-3), ("dy_ref", 1e-4))}
     extra |= {"ddy_ref": lateral_quantity(1e-5), "dddy_ref": lateral_quantity(1e-6)}
 
-    control = law.control_law(vehicle, NDI(derivatives=3, integral=0.2), lateral=1.0, track_end=1.0, stop_speed=0.0)
-    numbers = dict(zip(law.gain_names(control.kind), control.gains.tolist(), strict=True))
+    limits = {"lateral_limit": 1.0, "track_end": 1.0, "stop_speed": 0.0}
+    control = law.control_law(vehicle, NDI(derivatives=3, integral=0.2), **limits)
+    numbers = dict(zip(control.kind.gains, control.gains.tolist(), strict=True))
     gain, model = ({name.partition(".")[2]: value for name, value in numbers.items() if name.startswith(f"{group}.")}
                    for group in ("lateral", "model"))  # fmt: skip
     gear = x | {"xddot": 2 * base_torque / (model["r_0"] * model["m_x_eff"]), "held": 0.0}

@@ -1,13 +1,14 @@
 """The table of the closed loop: its rows, its means, and the walks and limits beside them."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from railrepro.control import limit as bound
 from railrepro.control.registry import OURS
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor
+from railrepro.evidence.uncertainty import limit as bound
 from railrepro.evidence.uncertainty import loop
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -33,6 +34,20 @@ def test_means_are_over_the_seeds(monkeypatch):
     assert table["error_mm"].item() == pytest.approx(np.mean(errors)) and table["seeds"].item() == 2
     assert table["spread_mm"].item() == pytest.approx(np.std(errors, ddof=1)) and errors[0] != errors[1]
     assert table["failed"].item() == 0
+
+
+def test_rows_that_are_not_led_stand_first_and_who_leaves_the_rail_does_not_lead():
+    cases = {"led": (0, 0.1), "close": (0, 0.21), "led not": (0, 0.3), "lost": (1, 0.1)}
+    rows = [("loop", case, OURS, *found, 0.02, 0.05) for case, found in cases.items()]
+    rows += [("loop", case, name, 0, error, 0.02, 0.05) for case in cases for name, error in (("a", 0.2), ("b", 0.4))]
+    rows.append(("loop", "led", "c", 3, 0.01, 0.02, 0.05))
+    names = ["kind", "case", "controller", "failed", "error_mm", "spread_mm", "limit_mm"]
+    stood = loop.standing(pd.DataFrame(rows, columns=names))
+    assert stood["standing"].droplevel("kind").to_dict() == {
+        "led not": "behind", "lost": "behind", "close": "tied", "led": "ahead"
+    }  # fmt: skip
+    assert stood.index.get_level_values("case").tolist() == ["led not", "lost", "close", "led"]
+    assert (stood["other"] == "a").all() and stood["over_limit"].iloc[0] == pytest.approx(6.0)
 
 
 def test_walks_are_those_of_perfect_runs_and_bound_the_loop_from_below():

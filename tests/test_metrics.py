@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from railrepro.contact.creep import adhesion_maximum
-from railrepro.contact.table import cone_patch
+from railrepro.contact.table import middle_patch
 from railrepro.simulation import metrics
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -133,7 +133,7 @@ def test_mean_error_of_the_last_third():
 def peak(vehicle, name, speed):
     """Largest adhesion of an adhesion set at nominal load."""
     load = (26000.0 / 2 + 3000.0) * 9.81 / 2
-    return adhesion_maximum(vehicle.adhesion[name], speed, load, *cone_patch(vehicle), 8.2e10)[0]
+    return adhesion_maximum(vehicle.adhesion[name], speed, load, *middle_patch(vehicle), 8.2e10)[0]
 
 
 def test_adhesion_limit_is_the_peak_of_the_creep_law_between_the_sets():

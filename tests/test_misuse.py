@@ -22,12 +22,13 @@ import pandas as pd
 import pytest
 
 from railrepro import __main__ as command
-from railrepro import files, parent_death, paths, schema
+from railrepro import parent_death, paths, schema
 from railrepro.compile import cache
 from railrepro.contact import points, profiles
 from railrepro.contact import table as contact
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import load_loop
+from railrepro.evidence.chain import verify
 from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import Scenario, Sine, Sweep, load_scenarios
 from railrepro.track import irregularity, rough
@@ -193,11 +194,11 @@ def test_only_a_folder_of_its_own_is_emptied(tmp_path):
     (tmp_path / "link").symlink_to(mine)
     for folder in (mine, tmp_path / "link", mine / "chapter.tex"):
         with pytest.raises(InputError, match="is needed|no run of railrepro wrote"):
-            files.emptied(folder)
+            verify.emptied(folder)
     assert (mine / "chapter.tex").read_text() == "years of work"
     for _ in range(2):
-        files.emptied(made)
-        assert [file.name for file in made.iterdir()] == [files.MARK]
+        verify.emptied(made)
+        assert [file.name for file in made.iterdir()] == [verify.MARK]
         (made / "old.csv").touch()
 
 

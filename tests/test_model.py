@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from railrepro.errors import InputError
-from railrepro.evidence.bench import multipliers
+from railrepro.evidence.bench import linearised, multipliers
 from railrepro.model import derivation
 from railrepro.model.control_model import control_model, discretise, kept_as_printed
 from railrepro.vehicle.parameters import load_vehicle
@@ -113,7 +113,7 @@ def test_power_of_the_torques_becomes_energy_and_dissipation(vehicle):
 def test_spurious_yaw_stiffness_of_the_printed_substitution(vehicle):
     numbers = dict(zip(derivation.parameters, control_model().parameter_vector(vehicle), strict=True))
     speed = {"v": 280 / 3.6, derivation.m_CB: vehicle.body.mass}
-    straight, printed = (derivation.linearised_yaw_equation(frozenset(kept))["psi"] for kept in ((), ("D1",)))
+    straight, printed = (linearised.yaw_equation(frozenset(kept))["psi"] for kept in ((), ("D1",)))
     assert float(straight.subs(numbers).subs(speed)) < 0
     assert float(printed.subs(numbers).subs(speed)) > 10e6
 

@@ -25,9 +25,9 @@ def vehicle():
     return load_vehicle()
 
 
-def drive(loop, name="curve_entry_T3", seed=1, law=MODERATE, **changes):
+def drive(loop, name="curve_entry_T3", seed=1, law=MODERATE, vehicle=None, **changes):
     sensors = None if loop is None else Readings(loop, seed)
-    return simulate.run(load_scenario(name).but(**changes), law, sensors=sensors)
+    return simulate.run(load_scenario(name).but(**changes), law, vehicle=vehicle, sensors=sensors)
 
 
 def test_gains_are_those_that_are_named(vehicle):
@@ -88,22 +88,23 @@ def test_force_of_a_wheel_is_found_from_torque_and_speed():
 
 
 def test_the_loop_with_perfect_sensors_only_adds_what_the_filter_knows():
-    """On the straight there is no creep to tell: with and without filter the car follows alike."""
-    errors = [metrics.rmse(drive(loop, "sine_tracking", speed_kmh=160, end_m=400).series) for loop in (None, QUIET)]
+    """On the straight there is no creep to tell on cones: with and without filter the car follows alike."""
+    sine, cones = {"speed_kmh": 160, "end_m": 400}, load_vehicle(**{"contact.profile": "cone"})
+    errors = [metrics.rmse(drive(loop, "sine_tracking", vehicle=cones, **sine).series) for loop in (None, QUIET)]
     assert errors[1] == pytest.approx(errors[0], rel=0.3)
 
 
 def test_noise_and_latency_leave_a_moderate_law_on_the_rail():
     run = drive(load_loop())
     assert not run.failed
-    assert metrics.rmse(run.series) < 0.6e-3
+    assert metrics.rmse(run.series) < 0.8e-3
     assert metrics.effort(run.series) > 2 * metrics.effort(drive(QUIET).series)
 
 
 def test_prediction_pays(monkeypatch):
     """Without prediction over the latency a fast law oscillates."""
     late = load_loop(**{"latency.measurement": 5e-3, "latency.command": 4e-3})
-    fast = NDI(pole=70.0, frequency=60.0, damping=0.6, derivatives=3)
+    fast = NDI(pole=40.0, frequency=30.0, damping=0.6, derivatives=3)
     with_it = drive(late, "sine_tracking", law=fast, end_m=400)
     gains = observers.stationary_gains
     monkeypatch.setattr(observers, "stationary_gains", lambda v, loop: gains(v, loop) | {"prediction": 0.0})

@@ -39,7 +39,7 @@ def test_overrides_are_checked_like_the_file():
         ('value = 26000.0, unit = "kg"', 'value = 26.0, unit = "t"', "unit 't', 'kg' is needed"),
         ("\nmass = {", "\nmas = {", "unknown key body.mas"),
         ("[wheel]", "[wheels]", "unknown group"),
-        ('value = "cone"', 'value = "cylinder"', "contact.profile is 'cylinder'"),
+        ('value = "s1002"', 'value = "cylinder"', "contact.profile is 'cylinder'"),
         ("[body]", "[body", "cannot be read"),
     ],
 )

@@ -145,6 +145,6 @@ def test_a_probe_answers_statements():
 
 def test_a_failed_run_tells_only_that_it_failed():
     parameters = {"pole": 60.0, "frequency": 60.0, "damping": 0.05}
-    world = probe.ProbeSetup({"ndi": parameters}, vehicle={"drive.lag": 0.05})
+    world = probe.ProbeSetup({"ndi": parameters}, vehicle={"drive.lag": 0.05}, profile="cone")  # no flange holds it
     run = world.experiment(load_scenario("sine_tracking").but(end_m=200.0), "ndi").run()
     assert probe.lateral(run) == {"failed": 1.0}

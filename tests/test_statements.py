@@ -60,7 +60,7 @@ def _rows(columns, *values):
 
 def _tables():
     width, phi = 1.5, np.array([4.12, 6.44, 5.79, 4.69])
-    cases, known = ("T3, 280 km/h", "straight, 160 km/h"), (("as tuned", 1.0), ("S1002 profiles", 1.1))
+    cases, known = ("T3, 280 km/h", "straight, 160 km/h"), (("cones", 1.0), ("as tuned", 1.1))
     causes = [(case, cause, value, value) for case in cases for cause, value in known]
     problems = ("curve_entry_T3", "curve_entry_T3, bounds active", "sine_tracking")
     solvers = (("ipopt", 400.0), ("gauss_newton", 0.4), ("ltv_mpc", 0.1))
@@ -88,7 +88,7 @@ def _tables():
         ),
         "ride_metrics": _rows(
             "controller track car preview metric value",
-            *[("nmpc", "straight", "cone", *preview[:1], m, preview[1]) for m in ride for preview in previews],
+            *[("nmpc", "straight", "S1002", *preview[:1], m, preview[1]) for m in ride for preview in previews],
         ),
     }
 

@@ -30,7 +30,7 @@ LARGEST_TORQUE = 1e5
 LARGEST_SPEED = 125.0
 """Largest initial speed (m/s)."""
 DERAILED = 0.030
-"""Lateral displacement at which a gear has left the rail (m)."""
+"""Lateral displacement at which a gear derails (m)."""
 _LARGEST = 1e7
 """No state of a car that moves grows beyond this (SI)."""
 _PLACE = equations.INDEX["front.s"]
@@ -84,7 +84,7 @@ class SteppedCar:
     time : float
         Simulated time (s).
     left_rail, beyond_end : str
-        Which gear left the rail first, when and where, and that the front gear is beyond the end of the track, one
+        Which gear derailed first, when and where, and that the front gear is beyond the end of the track, one
         sentence each; empty before.
 
     Raises
@@ -115,7 +115,7 @@ class SteppedCar:
         self.model, self.left_rail, self.beyond_end = self._car.model, "", ""
 
     def step(self, torque=None, exchanges: int = 1, period: float = EXCHANGE_PERIOD) -> None:
-        """Advance by some exchanges with the torques held; a warning tells once when a gear leaves the rail.
+        """Advance by some exchanges with the torques held; a warning tells once when a gear derails.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class SteppedCar:
         for gear, y in zip(equations.GEARS, self.state[_LATERAL], strict=True):
             if abs(y) >= DERAILED:
                 self.left_rail = (
-                    f"{gear} gear left the rail, |y| = {1e3 * abs(y):.1f} mm at t = {self.time:.3f} s, "
+                    f"{gear} gear derailed, |y| = {1e3 * abs(y):.1f} mm at t = {self.time:.3f} s, "
                     f"p = {self.outputs[f'{gear}.p']:.1f} m"
                 )
                 warnings.warn(self.left_rail, stacklevel=3)

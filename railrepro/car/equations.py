@@ -156,14 +156,7 @@ class Car:
 def car(two_stage: bool = False) -> Car:
     """The equations of motion of the car as CasADi functions; derived once (about a second), then stored.
 
-    Parameters
-    ----------
-    two_stage : bool
-        With a frame on a primary suspension between each carrier and the car body.
-
-    Returns
-    -------
-    Car
+    With `two_stage` a frame stands on a primary suspension between each carrier and the car body.
     """
     return Car(**_derived(bool(two_stage)))
 
@@ -403,23 +396,10 @@ def _energies(elements: _Elements, inertias: dict, par: dict) -> list[ca.SX]:
 
 
 def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0.0) -> np.ndarray:
-    """State of steady rolling on straight level track with the front gear at `p`.
+    """State of steady rolling at a speed (m/s) on straight level track with the front gear at `p` (m), SI.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-    table : ContactTable
-        Wheel-rail contact of all four wheels.
-    speed : float
-        Running speed (m/s).
-    p : float
-        Track coordinate of the front gear (m).
-
-    Returns
-    -------
-    ndarray, shape (len(STATES),) or, with a two-stage suspension, (len(TWO_STAGE_STATES),)
-
-    Worn wheels stand on their rails: the gears sink and roll, the car body sinks and pitches.
+    All four wheels have the contact of the table. Worn wheels stand on their rails: the gears sink and roll, the car
+    body sinks and pitches. By `STATES` or, with a two-stage suspension, `TWO_STAGE_STATES`.
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """

@@ -53,6 +53,6 @@ static status_t advance(unit_t *u, casadi_int steps) {
     return report(u->host, STATUS_ERROR, "a state of the car left all bounds");
   car_measure(&u->car);
   if (!(fabs(u->y[FRONT_Y]) < DERAILED && fabs(u->y[REAR_Y]) < DERAILED) && !u->told)
-    return u->told = 1, report(u->host, STATUS_WARNING, "a gear left the rail, what follows means nothing");
+    return u->told = 1, report(u->host, STATUS_WARNING, "a gear derailed, what follows means nothing");
   return STATUS_OK;
 }

@@ -26,7 +26,7 @@ def export_fmu(
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
     communication step must be a whole number of ms; route, contact table and vehicle are built in. A torque that is no
-    number or beyond `LARGEST_TORQUE` is refused with status Error, a car that leaves the rail is told with Warning.
+    number or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
     The code runs on any processor of this kind, unless RAILREPRO_CFLAGS asks for more.
 
     Parameters
@@ -40,10 +40,6 @@ def export_fmu(
     vehicle : Vehicle, optional
     fmi : str
         Version of FMI, "2.0" or "3.0".
-
-    Returns
-    -------
-    Path
 
     Raises
     ------

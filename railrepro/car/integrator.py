@@ -54,21 +54,16 @@ def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]
 
     Parameters
     ----------
-    f : SX, shape (n, 1)
-        Right-hand side as an expression of `x`.
-    jacobian : SX, shape (n, n)
-        df/dx.
+    f, jacobian : SX, shapes (n, 1) and (n, n)
+        Right-hand side as an expression of the symbolic state `x`, and df/dx.
     x : SX, shape (n, 1)
-        Symbolic state.
     h : SX or float
         Step (s).
 
     Returns
     -------
-    x_next : SX, shape (n, 1)
-        State after the step, local error O(h^4).
-    error : SX, shape (n, 1)
-        Difference to the embedded method of order 2.
+    x_next, error : SX, shape (n, 1)
+        State after the step, local error O(h^4), and its difference to the embedded method of order 2.
 
     Source: Sandu et al. 1997 (Rodas3), scaled as in Hairer and Wanner, Solving ODEs II, sec. IV.7.
     """
@@ -89,18 +84,9 @@ def _others(f: ca.SX, x: ca.SX) -> list[ca.SX]:
 
 
 def factorise(matrix: ca.SX):
-    """Unpivoted sparse LU in minimum-degree order, unrolled; returns a solver for right-hand sides.
+    """Unpivoted sparse LU of an (n, n) matrix in minimum-degree order, unrolled: right-hand sides (n, 1) to solutions.
 
     Diagonal pivots suffice because the matrices are 2/h I - J with small h (diagonally dominant blocks).
-
-    Parameters
-    ----------
-    matrix : SX, shape (n, n)
-
-    Returns
-    -------
-    callable
-        Maps an SX right-hand side of shape (n, 1) to the solution.
 
     Source: Markowitz 1957 (order of the pivots).
     """

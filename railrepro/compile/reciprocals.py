@@ -12,17 +12,9 @@ import casadi as ca
 
 
 def share_reciprocals(function: ca.Function) -> ca.Function:
-    """The function with one reciprocal for each denominator that occurs more than once; equal up to rounding.
+    """The function of scalar operations (SX) with one reciprocal for each denominator that occurs more than once.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of scalar operations (SX).
-
-    Returns
-    -------
-    casadi.Function
-        With the same name, inputs and outputs.
+    Name, inputs and outputs stay; values are equal up to rounding.
     """
     arguments = [ca.SX.sym(name, function.sparsity_in(i)) for i, name in enumerate(function.name_in())]
     results = [ca.SX.zeros(function.sparsity_out(i)) for i in range(function.n_out())]

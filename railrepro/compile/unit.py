@@ -72,10 +72,6 @@ def write_unit(path: Path | str, unit: Unit, text: str, own: str, fmi: str = "2.
     fmi : str
         One of `VERSIONS`.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     InputError

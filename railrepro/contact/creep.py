@@ -1,4 +1,4 @@
-"""Creep forces between wheel and rail: Kalker's coefficients, Polach's law, and FASTSIM as a second method.
+"""Creep forces between wheel and rail: Kalker's coefficients, and Polach's law.
 
 Serves eq. (kalker) and Fig. 2 of the paper, which name no law. Polach brings the falling branch that the adhesion
 task needs; strong spin is the weak spot. Mean and largest error of the force over friction against half spaces in
@@ -57,18 +57,9 @@ _SPINNING = 1.8
 
 
 def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kalker's creep coefficients of an elliptic contact.
+    """Kalker's creep coefficients c11, c22, c23 (-) of an elliptic contact.
 
-    Parameters
-    ----------
-    ratio : array_like
-        Semi-axis ratio a/b (a along, b across the rail); clipped to 0.1 to 10.
-    poisson : float
-        Poisson's ratio, 0 to 0.5 (-).
-
-    Returns
-    -------
-    c11, c22, c23 : ndarray (-)
+    The semi-axis ratio a/b (a along, b across the rail) is clipped to 0.1 to 10, Poisson's ratio is 0 to 0.5.
 
     Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
     """
@@ -167,92 +158,12 @@ def elementary(*values):
 
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
-    """Largest longitudinal adhesion of pure traction and its slip.
+    """Largest longitudinal adhesion f_x of pure traction and its slip (-), both counted positive.
 
-    Parameters
-    ----------
-    adhesion : AdhesionSet
-    speed : float
-        Running speed (m/s).
-    load, a, b : float
-        Normal force (N), semi-axes (m).
-    coefficients : tuple
-        c11, c22, c23.
-    shear_modulus : float
-        G (Pa).
-
-    Returns
-    -------
-    maximum, slip : float
-        Adhesion f_x (-) and slip (-), both counted positive.
+    Speed in m/s, normal force in N, semi-axes in m, coefficients c11, c22, c23, shear modulus in Pa.
     """
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = astuple(adhesion)
     force, _ = polach(-slip, 0.0, 0.0, load, a, b, *coefficients, shear_modulus, *law, slip * speed)
     best = int(np.argmax(force))
     return float(force[best] / load), float(slip[best])
-
-
-def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus, cells=(40, 21)):
-    """Creep forces by Kalker's simplified theory, constant friction, many cases at once.
-
-    Each creepage has the flexibility of its own direction, so that small creepages of any mixture reproduce linear
-    theory. Strips run from the leading edge backwards; where the traction would exceed its parabolic bound it slides,
-    and slides against its own direction.
-
-    Parameters
-    ----------
-    nu_x, nu_y, spin, load, a, b, friction : array_like, broadcast to shape (n,)
-        As in `polach`, with a coefficient of friction (-).
-    coefficients : tuple of array_like
-        c11, c22, c23, each as the others.
-    shear_modulus : float
-        G (Pa).
-    cells : tuple of int
-        Elements along a strip and number of strips.
-
-    Returns
-    -------
-    F_x, F_y : ndarray, shape (n,)
-        Force on the wheel (N).
-
-    Source: Kalker 1982.
-    """
-    inputs = np.broadcast_arrays(nu_x, nu_y, spin, load, a, b, friction, *coefficients)
-    shape = inputs[0].shape
-    nu_x, nu_y, spin, load, a, b, friction, c11, c22, c23 = (np.reshape(v, (-1, 1)).astype(float) for v in inputs)
-    flexible_x, flexible_y = (8 * a / (3 * shear_modulus * c) for c in (c11, c22))
-    turning = spin * 4 * shear_modulus * c23 * np.sqrt(a * b) / (np.pi * a**2)
-    n_along, n_across = cells
-    eta = (np.arange(n_across) - (n_across - 1) / 2) / (n_across / 2)
-    half = a * np.sqrt(1 - eta**2)
-    step, width = 2 * half / n_along, 2 * b / n_across
-    p_x, p_y = np.zeros_like(half), np.zeros_like(half)
-    f_x, f_y = np.zeros(len(a)), np.zeros(len(a))
-    for k in range(n_along):
-        x = half - (k + 0.5) * step
-        advance = step if k else step / 2
-        p_x = p_x - advance * (nu_x / flexible_x - turning * eta * b)
-        p_y = p_y - advance * (nu_y / flexible_y + turning * (x + step / 2 if k else x + step / 4))
-        bound = 2 * friction * load / (np.pi * a * b) * np.maximum(1 - (x / a) ** 2 - eta**2, 0)
-        p_x, p_y = _slide(p_x, p_y, bound, flexible_x, flexible_y)
-        f_x += np.sum(p_x * step * width, axis=1)
-        f_y += np.sum(p_y * step * width, axis=1)
-    return f_x.reshape(shape), f_y.reshape(shape)
-
-
-def _slide(p_x, p_y, bound, flexible_x, flexible_y):
-    """Traction within its bound: what a sliding element gives up, times its flexibility, is along its traction.
-
-    So p_i = q_i / (1 + w/L_i) of the traction q before, with w from Newton's rule for 1/|p| = 1/bound, which is exact
-    for equal flexibilities.
-    """
-    size, bound = np.hypot(p_x, p_y), np.maximum(bound, 1e-9)
-    over = size > bound
-    weight = np.where(over, np.sqrt(flexible_x * flexible_y) * (size / bound - 1), 0.0)
-    for _ in range(3):
-        along, across = p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)
-        square = np.maximum(along**2 + across**2, 1e-300)
-        fall = np.maximum(along**2 / (flexible_x + weight) + across**2 / (flexible_y + weight), 1e-300)
-        weight = weight + np.where(over, (np.sqrt(square) - bound) * square / (bound * fall), 0.0)
-    return p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)

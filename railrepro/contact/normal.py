@@ -36,17 +36,13 @@ def hertz(curvature_x, curvature_y, load, modulus) -> tuple[np.ndarray, np.ndarr
     ----------
     curvature_x, curvature_y : array_like
         Sum of both bodies' curvatures along and across the rail (1/m), positive.
-    load : float
-        Normal force (N).
-    modulus : float
-        Contact modulus E* (Pa).
+    load, modulus : float
+        Normal force (N), contact modulus E* (Pa).
 
     Returns
     -------
-    a, b : ndarray
-        Semi-axes along and across the rail (m); the ratio is held within 0.1 to 10.
-    approach : ndarray
-        Approach of the bodies (m).
+    a, b, approach : ndarray
+        Semi-axes along and across the rail, their ratio held within 0.1 to 10, and approach of the bodies (m).
 
     Source: Johnson 1985, Contact Mechanics, section 4.2.
     """
@@ -100,16 +96,8 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     ----------
     position, height, slope, rail_depth : ndarray, shape (n,)
         Uniform lateral grid (m), wheel profile and its slope on it (m, -), depth of the rail (m).
-    radius : float
-        Nominal rolling radius (m).
-    load : float
-        Normal force (N).
-    modulus : float
-        Contact modulus E* (Pa).
-
-    Returns
-    -------
-    Patch
+    radius, load, modulus : float
+        Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
 
     Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4 (contact of half spaces).
     """

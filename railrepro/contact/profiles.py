@@ -60,17 +60,9 @@ _S1002 = (
 
 
 def s1002(lateral) -> tuple[np.ndarray, np.ndarray]:
-    """Wheel profile S1002.
+    """Wheel profile S1002: rolling radius less the nominal one (m) and its derivative (-), shape of `lateral`.
 
-    Parameters
-    ----------
-    lateral : array_like
-        Distance from the tape circle, positive to the field side, -0.07 to 0.06 (m).
-
-    Returns
-    -------
-    height, slope : ndarray, shape of `lateral`
-        Rolling radius less the nominal one (m) and its derivative (-).
+    `lateral` is the distance from the tape circle, positive to the field side, -0.07 to 0.06 (m).
 
     Source: EN 13715 (UIC 510-2), S1002 with 28 mm flange height and 32.5 mm flange thickness.
     """
@@ -99,16 +91,9 @@ def _head_arcs() -> list[tuple[float, float, float, float]]:
 
 
 def rail_head(lateral) -> np.ndarray:
-    """Depth of the 60E1 head below its crown, in the rail's own axes.
+    """Depth of the 60E1 head below its crown (m), in the rail's own axes, shape of `lateral`.
 
-    Parameters
-    ----------
-    lateral : array_like
-        Distance from the axis of symmetry, up to 0.036 on both sides (m).
-
-    Returns
-    -------
-    ndarray, shape of `lateral` (m)
+    `lateral` is the distance from the axis of symmetry, up to 0.036 on both sides (m).
 
     Source: EN 13674-1, radii 300, 80 and 13 mm; junctions fitted to measured points to 2 micrometres.
     """
@@ -121,11 +106,6 @@ def rail_head(lateral) -> np.ndarray:
 
 def inclined_rail(count: int = 20_001) -> tuple[np.ndarray, np.ndarray]:
     """Points of the right rail head as laid: inclined, gauge face at half the gauge.
-
-    Parameters
-    ----------
-    count : int
-        Number of points.
 
     Returns
     -------

@@ -7,7 +7,8 @@ contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
 
 A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
 the patch spans the jump. So geometry is averaged over the pressure of elastic half spaces at nominal load, which makes
-it continuous. The rolling radius is that at which the patch rolls without longitudinal force (`normal.Patch`).
+it continuous. The rolling radius is that at which the patch rolls without longitudinal force (`normal.Patch`). One
+ellipse for a patch of two lobes makes too little of spin: 15 % of the lateral force of a gear 1 mm beside the middle.
 
 Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
 """
@@ -19,7 +20,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import PchipInterpolator
 
 from railrepro import paths
 from railrepro.contact import normal, profiles
@@ -117,19 +118,12 @@ def on_one_grid(tables: tuple[ContactTable, ...]) -> tuple[ContactTable, ...]:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact at an offset from the start of a cell given by its columns (numbers, arrays or symbols).
+    """Contact at an offset (m) from the start of a cell given by its `CELL_COLUMNS` (numbers, arrays or symbols).
 
     A wheel that hits its flange leaves its cell by several widths within a stage of the integrator. Beyond the cell the
     effective radius goes on along its tangent, so that it stays the integral of its slope and the contact makes no
     energy, the rolling radius goes with it, as on a cone, and all else keeps its value, so that no ellipse grows a
     negative axis.
-
-    Parameters
-    ----------
-    cell : dict
-        Values of `CELL_COLUMNS`.
-    offset : float, ndarray or SX
-        Distance from the shift at the start of the cell (m).
 
     Returns
     -------
@@ -161,21 +155,10 @@ def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
 
 
 def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the cone at nominal load and its Kalker coefficients.
+    """Contact ellipse of the cone at nominal load: semi-axes a, b along and across the rail (m), (c11, c22, c23).
 
     A cone of 1:40 stands upright on a rail that is inclined 1:40 and touches its crown; its generating line is
     straight, so the crown alone curves the contact across the rail.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-
-    Returns
-    -------
-    a, b : float
-        Semi-axes along and across the rail (m).
-    coefficients : tuple of float
-        c11, c22, c23 (-).
 
     Source: Johnson 1985, Contact Mechanics, section 4.2.
     """
@@ -183,6 +166,14 @@ def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
     modulus = normal.contact_modulus(material.young, material.poisson)
     a, b, _ = normal.hertz(along, 1 / profiles.CROWN_RADIUS, material.nominal_load, modulus)
     return float(a), float(b), tuple(float(c) for c in kalker_coefficients(a / b))
+
+
+def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
+    """Contact ellipse of the car's own wheels in the middle of the track, as `cone_patch` gives that of the cone."""
+    frame = contact_table(vehicle.contact.profile, vehicle).frame
+    middle = frame.iloc[frame["shift_m"].abs().argmin()]
+    c11, c22, c23 = (float(middle[name]) for name in ("c11", "c22", "c23"))
+    return float(middle["semi_axis_x_m"]), float(middle["semi_axis_y_m"]), (c11, c22, c23)
 
 
 def _cone(vehicle: Vehicle) -> ContactTable:
@@ -240,29 +231,6 @@ def section(shift: float, step: float = _LATERAL_STEP, pair: Pair = STANDARD) ->
     position, depth = _rail(step, pair)
     height, slope = pair.wheel(position - profiles.TAPE_CIRCLE - shift)
     return Section(position, height, -slope, depth)
-
-
-def rigid_contact(shifts, radius: float) -> pd.DataFrame:
-    """Point contact of rigid S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
-
-    Parameters
-    ----------
-    shifts : array_like, shape (n,)
-        Shifts towards the flange (m).
-    radius : float
-        Nominal rolling radius (m).
-
-    Returns
-    -------
-    DataFrame
-        shift_m, position_m (from the track centre), tan_angle (-), rolling_radius_m.
-    """
-    rows = []
-    for shift in shifts:
-        cut = section(shift)
-        i = cut.first_contact
-        rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
-    return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
 
 
 @cache
@@ -323,43 +291,3 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
         "approach_m": approach,
     }
     return ContactTable(pair.name, pd.DataFrame(columns))
-
-
-def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> float:
-    """Conicity of the cone whose wheelset would run with the same wavelength.
-
-    The wheelset rolls as it moves to the side, because one wheel climbs and the other sinks. Its wheels, a radius below
-    the axle, then shift further than the axle does.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Of a `ContactTable`, covering both signs of the amplitude.
-    amplitude : float
-        Amplitude of the lateral motion of the axle (m).
-    base : float
-        Lateral distance of the contacts (m).
-
-    Returns
-    -------
-    float (-)
-
-    Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
-    """
-    shift = np.linspace(0.0, 1.5 * amplitude, 6001)
-    right, left = (
-        {
-            name: np.interp(side * shift, frame["shift_m"], frame[f"{name}_m"])
-            for name in ("effective_radius", "rolling_radius")
-        }
-        for side in (1, -1)
-    )
-    roll = (left["effective_radius"] - right["effective_radius"]) / base
-    lateral = shift + roll * left["effective_radius"][0]
-    y = np.linspace(0.0, amplitude, 4001)
-    difference = np.interp(y, lateral, right["rolling_radius"] - left["rolling_radius"])
-    potential = CubicSpline(y, difference).antiderivative()
-    phase = (np.arange(4000) + 0.5) * np.pi / 8000
-    speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(phase))))
-    quarter = np.mean(amplitude * np.cos(phase) / speed) * np.pi / 2
-    return float((np.pi / 2 / quarter) ** 2 / 2)

@@ -15,9 +15,9 @@ from typing import ClassVar
 import casadi as ca
 
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.schema import between, require
+from railrepro.schema import Quantity, between, require
 
-_RANGES = {
+_RANGES: dict[str, Quantity | type] = {
     **dict.fromkeys(("raise_step", "lower_step", "drop_step"), between(0.0, 1e9, "N m per ms")),
     "corridor": between(0.0, 1.0),
     "filter_time": between(0.0, 10.0, "s"),
@@ -25,8 +25,6 @@ _RANGES = {
     "noise_speed": between(0.0, 1e3, "m/s"),
     "active": bool,
 }
-
-
 SLOWEST = 1.0
 """Speed below which the dead zone grows no more (m/s)."""
 
@@ -71,7 +69,7 @@ class AdhesionSettings:
     memory: ClassVar[tuple[str, ...]] = ("u", "f_0", "f_1", "s_0", "s_1")
     """Names of the states of the law, see `base_torque`."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, allowed in _RANGES.items():
             require(f"AdhesionSettings: {name}", getattr(self, name), allowed)
 

@@ -15,6 +15,7 @@ Source: Anderson and Moore 1990, Optimal Control, ch. 2 and 4 (tracking, known d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import copysign, log
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -28,14 +29,18 @@ READ = ("y", "psi", "r")
 """States that are measured."""
 SPEEDS = np.geomspace(LEAST_SPEED, 125.0, 31)
 """Speeds at which gains are computed (m/s); in between they are interpolated over the logarithm."""
+_LOG_SPEEDS, _PLACES = np.log(SPEEDS), np.arange(len(SPEEDS))
 FAST = 400 / 3.6
 """Speed at which the weight of a change of torque is stated (m/s)."""
 ALERT = 4
 """Steps of alertness from quiet to awake, see `Schedule`."""
 _PRIOR = 1e-4
 """Slip that the ratio of adhesion and slip has anyway, so that it exists without traction (-)."""
-_TOLERANCE = 5e-4
-"""Slip beyond that of the linear range that a rolling wheel may show: by its radius, by the noise of the speed (-)."""
+_TOLERANCE, _SPEED_NOISE = 5e-4, 0.015
+"""Slip beyond that of the linear range that a rolling wheel may show by its radius (-), and the noise of low-passed
+sliding speeds, three standard deviations (m/s)."""
+_APART = 2e-3
+"""Slip against each other that rolling wheels may show (-): profiles off their middle, a yaw rate that is not known."""
 _SOFTNESS_STEP, _ADHESION_STEP = 0.15, 0.01
 """Steps of the logarithm of the secant stiffness and of the used adhesion (-), to which both are rounded."""
 _KNEE, _LEAST_SLOPE = 3e-3, 0.03
@@ -62,7 +67,7 @@ class CreepSettings:
     speed_power : float
         Power with which `change` grows over the speed where wheels roll; at `FAST` it is what it says (-).
     slip_factor : float
-        Factor on `change` where wheels slip, at all speeds (-).
+        Factor on `change` where wheels slip so much that they have no stiffness left, at all speeds (-).
     force_rate, moment_rate : float
         Random walks of the disturbances, standard deviation after one second (N, N m).
     quiet, quiet_change : float
@@ -93,7 +98,7 @@ class CreepSettings:
     r_noise: float = 1e-4
     r_drift: float = 1e-6
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         ranges = {"period": between(1e-3, 0.1, "s"), "preview": between(0.0, 5.0, "s")}
         ranges |= {"error": between(1e-3, 1e12, "1/m2"), "change": between(1e-9, 1e6, "1/(N m)2")}
         ranges |= {"speed_power": between(-5.0, 5.0), "slip_factor": between(1e-6, 1e6)}
@@ -187,8 +192,7 @@ class Schedule:
 
     def __init__(self, vehicle: Vehicle, settings: CreepSettings, creep: Creep, delay: float = 0.0):
         self._vehicle, self._settings, self._creep, self._delay = vehicle, settings, creep, delay
-        self._load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-        self._nodes: dict[tuple[int, int, int, int], Gains] = {}
+        self._nodes: dict[tuple[int, ...], Gains] = {}
 
     def around(self, speed: float, adhesion: float, slip: float, alert: int = ALERT) -> tuple[Gains, Gains, float]:
         """Gains at the speeds below and above a speed (m/s), and the share of the latter.
@@ -196,39 +200,47 @@ class Schedule:
         Parameters
         ----------
         speed : float
-        adhesion, slip : float
-            Used adhesion and slip, traction positive (-).
+        adhesion, slip : float or ndarray
+            Used adhesion and slip of all wheels or each, traction positive (-). Wheels that slip in opposite directions
+            are as soft as if both did in one.
         alert : int
             Alertness, 0 to `ALERT`; wheels that slip keep the filter awake.
         """
-        place = float(np.interp(np.log(max(speed, SPEEDS[0])), np.log(SPEEDS), np.arange(len(SPEEDS))))
+        place = float(np.interp(np.log(max(speed, SPEEDS[0])), _LOG_SPEEDS, _PLACES))
         node = min(int(place), len(SPEEDS) - 2)
-        linear = self._load * abs(adhesion) / self._creep.across + _PRIOR
-        beyond = max(abs(slip) - linear - _TOLERANCE, 0.0)
-        level = round(np.log(linear / (linear + beyond)) / _SOFTNESS_STEP)
-        used = round(adhesion / _ADHESION_STEP)
-        key = level, used, alert if level == 0 else ALERT
+        wheels, slips = np.atleast_1d(adhesion).tolist(), np.atleast_1d(slip).tolist()
+        linear = [self._vehicle.wheel_load * abs(one) / self._creep.across + _PRIOR for one in wheels]
+        middle = sum(slips) / len(slips)
+        against = [copysign(max(abs(one - middle) - _APART, 0.0), one - middle) for one in slips]
+        unsure = _TOLERANCE + _SPEED_NOISE / max(speed, SPEEDS[0])
+        beyond = [max(abs(middle + b) - a - unsure, 0.0) for a, b in zip(linear, against, strict=True)]
+        softness = sum(a / (a + b) for a, b in zip(linear, beyond, strict=True)) / len(linear)
+        level = round(log(softness) / _SOFTNESS_STEP)
+        used = round(sum(wheels) / len(wheels) / _ADHESION_STEP)
+        each = round(sum(map(abs, wheels)) / len(wheels) / _ADHESION_STEP)
+        key = level, used, each, alert if level == 0 else ALERT
         return self._node(node, *key), self._node(node + 1, *key), place - node
 
-    def _node(self, node: int, level: int, used: int, alert: int) -> Gains:
-        key = node, level, used, alert
+    def _node(self, node: int, level: int, used: int, each: int, alert: int) -> Gains:
+        key = node, level, used, each, alert
         if key not in self._nodes:
             softness, adhesion = float(np.exp(_SOFTNESS_STEP * level)), _ADHESION_STEP * used
             across = softness * self._creep.across
-            slip = self._load * adhesion / across
+            slip = self._vehicle.wheel_load * _ADHESION_STEP * each / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
-            creep = Creep(along, across, adhesion)
-            settings = self._settings_at(float(SPEEDS[node]), level == 0, 1 - alert / ALERT)
+            creep = Creep(along, across, adhesion, self._creep.spin.times(softness))
+            settings = self._settings_at(float(SPEEDS[node]), softness, 1 - alert / ALERT)
             self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, settings, self._delay)
         return self._nodes[key]
 
-    def _settings_at(self, speed: float, rolling: bool, quiet: float) -> CreepSettings:
-        """Settings with the weight and the walks of a node; `quiet` is 1 minus the alertness."""
+    def _settings_at(self, speed: float, rolling: float, quiet: float) -> CreepSettings:
+        """Settings with the weight and the walks of a node.
+
+        `rolling` is 1 where wheels roll and falls to 0 as they soften, `quiet` is 1 minus the alertness.
+        """
         own = self._settings
-        walks = own.quiet**quiet
-        change = (
-            own.change * own.quiet_change**quiet * ((speed / FAST) ** own.speed_power if rolling else own.slip_factor)
-        )
+        walks, fast = own.quiet**quiet, (speed / FAST) ** own.speed_power
+        change = own.change * own.quiet_change**quiet * fast**rolling * own.slip_factor ** (1 - rolling)
         return replace(own, change=change, force_rate=walks * own.force_rate, moment_rate=walks * own.moment_rate)
 
 
@@ -287,8 +299,11 @@ def _tracking(model, last: np.ndarray, before: np.ndarray, late: Delay, settings
 
     row = np.empty((settings.steps + 1, size))
     row[0] = b[:, 0] / size_u
-    for k in range(settings.steps):
-        row[k + 1] = row[k] @ closed
+    done, power = 1, closed  # rows by doubling: those that are there times closed to the power of their number
+    while done <= settings.steps:
+        more = min(done, settings.steps + 1 - done)
+        row[done : done + more] = row[:more] @ power
+        done, power = done + more, power @ power
     rest = np.linalg.inv(np.eye(size) - closed)
     row[-1] = row[-1] @ rest
     state = np.concatenate([-feedback[:n], -row[0] @ rest @ unknown, [0.0], -feedback[n:]])

@@ -14,11 +14,13 @@ No counterpart in the paper.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.contact.table import contact_table
 from railrepro.control.creep_gains import ALERT, READ, CreepSettings, delay_of, schedule
 from railrepro.control.predictive import Solve
 from railrepro.errors import InputError
@@ -31,9 +33,12 @@ from railrepro.vehicle.parameters import Vehicle
 
 _SLIP_LAG = 0.02
 """Time constant of the low-pass of measured adhesion and slip (s)."""
-_FREE, _RADIUS_LAG = 3e-3, 0.03
-"""Demanded adhesion below which a wheel rolls on any rail (-), and time constant in which its radius is then
-learnt (s). Under more demand a wheel that slips on a poor rail looks like one of another radius."""
+_FREE, _FREE_APART = 3e-3, 1e-2
+"""Adhesion that base and differential torque may demand of a wheel that rolls on any rail (-). Under more demand a
+wheel that slips on a poor rail looks like one of another radius."""
+_RADIUS_LAG, _APART_LAG = 0.03, 0.3
+"""Time constants in which the mean radius of wheels that roll is learnt, and their difference, which a profile changes
+with the displacement (s)."""
 _LOST = 5e-3
 """Distance between filter and reading of the displacement beyond which the filter begins anew (m)."""
 _WHITE_LAG, _MEAN_LAG = 0.03, 0.15
@@ -65,7 +70,7 @@ class CreepMPC:
     settings: CreepSettings = field(default_factory=CreepSettings)
     creep: Creep | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require("CreepMPC: settings", self.settings, CreepSettings)
         if self.creep is not None:
             require("CreepMPC: creep", self.creep, Creep)
@@ -105,10 +110,10 @@ class CreepGuide:
         self._acceleration, partner, _ = nominal_values(vehicle, gear)
         self._ahead, self._start = _table(route, partner), route.start
         self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
-        weight = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity
-        self._load, self._offset, self._learnt, self._demanded = weight / 2, 0.0, 0, 0.0
+        self._load, self._offset, self._learnt, self._demanded = vehicle.wheel_load, np.zeros(2), 0, 0.0
+        self._profile = _apparent_slip(vehicle)
         self._bounds = self._load * np.array([1.0, vehicle.gear.contact_base])
-        self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros(2)
+        self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros((2, 2))
         self._slow, self._power, self._slow_power, self._alert = 0.0, 0.0, 0.0, 0.0
         self._read: np.ndarray | None = None
         self._wait(0.0)
@@ -129,15 +134,16 @@ class CreepGuide:
 
     def notice(self, adhesion: np.ndarray, slip: np.ndarray) -> None:
         """Used adhesion (traction positive) and slip of both wheels (-), see `SlowController`."""
-        used, over = adhesion.sum() / 2, -slip.sum() / 2
-        if not (np.isfinite(used) and np.isfinite(over)) or not (adhesion.any() or slip.any()):
+        side = np.array([-self._seen[model.Y], self._seen[model.Y]])  # shifts towards the flange, left and right
+        over = self._profile(side) - slip
+        if not (np.isfinite(adhesion).all() and np.isfinite(over).all()) or not (adhesion.any() or slip.any()):
             return  # nothing was measured yet
-        if self._demanded < _FREE:  # such a wheel rolls: what it seems to slip more is its radius
-            seeming = over - self._load * used / self._creep.across
+        if self._demanded < 1.0:  # such wheels roll: what they seem to slip more is their radius
             self._learnt += 1
-            share = max(self.period / (self.period + _RADIUS_LAG), 1 / self._learnt)  # at first the mean
-            self._offset += share * (seeming - self._offset)
-        seen = np.array([used, over - self._offset])
+            mean, each = (max(self.period / (self.period + lag), 1 / self._learnt) for lag in (_RADIUS_LAG, _APART_LAG))
+            found = over - self._load * adhesion / self._creep.across - self._offset
+            self._offset += mean * found.mean() + each * (found - found.mean())
+        seen = np.array([adhesion, over - self._offset])
         self._slip += self.period / (self.period + _SLIP_LAG) * (seen - self._slip)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
@@ -153,7 +159,8 @@ class CreepGuide:
             self.missed += 1
             self._seen[model.X] += self._seen[model.XDOT] * self.period
         if np.isfinite(u_d):
-            self._demanded = abs(u_d) / (self._vehicle.wheel.radius * self._load)
+            asked = max(abs(u_d) / _FREE, abs(self.sent[0]) / _FREE_APART) / (self._vehicle.wheel.radius * self._load)
+            self._demanded = max(asked, self._demanded * (1 - self.period / _RADIUS_LAG))  # wheels come to rest
         v = float(self._seen[model.XDOT])
         curvature, ahead = self._track_ahead(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
         read = self._seen[[model.Y, model.PSI_TRAX, model.PSIDOT_AX]] if self._read is None else self._read.copy()
@@ -231,6 +238,13 @@ class CreepGuide:
 
 
 _READ = [STATES.index(name) for name in READ]
+
+
+def _apparent_slip(vehicle: Vehicle) -> Callable[[np.ndarray], np.ndarray]:
+    """Slip that a wheel of the nominal radius seems to have when it rolls, negative, over its shift (m)."""
+    frame = contact_table(vehicle.contact.profile, vehicle).frame
+    shift, radius = frame["shift_m"].to_numpy(), frame["rolling_radius_m"].to_numpy()
+    return lambda at: np.interp(at, shift, radius / vehicle.wheel.radius - 1)
 
 
 def _table(route: Route, partner: float) -> np.ndarray:

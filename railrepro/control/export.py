@@ -8,6 +8,7 @@ and gives the four torques; a master that steps the controller before the car, e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -50,8 +51,7 @@ class Export:
     route : Route
     vehicle : Vehicle
         What it believes of the car.
-    settings : tuple
-        adhesion, estimate, fixed_share, sensors, see `law.control_law`.
+    settings : law.LawSettings
 
     Raises
     ------
@@ -62,16 +62,12 @@ class Export:
     guidance: lateral.Guidance
     route: Route
     vehicle: Vehicle = field(default_factory=load_vehicle)
-    settings: tuple = (None, None, 0.0, None)
+    settings: law.LawSettings = law.PLAIN
 
     def __post_init__(self) -> None:
         require("export: route", self.route, Route)
         require("export: vehicle", self.vehicle, Vehicle)
-        if not isinstance(self.settings, tuple) or len(self.settings) != 4:
-            raise InputError(
-                f"export: settings are {self.settings!r}, four (adhesion, estimate, fixed_share, sensors) are needed"
-            )
-        law.check_settings(*self.settings)
+        require("export: settings", self.settings, law.LawSettings)
         lateral.split(self.guidance)
 
     def source(self) -> str:
@@ -80,10 +76,10 @@ class Export:
         Places in both are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI).
         """
         lateral_law, factory = lateral.split(self.guidance)
-        limits = {"lateral": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
-        control = law.control_law(self.vehicle, lateral_law, *self.settings, **limits)
-        planners = [factory(self.vehicle, self.route, gear) for gear in range(len(law.GEARS))] if factory else []
-        functions = [control.function, *(self._functions(planners[0]) if planners else ())]
+        limits = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
+        control = law.control_law(self.vehicle, lateral_law, self.settings, **limits)
+        planners = self._planners(factory) if factory else []
+        functions = [control.function, *(_functions(planners[0]) if planners else ())]
         text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
         text += self._constants(control) + (self._planner(planners, control) if planners else "")
         return text + (_HERE / "controller.c").read_text()
@@ -107,8 +103,9 @@ class Export:
 
     def _constants(self, control: law.ControlLaw) -> str:
         """Sizes, road and gains of the law."""
-        sizes = {"N_MEASURED": len(law.MEASURED), "N_TORQUE": len(TORQUES), "N_MEMORY": len(control.memory)}
-        sizes |= {"GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)} | _work("LAW", [control.function])
+        sizes: dict[str, int | str] = {"N_MEASURED": len(law.MEASURED), "N_TORQUE": len(TORQUES)}
+        sizes |= {"N_MEMORY": len(control.kind.memory), "GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)}
+        sizes |= _work("LAW", [control.function])
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
         sizes |= {"PERIOD": float(EXCHANGE_PERIOD).hex()}
         places = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
@@ -119,27 +116,17 @@ class Export:
             cells[:, ~_read(control.function)] = 0.0
         return text + constant("CELLS", cells) + constant("GAINS", control.gains)
 
-    @staticmethod
-    def _functions(planner: PredictiveController) -> tuple[ca.Function, ...]:
-        real_time = isinstance(planner, NMPC) and planner.solver == "rti"
-        if not (real_time or isinstance(planner, LTVMPC)):
-            raise InputError(
-                f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC or NMPC by real-time iteration "
-                '(options {"solver": "rti"}), which alone have C of their own'
-            )
-        return riccati.functions(planner.settings.variant, planner.settings.discretisation)
+    def _planners(self, factory: lateral.Factory) -> list[PredictiveController]:
+        return [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(law.GEARS))]
 
     def _planner(self, planners: list[PredictiveController], control: law.ControlLaw) -> str:
         """The predictive controllers of both gears: solver, numbers, where they find what is measured."""
         settings, first = planners[0].settings, planners[0]
-        functions = self._functions(first)
-        sizes = {"PLAN_STEPS": round(settings.period / EXCHANGE_PERIOD), "STEPS": settings.steps}
-        sizes |= {
-            "MOST_SETS": riccati.MOST_SETS,
-            "YIELDING": int(settings.yielding),
-            "INFORMED": int(settings.informed),
-        }
-        sizes |= {"N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.sensed)} | _work("PLAN", functions)
+        functions, memory = _functions(first), control.kind.memory
+        sizes: dict[str, int | str] = {"PLAN_STEPS": round(settings.period / EXCHANGE_PERIOD), "STEPS": settings.steps}
+        sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
+        sizes |= {"INFORMED": int(settings.informed), "N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.kind.sensed)}
+        sizes |= _work("PLAN", functions)
         numbers = {"OBSERVER": settings.observer, "PLAN_PERIOD": settings.period, "AFFINE": first.horizon.affine}
         numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
         sizes |= {name: float(value).hex() for name, value in numbers.items()}
@@ -149,17 +136,30 @@ class Export:
         sizes["N_NOMINAL"] = nominal.shape[1]
         states = [[law.MEASURED.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS]
         names = [[f"{gear}.{name}" for name in law.SEEN] for gear in law.GEARS]
-        seen = [[control.memory.index(name) if control.sensed else 0 for name in row] for row in names]
+        seen = [[memory.index(name) if control.kind.sensed else 0 for name in row] for row in names]
         text = _defines(sizes) + f"enum {{ {', '.join(f'THETA_{name}' for name in THETA)} }};\n"
         text += _integers("STATES_AT", states) + _integers("SEEN", seen)
-        text += _integers("BASE", [control.memory.index(f"{gear}.u") for gear in law.GEARS])
-        text += (
-            constant("NOMINAL", nominal) + constant("MODEL", first.parameters) + constant("TUNING", settings.tuning())
-        )
+        text += _integers("BASE", [memory.index(f"{gear}.u") for gear in law.GEARS])
+        tables = {"NOMINAL": nominal, "MODEL": first.parameters, "TUNING": settings.tuning()}
+        text += "".join(constant(name, table) for name, table in tables.items())
         return text + riccati.c_text(settings.variant, settings.discretisation) + (_HERE / "planner.c").read_text()
 
 
-def _work(name: str, functions) -> dict[str, int]:
+def _checked(planner: lateral.SlowController) -> PredictiveController:
+    """A controller that has C of its own; InputError for any other one."""
+    if isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver == "rti"):
+        return planner
+    raise InputError(
+        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC or NMPC by real-time iteration "
+        '(options {"solver": "rti"}), which alone have C of their own'
+    )
+
+
+def _functions(planner: PredictiveController) -> tuple[ca.Function, ...]:
+    return riccati.functions(planner.settings.variant, planner.settings.discretisation)
+
+
+def _work(name: str, functions: Sequence[ca.Function]) -> dict[str, int]:
     """Sizes of the memory of generated functions."""
     sizes = {"ARG": "sz_arg", "RES": "sz_res", "IW": "sz_iw", "W": "sz_w"}
     return {f"{name}_{key}": max(getattr(f, size)() for f in functions) for key, size in sizes.items()}

@@ -75,14 +75,11 @@ class LateralLaw(Protocol):
 
     In its short form it has `torque` alone, which asks by the names of its arguments for what it wants of `MEANING`,
     `SHORT`, its memory and gains, and may return the torque alone; `memory` and `gains` are added where it needs them.
-
-    Attributes
-    ----------
-    memory : tuple of str
-        Names of its own states, per gear; all are 0 at the start.
     """
 
-    memory: tuple[str, ...]
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """Names of its own states, per gear; all are 0 at the start."""
 
     def gains(self) -> dict[str, float]:
         """Its run-time numbers by name."""

@@ -23,7 +23,6 @@ from railrepro.control import lateral, slip
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.allocation import allocate
 from railrepro.control.slip import SlipSettings
-from railrepro.errors import InputError
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
 from railrepro.model.control_model import STATES
@@ -48,8 +47,6 @@ READ = ("read.y_TrAx", "read.psi_TrAx", "read.psidot_Ax")
 LIMITS = ("lateral", "track_end", "stop_speed")
 MARGINS = (*(f"{gear}.lateral" for gear in GEARS), "track_end", "stop_speed")
 """Distances to the limits of a run."""
-Longitudinal = type[AdhesionSettings] | type[SlipSettings]
-"""Which law gives the base torque."""
 ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
 """Adhesion and slip of left and right wheel, in the memory of a law, per gear."""
 GUIDANCE_FADE = 1.0
@@ -57,6 +54,8 @@ GUIDANCE_FADE = 1.0
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
 """The set point `y_ref` is that at the true place of the gear, from which errors are counted; controllers use the set
 point at the place that they believe, which with sensors is recorded as `seen.y_ref`."""
+_OF_BODY = {"psi_CB": "psi_Tr", "dpsi_dp_CB": "dpsi_dp"}
+"""Of `lateral.ROAD`, what holds at the car body, as the mean of what holds at its gears."""
 RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
 
 
@@ -85,7 +84,7 @@ class EstimateSettings:
     bias_s: float = 0.0
     lag: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         noise, bias = between(0.0, 10.0), between(-10.0, 10.0)
         ranges = {"noise_f": noise, "noise_s": noise, "bias_f": bias, "bias_s": bias, "lag": between(0.0, 100.0, "s")}
         for name, allowed in ranges.items():
@@ -97,67 +96,123 @@ class EstimateSettings:
 
 
 @dataclass(frozen=True)
-class ControlLaw:
-    """The 1 kHz law with its numbers.
+class LawSettings:
+    """What surrounds the lateral law in the exchange.
 
     Attributes
     ----------
-    kind : lateral.Kind
-        Lateral law without its numbers.
-    gains : ndarray
-        Run-time gains in the order of `gain_names`.
-    sensed : bool
-        Whether sensors and filter stand between the car and the controllers.
-    along : type
-        `AdhesionSettings` or `SlipSettings`: which law gives the base torque.
+    adhesion : AdhesionSettings or SlipSettings, optional
+        Of the paper's adhesion law (default: its own, or those that the sensors need), or of the slip control of our
+        own.
+    estimate : EstimateSettings, optional
+        Quality of the estimates of adhesion and slip without sensors; default exact.
+    fixed_share : float
+        See `allocate` (-).
+    sensors : Readings, optional
+        What stands between the car and its controllers; default nothing.
+
+    Raises
+    ------
+    InputError
+        When one is of another kind or beyond its range.
     """
 
-    kind: lateral.Kind
-    gains: np.ndarray
+    adhesion: AdhesionSettings | SlipSettings | None = None
+    estimate: EstimateSettings | None = None
+    fixed_share: float = 0.0
+    sensors: Readings | None = None
+
+    def __post_init__(self) -> None:
+        if self.adhesion is not None:
+            require("adhesion", self.adhesion, (AdhesionSettings, SlipSettings))
+        if self.estimate is not None:
+            require("estimate", self.estimate, EstimateSettings)
+        if self.sensors is not None:
+            require("sensors", self.sensors, Readings)
+        require("fixed_share", self.fixed_share, between(0.0, 1.0))
+
+
+PLAIN = LawSettings()
+"""The paper's adhesion law and allocation, with perfect measurements."""
+
+
+@dataclass(frozen=True)
+class LawKind:
+    """A 1 kHz law without its numbers: laws of one kind share one compiled object.
+
+    Attributes
+    ----------
+    lateral : lateral.Kind
+    sensed : bool
+        Whether sensors and filter stand between the car and the controllers.
+    longitudinal_law : type
+        Which law gives the base torque.
+    """
+
+    lateral: lateral.Kind
     sensed: bool = False
-    longitudinal_law: Longitudinal = AdhesionSettings
+    longitudinal_law: type[AdhesionSettings] | type[SlipSettings] = AdhesionSettings
+
+    @property
+    def gains(self) -> tuple[str, ...]:
+        """Names of the run-time gains."""
+        seeing = (*(f"{gear}.sensor.{n}" for gear in GEARS for n in GAINS), *(f"filter.{n}" for n in observers.GAINS))
+        return (
+            *(f"lateral.{name}" for name in self.lateral.gains),
+            *self.longitudinal_law().gains(),
+            "adhesion.torque_per_adhesion",
+            *EstimateSettings().gains(),
+            *("fixed_share", "nominal_load"),
+            *(f"model.{name}" for name in lateral.MODEL),
+            *(f"limit.{name}" for name in LIMITS),
+            *(seeing if self.sensed else ()),
+        )
 
     @property
     def memory(self) -> tuple[str, ...]:
-        """Names of the states of the law."""
-        return memory_names(self.kind, self.sensed, self.longitudinal_law)
+        """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m).
+
+        With sensors `front.seen.y_TrAx` and so on are the states that the controllers saw last.
+        """
+        names = (*self.longitudinal_law.memory, *ESTIMATES, *(f"lateral.{name}" for name in self.lateral.memory))
+        if self.sensed:
+            names += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN, *READ)
+        return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in names))
+
+    @property
+    def record(self) -> tuple[str, ...]:
+        """`RECORD`; with sensors also the states, adhesions, slips and set points that the controllers see, as
+        `front.seen.y_TrAx`.
+        """
+        seen = (*SEEN, *(f"seen.{what}_{side}" for what in ("f", "s") for side in SIDES), "seen.y_ref")
+        return (*RECORD, *(f"{gear}.{name}" for gear in GEARS for name in seen)) if self.sensed else RECORD
+
+
+@dataclass(frozen=True)
+class ControlLaw:
+    """The 1 kHz law with its numbers: `gains` in the order of `kind.gains`, SI."""
+
+    kind: LawKind
+    gains: np.ndarray
 
     @property
     def function(self) -> ca.Function:
         """See `function`."""
-        return function(self.kind, self.sensed, self.longitudinal_law)
-
-    @property
-    def record(self) -> tuple[str, ...]:
-        """Names of what is recorded in each exchange, see `record_names`."""
-        return record_names(self.sensed)
+        return function(self.kind)
 
     def library(self) -> ctypes.CDLL | None:
         """The law as a shared object; None without a C compiler."""
-        return _library(self.kind, self.sensed, self.longitudinal_law)
-
-
-def check_settings(adhesion=None, estimate=None, fixed_share=0.0, sensors=None) -> None:
-    """Refuse settings of `control_law` that are of another kind or beyond their range (InputError)."""
-    kinds = {
-        "adhesion": (adhesion, (AdhesionSettings, SlipSettings)),
-        "estimate": (estimate, EstimateSettings),
-        "sensors": (sensors, Readings),
-    }
-    for name, (given, kind) in kinds.items():
-        if given is not None:
-            require(name, given, kind)
-    require("fixed_share", fixed_share, between(0.0, 1.0))
+        return _library(self.kind)
 
 
 def control_law(
     vehicle: Vehicle,
     guidance: lateral.LateralLaw | None = None,
-    adhesion: AdhesionSettings | SlipSettings | None = None,
-    estimate: EstimateSettings | None = None,
-    fixed_share: float = 0.0,
-    sensors: Readings | None = None,
-    **limits: float,
+    settings: LawSettings = PLAIN,
+    *,
+    lateral_limit: float,
+    track_end: float,
+    stop_speed: float,
 ) -> ControlLaw:
     """The 1 kHz law for a vehicle.
 
@@ -167,101 +222,55 @@ def control_law(
         Nominal vehicle of the controllers.
     guidance : LateralLaw, optional
         Default: the held torque of a slower controller guides.
-    adhesion, estimate : optional
-        Settings of the paper's adhesion law (default: its own, or those that the sensors need) or of the slip control
-        of our own, and of its estimates.
-    fixed_share : float
-        See `allocate`.
-    sensors : Readings, optional
-        Default: the controllers see the car's own states, and its adhesion as `estimate` says.
-    limits : float
-        lateral (m), track_end (m), stop_speed (m/s): where a run ends.
+    settings : LawSettings
+    lateral_limit, track_end, stop_speed : float
+        Where a run ends (m, m, m/s).
 
     Raises
     ------
     InputError
         When the lateral law is not well formed, see `lateral.kind`.
     """
-    guidance = guidance or lateral.Held()
-    if set(limits) != set(LIMITS):
-        raise InputError(f"control law: the limits {sorted(limits)} are given, {sorted(LIMITS)} are needed")
-    kind, sensed = lateral.kind(guidance), sensors is not None
-    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    gains = {f"lateral.{name}": value for name, value in guidance.gains().items()}
-    if adhesion is None:
-        adhesion = AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
-    gains |= adhesion.gains() | (estimate or EstimateSettings()).gains()
-    gains |= {"fixed_share": fixed_share, "nominal_load": load}
-    gains["adhesion.torque_per_adhesion"] = load * vehicle.wheel.radius
-    gains |= {
-        "model.J_eff": vehicle.effective_yaw_inertia,
-        "model.k_sz": vehicle.suspension.yaw_stiffness,
-        "model.k_dz": vehicle.suspension.yaw_damping,
-        "model.J_Wy": vehicle.wheel.spin_inertia,
-        "model.r_0": vehicle.wheel.radius,
-        "model.b": vehicle.gear.contact_base,
-        "model.gamma": vehicle.gamma,
-        "model.tan_delta": np.tan(vehicle.wheel.cone_angle),
-        "model.m_x_eff": vehicle.effective_longitudinal_mass,
-        "model.tau_max": vehicle.drive.torque_limit,
-    }
-    gains |= {f"limit.{name}": value for name, value in limits.items()}
-    if sensed:
+    law, sensors = guidance or lateral.Held(), settings.sensors
+    adhesion = settings.adhesion or AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
+    gains = {f"lateral.{name}": value for name, value in law.gains().items()}
+    gains |= adhesion.gains() | (settings.estimate or EstimateSettings()).gains()
+    gains |= {"fixed_share": settings.fixed_share, "nominal_load": vehicle.wheel_load}
+    gains["adhesion.torque_per_adhesion"] = vehicle.wheel_load * vehicle.wheel.radius
+    gains |= {f"model.{name}": value for name, value in _model(vehicle).items()}
+    limits = lateral_limit, track_end, stop_speed
+    gains |= {f"limit.{name}": value for name, value in zip(LIMITS, limits, strict=True)}
+    if sensors is not None:
         for g, gear in enumerate(GEARS):
             gains |= {f"{gear}.sensor.{name}": value for name, value in sensors.gains(g).items()}
         gains |= {f"filter.{name}": value for name, value in observers.stationary_gains(vehicle, sensors.loop).items()}
-    longitudinal_law = type(adhesion)
-    numbers = [gains[name] for name in gain_names(kind, sensed, longitudinal_law)]
-    return ControlLaw(kind, np.array(numbers, dtype=float), sensed, longitudinal_law)
+    kind = LawKind(lateral.kind(law), sensors is not None, type(adhesion))
+    return ControlLaw(kind, np.array([gains[name] for name in kind.gains], dtype=float))
 
 
-def gain_names(
-    kind: lateral.Kind, sensed: bool = False, longitudinal_law: Longitudinal = AdhesionSettings
-) -> tuple[str, ...]:
-    """Names of the run-time gains."""
-    seeing = (*(f"{gear}.sensor.{n}" for gear in GEARS for n in GAINS), *(f"filter.{n}" for n in observers.GAINS))
-    return (
-        *(f"lateral.{name}" for name in kind.gains),
-        *longitudinal_law().gains(),
-        "adhesion.torque_per_adhesion",
-        *EstimateSettings().gains(),
-        *("fixed_share", "nominal_load"),
-        *(f"model.{name}" for name in lateral.MODEL),
-        *(f"limit.{name}" for name in LIMITS),
-        *(seeing if sensed else ()),
-    )
-
-
-def memory_names(
-    kind: lateral.Kind, sensed: bool = False, longitudinal_law: Longitudinal = AdhesionSettings
-) -> tuple[str, ...]:
-    """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m).
-
-    With sensors `front.seen.y_TrAx` and so on are the states that the controllers saw last.
-    """
-    own = (*longitudinal_law.memory, *ESTIMATES, *(f"lateral.{name}" for name in kind.memory))
-    if sensed:
-        own += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN, *READ)
-    return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in own))
-
-
-def record_names(sensed: bool = False) -> tuple[str, ...]:
-    """`RECORD`; with sensors also the states, adhesions, slips and set points that the controllers see, as
-    `front.seen.y_TrAx`.
-    """
-    seen = (*SEEN, *(f"seen.{what}_{side}" for what in ("f", "s") for side in SIDES), "seen.y_ref")
-    return (*RECORD, *(f"{gear}.{name}" for gear in GEARS for name in seen)) if sensed else RECORD
+def _model(vehicle: Vehicle) -> dict[str, float]:
+    """Numbers of `lateral.MODEL`."""
+    return {
+        "J_eff": vehicle.effective_yaw_inertia,
+        "k_sz": vehicle.suspension.yaw_stiffness,
+        "k_dz": vehicle.suspension.yaw_damping,
+        "J_Wy": vehicle.wheel.spin_inertia,
+        "r_0": vehicle.wheel.radius,
+        "b": vehicle.gear.contact_base,
+        "gamma": vehicle.gamma,
+        "tan_delta": np.tan(vehicle.wheel.cone_angle),
+        "m_x_eff": vehicle.effective_longitudinal_mass,
+        "tau_max": vehicle.drive.torque_limit,
+    }
 
 
 @lru_cache
-def _library(kind: lateral.Kind, sensed: bool, longitudinal_law: Longitudinal) -> ctypes.CDLL | None:
-    return codegen.library((function(kind, sensed, longitudinal_law),))
+def _library(kind: LawKind) -> ctypes.CDLL | None:
+    return codegen.library((function(kind),))
 
 
 @codegen.stored
-def function(
-    kind: lateral.Kind, sensed: bool = False, longitudinal_law: Longitudinal = AdhesionSettings
-) -> ca.Function:
+def function(kind: LawKind) -> ca.Function:
     """The 1 kHz law as a function.
 
     Returns
@@ -270,63 +279,30 @@ def function(
         (measured, cells of both gears, held[2], gains, memory) -> command[4] (N m), memory, record, margins; a run goes
         on while all margins are positive.
     """
-    names = {
-        "y": MEASURED,
-        "gains": gain_names(kind, sensed, longitudinal_law),
-        "memory": memory_names(kind, sensed, longitudinal_law),
-    }
+    names = {"y": MEASURED, "gains": kind.gains, "memory": kind.memory}
     symbols = {name: ca.SX.sym(name, len(entries)) for name, entries in names.items()}
     y, gain, old = (_named(names[name], symbols[name]) for name in names)
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
-    model = {name: gain[f"model.{name}"] for name in lateral.MODEL}
-    states = {gear: dict(zip(STATES, (y[name] for name in MEASURED_STATES[gear]), strict=True)) for gear in GEARS}
-    cells = {gear: _named(COLUMNS, rows[:, g]) for g, gear in enumerate(GEARS)}
-    owns = {gear: _part(old, gear) for gear in GEARS}
-    sights = {
-        gear: _Sight(g, gear, states[gear], y, cells[gear], old["ticks"], owns[gear], gain) if sensed else None
-        for g, gear in enumerate(GEARS)
-    }
-    places = {gear: sights[gear].place if sensed else states[gear]["x"] for gear in GEARS}
-    roads = {gear: _track_ahead(cells[gear], places[gear]) for gear in GEARS}
-    body = {name: (roads["front"][name] + roads["rear"][name]) / 2 for name in ("psi_Tr", "dpsi_dp")}
+    sight = _Sensed if kind.sensed else _Exact
+    gears = [sight(g, y, _named(COLUMNS, rows[:, g]), held[g], old, gain) for g in range(len(GEARS))]
+    tracks = [_track_ahead(gear.cell, gear.place) for gear in gears]
+    front, rear = tracks
+    body = {to: (front[name] + rear[name]) / 2 for to, name in _OF_BODY.items()}
 
-    new, record, command = {"ticks": old["ticks"] + 1}, {}, []
-    for g, gear in enumerate(GEARS):
-        own, sight = owns[gear], sights[gear]
-        track_ahead = roads[gear] | {"psi_CB": body["psi_Tr"], "dpsi_dp_CB": body["dpsi_dp"]}
-        if sensed:
-            state, estimates = sight.look(track_ahead)
-        else:
-            state, estimates = states[gear], _estimates(gear, g, y, old["ticks"], own, gain)
-        f_star = cells[gear]["force"] / (2 * gain["nominal_load"])
-        f, s = ([estimates[f"{kind_}_hat_{i}"] for i in range(2)] for kind_ in ("f", "s"))
-        if longitudinal_law is SlipSettings:
-            u_d, stored, segment = slip.base_torque(f, s, f_star, state["xdot"], old["ticks"], own, gain, model)
-        else:
-            u_d, stored, segment = base_torque(f, s, f_star, state["xdot"], own, gain, model["tau_max"])
-
-        state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": held[g]}
-        wanted, following = _lateral(kind, state, track_ahead, own, gain, model)
-        wanted *= _fade(state["xdot"], GUIDANCE_FADE)
-        tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, model["tau_max"], gain["fixed_share"])
-        if sensed:
-            tau_le, tau_ri = sight.send(tau_le, tau_ri, track_ahead)
-            stored |= sight.stored
-            record |= {f"{gear}.{name}": state[name.removeprefix("seen.")] for name in SEEN}
-            record[f"{gear}.seen.y_ref"] = track_ahead["y_ref"]
-            for what, values in (("f", f), ("s", s)):
-                record |= {f"{gear}.seen.{what}_{side}": value for side, value in zip(SIDES, values, strict=True)}
-        command += [tau_le, tau_ri]
-        new |= {f"{gear}.{name}": value for name, value in (estimates | stored | following).items()}
-        there = reference_in(cells[gear], states[gear]["x"])[0]  # where the gear is, not where it is believed to be
-        values = (u_d, du, tau_long, f_star, segment, there)
-        record |= {f"{gear}.{name}": value for name, value in zip(_RECORDED, values, strict=True)}
-    margins = {f"{gear}.lateral": gain["limit.lateral"] - ca.fabs(states[gear]["y_TrAx"]) for gear in GEARS}
-    margins["track_end"] = gain["limit.track_end"] - states["front"]["x"]
-    margins["stop_speed"] = states["front"]["xdot"] - gain["limit.stop_speed"]
-    results = {"command": command, "memory_next": [new[name] for name in names["memory"]]}
-    results |= {
-        "record": [record[name] for name in record_names(sensed)],
+    new, command = {"ticks": old["ticks"] + 1}, []
+    record: dict[str, ca.SX] = {}
+    for gear, track_ahead in zip(gears, tracks, strict=True):
+        torques, following, recorded = _exchange(kind, gear, track_ahead | body)
+        command += torques
+        new |= {f"{gear.name}.{name}": value for name, value in following.items()}
+        record |= {f"{gear.name}.{name}": value for name, value in recorded.items()}
+    margins = {f"{gear.name}.lateral": gain["limit.lateral"] - ca.fabs(gear.truth["y_TrAx"]) for gear in gears}
+    margins["track_end"] = gain["limit.track_end"] - gears[0].truth["x"]
+    margins["stop_speed"] = gears[0].truth["xdot"] - gain["limit.stop_speed"]
+    results = {
+        "command": command,
+        "memory_next": [new[name] for name in names["memory"]],
+        "record": [record[name] for name in kind.record],
         "margins": [margins[name] for name in MARGINS],
     }
     return ca.Function(
@@ -339,46 +315,95 @@ def function(
     )
 
 
-class _Sight:
-    """What a gear's controllers see through sensors and filter in one exchange, and how their torques get away."""
+def _exchange(kind: LawKind, gear: _Exact, track_ahead: dict) -> tuple[list, dict, dict]:
+    """Torques of both wheels of a gear (N m), its next memory, and what is recorded of it."""
+    gain, own, model = gear.gain, gear.own, _part(gear.gain, "model")
+    state, estimates = gear.look(track_ahead)
+    f_star = gear.cell["force"] / (2 * gain["nominal_load"])
+    f, s = ([estimates[f"{what}_hat_{i}"] for i in range(2)] for what in ("f", "s"))
+    if kind.longitudinal_law is SlipSettings:
+        u_d, stored, segment = slip.base_torque(f, s, f_star, state["xdot"], gear.ticks, own, gain, model)
+    else:
+        u_d, stored, segment = base_torque(f, s, f_star, state["xdot"], own, gain, model["tau_max"])
 
-    def __init__(self, g: int, gear: str, truth: dict, y: dict, cell: dict, ticks: ca.SX, own: dict, gain: dict):
+    state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": gear.held}
+    wanted, following = _lateral(kind.lateral, state, track_ahead, own, gain, model)
+    wanted *= _fade(state["xdot"], GUIDANCE_FADE)
+    tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, model["tau_max"], gain["fixed_share"])
+    torques, seen = gear.send(tau_le, tau_ri, track_ahead)
+    there = reference_in(gear.cell, gear.truth["x"])[0]  # where the gear is, not where it is believed to be
+    record = dict(zip(_RECORDED, (u_d, du, tau_long, f_star, segment, there), strict=True))
+    record |= {name: state[name.removeprefix("seen.")] for name in SEEN} | {"seen.y_ref": track_ahead["y_ref"]}
+    for what, values in (("f", f), ("s", s)):
+        record |= {f"seen.{what}_{side}": value for side, value in zip(SIDES, values, strict=True)}
+    return torques, estimates | stored | seen | following, record
+
+
+class _Exact:
+    """Symbols of one gear, and what its controllers know of it: its true states, its adhesion as well as is asked."""
+
+    def __init__(self, g: int, y: dict, cell: dict, held: ca.SX, old: dict, gain: dict):
+        self.index, self.name, self.y, self.cell, self.held, self.gain = g, GEARS[g], y, cell, held, gain
+        self.truth = dict(zip(STATES, (y[name] for name in MEASURED_STATES[self.name]), strict=True))
+        self.own, self.ticks, self.place = _part(old, self.name), old["ticks"], self.truth["x"]
+
+    def look(self, track_ahead: dict) -> tuple[dict, dict]:
+        """States by name, and estimates of adhesion and slip: scaled, noisy and lagging copies of the true values."""
+        gain, estimates = self.gain, {}
+        pole = EXCHANGE_PERIOD / (gain["estimate.lag"] + EXCHANGE_PERIOD)
+        for i, side in enumerate(SIDES):
+            for k, (name, short) in enumerate((("fx", "f"), ("sx", "s"))):
+                exact = self.y[f"{self.name}_{side}.{name}"] * (1 + gain[f"estimate.bias_{short}"])
+                noise = gain[f"estimate.noise_{short}"] * white_noise(self.ticks, 1 + 4 * self.index + 2 * i + k)
+                before = self.own[f"{short}_hat_{i}"]
+                estimates[f"{short}_hat_{i}"] = before + pole * (exact + noise - before)
+        return self.truth, estimates
+
+    def send(self, tau_le: ca.SX, tau_ri: ca.SX, track_ahead: dict) -> tuple[list, dict]:
+        """Torques that arrive in this exchange (N m), and what is stored of what the controllers saw."""
+        return [tau_le, tau_ri], {}
+
+
+class _Sensed(_Exact):
+    """The same through sensors and filter; torques arrive late."""
+
+    def __init__(self, g: int, y: dict, cell: dict, held: ca.SX, old: dict, gain: dict):
+        super().__init__(g, y, cell, held, old, gain)
+        truth, gear = self.truth, self.name
         self._gain = _part(gain, f"{gear}.sensor") | _part(gain, "filter") | {"nominal_load": gain["nominal_load"]}
-        self._own, self._ticks = own, ticks
+        self._line = _part(self.own, "sensor")
         rail, turned = irregularity_in(cell, "lateral", truth["x"])[:2]
         aside = truth["y_TrAx"] - rail
         lever = self._gain["base"] / 2 * (truth["psi_TrAx"] - turned)
         exact = {"y_ahead": aside + lever, "y_behind": aside - lever, "psidot_Ax": truth["psidot_Ax"]}
         exact |= {f"w_{side}": y[f"{gear}_{side}.w"] for side in SIDES} | {"v": truth["xdot"], "p": truth["x"]}
-        self._readings, lines = sense(exact, ticks, g, self._gain, _part(own, "sensor"))
-        self._lines = {f"sensor.{name}": value for name, value in lines.items()}
+        self._readings, lines = sense(exact, self.ticks, g, self._gain, self._line)
+        self._stored = {f"sensor.{name}": value for name, value in lines.items()}
         until = EXCHANGE_PERIOD * self._gain["command"]
         self.place = self._readings["p"] + until * self._readings["v"]
 
     def look(self, track_ahead: dict) -> tuple[dict, dict]:
-        """States by name, and estimates of adhesion and slip."""
-        line, names = _part(self._own, "sensor"), range(LONGEST)
-        sent_before = {side: [line[f"tau_{side}.{k}"] for k in names] for side in SIDES}
+        """See `_Exact.look`."""
+        sent_before = {side: [self._line[f"tau_{side}.{k}"] for k in range(LONGEST)] for side in SIDES}
         seen, self._filter = observers.observe(
-            self._readings, sent_before, track_ahead, self._ticks, self._gain, _part(self._own, "filter")
+            self._readings, sent_before, track_ahead, self.ticks, self._gain, _part(self.own, "filter")
         )
         state = {name: seen[name] for name in ("xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")}
         state |= {"x": self.place, "psi_Ax": track_ahead["psi_Tr"] + seen["psi_TrAx"]}
-        self.stored = {f"seen.{name}": state[name] for name in STATES}
+        self._stored |= {f"seen.{name}": state[name] for name in STATES}
         planes = self._readings["y_ahead"], self._readings["y_behind"]
-        self.stored |= {"read.y_TrAx": sum(planes) / 2, "read.psi_TrAx": (planes[0] - planes[1]) / self._gain["base"]}
-        self.stored |= {"read.psidot_Ax": self._readings["psidot_Ax"]}
+        read = sum(planes) / 2, (planes[0] - planes[1]) / self._gain["base"], self._readings["psidot_Ax"]
+        self._stored |= dict(zip(READ, read, strict=True))
         sides = tuple(enumerate(SIDES))
         return state, {f"{what}_hat_{i}": seen[f"{what}_{side}"] for what in ("f", "s") for i, side in sides}
 
-    def send(self, tau_le, tau_ri, track_ahead: dict) -> tuple:
-        """Torques that arrive in this exchange (N m); what is kept for the next one is then in `kept`."""
-        line = _part(self._own, "sensor")
-        lines = {side: sent(tau, f"tau_{side}", line) for side, tau in (("le", tau_le), ("ri", tau_ri))}
+    def send(self, tau_le: ca.SX, tau_ri: ca.SX, track_ahead: dict) -> tuple[list, dict]:
+        """See `_Exact.send`."""
+        lines = {side: sent(tau, f"tau_{side}", self._line) for side, tau in (("le", tau_le), ("ri", tau_ri))}
         following = observers.advance(self._filter, lines, track_ahead, self._gain)
-        self.stored |= self._lines | {f"filter.{name}": value for name, value in following.items()}
-        self.stored |= {f"sensor.tau_{side}.{k}": tau for side, taus in lines.items() for k, tau in enumerate(taus)}
-        return tuple(arriving(lines[side], self._gain) for side in SIDES)
+        stored = self._stored | {f"filter.{name}": value for name, value in following.items()}
+        stored |= {f"sensor.tau_{side}.{k}": tau for side, taus in lines.items() for k, tau in enumerate(taus)}
+        return [arriving(lines[side], self._gain) for side in SIDES], stored
 
 
 def _part(values: dict, prefix: str) -> dict:
@@ -394,10 +419,11 @@ def _lateral(
     kind: lateral.Kind, state: dict, track_ahead: dict, own: dict, gain: dict, model: dict
 ) -> tuple[ca.SX, dict]:
     """Torque of the lateral law (N m) and its next memory."""
-    memory = [f"lateral.{name}" for name in kind.memory]
-    groups = ((state, lateral.GEAR), (track_ahead, lateral.ROAD), (own, memory))
-    groups += ((gain, [f"lateral.{name}" for name in kind.gains]), (model, lateral.MODEL))
-    du, following = kind.function(*(ca.vertcat(*(group[name] for name in names)) for group, names in groups))
+    memory, gains = ([f"lateral.{name}" for name in names] for names in (kind.memory, kind.gains))
+    groups = state, track_ahead, own, gain, model
+    orders = lateral.GEAR, lateral.ROAD, memory, gains, lateral.MODEL
+    vectors = [ca.vertcat(*(group[name] for name in names)) for group, names in zip(groups, orders, strict=True)]
+    du, following = kind.function(*vectors)
     return du, dict(zip(memory, ca.vertsplit(following), strict=True))
 
 
@@ -415,22 +441,9 @@ def _track_ahead(cell: dict, p: ca.SX) -> dict:
     return track | {"y_ref": y_ref, "dy_ref": dy_ref, "ddy_ref": ddy_ref, "dddy_ref": cell["dddy_ref"]}
 
 
-def _estimates(gear: str, g: int, y: dict, ticks: ca.SX, own: dict, gain: dict) -> dict:
-    """Adhesion and slip estimates of both wheels: scaled, noisy and lagging copies of the plant's values."""
-    estimates = {}
-    pole = EXCHANGE_PERIOD / (gain["estimate.lag"] + EXCHANGE_PERIOD)
-    for i, side in enumerate(SIDES):
-        for k, (name, short) in enumerate((("fx", "f"), ("sx", "s"))):
-            exact = y[f"{gear}_{side}.{name}"] * (1 + gain[f"estimate.bias_{short}"])
-            noise = gain[f"estimate.noise_{short}"] * white_noise(ticks, 1 + 4 * g + 2 * i + k)
-            before = own[f"{short}_hat_{i}"]
-            estimates[f"{short}_hat_{i}"] = before + pole * (exact + noise - before)
-    return estimates
-
-
 def white_noise(ticks: ca.SX, channel: int) -> ca.SX:
     """Deterministic noise of unit variance: sum of three hashed uniform numbers of the tick and channel."""
-    total = 0
+    total = ca.SX(0)
     for k in range(3):
         hashed = ca.sin(12.9898 * (ticks + 1) + 78.233 * (3 * channel + k)) * 43758.5453
         total += hashed - ca.floor(hashed) - 0.5

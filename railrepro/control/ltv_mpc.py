@@ -21,9 +21,9 @@ class LTVMPC(PredictiveController):
 
     printed: bool = False
 
-    def __post_init__(self):
-        require("LTVMPC: printed", self.printed, bool)
+    def __post_init__(self) -> None:
         super().__post_init__()
+        require("LTVMPC: printed", self.printed, bool)
         self.horizon.affine = 0.0 if self.printed else 1.0
 
     def expected_state(self) -> np.ndarray:

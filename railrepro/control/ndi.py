@@ -43,7 +43,7 @@ class NDI:
     memory = ("integral",)
     """Integral of y* - y (m s)."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("pole", "frequency", "damping", "integral"):
             value, low = getattr(self, name), 0.0
             if not (is_number(value) and (value > low or (name == "integral" and value == low)) and value <= 1e4):
@@ -111,7 +111,7 @@ def inverse(jerk, gear: dict, track_ahead: dict, model: dict):
     The weight's yaw stiffness, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
     radii are left out.
 
-    Source: corrected yaw equation to first order (`railrepro.model.derivation.linearised_yaw_equation`).
+    Source: corrected yaw equation to first order (`railrepro.evidence.bench.linearised`).
     """
     v, vdot = gear["xdot"], gear["xddot"]
     ydot, psidot_r = v * gear["psi_TrAx"], gear["psidot_Ax"] - v * track_ahead["dpsi_dp"]

@@ -31,11 +31,10 @@ class NMPC(PredictiveController):
 
     solver: str = "gauss_newton"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
             raise InputError(f"NMPC solver {self.solver!r} is not known; there are {SOLVERS}")
         super().__post_init__()
-        self._reference = ipopt.solver(self.settings) if self.solver == "ipopt" else None
         self._started = False
 
     def solve(self, du: np.ndarray) -> tuple[np.ndarray, int]:
@@ -102,7 +101,7 @@ class NMPC(PredictiveController):
 
     def _with_ipopt(self, du: np.ndarray) -> tuple[np.ndarray, int]:
         try:
-            found = ipopt.solve(self._reference, self.horizon, self.parameters, du)
+            found = ipopt.solve(ipopt.solver(self.settings), self.horizon, self.parameters, du)
         except ArithmeticError:
             self._started = False
             raise

@@ -56,7 +56,7 @@ class PredictiveController:
     settings: MPCSettings = field(default_factory=MPCSettings)
     recorded: list | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require("MPC: vehicle", self.vehicle, Vehicle)
         require("MPC: route", self.route, Route)
         require("MPC: gear", self.gear, between(0, 1), whole=True)
@@ -67,7 +67,8 @@ class PredictiveController:
         nominal = forecast.nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = horizon(s, nominal, self.parameters, self.route)
         self.plan_du = np.zeros(s.steps)
-        self.offset, self._expected_y = 0.0, None
+        self.offset = 0.0
+        self._expected_y: float | None = None
 
     @property
     def period(self) -> float:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -39,18 +39,21 @@ TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "later
 """Entries of a tuning vector: what the statement takes from `MPCSettings`, for solvers of any kind."""
 
 
-class Tuning(NamedTuple):
+Expression = TypeVar("Expression", ca.SX, ca.MX, ca.DM)
+
+
+class Tuning(NamedTuple, Generic[Expression]):
     """A tuning vector by name; see `MPCSettings` for meaning and units."""
 
-    q: ca.SX
-    r: ca.SX
-    q_terminal: ca.SX
-    period: ca.SX
-    lateral_bound: ca.SX
-    bound_weight: ca.SX
+    q: Expression
+    r: Expression
+    q_terminal: Expression
+    period: Expression
+    lateral_bound: Expression
+    bound_weight: Expression
 
     @classmethod
-    def of(cls, vector) -> Tuning:
+    def of(cls, vector: Expression) -> Tuning[Expression]:
         """The entries of a vector in the order of `TUNING`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 
@@ -117,11 +120,11 @@ def _costs() -> tuple[ca.Function, ca.Function, ca.Function]:
     vector = ca.SX.sym("tuning", len(TUNING))
     tuning = Tuning.of(vector)
     slack = ca.fmax(ca.fmax(*lateral_excess(x, tuning)), 0)
-    of_states = [
+    stage, terminal = (
         ca.Function(cost.__name__, [x, x_d, vector], [cost(x, x_d, slack, tuning)])
         for cost in (stage_cost, terminal_cost)
-    ]
-    return *of_states, ca.Function("effort_cost", [du, vector], [effort_cost(du, tuning)])
+    )
+    return stage, terminal, ca.Function("effort_cost", [du, vector], [effort_cost(du, tuning)])
 
 
 class Curvature(NamedTuple):
@@ -208,7 +211,7 @@ class MPCSettings:
     informed: bool = True
     observer: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, allowed in _RANGES.items():
             require(f"MPC: {name}", getattr(self, name), allowed, whole=name == "steps")
         for name, kind in (("yielding", bool), ("informed", bool), ("discretisation", str), ("variant", str)):

@@ -83,7 +83,7 @@ class SlipSettings:
     memory: ClassVar[tuple[str, ...]] = ("u", "demand", "limit", "f", "s", "mean_f", "mean_s", "s_s", "s_f")
     """Names of the states of the law, see `base_torque`."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, allowed in _RANGES.items():
             require(f"SlipSettings: {name}", getattr(self, name), allowed)
         require("SlipSettings: least", self.least, between(0.0, self.most))
@@ -155,15 +155,20 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
 
     along = sign * new["demand"]
     holds = ca.logic_and(held < along, along > 0)
-    off_f, off_s = (new[name] - new[f"mean_{name}"] for name in ("f", "s"))
-    for name, product in (("s_s", off_s**2), ("s_f", off_s * off_f)):
-        new[name] = old[name] + holds * slow * (product - old[name])
-    swung = new["s_f"] * new["mean_s"] / ca.fmax(new["mean_f"], _LEAST_ADHESION)
-    elasticity = (swung + _PRIOR * gain["adhesion.elasticity"]) / (new["s_s"] + _PRIOR)
-    elasticity = ca.fmin(ca.fmax(elasticity, -1), 1)
+    elasticity = _elasticity(old, new, holds * slow, gain["adhesion.elasticity"])
     moved = limit * (1 + h * gain["adhesion.seek"] * (elasticity - gain["adhesion.elasticity"]))
     moved = ca.fmin(ca.fmax(moved, gain["adhesion.least"]), gain["adhesion.most"])
     new["limit"] = ca.if_else(holds, moved, limit)
     new["u"] = sign * ca.if_else(holds, ca.fmax(held, 0), along)
     segment = 1 + holds * (1 + (elasticity < gain["adhesion.elasticity"]))
     return new["u"], new, segment
+
+
+def _elasticity(old: dict, new: dict, share: ca.SX, wanted: ca.SX) -> ca.SX:
+    """Elasticity of adhesion over slip by least squares, whose sums are renewed by a share; near the wanted one (-)
+    where little was measured."""
+    off_f, off_s = (new[name] - new[f"mean_{name}"] for name in ("f", "s"))
+    for name, product in (("s_s", off_s**2), ("s_f", off_s * off_f)):
+        new[name] = old[name] + share * (product - old[name])
+    swung = new["s_f"] * new["mean_s"] / ca.fmax(new["mean_f"], _LEAST_ADHESION)
+    return ca.fmin(ca.fmax((swung + _PRIOR * wanted) / (new["s_s"] + _PRIOR), -1), 1)

@@ -50,19 +50,7 @@ ESTIMATES = ("y_TrAx", "psi_TrAx", "psidot_Ax", "xdot", "f_le", "f_ri", "s_le", 
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Continuous system matrix of the lateral filter and how its readings follow from the states.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    speed : float
-        (m/s)
-
-    Returns
-    -------
-    a : ndarray, shape (5, 5)
-    c : ndarray, shape (3, 5)
-    """
+    """Continuous system matrix (5, 5) of the lateral filter at a speed (m/s), and how its readings follow (3, 5)."""
     place = {name: i for i, name in enumerate(LATERAL)}
     a, c = np.zeros((5, 5)), np.zeros((3, 5))
     inertia = vehicle.gear.inertia_z
@@ -107,18 +95,7 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
 
 
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
-    """Run-time numbers of the filter of one gear, by the names of `GAINS`.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        What the filter believes.
-    loop : Loop
-
-    Returns
-    -------
-    dict
-    """
+    """Run-time numbers of the filter of one gear, by the names of `GAINS`; the vehicle is what the filter believes."""
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
     gains: dict[str, float] = {}

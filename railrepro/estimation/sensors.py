@@ -16,8 +16,7 @@ import numpy as np
 
 from railrepro import paths, schema
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.errors import InputError
-from railrepro.vehicle.parameters import Parameter
+from railrepro.vehicle.parameters import Parameter, loaded
 
 LONGEST = 20
 """Longest latency that the delay lines hold (exchanges)."""
@@ -177,28 +176,11 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     InputError
         One sentence naming file, key, what was found and what is allowed.
     """
-    file = schema.location(path, paths.source("data/sensors.toml"))
-    content = schema.read(file)
-    loop = schema.build(Loop, content, file.name)
-    for key, value in overrides.items():
-        group, _, name = key.partition(".")
-        if name not in content.get(group, {}):
-            known = [f"{g}.{n}" for g, table in content.items() for n in table]
-            raise InputError(f"override {key!r} is not a key of {file.name}; there are {known}")
-        content[group][name] |= {"value": value, "range": "fixed"}
-    return schema.build(Loop, content, file.name) if overrides else loop
+    return loaded(Loop, schema.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
-    """Sensors of a run: those of data/sensors.toml with some numbers changed, or perfect ones behind the same inverter.
-
-    Parameters
-    ----------
-    perfect : bool
-    seed : int
-    overrides
-        See `load_loop`.
-    """
+    """Sensors of a run: those of `load_loop`, or perfect ones behind the same inverter."""
     schema.require("sensors: perfect", perfect, bool)
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)

@@ -65,16 +65,8 @@ class ControlModel:
 def control_model(variant: str = "corrected", discrepancies: Iterable[str] | None = None) -> ControlModel:
     """The control-oriented model.
 
-    Parameters
-    ----------
-    variant : str
-        "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3".
-    discrepancies : iterable of str, optional
-        Instead of a variant: which entries of `DISCREPANCIES` to keep as printed.
-
-    Returns
-    -------
-    ControlModel
+    The variant is "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3";
+    `discrepancies` are taken instead: which entries of `DISCREPANCIES` to keep as printed.
     """
     stored = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
     if stored - set(DISCREPANCIES) - OUTSIDE:
@@ -132,18 +124,9 @@ def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
 
 
 def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
-    """One step of the model with inputs and track held.
+    """One step of the model with inputs and track held: (x[6], u[2], theta[9], par, T) -> x after T (s).
 
-    Parameters
-    ----------
-    model : ControlModel
-    method : str
-        "euler" (the paper), "midpoint" or "rk4".
-
-    Returns
-    -------
-    casadi.Function
-        (x[6], u[2], theta[9], par, T) -> x after T (s).
+    The method is "euler" (the paper), "midpoint" or "rk4".
 
     Source: eq. (discr_state_space1).
     """
@@ -154,15 +137,8 @@ def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
 def sensitivities(model: ControlModel, method: str) -> ca.Function:
     """One step with its derivatives, chained stage by stage (half the operations of differentiating the whole step).
 
-    Parameters
-    ----------
-    model, method
-        See `discretise`.
-
-    Returns
-    -------
-    casadi.Function
-        (x[6], u[2], theta[9], par, T) -> x after T, its Jacobians with respect to x (6, 6) and u (6, 2), sparse.
+    (x[6], u[2], theta[9], par, T) -> x after T (s), its Jacobians with respect to x (6, 6) and u (6, 2), sparse;
+    methods as of `discretise`.
     """
     step, inputs, (by_x, by_u) = _step(model, method)
     return ca.Function("control_sensitivities", inputs, [step(*inputs), by_x, by_u], {"cse": True})

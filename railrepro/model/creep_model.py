@@ -7,25 +7,30 @@ v::
     J_z r' = b F_x - k_sz (psi + psi_Tr - psi_CB) - k_dz (r + v kappa - v kappa_CB) + 2 J_Wy v/r_0 (phi_Tr' - Gamma y')
              + 2 f N y + M_d - J_z v^2 kappa'
     E' = r_0/J_Wy (tau - r_0 F_x) - v^2 kappa' b/2,   T_m tau' = du - tau
-    F_y = -2 k_22 ((1 + Gamma r_0) y'/v - psi),   F_x = k_11/v (E - r b/2 - Gamma b/2 v y/r_0) + f dN
+    F_y = -2 k_22 ((1 + Gamma r_0) y'/v - psi) + S_y,   F_x = k_11/v (E - r b/2 - lambda v y/r_0) + f dN
 
 with E = r_0 (w_le - w_ri)/2 - kappa v b/2, forces F_s of the suspension and F_N normal to the rails, half the
 difference dN of the wheel loads (left less right) about their mean N, half the difference F_x of the longitudinal creep
 forces. At used adhesion f the terms with f make the model unstable: body roll shifts wheel load, which turns the gear
 through f, and the traction of both rails acts beside the centre of a gear that is not in the middle.
 
+The contact of wheels with a profile (`Shape`) turns and wanders with the displacement y. Its slope pushes the gear
+back by F_N = 2 (s dN - N s' y), its spin pushes it away by S_y and turns it (`Spin`), and traction gains a longer arm:
+f N y becomes f N (1 + arm) y. On cones s' and the arm are zero and lambda is the slope s.
+
 Serves the lateral dynamics that the paper's eq. (discr_state_space1) leaves out.
 """
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 from scipy.linalg import expm
 
-from railrepro.contact.creep import polach
-from railrepro.contact.table import cone_patch
+from railrepro.contact.creep import polach, spin_moment
+from railrepro.contact.table import contact_table
 from railrepro.errors import InputError
 from railrepro.schema import above, between, require
 from railrepro.vehicle.parameters import Vehicle
@@ -41,6 +46,50 @@ UNKNOWN = ("force", "moment")
 """Disturbances: lateral force (N) and yaw moment (N m) on the gear."""
 LEAST_SPEED = 0.5
 """Slowest speed of the model (m/s); creepage has no meaning at rest."""
+REACH = 1e-3
+"""Displacement over which a profile counts as linear: secants from here to the other side (m)."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A wheel's contact on its rail over the shift towards the flange, secants over twice `REACH`.
+
+    Attributes
+    ----------
+    slope : float
+        Tangent s of the contact angle (-).
+    slope_rate : float
+        Its change s' over the shift (1/m).
+    conicity : float
+        Change lambda of the rolling radius (-).
+    arm : float
+        How far the contact moves on the rail, to the track's middle (-).
+    """
+
+    slope: float
+    slope_rate: float
+    conicity: float
+    arm: float
+
+
+@dataclass(frozen=True)
+class Spin:
+    """Lateral force S_y on both wheels and their moment about the vertical, beyond k_22.
+
+    Attributes
+    ----------
+    force : tuple of 3 float
+        Lateral force per displacement (N/m), per turning r/v (N m) and per load that moves to the left wheel (-).
+    moment : tuple of 4 float
+        Moment per displacement (N), per turning (N m2), per load (m) and per lateral creepage (N m).
+    """
+
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moment: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def times(self, factor: float) -> Spin:
+        """The same with forces and moments times a factor."""
+        return Spin(tuple(factor * np.array(self.force)), tuple(factor * np.array(self.moment)))
 
 
 @dataclass(frozen=True)
@@ -53,6 +102,8 @@ class Creep:
         Slope of the creep force of a wheel over longitudinal and lateral creepage, k_11 and k_22 (N).
     adhesion : float
         Used adhesion f, traction positive (-).
+    spin : Spin
+        By default none.
 
     Raises
     ------
@@ -63,11 +114,13 @@ class Creep:
     along: float
     across: float
     adhesion: float = 0.0
+    spin: Spin = field(default_factory=Spin)
 
     def __post_init__(self):
         for name, allowed in (("along", between(-1e14, 1e14, "N")), ("across", above(0.0, 1e14, "N"))):
             require(f"Creep: {name}", getattr(self, name), allowed)
         require("Creep: adhesion", self.adhesion, between(-2.0, 2.0))
+        require("Creep: spin", self.spin, Spin)
 
 
 @dataclass(frozen=True)
@@ -94,23 +147,23 @@ class LateralModel:
         return LateralModel(step[:, :n], b[:, 0], e, d)
 
 
+def shape(vehicle: Vehicle) -> Shape:
+    """The `Shape` of a vehicle's wheels in the middle of the track."""
+    frame = contact_table(vehicle.contact.profile, vehicle).frame
+
+    low, high = ({name: np.interp(shift, frame["shift_m"], frame[name]) for name in frame} for shift in (-REACH, REACH))
+
+    def secant(name: str) -> float:
+        return float(high[name] - low[name]) / (2 * REACH)
+
+    bend = float(np.tan(high["angle_rad"]) - np.tan(low["angle_rad"])) / (2 * REACH)
+    return Shape(secant("effective_radius_m"), bend, secant("rolling_radius_m"), -secant("rail_contact_m"))
+
+
 def creep_at(vehicle: Vehicle, adhesion: str, speed: float, slip: float = 0.0) -> Creep:
     """Creep of a vehicle's wheels on a rail about rolling with a longitudinal slip, as the plant's law has it.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-    adhesion : str
-        Adhesion set.
-    speed : float
-        Running speed (m/s).
-    slip : float
-        Traction positive (-).
-
-    Returns
-    -------
-    Creep
-        Means of both wheels, whose spins are opposite.
+    Of both wheels together, whose spins are opposite; speed in m/s, slip traction positive (-).
 
     Raises
     ------
@@ -123,45 +176,55 @@ def creep_at(vehicle: Vehicle, adhesion: str, speed: float, slip: float = 0.0) -
         raise InputError(f"creep: adhesion set {adhesion!r} is not known; there are {list(vehicle.adhesion)}")
     require("creep: speed", speed, between(0.0, 200.0, "m/s"))
     require("creep: slip", slip, between(-1.0, 1.0))
-    a, b, kalker = cone_patch(vehicle)
-    law, step = astuple(vehicle.adhesion[adhesion]), 1e-6
-    load, shear = vehicle.contact.nominal_load, vehicle.contact.shear_modulus
-    spin = np.tan(vehicle.wheel.cone_angle) / vehicle.wheel.radius * np.array([1.0, -1.0])
+    pair, step = _pair(vehicle, astuple(vehicle.adhesion[adhesion]), speed, slip), 1e-6
 
-    def force(along: float, across: float) -> np.ndarray:
+    def slope(name: str, size: float) -> np.ndarray:
+        return (pair(**{name: size}) - pair(**{name: -size})) / (2 * size)
+
+    load = vehicle.contact.nominal_load
+    along, across = slope("along", step), slope("across", step)
+    moved, turned, loaded = slope("y", REACH), slope("turning", 1e-6), slope("shifted", 1e-3 * load)
+    spin = Spin((moved[1], turned[1], loaded[1]), (moved[2], turned[2], loaded[2], across[2]))
+    return Creep(float(along[0]) / 2, -float(across[1]) / 2, float(pair()[0] / (2 * load)), spin)
+
+
+def _pair(vehicle: Vehicle, law: tuple, speed: float, slip: float) -> Callable[..., np.ndarray]:
+    """Function that gives the creep forces of both wheels together, along and across (N), and their moment (N m).
+
+    Its arguments are changes: of the slip and the lateral creepage (-), the displacement (m), the turning (1/m) and the
+    load that moves to the left wheel (N).
+    """
+    frame = contact_table(vehicle.contact.profile, vehicle).frame
+    load, shear, r_0 = vehicle.contact.nominal_load, vehicle.contact.shear_modulus, vehicle.wheel.radius
+    side = np.array([-1.0, 1.0])
+
+    def pair(
+        along: float = 0.0, across: float = 0.0, y: float = 0.0, turning: float = 0.0, shifted: float = 0.0
+    ) -> np.ndarray:
+        def at(name: str) -> np.ndarray:
+            return np.interp(side * y, frame["shift_m"], frame[name])
+
+        each = load - side * shifted
+        scale = (each / load) ** (1 / 3)
+        patch = scale * at("semi_axis_x_m"), scale * at("semi_axis_y_m"), at("c11"), at("c22"), at("c23")
+        spin = turning - side * np.sin(at("angle_rad")) / r_0
         sliding = speed * np.hypot(slip + along, across)
-        arguments: list = [-slip - along, -across, spin, load, a, b, *kalker, shear, *law, sliding]
-        return np.array(polach(*arguments)).mean(axis=1)
+        arguments: list = [-slip - along, across, spin, each, *patch, shear, *law, sliding]
+        moment = spin_moment(*(*arguments, at("c33")))
+        return np.array([*polach(*arguments), moment]).sum(axis=1)
 
-    slope_along = (force(step, 0.0) - force(-step, 0.0))[0] / (2 * step)
-    slope_across = (force(0.0, step) - force(0.0, -step))[1] / (2 * step)
-    return Creep(float(slope_along), float(slope_across), float(force(0.0, 0.0)[0] / load))
+    return pair
 
 
 def lateral_model(vehicle: Vehicle, speed: float, creep: Creep) -> LateralModel:
-    """The model of a gear at a speed.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    speed : float
-        (m/s), at least `LEAST_SPEED`.
-    creep : Creep
-
-    Returns
-    -------
-    LateralModel
-
-    Raises
-    ------
-    InputError
-        When the speed is out of range.
-    """
+    """The model of a gear at a speed (m/s) of at least `LEAST_SPEED`; InputError when that is out of range."""
     require("lateral model: speed", speed, between(LEAST_SPEED, 200.0, "m/s"))
     names = (*STATES, "du", *KNOWN, *UNKNOWN)
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these
     body, gear, wheel, stage = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension
-    v, g, r_0, base, gamma = speed, vehicle.gravity, wheel.radius, gear.contact_base, vehicle.gamma
+    v, g, r_0, base = speed, vehicle.gravity, wheel.radius, gear.contact_base
+    form, spin = shape(vehicle), creep.spin
+    gamma = form.slope / (base / 2 - r_0 * form.slope)
     half, inertia = body.mass / 2, body.inertia_x / 2
     weight = (half + gear.mass) * g
     below, above_axle = body.cg_height - stage.height, stage.height - r_0
@@ -173,12 +236,19 @@ def lateral_model(vehicle: Vehicle, speed: float, creep: Creep) -> LateralModel:
     sway_rate = z["vb"] - below * z["wb"] - z["vy"] - above_axle * roll_rate
     spring = 2 * stage.k_y * sway + 2 * stage.c_y * sway_rate
     bar = stage.roll_stiffness * (z["phib"] - roll) + stage.roll_damping * (z["wb"] - roll_rate)
-    across = -2 * creep.across * ((1 + gamma * r_0) * ydot / v - z["psi"])
-    unloading = -(bar + above_axle * spring - r_0 * across + half * g * sway + weight * z["y"]) / base
-    along = creep.along / v * (z["E"] - base / 2 * z["r"] - gamma * base / 2 * v / r_0 * z["y"])
+
+    creepage, turn = (1 + gamma * r_0) * ydot / v - z["psi"], z["r"] / v
+    across = -2 * creep.across * creepage + spin.force[0] * z["y"] + spin.force[1] * turn
+    rails = across - weight * form.slope_rate * z["y"]  # without what the shifted load adds
+    per_load = 2 * form.slope + spin.force[2]
+    unloading = -(bar + above_axle * spring - r_0 * rails + half * g * sway + weight * z["y"])
+    unloading = unloading / (base - r_0 * per_load)
+    along = creep.along / v * (z["E"] - base / 2 * z["r"] - form.conicity * v / r_0 * z["y"])
     along = along + creep.adhesion * unloading
-    normal = gear.mass * g * roll + 2 * np.tan(wheel.cone_angle) * unloading
-    turning = base * along + creep.adhesion * weight * z["y"] + z["moment"]
+    normal = gear.mass * g * roll + rails - across + per_load * unloading
+    turning = base * along + creep.adhesion * weight * (1 + form.arm) * z["y"] + z["moment"]
+    turning = turning + spin.moment[0] * z["y"] + spin.moment[1] * turn + spin.moment[2] * unloading
+    turning = turning + spin.moment[3] * creepage
     turning = turning + 2 * wheel.spin_inertia * v / r_0 * roll_rate - stage.yaw_stiffness * (z["psi"] + z["heading"])
     turning = turning - stage.yaw_damping * (z["r"] + z["slewing"])
     rates = {

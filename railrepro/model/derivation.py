@@ -115,13 +115,7 @@ def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
 
 @dataclass(frozen=True)
 class Equations:
-    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd).
-
-    Attributes
-    ----------
-    mass : Matrix, shape (2, 2)
-    rest : Matrix, shape (2, 1)
-    """
+    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd): `mass` (2, 2), `rest` (2, 1)."""
 
     mass: sp.Matrix
     rest: sp.Matrix
@@ -129,17 +123,7 @@ class Equations:
 
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
-    """Derive the equations of motion.
-
-    Parameters
-    ----------
-    discrepancies : frozenset of str
-        Which of `parameters.DISCREPANCIES` to keep as printed; empty gives the corrected model.
-
-    Returns
-    -------
-    Equations
-    """
+    """Derive the equations of motion with some of `DISCREPANCIES` kept as printed; none gives the corrected model."""
     kinematics = constraints(discrepancies)
     t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
     free = {xd: xdd, psid: psidd}
@@ -166,38 +150,3 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
     residual = sp.Matrix(residual).subs(kinematics.rates)
     mass = residual.jacobian(sp.Matrix(accelerations))
     return Equations(mass, residual.subs({xdd: 0, psidd: 0}))
-
-
-def linearised_yaw_equation(discrepancies: frozenset[str] = frozenset()) -> dict[str, sp.Expr]:
-    """Coefficients of the yaw equation about straight centred running at speed v.
-
-    Returns
-    -------
-    dict
-        "inertia" multiplies psidd; "torque" the differential torque; "psi", "psid", "y", "roll rate" the deviations;
-        all for the form inertia * psidd = sum of coefficient * quantity.
-    """
-    found, v, du = equations(discrepancies), sp.Symbol("v"), sp.Symbol("du")
-    straight = {
-        psi: 0,
-        psid: 0,
-        y: 0,
-        yd: 0,
-        xd: v,
-        psi_Tr: 0,
-        kappa: 0,
-        phi_Tr: 0,
-        dphi: 0,
-        psi_CB: 0,
-        kappa_CB: 0,
-    }
-    rest = -found.rest[1]
-    at = lambda e: sp.simplify(e.subs(straight).subs({tau_ri: 0, tau_le: 0}))  # noqa: E731
-    return {
-        "inertia": sp.simplify(found.mass[1, 1].subs(straight)),
-        "torque": sp.simplify(rest.subs(straight).subs({tau_ri: -du, tau_le: du}).diff(du)),
-        "psi": at(sp.diff(rest, psi)),
-        "psid": at(sp.diff(rest, psid)),
-        "y": at(sp.diff(rest, y)),
-        "roll rate": sp.simplify(at(sp.diff(rest, dphi)) / v),
-    }

@@ -91,17 +91,13 @@ def forecast(route: Route, nominal: np.ndarray, x_hat: np.ndarray, u_d: float, p
     ----------
     route : Route
     nominal : ndarray
-        What the forecast needs of the vehicle, see `NOMINAL`.
+        See `NOMINAL`.
     x_hat : ndarray, shape (6,)
         Measured state.
     u_d : float
         Base torque per wheel, traction-positive (N m).
     period, steps : float, int
         Time step T (s) and number of steps L.
-
-    Returns
-    -------
-    Forecast
     """
     place, stage = functions()
     t = period * np.arange(steps + 1)[None, :]

@@ -7,8 +7,9 @@ in Python over the same functions in CasADi's virtual machine, slower, with equa
 from __future__ import annotations
 
 import ctypes
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,9 +66,11 @@ class Exchange:
     held : ndarray, shape (2,)
         Differential torques of a slower lateral controller, front and rear (N m); writable.
     memory : ndarray
-        States of the law, see `law.ControlLaw.memory`.
+        States of the law, see `law.LawKind.memory`.
     columns : tuple of str
         Names of the columns that `run` returns.
+    compiled : bool
+        Whether the exchanges run in compiled code.
     functions : dict
         The functions behind an exchange by name, on shared buffers: coordinates, output, law, step.
     """
@@ -79,17 +82,15 @@ class Exchange:
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
         self.control, self.exchanges, self.ended = control, 0, False
         outputs = self.car.model.outputs
-        self.columns = (*outputs, *control.record)
+        self.columns = (*outputs, *control.kind.record)
         self.sensed = [outputs.index(name) for name in law.MEASURED]
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
         self._seen = None
-        if control.sensed:
-            self._seen = np.array([[control.memory.index(f"{gear}.{name}") for name in law.SEEN] for gear in law.GEARS])
-            self._read = np.array([[control.memory.index(f"{gear}.{name}") for name in law.READ] for gear in law.GEARS])
-        self._base = [control.memory.index(f"{gear}.u") for gear in law.GEARS]
-        self._estimates = np.array([[control.memory.index(f"{gear}.{n}") for n in law.ESTIMATES] for gear in law.GEARS])
-        self.memory, self._gains = np.zeros(len(control.memory)), np.array(control.gains)
-        self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.record))
+        if control.kind.sensed:
+            self._seen, self._read = self._places(law.SEEN), self._places(law.READ)
+        self._base, self._estimates = self._places(("u",))[:, 0], self._places(law.ESTIMATES)
+        self.memory, self._gains = np.zeros(len(control.kind.memory)), np.array(control.gains)
+        self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.kind.record))
         self._measured, self._margins = np.zeros(len(law.MEASURED)), np.zeros(len(law.MARGINS))
         first = equations.BODIES.index(law.GEARS[0])
         cells = self.car.rows[first : first + len(law.GEARS)].reshape(-1)
@@ -98,13 +99,20 @@ class Exchange:
             [self._measured, cells, self.held, self._gains, self.memory],
             [self.car.torque, self._next_memory, self._record, self._margins],
         )
-        self._loop = None
-        if self.car.pointer is None:
-            control_law = codegen.InterpretedFunction(*binding)
+        pointer, advance = self.car.pointer, self._run_python
+        library, driver = (None, None) if pointer is None else (control.library(), _library())
+        self.compiled = not (library is None or driver is None)
+        if library is None or driver is None:
+            control_law: Any = codegen.InterpretedFunction(*binding)
         else:
-            control_law = codegen.CompiledFunction(control.library(), *binding)
-            self._loop = self._structure(control_law)
-        self.functions = self.car.functions | {"law": control_law}
+            control_law = codegen.CompiledFunction(library, *binding)
+            advance = partial(_run_compiled, driver, self._structure(pointer, control_law))
+        self.functions, self._advance = self.car.functions | {"law": control_law}, advance
+
+    def _places(self, names: tuple[str, ...]) -> np.ndarray:
+        """Places of named states of both gears in the memory of the law, shape (2, len(names))."""
+        memory = self.control.kind.memory
+        return np.array([[memory.index(f"{gear}.{name}") for name in names] for gear in law.GEARS])
 
     def run(self, n: int) -> np.ndarray:
         """Advance by up to n exchanges.
@@ -120,10 +128,10 @@ class Exchange:
             One row per exchange, taken before its step. m = n, or the run ended early: the last row then shows where,
             `ended` is true and `state` is that of the last row.
         """
-        blocks, run = [np.empty((0, len(self.columns)))], self._run_python if self._loop is None else self._run_compiled
+        blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
-            blocks.append(self.took(rows, run(rows)))
+            blocks.append(self.took(rows, self._advance(rows)))
             if self.ended:
                 break
         return np.concatenate(blocks)
@@ -142,10 +150,7 @@ class Exchange:
     @property
     def structure(self) -> tuple | None:
         """What exchanges that can go side by side share; None without compiled code."""
-        law_of = self.control
-        if self._loop is None:
-            return None
-        return self.two_stage, self.car.substeps, law_of.kind, law_of.sensed, law_of.longitudinal_law
+        return (self.two_stage, self.car.substeps, self.control.kind) if self.compiled else None
 
     def buffers(self) -> dict[str, np.ndarray]:
         """All numbers of the functions by name, each once."""
@@ -203,19 +208,19 @@ class Exchange:
             self.memory[:] = self._next_memory
         return len(rows)
 
-    def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
+    def _structure(self, pointer: Any, control_law: codegen.CompiledFunction) -> _Loop:
         outputs = self.car.outputs
         sensed = [_copy(outputs[j : j + 1], self._measured[i : i + 1]) for i, j in enumerate(self.sensed)]
         logged = [_copy(outputs), _copy(self._record)]
         carried = [_copy(self._next_memory, self.memory)]
         self._copies = [(_Copy * len(group))(*group) for group in (sensed, logged, carried)]
         addresses = (ctypes.addressof(copies) for copies in self._copies)
-        car = ctypes.cast(self.car.pointer, ctypes.c_void_p)
         return _Loop(
-            car, *self.car.c_functions(), control_law.call, *addresses, *map(len, self._copies),
-            self._margins.ctypes.data, self._margins.size,
+            ctypes.cast(pointer, ctypes.c_void_p), *self.car.c_functions(), control_law.call, *addresses,
+            *map(len, self._copies), self._margins.ctypes.data, self._margins.size,
         )  # fmt: skip
 
-    def _run_compiled(self, rows: np.ndarray) -> int:
-        to = ctypes.c_void_p(rows.ctypes.data)
-        return _library().loop_run(ctypes.byref(self._loop), ctypes.c_longlong(len(rows)), to)
+
+def _run_compiled(driver: ctypes.CDLL, loop: _Loop, rows: np.ndarray) -> int:
+    """Exchanges that were done of those that `rows` has room for."""
+    return driver.loop_run(ctypes.byref(loop), ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data))

@@ -54,9 +54,15 @@ class _SideBySide(ctypes.Structure):
     ]
 
 
+def _loaded(text: str, level: str = "-Og") -> ctypes.CDLL:
+    library = codegen.library(text, level=level)
+    assert library is not None, "exchanges that go side by side are compiled"
+    return library
+
+
 @lru_cache(maxsize=2)
 def _car(two_stage: bool) -> ctypes.CDLL:
-    return codegen.library(_car_text(two_stage), level="-O1")  # half the time of -Og to run, half of -O2 to compile
+    return _loaded(_car_text(two_stage), "-O1")  # half the time of -Og to run, half of -O2 to compile
 
 
 @codegen.stored
@@ -66,13 +72,13 @@ def _car_text(two_stage: bool) -> str:
 
 @lru_cache
 def _law(function: ca.Function) -> ctypes.CDLL:
-    return codegen.library(codegen.wide_text([function]))
+    return _loaded(codegen.wide_text([function]))
 
 
 @lru_cache(maxsize=1)
 def _driver() -> ctypes.CDLL:
     text = codegen.wide_text([]) + stepper.c_text() + Path(__file__).with_name("lanes.c").read_text()
-    return codegen.library(text)
+    return _loaded(text)
 
 
 def _aligned(n: int) -> np.ndarray:
@@ -103,16 +109,15 @@ class SideBySide:
         libraries = {"law": _law(first.control.function)}
         self._kept: list[Any] = []
         calls = [self._call(first.functions[name], libraries.get(name, _car(first.two_stage))) for name in _FUNCTIONS]
-        cars = [exchanges[i if i < len(exchanges) else 0].car.pointer for i in range(LANES)]
+        pointers = [exchanges[i if i < len(exchanges) else 0].car.pointer for i in range(LANES)]
+        cars = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers if pointer is not None]
         rows, shares = first.car.cells_and_shares()
-        names = ("state", "measured", "memory", "next_state", "outputs", "record", "next_memory", "margins")
         sizes = [owned[0][name.removeprefix("n_")].size for name in _SIZES]
         self._sensed = np.array(first.sensed, dtype=np.int64)
         self._c = _SideBySide(
-            *calls, (ctypes.c_void_p * LANES)(*(ctypes.cast(car, ctypes.c_void_p).value for car in cars)),
-            ctypes.addressof(self._all), len(self._all), self._wide["places"].ctypes.data, self._pointers(rows),
-            self._pointers(shares), *(self._wide[name].ctypes.data for name in names), *sizes,
-            self._sensed.ctypes.data,
+            *calls, (ctypes.c_void_p * LANES)(*cars), ctypes.addressof(self._all), len(self._all),
+            self._wide["places"].ctypes.data, self._pointers(rows), self._pointers(shares),
+            *(self._wide[name].ctypes.data for name in _BUFFERS), *sizes, self._sensed.ctypes.data,
         )  # fmt: skip
         self._done = (ctypes.c_longlong * LANES)()
 
@@ -145,8 +150,9 @@ class _Job:
     """A run on its way: what it asks for, what it got of that, how it ended."""
 
     def __init__(self, steps: Steps):
-        self.steps, self.rows, self.ended = steps, [], False
-        self.outcome, self.error = None, None
+        self.steps, self.ended, self.outcome = steps, False, None
+        self.rows: list[np.ndarray] = []
+        self.error: BaseException | None = None
         self._go(lambda: next(steps))
 
     def _go(self, on: Callable) -> None:

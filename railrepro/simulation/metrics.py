@@ -11,7 +11,7 @@ import scipy
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.creep import adhesion_maximum
-from railrepro.contact.table import cone_patch
+from railrepro.contact.table import middle_patch
 from railrepro.errors import InputError
 from railrepro.schema import above, require
 from railrepro.simulation.scenarios import Scenario
@@ -19,6 +19,8 @@ from railrepro.vehicle.parameters import Vehicle
 
 FLANGE_ANGLE = np.radians(30)
 """Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
+FLANGEWAY = 7e-3
+"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
 ACTIVITY = 5.0
 """Frequency above which a differential torque follows no set point (Hz): a sweep of 40 m at 400 km/h has 2.8 Hz."""
 
@@ -56,6 +58,17 @@ def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     return float(np.sqrt(np.mean((_of(series, f"{gear}.y") - _of(series, f"{gear}.rail_y")) ** 2)))
 
 
+def reaches_flange(series: pd.DataFrame) -> bool:
+    """Whether a wheel has touched with its flange, or a running gear on cones has been where flanges would touch.
+
+    Flanges hold a car of S1002 wheels on the rail whatever the torque does, so this, not derailing, is where active
+    guidance ends.
+    """
+    aside = max(float(np.abs(_of(series, f"{g}.y") - _of(series, f"{g}.rail_y")).max()) for g in ("front", "rear"))
+    angles = series.filter(regex=r"_(ri|le)\.angle$")
+    return aside > FLANGEWAY or bool((angles.abs() > FLANGE_ANGLE).to_numpy().any())
+
+
 def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step: float = 0.1) -> float:
     """Distance by which y trails y* (m): the lag of the largest cross-correlation of the detrended signals.
 
@@ -86,7 +99,7 @@ def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step
     # Means, not sums: each lag has its own number of overlapping samples.
     correlation = [
         np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
-        for lag in lags
+        for lag in lags.tolist()
     ]
     return float(step * lags[np.argmax(correlation)])
 
@@ -147,8 +160,7 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
 
     Knowledge of the analyst, never of a controller. Between the sets it is interpolated.
     """
-    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    patch = (load, *cone_patch(vehicle), vehicle.contact.shear_modulus)
+    patch = (vehicle.wheel_load, *middle_patch(vehicle), vehicle.contact.shear_modulus)
     grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
     good, poor = (
         np.interp(speed, grid, [adhesion_maximum(vehicle.adhesion[name], v, *patch)[0] for v in grid])
@@ -175,7 +187,7 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
         "largest_slip": (float(slip.max()) if slip.size else float("nan"), "-"),
     }
     if scenario.force_kN:
-        shares = [np.interp(p, *zip(*points, strict=True)) for points in scenario.poor_shares]
+        shares = [np.interp(p, *np.transpose(points)) for points in scenario.poor_shares]
         limit = np.mean([adhesion_limit(v, share, scenario, vehicle) for share in shares], axis=0)
         f = (series["front_le.fx"] + series["front_ri.fx"]).to_numpy() / 2
         f_star = series["front.f_star"].to_numpy()

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import casadi as ca
 import numpy as np
 from pydantic import AfterValidator, Field
 
@@ -33,11 +34,6 @@ _FADE = Annotated[Number, above(0.0, 1e5, "m")]
 _SHARES = Annotated[tuple, steps("share", 0.0, 1.0)]
 
 
-def _check_order(point: Sine | Sweep) -> None:
-    if point.end_m is not None and not point.start_m < point.end_m:
-        raise ValueError(f"ends at {point.end_m} m, an end after its start at {point.start_m} m is needed")
-
-
 @schema.table
 class NoSetPoint:
     """The gear is to follow the centre line."""
@@ -56,7 +52,8 @@ class Sine:
     end_m: _PLACE | None = None
     fade_m: _FADE | None = None
 
-    __post_init__ = _check_order
+    def __post_init__(self) -> None:
+        _check_order(self.start_m, self.end_m)
 
 
 @schema.table
@@ -71,10 +68,19 @@ class Sweep:
     end_m: _PLACE
     fade_m: _FADE | None = None
 
-    __post_init__ = _check_order
+    def __post_init__(self) -> None:
+        _check_order(self.start_m, self.end_m)
 
 
-_SET_POINT = Annotated[NoSetPoint | Sine | Sweep, Field(discriminator="kind"), schema.AS_GIVEN]
+def _check_order(start: float, end: float | None) -> None:
+    if end is not None and not start < end:
+        raise ValueError(f"ends at {end} m, an end after its start at {start} m is needed")
+
+
+if TYPE_CHECKING:
+    _SET_POINT = dict[str, Any]
+else:  # checked as one of these, and kept as the table that it is
+    _SET_POINT = Annotated[NoSetPoint | Sine | Sweep, Field(discriminator="kind"), schema.AS_GIVEN]
 
 
 @schema.table
@@ -150,7 +156,7 @@ class Scenario:
         self._check_ramps(track)
         way = route.lay(
             track,
-            reference=self._reference(),
+            reference=self.reference(),
             poor=(_ramps(left), _ramps(right)),
             force=_steps(self.force_kN),
             irregularities=irregularities,
@@ -178,7 +184,8 @@ class Scenario:
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 
-    def _reference(self):
+    def reference(self) -> ca.Function | None:
+        """Lateral set point over the coordinate, if there is one."""
         point = self.set_point
         extra = {"fade": point["fade_m"]} if "fade_m" in point else {}
         if point["kind"] == "sine":

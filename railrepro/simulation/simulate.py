@@ -25,7 +25,7 @@ from railrepro.model.control_model import X
 from railrepro.schema import between, require
 from railrepro.simulation import lanes
 from railrepro.simulation.exchange import Exchange
-from railrepro.simulation.metrics import FLANGE_ANGLE
+from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY
 from railrepro.simulation.scenarios import Scenario
 from railrepro.threads import one_thread
 from railrepro.track.route import Route
@@ -33,8 +33,6 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 LARGEST_LOG = 2 * 2**30
 """Most bytes that the log of a run may take; while its series is made, memory holds it three times."""
-FLANGEWAY = 7e-3
-"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class Run:
     state : ndarray
         Plant state at the end, see `CarStepper`.
     memory : dict
-        States of the law at the end by name, see `law.memory_names`.
+        States of the law at the end by name, see `law.LawKind.memory`.
     """
 
     series: pd.DataFrame
@@ -64,7 +62,7 @@ class Run:
     failed: bool
     warnings: tuple[str, ...]
     controllers: tuple = ()
-    state: np.ndarray = field(default=None, repr=False)
+    state: np.ndarray = field(default_factory=lambda: np.empty(0), repr=False)
     memory: dict[str, float] = field(default_factory=dict, repr=False)
 
 
@@ -95,10 +93,8 @@ def run(
         What the controllers believe; default data/vehicle.toml.
     plant_vehicle : Vehicle, optional
         The car itself; default the same.
-    adhesion, estimate, fixed_share : optional
-        Longitudinal law, estimates and allocation, see `law.control_law`.
-    sensors : Readings, optional
-        What stands between the car and its controllers; default nothing.
+    adhesion, estimate, fixed_share, sensors : optional
+        See `law.LawSettings`.
     irregularities, line : optional
         See `railrepro.track.route.lay`.
     substeps : int
@@ -123,20 +119,22 @@ def run(
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
-    settings = adhesion, estimate, fixed_share, sensors
-    law.check_settings(*settings)
+    settings = law.LawSettings(adhesion, estimate, fixed_share, sensors)
     require("substeps", substeps, between(1, 10_000), whole=True)
     require("compiled", compiled, bool)
     route = checked_route(scenario, body, irregularities, line)
     return lanes.drive(_run(scenario, guidance, route, vehicle, body, settings, substeps, compiled))
 
 
-def _run(scenario, guidance, route, vehicle, body, settings, substeps, compiled) -> lanes.Steps:
+def _run(
+    scenario: Scenario, guidance: lateral.Guidance, route: Route, vehicle: Vehicle, body: Vehicle,
+    settings: law.LawSettings, substeps: int, compiled: bool,
+) -> lanes.Steps:  # fmt: skip
     """A checked run that asks for its exchanges, see `lanes.Steps`."""
     lateral_law, factory = lateral.split(guidance)
-    exchange, sensors = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled), settings[-1]
+    exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
     longest = _longest(route, scenario, len(exchange.columns))
-    latency = vars(sensors.loop.latency).values() if sensors else ()
+    latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()
     with one_thread():
         controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
         log = yield from _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
@@ -145,7 +143,7 @@ def _run(scenario, guidance, route, vehicle, body, settings, substeps, compiled)
     ended, failed = _reason(exchange, series)
     if not np.isfinite(log[-1]).all():  # the run ends at such a row, which `ended` names
         series = series[:-1]
-    memory = dict(zip(exchange.control.memory, exchange.memory.tolist(), strict=True))
+    memory = dict(zip(exchange.control.kind.memory, exchange.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy(), memory)
 
 
@@ -157,24 +155,22 @@ def checked_route(scenario: Scenario, body: Vehicle, irregularities=None, line=N
 
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    settings: tuple = (None, None, 0.0, None), substeps: int = 1, compiled: bool = True,
+    settings: law.LawSettings = law.PLAIN, substeps: int = 1, compiled: bool = True,
 ) -> Exchange:  # fmt: skip
     """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
 
     Parameters
     ----------
-    scenario, guidance, vehicle, substeps, compiled
+    scenario, guidance, vehicle, settings, substeps, compiled
         See `run`.
     route : Route
         That of the scenario, see `checked_route`.
     body : Vehicle
         The car itself.
-    settings : tuple
-        adhesion, estimate, fixed_share, sensors, see `run`.
     """
     tables = tuple(contact_table(name, body) for name in filter(None, (body.contact.profile, scenario.second_profile)))
-    limits = {"lateral": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, guidance, *settings, **limits)
+    limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    control = law.control_law(vehicle, guidance, settings, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
     state = equations.rest_state(body, tables[0], scenario.speed)
     return Exchange(parameters, tables, route, control, state, compiled, substeps)
@@ -238,7 +234,7 @@ def _reason(exchange: Exchange, series: pd.DataFrame) -> tuple[str, bool]:
     margins = exchange.margins
     for name in GEARS:
         if margins[f"{name}.lateral"] <= 0:
-            return f"{name} gear left the rail, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True
+            return f"{name} gear derailed, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True
     if margins["track_end"] <= 0:
         return f"end of the run {at}", False
     if margins["stop_speed"] <= 0:

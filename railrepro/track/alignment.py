@@ -53,17 +53,9 @@ class Alignment:
 
 
 def superelevation_angle(speed: float, radius: float, unbalanced_acceleration: float) -> float:
-    """Cant angle that leaves an unbalanced lateral acceleration.
+    """Cant angle phi_Tr (rad, with the sign of the radius) that leaves an unbalanced lateral acceleration (m/s2).
 
-    Parameters
-    ----------
-    speed, radius, unbalanced_acceleration : float
-        m/s, m (negative: left-hand curve), m/s2.
-
-    Returns
-    -------
-    float
-        phi_Tr (rad), with the sign of the radius.
+    Speed in m/s, radius in m (negative: left-hand curve).
 
     Source: paper, footnote to Table I.
     """

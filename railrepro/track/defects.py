@@ -17,20 +17,9 @@ _HEIGHT = between(-LARGEST, LARGEST, "m")
 
 
 def dip(p: np.ndarray, start: float, length: float, depth: float, rail: str = "both") -> pd.DataFrame:
-    """Vertical dip in the shape of a versine.
+    """Vertical dip in the shape of a versine at track coordinates p (m), shape (n,).
 
-    Parameters
-    ----------
-    p : ndarray, shape (n,)
-        Track coordinates (m).
-    start, length, depth : float
-        Begin, length and greatest depth (m); a negative depth is a hump.
-    rail : str
-        "both", "le" or "ri".
-
-    Returns
-    -------
-    DataFrame
+    Begin, length and greatest depth in m, a negative depth is a hump; `rail` is "both", "le" or "ri".
     """
     if rail not in ("both", "le", "ri"):
         raise InputError(f"dip: rail is {rail!r}, 'both', 'le' or 'ri' is allowed")
@@ -45,22 +34,9 @@ def alignment_fault(p: np.ndarray, start: float, length: float, amplitude: float
 
 
 def lateral_offset(p: np.ndarray, start: float, length: float, offset: float, transition: float) -> pd.DataFrame:
-    """Lateral step of both rails there and back, as at a switch.
+    """Lateral step of both rails there and back, as at a switch, at track coordinates p (m), shape (n,).
 
-    Parameters
-    ----------
-    p : ndarray, shape (n,)
-        Track coordinates (m).
-    start, length : float
-        Begin and whole length, both transitions included (m).
-    offset : float
-        Offset in between, right positive (m).
-    transition : float
-        Length of each transition, which has continuous second derivatives (m).
-
-    Returns
-    -------
-    DataFrame
+    The length contains both transitions, whose second derivatives are continuous; offset right positive (all m).
     """
     require("lateral offset: offset", offset, _HEIGHT)
     _check_place("lateral offset", p, start, length, transition)

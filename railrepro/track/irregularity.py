@@ -1,4 +1,4 @@
-"""Track irregularities: spectra, random realisations, the rails of a track centre, standard deviation in a band.
+"""Track irregularities: spectra, random realisations, the rails of a track centre.
 
 A frame of irregularities has the coordinate p_m and four channels of the track centre, signs as in the car: alignment
 (`lateral_m`, right positive), longitudinal level (`vertical_m`, down positive), cross level as an angle
@@ -19,7 +19,7 @@ import scipy
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
-from railrepro.schema import Number, above, between, is_number, require
+from railrepro.schema import Number, above, between, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channels in the order of their random generators, with their columns."""
@@ -28,8 +28,8 @@ FLANGEWAY = {"lateral_m": (-0.020, 0.020), "gauge_m": (-0.010, 0.035)}
 LARGEST = 0.1
 """Largest number of any channel; beyond it the unit is wrong."""
 _USUAL = {"vertical_m": (0.05, "m"), "crosslevel_rad": (0.025, "rad")}
-D1, D2 = (3.0, 25.0), (25.0, 70.0)
-"""Bands of wavelengths (m) in which EN 13848-1 judges level and alignment."""
+D1 = 3.0, 25.0
+"""Wavelengths (m) in which EN 13848-1 judges level and alignment."""
 
 _ERRI = {
     "erri_low": {"lateral": 2.119e-7, "vertical": 4.032e-7, "gauge": 5.32e-8},
@@ -71,10 +71,6 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
         "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
     wavenumber : ndarray
         Angular wavenumber (rad/m).
-
-    Returns
-    -------
-    ndarray
 
     Source: ERRI B176.
     """
@@ -259,17 +255,9 @@ def faded(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def rails(frame: pd.DataFrame) -> pd.DataFrame:
-    """Offsets of both rails from their ideal places.
+    """Offsets of both rails from their ideal places, from p_m and the columns of `CHANNELS`.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        p_m and the columns of `CHANNELS`.
-
-    Returns
-    -------
-    DataFrame
-        p_m, then lateral_le_m, lateral_ri_m (right positive), vertical_le_m, vertical_ri_m (down positive).
+    Columns p_m, lateral_le_m, lateral_ri_m (right positive), vertical_le_m, vertical_ri_m (down positive).
     """
     columns = {"p_m": frame["p_m"]}
     for side, sign in (("le", -1), ("ri", 1)):
@@ -301,45 +289,3 @@ def sampling(frame: pd.DataFrame) -> float:
     if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.max():
         raise InputError("irregularities: p_m is not evenly spaced and increasing, resample the frame first")
     return float(steps.mean())
-
-
-def band_standard_deviation(frame: pd.DataFrame, band: tuple[float, float] = D1) -> pd.Series:
-    """Standard deviation of each channel within a band of wavelengths.
-
-    Butterworth high-pass and low-pass of fourth order over the distance, forwards and backwards (no phase), with the
-    half-power points of the whole at the ends of the band. A stretch of the longest wavelength is left out at both
-    ends, where filter and fade have not settled.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Evenly spaced p_m and any channels: track centre or rails (as EN 13848 judges them).
-    band : tuple of float
-        Shortest and longest wavelength (m): `D1` or `D2`.
-
-    Returns
-    -------
-    Series
-        By column, in its unit.
-
-    Source: EN 13848-1, bands; its filter is less steep (confidence R).
-    """
-    ends = [end for end in band if is_number(end)] if isinstance(band, tuple | list) else []
-    if len(ends) != 2 or not 0 < ends[0] < ends[1]:
-        raise InputError(f"irregularities: band is {band!r}, two wavelengths (m), the shorter first, are needed")
-    shortest, longest = ends
-    step, order = sampling(frame), 4
-    # Two passes damp twice: each is widened so that the power is halved at the ends of the band only once.
-    widened = (np.sqrt(2) - 1) ** (1 / (2 * order))
-    if widened * shortest <= 2 * step or len(frame) * step < 3 * longest:
-        raise InputError(
-            f"irregularities: {len(frame)} rows each {step:g} m, waves of {shortest:g} to {longest:g} m need rows "
-            f"closer than {widened * shortest / 2:.3g} m over at least {3 * longest:g} m"
-        )
-    values = frame.drop(columns="p_m")
-    for kind, edge in (("highpass", widened / longest), ("lowpass", 1 / (widened * shortest))):
-        values = scipy.signal.sosfiltfilt(
-            scipy.signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0
-        )
-    margin = int(np.ceil(longest / step))
-    return pd.Series(values[margin:-margin].std(axis=0), frame.columns.drop("p_m"))

@@ -10,6 +10,7 @@ import pandas as pd
 from railrepro import schema
 from railrepro.errors import InputError
 from railrepro.track.irregularity import CHANNELS, FLANGEWAY, LARGEST, doubt
+from railrepro.track.survey import refuse
 from railrepro.track.table import read_numbers
 
 _GAP = 1.5
@@ -63,10 +64,11 @@ def read_irregularities(
     for row in np.flatnonzero(np.diff(p) > _GAP * usual)[:1]:
         gap = f"p_m has a gap from {p[row]:g} to {p[row + 1]:g} m"
         raise InputError(f"{file.name}: row {row + 3}, {gap}, steps of up to {_GAP} times {usual:g} m are allowed")
-    for column in CHANNELS.values():
-        _check_range(file, frame[column], (-LARGEST, LARGEST), " (unit?)")
-    for column, allowed in FLANGEWAY.items():
-        _check_range(file, frame[column], allowed, "; more than the flangeway takes")
+    ranges = [(column, -LARGEST, LARGEST, " (unit?)") for column in CHANNELS.values()]
+    ranges += [(column, *allowed, "; more than the flangeway takes") for column, allowed in FLANGEWAY.items()]
+    for column, low, high, hint in ranges:
+        outside = (frame[column] < low) | (frame[column] > high)
+        refuse(file.name, frame[column], outside, f"{low:g} to {high:g} is allowed{hint}")
     doubt(frame, file.name)
     if length is not None and (p[0] > 0 or p[-1] < length):
         raise InputError(
@@ -76,13 +78,3 @@ def read_irregularities(
         step = f"p_m makes a step of {p[row + 1] - p[row]:g} m, up to {shortest / 2:g} m is allowed"
         raise InputError(f"{file.name}: row {row + 3}, {step} for wavelengths of {shortest:g} m")
     return frame
-
-
-def _check_range(file: Path, values: pd.Series, allowed: tuple[float, float], hint: str) -> None:
-    low, high = allowed
-    outside = ((values < low) | (values > high)).to_numpy()
-    if outside.any():
-        row = int(np.argmax(outside))
-        raise InputError(
-            f"{file.name}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {low:g} to {high:g} is allowed{hint}"
-        )

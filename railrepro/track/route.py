@@ -138,16 +138,12 @@ def lay(
         p_m and the channels of `railrepro.track.irregularity.CHANNELS`, joined by a cubic spline; zero outside.
     line : pair of ndarray, shapes (m,) and (4, m), optional
         Coordinates, and a set point with its first three derivatives there, which hold from one coordinate to the next
-        and are zero outside; added to the reference. See `railrepro.track.preview.planned_line`.
+        and are zero outside; added to the reference. See `railrepro.evidence.runs.preview`.
     second_profile : callable, optional
         Share of the second pair of profiles in [0, 1] over p (m), see `railrepro.contact.table`; changes within metres
         at least, because its slope makes no force of its own.
     side_force : callable, optional
         Force on the car body over p of its centre of gravity (N), lateral in the track frame, to the right positive.
-
-    Returns
-    -------
-    Route
 
     Raises
     ------
@@ -266,19 +262,10 @@ def _within(s: ca.SX, start: float, end: float, fade: float) -> ca.SX:
 
 @lru_cache
 def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
-    """Sinusoidal lateral set point.
+    """Sinusoidal lateral set point as a function p (m) -> y* (m).
 
-    Parameters
-    ----------
-    amplitude, period, start, end : float
-        Amplitude, spatial period, first and last track coordinate (m).
-    fade : float
-        Length over which the amplitude rises and falls smoothly (m).
-
-    Returns
-    -------
-    casadi.Function
-        p (m) -> y* (m).
+    Amplitude, spatial period, first and last track coordinate, and the length over which the amplitude rises and falls
+    smoothly (all m).
 
     Source: paper, caption of Fig. 7 (period 150 m).
     """
@@ -292,23 +279,10 @@ def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.in
 def sweep(
     amplitude: float, period_start: float, period_end: float, start: float, end: float, fade: float = 30.0
 ) -> ca.Function:
-    """Sine-sweep lateral set point whose wavenumber grows linearly from start to end.
+    """Sine-sweep lateral set point as a function p (m) -> y* (m); its wavenumber grows linearly from start to end.
 
-    Parameters
-    ----------
-    amplitude : float
-        Amplitude (m).
-    period_start, period_end : float
-        Spatial periods at both ends (m).
-    start, end : float
-        First and last track coordinate (m).
-    fade : float
-        Length over which the amplitude rises and falls smoothly (m).
-
-    Returns
-    -------
-    casadi.Function
-        p (m) -> y* (m).
+    Amplitude, spatial periods at both ends, first and last track coordinate, and the length over which the amplitude
+    rises and falls smoothly (all m).
 
     Source: paper, Figs. 6 and 9 (parameters not printed there).
     """

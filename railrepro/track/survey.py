@@ -35,24 +35,12 @@ _SHARPEST = 50.0
 
 
 def derived(points: pd.DataFrame, where: str) -> pd.DataFrame:
-    """Angles and rates of a track from surveyed points.
-
-    Parameters
-    ----------
-    points : DataFrame
-        `CHAINAGE` and columns of `COLUMNS`.
-    where : str
-        File that a sentence names.
-
-    Returns
-    -------
-    DataFrame
-        p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, see `railrepro.track.table`.
+    """Angles and rates of a track, as `railrepro.track.table` has them, from `CHAINAGE` and columns of `COLUMNS`.
 
     Raises
     ------
     InputError
-        Neither or both of curvature and radius, or cant twice; beyond what railways build.
+        Neither or both of curvature and radius, or cant twice; beyond what railways build. Names the file (`where`).
     """
     for pair, needed in ((COLUMNS[:2], True), (COLUMNS[2:4], False)):
         there = [column for column in pair if column in points]
@@ -60,12 +48,14 @@ def derived(points: pd.DataFrame, where: str) -> pd.DataFrame:
             raise InputError(f"{where}: has {there or 'neither'} of {list(pair)}, one of them is needed")
     for column, (largest, unit) in _LARGEST.items():
         if column in points:
-            _check(where, points[column], points[column].abs() > largest, f"up to {largest:g} {unit} is allowed")
+            refuse(
+                where, points[column], points[column].abs() > largest, f"up to {largest:g} {unit} is allowed (unit?)"
+            )
     p = (points[CHAINAGE] - points[CHAINAGE].iloc[0]).to_numpy()
     if "radius_m" in points:
         radius = points["radius_m"]
         sharp = (radius != 0) & (radius.abs() < _SHARPEST)
-        _check(where, radius, sharp, f"at least {_SHARPEST:g} m, or 0 on a straight, is allowed")
+        refuse(where, radius, sharp, f"at least {_SHARPEST:g} m, or 0 on a straight, is allowed (unit?)")
         kappa = np.where(radius == 0, 0.0, 1 / radius.mask(radius == 0, 1.0))
     else:
         kappa = points["curvature_1pm"].to_numpy()
@@ -91,7 +81,8 @@ def derived(points: pd.DataFrame, where: str) -> pd.DataFrame:
     )
 
 
-def _check(where: str, values: pd.Series, wrong: pd.Series, allowed: str) -> None:
+def refuse(where: str, values: pd.Series, wrong: pd.Series, allowed: str) -> None:
+    """Refuse a column of a CSV with the first of the rows that are wrong; InputError."""
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise InputError(f"{where}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {allowed} (unit?)")
+        raise InputError(f"{where}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {allowed}")

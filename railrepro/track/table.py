@@ -43,18 +43,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def build_table(alignment: Alignment, step: float = STEP) -> pd.DataFrame:
-    """Table of an alignment with the contract columns.
+    """Table of an alignment with the columns `COLUMNS`, a row every `step` (m).
 
-    Parameters
-    ----------
-    alignment : Alignment
-    step : float
-        Distance of the rows (m); segment ends that are multiples of it are met exactly.
-
-    Returns
-    -------
-    DataFrame
-        Columns `COLUMNS`, one row per sample of p.
+    Segment ends that are multiples of the step are met exactly.
     """
     if not alignment.length >= step:
         raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, at least {step:g} m are needed")
@@ -126,18 +117,10 @@ class Track:
         return index, p - self.p[index]
 
     def interpolate(self, p) -> np.ndarray:
-        """Track angles and rates per metre.
+        """Track angles and rates per metre at coordinates p (m, shape (n,)), shape (6, n).
 
-        Parameters
-        ----------
-        p : array_like, shape (n,)
-            Track coordinates (m).
-
-        Returns
-        -------
-        ndarray, shape (6, n)
-            psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp
-            are right-continuous.
+        psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp are
+        right-continuous.
 
         Source: eqs. (track) of the paper, without the factor dp/dt.
         """
@@ -208,10 +191,6 @@ def read_table(path: Path | str) -> pd.DataFrame:
         CSV with the columns `COLUMNS`; x_m, y_m, z_m may be missing and are then integrated. Or one with chainage,
         curvature or radius, and cant, see `railrepro.track.survey`; all else is then derived.
 
-    Returns
-    -------
-    DataFrame
-
     Raises
     ------
     InputError
@@ -226,12 +205,9 @@ def read_table(path: Path | str) -> pd.DataFrame:
         numbers = read_numbers(file, COLUMNS[:7], COLUMNS[7:])
     step = np.diff(numbers["p_m"])
     for column, (limit, unit) in _PLAUSIBLE.items():
-        if column in numbers and (numbers[column].abs() > limit).any():
-            row = int(np.argmax(numbers[column].abs() > limit))
-            found = numbers[column].iloc[row]
-            raise InputError(
-                f"{file.name}: row {row + 2}, {column} = {found:g}, up to {limit:g} {unit} is allowed (unit?)"
-            )
+        if column in numbers:
+            allowed = f"up to {limit:g} {unit} is allowed (unit?)"
+            survey.refuse(file.name, numbers[column], numbers[column].abs() > limit, allowed)
     _check_rates(file, numbers, step)
     if len(numbers.columns) == len(COLUMNS):
         _check_positions(file, numbers, step)

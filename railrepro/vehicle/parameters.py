@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import pandas as pd
 from pydantic import AfterValidator
@@ -17,6 +18,8 @@ from pydantic_core import core_schema
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
+
+Built = TypeVar("Built")
 
 
 @schema.table
@@ -292,6 +295,11 @@ class Vehicle:
         return self.gear.mass + self.body.mass / 2
 
     @property
+    def wheel_load(self) -> float:
+        """Vertical force of a wheel at rest on straight level track (N)."""
+        return self.longitudinal_mass * self.gravity / 2
+
+    @property
     def effective_longitudinal_mass(self) -> float:
         """m_x with the spin inertia of both wheels, m_x + 2 J_Wy/r0^2 (kg)."""
         return self.longitudinal_mass + 2 * self.wheel.spin_inertia / self.wheel.radius**2
@@ -322,27 +330,34 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     overrides
         Values by dotted key, `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})` (SI units).
 
-    Returns
-    -------
-    Vehicle
-
     Raises
     ------
     InputError
         One sentence naming file, key, what was found and what is allowed.
     """
-    vehicle, file, content, entries = _checked(path)
+    return loaded(Vehicle, _file(path), overrides)[0]
+
+
+def loaded(kind: type[Built], file: Path, overrides: dict) -> tuple[Built, dict[str, dict]]:
+    """What a file of `Entry` tables states as some class, with values changed by dotted key, and the entries by key."""
+    content = schema.read(file)
+    built, entries = schema.build(kind, content, file.name), dict(_entries(content))
     for key, value in overrides.items():
         if key not in entries:
             raise InputError(f"override {key!r} is not a key of {file.name}; the group has {_siblings(key, entries)}")
         entries[key].update(value=value, range="fixed")
-    return schema.build(Vehicle, content, file.name) if overrides else vehicle
+    return schema.build(kind, content, file.name) if overrides else built, entries
+
+
+def _entries(content: dict, place: str = "") -> Iterator[tuple[str, dict]]:
+    for key, table in content.items():
+        yield from [(place + key, table)] if "value" in table else _entries(table, f"{place}{key}.")
 
 
 def describe(path: Path | str | None = None) -> pd.DataFrame:
     """Table of all parameters: key, symbol, value, unit, source, confidence, low, high (nan where fixed)."""
     rows = []
-    for key, entry in _checked(path)[-1].items():
+    for key, entry in loaded(Vehicle, _file(path), {})[1].items():
         low, high = (math.nan, math.nan) if entry["range"] == "fixed" else entry["range"]
         rows.append({"key": key, **{k: v for k, v in entry.items() if k != "range"}, "low": low, "high": high})
     return pd.DataFrame(rows)
@@ -350,7 +365,8 @@ def describe(path: Path | str | None = None) -> pd.DataFrame:
 
 def sample_ranges(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
     """Ranges that a robustness study samples, by dotted key (SI)."""
-    return {key: tuple(entry["range"]) for key, entry in _checked(path)[-1].items() if entry["range"] != "fixed"}
+    entries = loaded(Vehicle, _file(path), {})[1]
+    return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}
 
 
 def _siblings(key: str, entries: dict) -> list[str]:
@@ -359,13 +375,5 @@ def _siblings(key: str, entries: dict) -> list[str]:
     return found or sorted({k.rsplit(".", 1)[0] for k in entries})
 
 
-def _checked(path: Path | str | None) -> tuple[Vehicle, Path, dict, dict[str, dict]]:
-    """The vehicle of a file, the file, its content, and in it the entries by dotted key."""
-    file = schema.location(path, paths.source("data/vehicle.toml"))
-    content = schema.read(file)
-    vehicle = schema.build(Vehicle, content, file.name)
-    entries: dict[str, dict] = {}
-    for group, table in content.items():
-        named = table.items() if group == "adhesion" else [("", table)]
-        entries |= {".".join(filter(None, (group, name, key))): e for name, t in named for key, e in t.items()}
-    return vehicle, file, content, entries
+def _file(path: Path | str | None) -> Path:
+    return schema.location(path, paths.source("data/vehicle.toml"))

@@ -36,7 +36,7 @@ def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
     x_d, theta = ca.MX.sym("x_d", _N, steps + 1), ca.MX.sym("theta", len(THETA), steps)
     par, tuning, u_d = ca.MX.sym("par", len(PARAMETERS)), ca.MX.sym("tuning", len(TUNING)), ca.MX.sym("u_d")
     t, states = Tuning.of(tuning), x_d + ca.repmat(ca.DM(SCALE), 1, steps + 1) * z
-    cost, defects, sides = 0, [], []
+    cost, defects, sides = ca.MX(0), [], []
     for k in range(steps):
         x, x_plus, torque = states[:, k], states[:, k + 1], UNIT * du[k]
         x_next, *_ = step(x, torque, u_d, theta[:, k], par, t.period, 1)
@@ -54,12 +54,12 @@ def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
 
 @lru_cache
 def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
-    quiet = {"print_time": False, "expand": True, "error_on_fail": False}
+    quiet: dict[str, bool | int | float | str] = {"print_time": False, "expand": True, "error_on_fail": False}
     quiet |= {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9, "ipopt.bound_relax_factor": 0.0}
     return ca.nlpsol("nmpc", "ipopt", program(variant, discretisation, steps), quiet)
 
 
-def solver(settings) -> ca.Function:
+def solver(settings: problem.MPCSettings) -> ca.Function:
     """Ipopt on the problem of some settings, for `solve`."""
     return _solver(settings.variant, settings.discretisation, settings.steps)
 

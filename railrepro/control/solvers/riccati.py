@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.compile import codegen
-from railrepro.control.problem import TUNING, dynamics
+from railrepro.control.problem import TUNING, MPCSettings, dynamics
 from railrepro.control.solvers import condensed
 from railrepro.control.solvers.recursion import barrier, recursion
 from railrepro.model import forecast
@@ -31,12 +31,15 @@ _N = len(STATES)
 _UNSETTLED, _DIVERGED = 2, 3
 MOST_SETS = 8
 """Active sets tried per quadratic problem before the interior point method takes over."""
-_FIELDS = ("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector")
-_FIELDS += ("feedback", "feedforward", "dx", "du", "slope", "fixed", "side")
 _OF_BOUNDS = ("inner", "room", "force", "room_step", "force_step", "target")
-_FIELDS += (*_OF_BOUNDS, "stands", "passes")
-_CALLS = ("place", "preview", "terminal", "backward", "forward")
-_CALLS += ("barrier_stiffness", "barrier_terminal", "barrier_backward", "barrier_again")
+_FIELDS = (
+    *("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector", "feedback", "feedforward", "dx"),
+    *("du", "slope", "fixed", "side", *_OF_BOUNDS, "stands", "passes"),
+)
+_CALLS = (
+    *("place", "preview", "terminal", "backward", "forward"),
+    *("barrier_stiffness", "barrier_terminal", "barrier_backward", "barrier_again"),
+)
 
 
 class _Horizon(ctypes.Structure):
@@ -94,20 +97,24 @@ class PlainHorizon:
         Forecast.
     x, u : ndarray, shape (L + 1, 6) and (L,)
         Trajectory; `x[0]` may differ from the measured state `x_hat`, where the solution starts.
-    x_next, matrices, b : ndarray, shape (L, 6), (L, 6, 6) and (L, 6)
-        Model along the trajectory: next state, A and B.
+    x_next, b : ndarray, shape (L, 6)
+        Model along the trajectory: next state and B; A are the `matrices`.
     dx, du : ndarray
         Steps of the last quadratic problem.
     """
 
-    def __init__(self, settings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
+    x_next: np.ndarray
+    b: np.ndarray
+    dx: np.ndarray
+    du: np.ndarray
+
+    def __init__(self, settings: MPCSettings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
         steps = settings.steps
         self.settings, self.route, self._nominal, self._parameters = settings, route, nominal, parameters
         self._model = dynamics(settings.variant, settings.discretisation).map(steps)
         self.x_hat, self.u_d, self.bound, self.affine = np.zeros(_N), 0.0, 0.0, 1.0
         self.x_d, self.x = np.zeros((2, steps + 1, _N))
         self.theta, self.u = np.zeros((steps + 1, len(THETA))), np.zeros(steps)
-        self.x_next, self.b, self.matrices = None, None, None
 
     def sample(self, x_hat: np.ndarray, u_d: float, bound: float) -> None:
         """Take the measured state, the base torque and the bound of the differential torque (N m)."""
@@ -126,9 +133,14 @@ class PlainHorizon:
         wide = [np.full((1, steps), value) for value in constant]
         u_d = np.full((1, steps), self.u_d)
         found = self._model(self.x[:-1].T, self.u[None, :], u_d, self.theta[:-1].T, par, *wide)
-        self.x_next, a, b = (np.array(value.full()) for value in found)
-        self.x_next, self.b = self.x_next.T, b.T
-        self.matrices = a.reshape(_N, steps, _N).transpose(1, 0, 2)
+        x_next, a, b = (np.array(value.full()) for value in found)
+        self.x_next, self.b = x_next.T, b.T
+        self._matrices = a.reshape(_N, steps, _N).transpose(1, 0, 2)
+
+    @property
+    def matrices(self) -> np.ndarray:
+        """A of all stages, dense, shape (L, 6, 6)."""
+        return self._matrices
 
     def solve(self) -> None:
         """Minimiser `dx`, `du` of the quadratic problem about the linearised trajectory.
@@ -171,9 +183,14 @@ class PlainHorizon:
 class Horizon(PlainHorizon):
     """The same on compiled code. Torques and stages on their bounds stay known from one problem to the next."""
 
-    def __init__(self, settings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
+    a: np.ndarray
+    fixed: np.ndarray
+    side: np.ndarray
+
+    def __init__(
+        self, library: ctypes.CDLL, settings: MPCSettings, nominal: np.ndarray, parameters: np.ndarray, route: Route
+    ):
         self.settings, steps, cells = settings, settings.steps, route.cells
-        library = _library(settings.variant, settings.discretisation)
         self._calls = [
             codegen.CompiledFunction(library, function)
             for function in functions(settings.variant, settings.discretisation)
@@ -219,7 +236,7 @@ class Horizon(PlainHorizon):
 
     @property
     def matrices(self) -> np.ndarray:
-        """A of all stages, dense, shape (L, 6, 6)."""
+        """See `PlainHorizon.matrices`."""
         row, column = self._sparsity
         dense = np.zeros((self.settings.steps, _N, _N))
         dense[:, row, column] = self.a
@@ -260,7 +277,9 @@ class Horizon(PlainHorizon):
             raise ArithmeticError("horizon: " + ("no convergence" if code == _DIVERGED else "a value is not finite"))
 
 
-def horizon(settings, nominal: np.ndarray, parameters: np.ndarray, route: Route) -> PlainHorizon:
+def horizon(settings: MPCSettings, nominal: np.ndarray, parameters: np.ndarray, route: Route) -> PlainHorizon:
     """The fastest horizon that this machine can run."""
-    kind = PlainHorizon if codegen.compiler() is None else Horizon
-    return kind(settings, nominal, parameters, route)
+    library = _library(settings.variant, settings.discretisation)
+    if library is None:
+        return PlainHorizon(settings, nominal, parameters, route)
+    return Horizon(library, settings, nominal, parameters, route)

@@ -120,10 +120,6 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
         Adhesion set point, traction-positive, one row per ms (-).
     factor : array_like, broadcast to the shape of `demand`
         Factor on the friction at rest (-).
-
-    Returns
-    -------
-    Traces
     """
     demand = np.asarray(demand, dtype=float)
     demand = np.ascontiguousarray(np.broadcast_to(demand.reshape(len(demand), -1), (len(demand), len(cases))))

@@ -64,14 +64,8 @@ _KALKER = np.array(
 
 
 def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
-    """Contact ellipse of a cone on the crown of the rail at nominal load, and Kalker's coefficients.
-
-    Returns
-    -------
-    a, b : float
-        Semi-axes along and across the rail (m).
-    coefficients : ndarray, shape (4,)
-        c11, c22, c23, c33 (-); linear in b/a, their inverses a parabola over Poisson's ratio.
+    """Contact ellipse of a cone on the crown of the rail at nominal load: semi-axes a, b along and across (m), and
+    Kalker's coefficients c11, c22, c23, c33 (-), linear in b/a, their inverses a parabola over Poisson's ratio.
 
     Source: Hertz's pressure as a layer potential, R_D of Carlson 1979; Kalker 1990, Table E3.
     """
@@ -116,13 +110,8 @@ def creep(vehicle: Vehicle, load, nu_x, nu_y, spin, slip_speed) -> tuple[ca.SX, 
 
 
 class Rails:
-    """The track in space by integration of its curvature, with the irregularities of its rails as splines.
-
-    Parameters
-    ----------
-    alignment : Alignment
-    irregularities : DataFrame, optional
-        p_m and the channels of the track centre, zero at both ends.
+    """The track in space by integration of its curvature, with the irregularities of its rails as splines: p_m and the
+    channels of the track centre, zero at both ends.
     """
 
     def __init__(self, alignment: Alignment, irregularities: pd.DataFrame | None = None):
@@ -387,12 +376,7 @@ class ExudynCar:
     def run(self, law: Callable, exchanges: int, step: float = STEP) -> pd.DataFrame:
         """Drive under law(number of the exchange, measured) -> torque commands (4), each held for an exchange.
 
-        An exchange has a whole number of steps.
-
-        Returns
-        -------
-        DataFrame
-            One row per exchange, columns `MEASURED` (SI).
+        An exchange has a whole number of steps. One row per exchange, columns `MEASURED` (SI).
         """
         self._command, self._before, self._since = np.zeros(4), np.zeros(4), 0.0
         per_exchange, log, count = round(EXCHANGE_PERIOD / step), [], 0

@@ -50,7 +50,7 @@ def _residuals(vehicle_key: tuple) -> ca.Function:
 
 
 def accelerations(state: np.ndarray, torque: np.ndarray, theta: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Accelerations of x and psi from the unreduced equations with three multipliers.
+    """xddot (m/s2) and psiddot (rad/s2) from the unreduced equations with three multipliers, shape (2,).
 
     Parameters
     ----------
@@ -61,11 +61,6 @@ def accelerations(state: np.ndarray, torque: np.ndarray, theta: np.ndarray, vehi
     theta : ndarray, shape (9,)
         Track parameters, see `railrepro.model.control_model.THETA`.
     vehicle : Vehicle
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        xddot (m/s2), psiddot (rad/s2).
     """
     wheel, s = vehicle.wheel, vehicle.suspension
     key = (vehicle.gear.mass, vehicle.gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia)

@@ -58,12 +58,8 @@ def hunting(matrix) -> tuple[float, float]:
 
 
 def critical_speed(matrix: Callable[[float], np.ndarray], low: float, high: float) -> tuple[float, float]:
-    """Speed between `low` and `high` (m/s) at which an oscillation of dx/dt = matrix(speed) x starts to grow.
-
-    Returns
-    -------
-    speed, frequency : float
-        (m/s), (rad/s)
+    """Speed between `low` and `high` (m/s) at which an oscillation of dx/dt = matrix(speed) x starts to grow, and its
+    angular frequency (rad/s).
     """
     speed = brentq(lambda v: hunting(matrix(v))[0], low, high, xtol=1e-5)
     return speed, hunting(matrix(speed))[1]
@@ -143,10 +139,7 @@ yaw (N m/rad), dampers vertical and lateral (N s/m)."""
 def cooperrider_vehicle(share: float = 1.0) -> Vehicle:
     """Cooperrider's bogie as our car: the frame is the body, the wheelsets are the running gears.
 
-    Parameters
-    ----------
-    share : float
-        Factor of base and conicity.
+    `share` is a factor of base and conicity.
 
     Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and the examples of bifurcation.de.
     """

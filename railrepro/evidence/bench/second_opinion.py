@@ -133,11 +133,8 @@ class _Guard:
 def replay(case: Case, vehicle: Vehicle | None = None, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFrame]:
     """Both cars, on cones, through a case; Exudyn's with a creep law of its own.
 
-    Returns
-    -------
-    dict of DataFrame
-        "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per exchange, `MEASURED` (SI)
-        and the differential torque commands `GUIDED` (N m), the feedback that holds a replay on its path included.
+    Tables "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per exchange, `MEASURED` (SI)
+    and the differential torque commands `GUIDED` (N m), the feedback that holds a replay on its path included.
     """
     vehicle = vehicle or load_vehicle(**{"contact.profile": "cone"})
     series, way, rails = record(case, vehicle)
@@ -156,12 +153,9 @@ def replay(case: Case, vehicle: Vehicle | None = None, law: Callable = exudyn_ca
 def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
     """Differences of the two cars in the runs of `replay`.
 
-    Returns
-    -------
-    DataFrame
-        case, car_step_ms, quantity, largest (value of our signal), difference (largest), relative (their ratio; of all
-        gears or wheels the worst), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the worst
-        one's difference), step_error (largest difference of our own two runs to `largest`), unit.
+    Columns case, car_step_ms, quantity, largest (value of our signal), difference (largest), relative (their ratio; of
+    all gears or wheels the worst), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the worst
+    one's difference), step_error (largest difference of our own two runs to `largest`), unit.
     """
     rows, steps = [], [_signals(runs[key]) for key in ("1", "0.05")]
     for step in ("1", "0.05"):

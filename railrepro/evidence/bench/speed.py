@@ -119,10 +119,7 @@ def _dense(controller) -> Callable[[], None]:
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Solve a recording in order, warm-started like in closed loop.
 
-    Returns
-    -------
-    torques, seconds, iterations, failures
-        Planned torques (n, L) (N m), processor time per problem (s), iterations, number of failures.
+    Planned torques (n, L) (N m), processor time per problem (s), iterations, number of failures.
     """
     controller = _solver(kind, recording, vehicle)
     start = np.zeros(recording.problems[0].settings.steps)
@@ -173,16 +170,7 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFrame:
     """Cross-check of optimum and time with do-mpc, an independent MPC tool (extra `bench`).
 
-    Parameters
-    ----------
-    vehicle, settings
-    count : int
-        Problems of the curve entry on T3 that are solved.
-
-    Returns
-    -------
-    DataFrame
-        Time, first torque and largest difference of the plan for each problem.
+    Time, first torque and largest difference of the plan for the first `count` problems of the curve entry on T3.
     """
     import do_mpc
 
@@ -345,7 +333,7 @@ def solver_operations(vehicle: Vehicle, settings: MPCSettings, least: float = 0.
     return pd.DataFrame(rows + [{"part": words[name], "gigaflops": 1e-9 * rate} for name, rate in rates.items()])
 
 
-_S1002, _TWO_STAGE = {"contact.profile": "s1002"}, {"primary.two_stage": True}
+_CONE, _TWO_STAGE = {"contact.profile": "cone"}, {"primary.two_stage": True}
 
 
 def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
@@ -364,7 +352,7 @@ def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
         add("car alone", 1e6 * _seconds(exchange.functions["step"]), per_second, speed_kmh)
         add("loop with NDI, adhesion law and log", 1e6 * loop, per_second, speed_kmh)
         add("whole run, Python included", 1e3 * whole, per_second, speed_kmh)
-    changes = {"cone": {}, "S1002": _S1002, "two-stage": _TWO_STAGE, "S1002, two-stage": _S1002 | _TWO_STAGE}
+    changes = {"S1002": {}, "cone": _CONE, "S1002, two-stage": _TWO_STAGE, "cone, two-stage": _CONE | _TWO_STAGE}
     for speed_kmh in (400, 160, 40):
         scenario = base.but(speed_kmh=speed_kmh, end_m=max(50.0, speed_kmh / 3.6 * 3))
         rough = rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum="en_B_300")
@@ -416,7 +404,7 @@ def _beside(scenario, vehicle: Vehicle, exchanges: int = 1000) -> tuple[float, f
 
 def _exchange(scenario, vehicle: Vehicle, rough=None, compiled: bool = True) -> Exchange:
     table = contact_table(vehicle.contact.profile, vehicle)
-    limits = {"lateral": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
+    limits = {"lateral_limit": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
     control = law.control_law(vehicle, NDI(), **limits)
     parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
     state = equations.rest_state(vehicle, table, scenario.speed)

@@ -15,7 +15,7 @@ from railrepro.compile import cache
 from railrepro.errors import InputError
 from railrepro.evidence.chain import compare, graph, runner
 from railrepro.evidence.runs import store
-from railrepro.files import emptied, written
+from railrepro.files import written
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
 VARIANTS = {
@@ -41,6 +41,8 @@ VARIANTS = {
 _NEEDS = {"v2": "ssse3", "v3": "avx2", "v4": "avx512f", "clang-v3": "avx2"}
 QUICK_MINUTES = 0.65
 """Longest stated run time of a notebook that the variants rerun (minutes)."""
+MARK = ".railrepro-output"
+"""File in a folder that this library made for output and may therefore empty."""
 
 
 def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comparison, list[str]]:
@@ -50,7 +52,7 @@ def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comp
     ----------
     notebooks : sequence of Notebook
     root : Path
-        Folder for the products of the rerun; emptied first, see `files.emptied`.
+        Folder for the products of the rerun; emptied first, see `emptied`.
 
     Returns
     -------
@@ -74,6 +76,25 @@ def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comp
                 print(f"{product}: {result}", flush=True)
                 findings += [f"{product}: {result}"] if result.different else []
     return total, findings
+
+
+def emptied(folder: Path) -> None:
+    """Make a folder empty, and mark it as one that may be emptied again.
+
+    Raises
+    ------
+    InputError
+        When it holds anything and was not made by this function, or cannot be written; what was there is intact.
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise InputError(f"{folder}: is no folder, an empty or a new one is needed")
+    with written():
+        if folder.is_dir() and any(folder.iterdir()):
+            if not (folder / MARK).is_file():
+                raise InputError(f"{folder}: holds files that no run of railrepro wrote; name an empty or a new folder")
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / MARK).touch()
 
 
 def verify(quick: bool = False, into: Path | None = None) -> int:

@@ -142,19 +142,10 @@ def judged(evidence: Evidence) -> dict[str, str]:
 
 
 def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) -> pd.DataFrame:
-    """Verdicts before and after the answers.
+    """Verdicts before and after the answers by name: id, statement, before, after.
 
-    Parameters
-    ----------
-    answered : mapping
-        Questions with answers, by name.
-    driven : sequence of (scenario, controller, metric, value), optional
-        What the probe measures; by default it is driven.
-
-    Returns
-    -------
-    DataFrame
-        id, statement, before, after: those of the setting `paper` that a probe can tell.
+    Those of the setting `paper` that a probe can tell; the probe is driven unless its rows (scenario, controller,
+    metric, value) are given.
     """
     world, needed = setup(answered), parts(answered)
     rows = probe.probe(world, needed) if driven is None else driven

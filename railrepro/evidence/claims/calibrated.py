@@ -110,7 +110,7 @@ def setup(values: Mapping[str, Any]) -> ProbeSetup:
         parameters[NDI] = {"pole": values[_POLE], "frequency": values[_POLE], "damping": 1.0}
     own = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items() if name in _SETUP}
     car = {name: value for name, value in values.items() if name not in _SETUP | {_LTV_R, _POLE}}
-    return ProbeSetup(parameters, car, **{"profile": "s1002"} | own)
+    return ProbeSetup(parameters, car, **own)
 
 
 def cars() -> dict[str, ProbeSetup]:
@@ -142,10 +142,8 @@ MATCHED = (
 def judged(world: ProbeSetup, speeds: Iterable[int] = SPEEDS, parts: Iterable[str] = PARTS) -> pd.DataFrame:
     """What the statements find on a car.
 
-    Returns
-    -------
-    DataFrame
-        statement, value, above, below, margin (distance to the nearer limit as a share of it, positive inside), holds.
+    Columns statement, value, above, below, margin (distance to the nearer limit as a share of it, positive inside),
+    holds.
     """
     evidence = Evidence({(s, c, m): v for s, c, m, v in probe(world, parts, speeds)})
     rows = []
@@ -201,11 +199,8 @@ def _all_judged(cases: Iterable[Mapping[str, Any]], title: str, quiet: bool = Fa
 def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     """Tables by the end of their names.
 
-    Returns
-    -------
-    dict of DataFrame
-        '': see `judged`; _alone: choice, put_back, holds (number), falls; _perturbed: size, draw, statement, value,
-        margin, holds.
+    '': see `judged`; _alone: choice, put_back, holds (number), falls; _perturbed: size, draw, statement, value, margin,
+    holds.
     """
     choices = load()
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)

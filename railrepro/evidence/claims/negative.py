@@ -219,7 +219,7 @@ def _no_cause(e: Evidence) -> Evidence:
 @control("cause decides")
 def _all_cause(e: Evidence) -> Evidence:
     """Without creep no error is left, and profiles triple it."""
-    factor = {"no creep": 0.0, "S1002 profiles": 3.0}
+    factor = {"no creep": 0.0, "cones": 1 / 3}
 
     def change(table: pd.DataFrame) -> pd.DataFrame:
         tuned = table[table["cause"] == "as tuned"].set_index("case")["rmse_y"]

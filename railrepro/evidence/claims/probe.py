@@ -21,7 +21,7 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.contact.creep import adhesion_maximum
-from railrepro.contact.table import cone_patch
+from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
 from railrepro.errors import InputError
@@ -82,7 +82,7 @@ class ProbeSetup:
     vehicle : dict
         Changed parameters of car and controllers.
     profile, good : str
-        Profiles of the car's wheels, adhesion set of a good rail.
+        Profiles of the car's wheels, when others than the nominal ones; adhesion set of a good rail.
     variant : str
         Control model of the predictive controllers, "corrected" or "printed".
     amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
@@ -168,13 +168,7 @@ Rows = list[tuple[str, str, str, float]]
 
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SPEEDS) -> Rows:
-    """Drive a world and measure it.
-
-    Returns
-    -------
-    list of (scenario, controller, metric, value)
-        SI; a failed run has only `failed`.
-    """
+    """Drive a world and measure it: rows in SI; a failed run has only `failed`."""
     rows: Rows = []
     with tempfile.TemporaryDirectory() as folder:
         for part in parts:
@@ -191,7 +185,7 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int]
 
 def nothing(scenario: Scenario) -> dict[str, float]:
     """What y = 0 gives: root mean square and largest value of the set point, and its shortest wavelength (m)."""
-    reference = scenario._reference()
+    reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
     waves = [value for key, value in scenario.set_point.items() if key.startswith("period")]
@@ -405,11 +399,8 @@ def path_error(series: pd.DataFrame) -> float:
 def oscillation(series: pd.DataFrame) -> dict[str, float]:
     """How y goes about a moving set point once the maximum is reached; columns p_m, y_m, y_ref_m.
 
-    Returns
-    -------
-    dict
-        set_point_gain: slope of y over the set point, 0 for y = 0; error_growth: root mean squared error of the second
-        half of the way over that of the first.
+    set_point_gain: slope of y over the set point, 0 for y = 0; error_growth: root mean squared error of the second half
+    of the way over that of the first.
     """
     rows = series[series["p_m"] >= REACHED]
     error, half = rows["y_m"] - rows["y_ref_m"], rows["p_m"] >= rows["p_m"].iloc[[0, -1]].mean()
@@ -446,13 +437,8 @@ def _until(time: np.ndarray, there: np.ndarray, start: int) -> float:
 
 def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
     """Slip of the adhesion maximum of a scenario's poor rail at nominal load."""
-    load = (car.body.mass / 2 + car.gear.mass) * car.gravity / 2
-    patch = (load, *cone_patch(car), car.contact.shear_modulus)
+    patch = (car.wheel_load, *middle_patch(car), car.contact.shear_modulus)
     return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
-
-
-PROFILE = "s1002"
-"""Wheels of the uncalibrated car: the paper has cones in its prediction model only."""
 
 
 @dataclass(frozen=True)
@@ -479,7 +465,7 @@ class Nominal:
             swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
             parameters[name] = swarms[self.rank]["parameters"] if self.rank < len(swarms) else tuned["parameters"]
         sensors = {"seed": self.seed} if self.setting == tuning.LOOP else {}
-        world = ProbeSetup(parameters, profile=PROFILE, sensors=sensors)
+        world = ProbeSetup(parameters, sensors=sensors)
         # braking takes most of the time: once per setting
         parts = (*PARTS, ALLOCATED) if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
         return [(*row, UNITS.get(row[2], "-"), self.setting, self.rank, self.seed) for row in probe(world, parts)]

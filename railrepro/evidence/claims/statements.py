@@ -487,10 +487,10 @@ def _variable_allocation(e: Evidence) -> float:
 
 @value("C35")
 def _cones(e: Evidence) -> Finding:
-    """Largest change of the error, in units of what is acceptable: a fifth of it, or a tenth of the amplitude."""
+    """Largest change of the error from cones to S1002, over the acceptable one: a fifth, a tenth of the amplitude."""
     table = e.table("sine_causes").pivot(index="case", columns="cause", values="rmse_y")
-    change = (table["S1002 profiles"] - table["as tuned"]).abs()
-    found = np.minimum(change / table["as tuned"] / 0.2, change / (0.1 * AMPLITUDE))
+    change = (table["as tuned"] - table["cones"]).abs()
+    found = np.minimum(change / table["cones"] / 0.2, change / (0.1 * AMPLITUDE))
     return Finding(float(found.max()), float(found[_CURVE_CASE]))
 
 
@@ -516,7 +516,7 @@ def _base_torque_helps(e: Evidence) -> float:
 def _with_preview(e: Evidence, metric: str) -> float:
     """A metric of NMPC on the irregular straight with exact preview over without, mean over the realisations."""
     table = e.table("ride_metrics")
-    rows = table.query("controller == 'nmpc' and track == 'straight' and car == 'cone' and metric == @metric")
+    rows = table.query("controller == 'nmpc' and track == 'straight' and car == 'S1002' and metric == @metric")
     mean = rows.groupby("preview")["value"].mean()
     return mean["exact"] / mean["none"]
 

@@ -6,10 +6,10 @@ track over 10 mrad/s; torque given last over its limit; set point less y over 1 
 lateral acceleration there over 1 m/s2.
 Action, `Box(2,)` in [-1, 1]: differential torque of front and rear gear over the torque limit, positive steers right.
 Reward of a step: -T min(`WORST`, mean over the gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2), T = 5 ms. When
-a gear leaves the rail, which is the only termination, the step costs `WORST` for all the time that the episode could
+a gear derails, which is the only termination, the step costs `WORST` for all the time that the episode could
 still have lasted: no early end is better than any way on. The end of the scenario, or of `duration`, truncates.
 Info of every step: `error` (m) and `torque` (N m) of both gears, shape (2,), `p` (m), `v` (m/s), `time` (s), and
-`margins`, the distances to the limits by name: `front.lateral` and `rear.lateral` (m, at 0 the gear leaves the rail),
+`margins`, the distances to the limits by name: `front.lateral` and `rear.lateral` (m, at 0 the gear derails),
 `track_end` (m), `stop_speed` (m/s). That of `reset` is the same without `margins`.
 A seed draws where the gears stand at the start, and noise and biases of the sensors where there are some.
 
@@ -25,7 +25,7 @@ import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
-from railrepro.control.law import GEARS
+from railrepro.control.law import GEARS, LawSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.evidence.env.observation import SIZE, Sight
@@ -86,7 +86,7 @@ class GuidanceEnv(gymnasium.Env):
             raise InputError(f"environment: options are {options!r}, there are none")
         super().reset(seed=seed)
         seen = readings(seed=int(self.np_random.integers(2**31))) if self._sensors else None
-        settings = None, None, 0.0, seen
+        settings = LawSettings(sensors=seen)
         self._exchange = simulate.start(self.scenario, lateral.Held(), self.route, self.vehicle, self.vehicle, settings)
         names = self._exchange.car.model.states
         for gear in GEARS:

@@ -33,7 +33,7 @@ def curves(runs: dict[str, Run]) -> Figure:
 
 
 def _window(runs: dict[str, Run]) -> tuple[float, float]:
-    """Range of y (mm) that holds all curves, but not the last metres of one that leaves the rail."""
+    """Range of y (mm) that holds all curves, but not the last metres of one that derails."""
     largest = max(1e3 * run.series[f"front.{name}"].abs().max() for run in runs.values() for name in ("y", "y_ref"))
     room = min(1.1 * largest, 12.0)
     return -room, room

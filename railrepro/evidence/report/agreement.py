@@ -13,12 +13,8 @@ from railrepro.evidence.report import figures
 
 
 def draw(table: pd.DataFrame) -> Figure:
-    """Relative differences by case and quantity, hollow at the car's usual step of 1 ms, filled at the short step.
-
-    Parameters
-    ----------
-    table : DataFrame
-        See `railrepro.evidence.bench.second_opinion.compare`.
+    """Relative differences of a table of `second_opinion.compare` by case and quantity, hollow at the car's usual step
+    of 1 ms, filled at the short step.
     """
     figure, axes = figures.new_figure(height=3.0)
     cases, colors = (

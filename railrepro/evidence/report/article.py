@@ -35,18 +35,7 @@ _ALLOWED = re.compile(
 
 
 def render(table: pd.DataFrame, nominal: Nominal) -> str:
-    """The article as Markdown with links relative to the checkout.
-
-    Parameters
-    ----------
-    table : DataFrame
-        See `railrepro.evidence.report.claims.evaluate`.
-    nominal : Nominal
-        Where numbers in the prose come from.
-
-    Returns
-    -------
-    str
+    """The article as Markdown with links relative to the checkout, of a table of `claims.evaluate`.
 
     Raises
     ------

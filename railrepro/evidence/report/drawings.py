@@ -147,12 +147,7 @@ def _wheel_from_above(axes: Axes, axle: Place, side: float, length: float, width
 class RearView:
     """A gear from behind on its rails, by the geometry of eq. (10): cones roll the axle where it is displaced.
 
-    Parameters
-    ----------
-    origin : array_like, shape (2,)
-        Of the track frame on the paper.
-    cant, displacement : float
-        Cant angle (rad), lateral displacement of the axle (in).
+    Origin of the track frame on the paper, cant angle (rad), lateral displacement of the axle (in).
     """
 
     half, radius, slope = 0.85, 0.5, 0.3

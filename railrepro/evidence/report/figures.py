@@ -104,17 +104,8 @@ def points(name: str, **options) -> dict:
 def save_figure(figure: Figure, name: str, data: pd.DataFrame, letters: bool = True) -> None:
     """Write figures/NAME as pdf, svg and png, and the plotted data as csv, and show it in a notebook.
 
-    Equal content gives equal bytes. Where there are several panels, each has its letter.
-
-    Parameters
-    ----------
-    figure : Figure
-    name : str
-        figNN_name.
-    data : DataFrame
-        What is plotted, tidy, units in the column names.
-    letters : bool
-        Whether panels are lettered.
+    Equal content gives equal bytes. The name is figNN_name, the data are tidy with units in the column names. Where
+    there are several panels each has its letter, if `letters`.
     """
     from IPython import get_ipython  # the library does without it
     from IPython.display import display

@@ -35,10 +35,7 @@ def named(identities: Iterable[str]) -> list[str]:
 def verdicts(claims: pd.DataFrame) -> Figure:
     """Verdict on each statement by setting; what no tuned controller enters has one verdict in a column of its own.
 
-    Parameters
-    ----------
-    claims : DataFrame
-        data/results/claims.csv: id, kind, setting, verdict.
+    From id, kind, setting, verdict of data/results/claims.csv.
     """
     judged = claims[claims["kind"] == "statement"].assign(setting=claims["setting"].fillna(""))
     columns = [*tuning.SETTINGS, ""]

@@ -26,13 +26,8 @@ _TREAD, _FLANGE, _MOTOR = 0.13, 0.03, 0.2
 class View:
     """Central projection from an eye to the paper; x forward, y right, z down (m).
 
-    Parameters
-    ----------
-    eye, target : array_like, shape (3,)
-        Where the eye is, and the point that falls on the centre of the paper.
-    scale : float
-        Inches on paper of what is as large as its distance.
-    centre : array_like, shape (2,)
+    The target is the point that falls on the centre of the paper, the scale inches on paper of what is as large as its
+    distance.
     """
 
     def __init__(self, eye: Sequence[float], target: Sequence[float], scale: float, centre: Sequence[float]):

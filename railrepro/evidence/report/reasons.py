@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -36,25 +37,12 @@ def named(function: Callable[[Nominal], str]) -> Callable:
 
 
 def filled(text: str, nominal: Nominal, linked: bool = False, strict: bool = False) -> str:
-    """A text with its placeholders filled in.
-
-    Parameters
-    ----------
-    text : str
-    nominal : Nominal
-    linked : bool
-        Whether each number is a Markdown link to the file that it comes from.
-    strict : bool
-        Whether what the results do not have is refused; else it reads n/a.
-
-    Returns
-    -------
-    str
+    """A text with its placeholders filled in; `linked`: each number is a Markdown link to the file that it comes from.
 
     Raises
     ------
     InputError
-        When a placeholder names no number; with `strict` also when the results do not have it.
+        When a placeholder names no number; with `strict` also when the results do not have it, which else reads n/a.
     """
 
     def number(match: re.Match) -> str:
@@ -152,15 +140,11 @@ def _no_creep_share(nominal: Nominal) -> str:
     return quantity(table["no creep"] / table["as tuned"], "%")
 
 
-def _table_one(track: str) -> Callable[[Nominal], str]:
-    def found(nominal: Nominal) -> str:
-        table = nominal.results("table1").set_index("track")
-        return f"{table.loc[track, 'b_sin_phi_m']:.4f}"
-
-    return found
+def _table_one(nominal: Nominal, track: str) -> str:
+    return f"{nominal.results('table1').set_index('track').loc[track, 'b_sin_phi_m']:.4f}"
 
 
-NAMED |= {f"table1_T{i}": _table_one(f"T{i}") for i in (1, 2, 3, 4)}
+NAMED |= {f"table1_T{i}": partial(_table_one, track=f"T{i}") for i in (1, 2, 3, 4)}
 
 
 @named
@@ -173,19 +157,11 @@ def _median_ms(nominal: Nominal, solver: str) -> float:
     return float(times[~times["scenario"].str.contains("bounds")]["median_ms"].median())
 
 
-@named
-def _ipopt_ms(nominal: Nominal) -> str:
-    return quantity(_median_ms(nominal, "ipopt"))
-
-
-@named
-def _nmpc_ms(nominal: Nominal) -> str:
-    return quantity(_median_ms(nominal, "gauss_newton"))
-
-
-@named
-def _ltv_ms(nominal: Nominal) -> str:
-    return quantity(_median_ms(nominal, "ltv_mpc"))
+NAMED |= {
+    "ipopt_ms": lambda nominal: quantity(_median_ms(nominal, "ipopt")),
+    "nmpc_ms": lambda nominal: quantity(_median_ms(nominal, "gauss_newton")),
+    "ltv_ms": lambda nominal: quantity(_median_ms(nominal, "ltv_mpc")),
+}
 
 
 @named
@@ -209,20 +185,21 @@ def _preview_error(nominal: Nominal, error: str) -> str:
     return quantity(float(table.iloc[0]), "mm") if len(table) else UNKNOWN
 
 
-@named
-def _error_0m(nominal: Nominal) -> str:
-    return _preview_error(nominal, "0 m")
+NAMED |= {
+    "error_0m": lambda nominal: _preview_error(nominal, "0 m"),
+    "error_2m": lambda nominal: _preview_error(nominal, "2 m"),
+}
 
 
-@named
-def _error_2m(nominal: Nominal) -> str:
-    return _preview_error(nominal, "2 m")
+def _tuned_nmpc(nominal: Nominal) -> dict[str, float]:
+    """Parameters of NMPC of the setting `equal`."""
+    file = nominal.results.file(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
+    return json.loads(file.read_text(encoding="utf-8"))["parameters"]
 
 
 @named
 def _nmpc_period(nominal: Nominal) -> str:
-    file = nominal.results.file(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
-    return f"{json.loads(file.read_text(encoding='utf-8'))['parameters']['period_ms']:g} ms"
+    return f"{_tuned_nmpc(nominal)['period_ms']:g} ms"
 
 
 def _cause(nominal: Nominal, cause: str) -> str:
@@ -230,21 +207,16 @@ def _cause(nominal: Nominal, cause: str) -> str:
     return quantity(table[cause], "mm") if cause in table else UNKNOWN
 
 
-@named
-def _cone_straight(nominal: Nominal) -> str:
-    return _cause(nominal, "as tuned")
-
-
-@named
-def _s1002_straight(nominal: Nominal) -> str:
-    return _cause(nominal, "S1002 profiles")
+NAMED |= {
+    "cone_straight": lambda nominal: _cause(nominal, "cones"),
+    "s1002_straight": lambda nominal: _cause(nominal, "as tuned"),
+}
 
 
 @named
 def _forecast_shift(nominal: Nominal) -> str:
     """What the mean braking of Fig. 9 moves the forecast over the horizon of NMPC of the setting `equal` (cm)."""
-    file = nominal.results.file(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
-    horizon = json.loads(file.read_text(encoding="utf-8"))["parameters"]["horizon_s"]
+    horizon = _tuned_nmpc(nominal)["horizon_s"]
     way = nominal.evidence(tuning.EQUAL)("braking", "nmpc", "stopping_distance")
     return quantity(100 * load_scenario("braking").speed ** 2 / (2 * way) * horizon**2 / 2, "cm")
 
@@ -280,41 +252,28 @@ def _unpublished(nominal: Nominal) -> str:
     return f"{len(prior()) - sum('.' not in dimension.name for dimension in OPEN)}"
 
 
-@named
-def _delay_survived(nominal: Nominal) -> str:
-    """Largest delay (ms) that NMPC of the setting `paper` survives at 400 km/h on dry rail."""
-    return _survived(nominal, "paper")
-
-
-@named
-def _delay_survived_equal(nominal: Nominal) -> str:
-    """The same of NMPC of the setting `equal`."""
-    return _survived(nominal, "equal")
-
-
 def _survived(nominal: Nominal, setting: str) -> str:
+    """Largest delay (ms) that NMPC of a setting survives at 400 km/h on dry rail."""
     table = nominal.results("margins").query(
         "setting == @setting and rail == 'dry' and controller == 'nmpc' and quantity == 'delay'"
     )
     return quantity(1e3 * float(table["largest"].iloc[0]))
 
 
-def _set_point(scenario: str) -> Callable[[Nominal], str]:
+def _set_point(nominal: Nominal, scenario: str) -> str:
     """Amplitude and wavelengths of a scenario's set point."""
-
-    def found(nominal: Nominal) -> str:
-        nominal.results.file("data/scenarios.toml")
-        point = load_scenario(scenario).set_point
-        waves = [f"{value:g}" for key, value in point.items() if key.startswith("period")]
-        return f"{point['amplitude_mm']:g} mm, {' to '.join(waves)} m"
-
-    return found
+    nominal.results.file("data/scenarios.toml")
+    point = load_scenario(scenario).set_point
+    waves = [f"{value:g}" for key, value in point.items() if key.startswith("period")]
+    return f"{point['amplitude_mm']:g} mm, {' to '.join(waves)} m"
 
 
 NAMED |= {
-    "sweep_on_t3": _set_point("curve_entry_T3"),
-    "sine_on_t5": _set_point("sine_tracking"),
-    "sine_on_poor": _set_point("adhesion_loss"),
+    "delay_survived": lambda nominal: _survived(nominal, "paper"),
+    "delay_survived_equal": lambda nominal: _survived(nominal, "equal"),
+    "sweep_on_t3": lambda nominal: _set_point(nominal, "curve_entry_T3"),
+    "sine_on_t5": lambda nominal: _set_point(nominal, "sine_tracking"),
+    "sine_on_poor": lambda nominal: _set_point(nominal, "adhesion_loss"),
 }
 
 

@@ -48,19 +48,7 @@ def main(accept: bool = False) -> int:
 
 
 def render(table: pd.DataFrame, nominal: Nominal) -> str:
-    """The report as Markdown.
-
-    Parameters
-    ----------
-    table : DataFrame
-        See `railrepro.evidence.report.claims.evaluate`.
-    nominal : Nominal
-        Where numbers in the prose come from.
-
-    Returns
-    -------
-    str
-    """
+    """The report as Markdown, of a table of `claims.evaluate`."""
     blocks: dict[str, Callable[[], list[str]]] = {
         "counts": lambda: [f"**{claims.counted(table)}** {without(table)}"],
         "summary": lambda: [" ".join(theses.summary(nominal))],

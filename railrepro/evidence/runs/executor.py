@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from functools import lru_cache
+from typing import NoReturn
 
 from tqdm import tqdm
 
@@ -174,22 +175,22 @@ def ordered_map(
                     raise InputError(_LOST)
         return [known[i] for i in range(len(arguments))]
     except (BrokenExecutor, CancelledError) as error:
-        reason = _ended(pool)
-        raise reason from (None if str(reason) == _READ_AGAIN else error)
+        _ended(pool, error)
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error
         raise
 
 
-def _ended(pool: Executor) -> InputError:
-    """Why an executor gave up."""
+def _ended(pool: Executor, error: Exception) -> NoReturn:
+    """Raise why an executor gave up."""
     if not isinstance(pool, ProcessPoolExecutor):
-        return InputError(_LOST)
+        raise InputError(_LOST) from error
     processes = _started(pool)
     pool.shutdown()  # a process has no exit code before the pool has waited for it
-    unguarded = any(process.exitcode == _UNGUARDED for process in processes)
-    return InputError(_READ_AGAIN if unguarded else _KILLED)
+    if any(process.exitcode == _UNGUARDED for process in processes):
+        raise InputError(_READ_AGAIN) from None
+    raise InputError(_KILLED) from error
 
 
 def _batch(number: int, workers: int, local: bool, stored: bool) -> int:

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,12 +22,11 @@ from railrepro.control.registry import REGISTERED, guidance
 from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
-from railrepro.evidence.runs import ride, sources, store, tuning
+from railrepro.evidence.runs import preview, ride, sources, store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.schema import require
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario
-from railrepro.track import preview
 from railrepro.track.rough import fit, rough_track
 from railrepro.track.route import CELL
 from railrepro.track.table import load_track
@@ -155,7 +155,8 @@ class Experiment:
         scenario["track"] = track.table.to_numpy(), track.design_speed
         plan = self.tuned(), self.options, self.changes, self.adhesion, self.estimate, self.fixed_share
         sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
-        cars = load_vehicle(**self.vehicle), self.car()
+        believed = load_vehicle(**self.vehicle)
+        cars = believed, self.car() if self.plant else believed
         more = self.rails(), sensed, self.substeps, self.ride, self.stride
         try:
             return store.key(code(measure), self.controller, scenario, cars, plan, more)
@@ -258,12 +259,11 @@ def code(measure: Measure) -> list:
     return [f"{measure.__module__}.{measure.__qualname__}", own, _reached()]
 
 
-@lru_cache
-def _reached() -> dict[str, str]:
+def _reached(package: Path = sources.PACKAGE) -> dict[str, str]:
     """Content of the modules that a run can reach: those of the library that this module imports, and theirs."""
-    imported = sources.parsed(_source(__name__))[1]
+    imported = sources.parsed((package / "evidence/runs/experiment.py").read_text())[1]
     parts = [name.rpartition(".") for name in imported if "." in name and not name.startswith(_WITHOUT_RESULTS)]
-    return sources.closure([f"from {room} import {name}" for room, _, name in parts])
+    return sources.closure([f"from {room} import {name}" for room, _, name in parts], package)
 
 
 def _call(experiment: Experiment) -> store.Entry:

@@ -1,6 +1,7 @@
 """Ride and safety of a run in the quantities of vehicle acceptance: rail forces, flange contact, wear, comfort, energy.
 
-Functions work on arrays (SI, forces on the rail); `ride_summary` takes the series of a run and is the edge where units
+Functions work on arrays of shape (n,) over a run (SI, forces on the rail): `p` is the track coordinate, which never
+decreases (m), `rate` the samples per second (Hz). `ride_summary` takes the series of a run and is the edge where units
 of the trade appear. How sure a number is stands with it: *read* in a public document that quotes the standard,
 *recalled* from the standard. The standards themselves were not at hand.
 
@@ -19,7 +20,9 @@ import scipy
 
 from railrepro.car.equations import FLOOR, GEARS, WHEELS
 from railrepro.errors import InputError
+from railrepro.schema import is_number
 from railrepro.simulation.metrics import FLANGE_ANGLE
+from railrepro.track.irregularity import D1, sampling
 from railrepro.vehicle.parameters import Vehicle
 
 FORCE_CUTOFF = 20.0
@@ -43,6 +46,8 @@ of the same name (EN 12299 is 7 % lower at 5 Hz, 13 % higher at 16 Hz).
 Source: Wk, Wd, Wb_ISO: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open
 software, agrees with what is recalled of UIC 513)."""
 _BAND = (0.4, 100.0)
+D2 = 25.0, 70.0
+"""Longer wavelengths (m) than `D1` in which EN 13848-1 judges level and alignment."""
 _FEWEST = 20
 
 
@@ -87,17 +92,7 @@ def outward(side: str) -> int:
 def low_pass(values, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
     """Low-pass of a force without phase: Butterworth of second order, forwards and backwards.
 
-    Parameters
-    ----------
-    values : array_like, shape (n,)
-    rate : float
-        Samples per second (Hz).
-    cutoff : float
-        Frequency at which both passes together reach -3 dB (Hz); 24 dB per octave beyond.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    Both passes together reach -3 dB at `cutoff` (Hz), with 24 dB per octave beyond.
 
     Source: EN 14363 (cut-off read, slope of 24 dB per octave recalled).
     """
@@ -110,9 +105,7 @@ def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarra
 
     Parameters
     ----------
-    values : array_like, shape (n,)
-    p : array_like, shape (n,)
-        Track coordinate, never decreasing (m).
+    values, p : array_like
     window, step : float
         Length of the mean and distance of successive means (m).
 
@@ -141,21 +134,7 @@ def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarra
 
 
 def track_shifting_force(y_left, y_right, p, rate: float) -> np.ndarray:
-    """Sum-Y of a pair of wheels: 20 Hz low-pass, then means over 2 m every 0.5 m.
-
-    Parameters
-    ----------
-    y_left, y_right : array_like, shape (n,)
-        Y of both wheels, positive to the right (N).
-    p : array_like, shape (n,)
-        Track coordinate (m).
-    rate : float
-        Samples per second (Hz).
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Positive to the right (N).
+    """Sum-Y of a pair of wheels, positive to the right (N), shape (m,): 20 Hz low-pass, means over 2 m every 0.5 m.
 
     Source: EN 14363 and UIC 518 (read). They evaluate percentiles 0.15 and 99.85 over many sections; of one short run
     take the largest absolute value.
@@ -164,14 +143,9 @@ def track_shifting_force(y_left, y_right, p, rate: float) -> np.ndarray:
 
 
 def track_shifting_limit(wheel_load: float, k1: float = 1.0) -> float:
-    """Limit of sum-Y (N), k1 (10 kN + 2 Q0 / 3).
+    """Limit of sum-Y (N), k1 (10 kN + 2 Q0 / 3), from the static wheel load Q0 (N).
 
-    Parameters
-    ----------
-    wheel_load : float
-        Static wheel load Q0 (N).
-    k1 : float
-        1 for locomotives and passenger vehicles, 0.85 for freight wagons (recalled).
+    k1 is 1 for locomotives and passenger vehicles, 0.85 for freight wagons (recalled).
 
     Source: EN 14363, Prud'homme's limit (recalled).
     """
@@ -183,12 +157,10 @@ def y_over_q(y, q, p, rate: float, least: float = 1e3) -> np.ndarray:
 
     Parameters
     ----------
-    y, q : array_like, shape (n,)
+    y, q : array_like
         Y, positive outwards (see `outward`), and Q (N).
-    p : array_like, shape (n,)
-        Track coordinate (m).
-    rate : float
-        Samples per second (Hz).
+    p, rate
+        See the module.
     least : float
         Divisor where Q is smaller (N), so that a wheel that lifts gives no infinity.
 
@@ -202,44 +174,18 @@ def y_over_q(y, q, p, rate: float, least: float = 1e3) -> np.ndarray:
 
 
 def wheel_unloading(q, wheel_load: float, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
-    """dQ/Q0 = (Q0 - Q)/Q0 of a wheel, positive where it is relieved.
+    """dQ/Q0 = (Q0 - Q)/Q0 of a wheel with the static load Q0 (N), positive where it is relieved (-), shape (n,).
 
-    Parameters
-    ----------
-    q : array_like, shape (n,)
-        Q (N).
-    wheel_load : float
-        Static wheel load Q0 (N).
-    rate : float
-        Samples per second (Hz).
-    cutoff : float
-        Low-pass (Hz): 20, as EN 14363 filters Q (read); 2 gives the quantity of cross wind, EN 14067-6, limit 0.9
-        (both recalled).
-
-    Returns
-    -------
-    ndarray, shape (n,) (-)
+    Low-pass of 20 Hz, as EN 14363 filters Q (read); 2 Hz gives the quantity of cross wind, EN 14067-6, limit 0.9 (both
+    recalled).
     """
     return 1 - low_pass(q, rate, cutoff) / wheel_load
 
 
 def flange_contacts(angle, p, threshold: float = FLANGE_ANGLE, gap: float = 1.0) -> float:
-    """Flange contacts of a wheel per kilometre: stretches with a contact angle above a threshold.
+    """Flange contacts of a wheel (1/km): stretches with a contact angle above a threshold (rad).
 
-    Parameters
-    ----------
-    angle : array_like, shape (n,)
-        Contact angle (rad).
-    p : array_like, shape (n,)
-        Track coordinate (m).
-    threshold : float
-        (rad)
-    gap : float
-        Stretches less than this apart count as one, so that a bouncing flange is one contact (m).
-
-    Returns
-    -------
-    float (1/km)
+    Stretches less than `gap` (m) apart count as one, so that a bouncing flange is one contact.
     """
     p = np.asarray(p, dtype=float)
     edges = np.diff((np.abs(angle) > threshold).astype(int), prepend=0, append=0)
@@ -275,17 +221,10 @@ def wear_number(force_x, force_y, creepage_x, creepage_y, moment=0.0, spin=0.0) 
 
 
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
-    """Work of the creep forces per metre, means over the way and over the four wheels.
+    """Work of the creep forces per metre, means over the way and over the four wheels (N, that is J/m).
 
-    Parameters
-    ----------
-    series : DataFrame
-        p of both gears; Fx, Fy, nu_x, nu_y, M_spin, spin of each wheel.
-
-    Returns
-    -------
-    dict
-        `t_gamma` without and `creep_work` with the work of spin (N, that is J/m).
+    `t_gamma` is without, `creep_work` with the work of spin; from p of both gears and Fx, Fy, nu_x, nu_y, M_spin, spin
+    of each wheel.
     """
     names = {"t_gamma": ("Fx", "Fy", "nu_x", "nu_y"), "creep_work": ("Fx", "Fy", "nu_x", "nu_y", "M_spin", "spin")}
 
@@ -297,14 +236,7 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
 
 
 def way_mean(values, p) -> float:
-    """Mean over the way (not over time, so that a slow stretch counts by its length).
-
-    Parameters
-    ----------
-    values : array_like, shape (n,)
-    p : array_like, shape (n,)
-        Track coordinate, never decreasing (m).
-    """
+    """Mean over the way (not over time, so that a slow stretch counts by its length)."""
     return float(np.average(values, weights=np.gradient(np.asarray(p, dtype=float))))
 
 
@@ -314,13 +246,6 @@ def weighting_filter(name: str, rate: float) -> np.ndarray:
     Band limits of 0.4 and 100 Hz (Butterworth, second order), transition from acceleration to velocity, upward step;
     each analogue factor goes through the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 %
     of the analogue ones up to 20 Hz and within 4 % up to 80 Hz.
-
-    Parameters
-    ----------
-    name : str
-        Key of `WEIGHTINGS`.
-    rate : float
-        Samples per second (Hz).
 
     Returns
     -------
@@ -348,24 +273,10 @@ def _quadratic(frequency: float, quality: float) -> np.ndarray:
 
 
 def weighted(acceleration, name: str, rate: float) -> np.ndarray:
-    """Frequency-weighted acceleration.
+    """Acceleration (m/s2) weighted by an entry of `WEIGHTINGS`, shape (n,).
 
     The filter starts settled at the first sample, as if that value had lasted forever: gravity in the reading of an
     accelerometer, or steady cant deficiency, makes no transient.
-
-    Parameters
-    ----------
-    acceleration : array_like, shape (n,)
-        (m/s2)
-    name : str
-        Key of `WEIGHTINGS`.
-    rate : float
-        Samples per second (Hz).
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        (m/s2)
     """
     sections = weighting_filter(name, rate)
     values = np.asarray(acceleration, dtype=float)
@@ -383,22 +294,10 @@ def weighted_rms(acceleration, name: str, rate: float) -> float:
 
 
 def block_rms(acceleration, rate: float) -> np.ndarray:
-    """Root mean squares over blocks of 5 s.
+    """Root mean squares (m/s2) of a weighted acceleration over blocks of 5 s, shape (blocks,); none for a shorter run.
 
     Blocks follow each other, as in the standard, from 5 minutes on. In a shorter run they overlap and start every
     0.5 s, so that few blocks cover all of the run.
-
-    Parameters
-    ----------
-    acceleration : array_like, shape (n,)
-        Weighted acceleration (m/s2).
-    rate : float
-        Samples per second (Hz).
-
-    Returns
-    -------
-    ndarray, shape (blocks,)
-        (m/s2); empty when the run is shorter than one block.
 
     Source: EN 12299.
     """
@@ -410,24 +309,12 @@ def block_rms(acceleration, rate: float) -> np.ndarray:
 
 
 def mean_comfort(along, across, vertical, rate: float) -> float:
-    """N_MV of a floor point: 6 times the root of the summed squares of three 95th percentiles.
+    """N_MV of a floor point (-): 6 times the root of the summed squares of three 95th percentiles.
 
     Each acceleration is weighted (Wd, Wd, Wb), then comes the percentile of its `block_rms`. The standard asks for the
     60 blocks of 5 minutes; what a shorter run gives is a figure to compare controllers on the same run, not one to hold
-    against published values.
-
-    Parameters
-    ----------
-    along, across, vertical : array_like, shape (n,)
-        Acceleration of the floor along, across and vertical (m/s2).
-    rate : float
-        Samples per second (Hz).
-
-    Returns
-    -------
-    float
-        N_MV (-): below 1.5 very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable (recalled); nan
-        when the run is shorter than one block.
+    against published values. Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable
+    (recalled); nan when the run is shorter than one block.
 
     Source: EN 12299:2009, mean comfort, standard method (formerly simplified; formula read in open software).
     """
@@ -461,6 +348,48 @@ def motor_energy(torque, speed, t) -> tuple[float, float, float]:
     return traction - braking, traction, braking
 
 
+def band_standard_deviation(frame: pd.DataFrame, band: tuple[float, float] = D1) -> pd.Series:
+    """Standard deviation of each channel within a band of wavelengths.
+
+    Butterworth high-pass and low-pass of fourth order over the distance, forwards and backwards (no phase), with the
+    half-power points of the whole at the ends of the band. A stretch of the longest wavelength is left out at both
+    ends, where filter and fade have not settled.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Evenly spaced p_m and any channels: track centre or rails (as EN 13848 judges them).
+    band : tuple of float
+        Shortest and longest wavelength (m): `D1` or `D2`.
+
+    Returns
+    -------
+    Series
+        By column, in its unit.
+
+    Source: EN 13848-1, bands; its filter is less steep (confidence R).
+    """
+    ends = [end for end in band if is_number(end)] if isinstance(band, tuple | list) else []
+    if len(ends) != 2 or not 0 < ends[0] < ends[1]:
+        raise InputError(f"irregularities: band is {band!r}, two wavelengths (m), the shorter first, are needed")
+    shortest, longest = ends
+    step, order = sampling(frame), 4
+    # Two passes damp twice: each is widened so that the power is halved at the ends of the band only once.
+    widened = (np.sqrt(2) - 1) ** (1 / (2 * order))
+    if widened * shortest <= 2 * step or len(frame) * step < 3 * longest:
+        raise InputError(
+            f"irregularities: {len(frame)} rows each {step:g} m, waves of {shortest:g} to {longest:g} m need rows "
+            f"closer than {widened * shortest / 2:.3g} m over at least {3 * longest:g} m"
+        )
+    values = frame.drop(columns="p_m")
+    for kind, edge in (("highpass", widened / longest), ("lowpass", 1 / (widened * shortest))):
+        values = scipy.signal.sosfiltfilt(
+            scipy.signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0
+        )
+    margin = int(np.ceil(longest / step))
+    return pd.Series(values[margin:-margin].std(axis=0), frame.columns.drop("p_m"))
+
+
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
     """All figures of a run: name -> (value, unit).
 
@@ -475,10 +404,6 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
         them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
     vehicle : Vehicle
         The car itself (of a run with two vehicles the plant's).
-
-    Returns
-    -------
-    dict
 
     Raises
     ------

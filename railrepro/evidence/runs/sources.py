@@ -15,8 +15,8 @@ from pathlib import Path
 
 from railrepro import FACADE, paths
 
-_PACKAGE = Path(paths.__file__).resolve().parent
-_NAME = _PACKAGE.name
+PACKAGE = Path(paths.__file__).resolve().parent
+_NAME = PACKAGE.name
 _OTHER_SOURCE = re.compile(r"""["']([\w{}\[\]]+\.(?:c|h|html))["']""")
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -65,7 +65,7 @@ def _other_sources(text: str, package: Path) -> set[Path]:
     return {file for pattern in patterns for file in package.rglob(pattern)}
 
 
-def closure(texts: Iterable[str], package: Path = _PACKAGE) -> dict[str, str]:
+def closure(texts: Iterable[str], package: Path = PACKAGE) -> dict[str, str]:
     """Content of all modules that pieces of Python can reach, by their path from the package's parent.
 
     Parameters

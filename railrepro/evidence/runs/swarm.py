@@ -110,7 +110,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
         The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm
         found (`swarms`), `origin`, and under `history` the table of all evaluated particles.
     """
-    budget, evaluation = task.budget, Evaluation(controller, task)
+    budget, evaluation = task.budget_of.get(controller, task.budget), Evaluation(controller, task)
     swarms, tables = [], []
     for seed in budget["seeds"]:
         name = f"{task.setting} {controller} {seed}"
@@ -126,7 +126,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
 
         outcome = pso.minimise(
             evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
-            budget["patience"], report,
+            budget["patience"], report, task.start.get(controller),
         )  # fmt: skip
         bar.close()
         found = {"seed": seed, "cost": outcome.cost, "evaluations": len(outcome.history), "parameters": outcome.best}

@@ -66,6 +66,10 @@ class Task:
         Controller -> list of `pso.Dimension`.
     designed : dict
         Controller -> parameters that are given, not searched.
+    start : dict
+        Controller -> parameters at which the first particle of each swarm begins.
+    budget_of : dict
+        Controller -> its own budget; the others have `budget`.
     """
 
     setting: str
@@ -74,6 +78,8 @@ class Task:
     runs: tuple[TuningRun, ...]
     dimensions: dict[str, list[pso.Dimension]]
     designed: dict[str, dict] = field(default_factory=dict)
+    start: dict[str, dict] = field(default_factory=dict)
+    budget_of: dict[str, dict] = field(default_factory=dict)
 
     @property
     def searched(self) -> list[str]:
@@ -122,6 +128,7 @@ class SettingEntry:
     sensors: schema.Flag
     runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
     designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
+    start: dict[str, dict[str, Number]] = field(default_factory=dict)
 
 
 def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
@@ -143,6 +150,7 @@ class TaskFile:
     run: Annotated[dict[str, RunEntry], schema.NOT_EMPTY]
     setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], schema.NOT_EMPTY]
     controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], schema.NOT_EMPTY]
+    budget_of: dict[str, Annotated[Budget, schema.AS_GIVEN]] = field(default_factory=dict)
 
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
@@ -172,7 +180,20 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
         if name not in dimensions:
             raise InputError(f"{file.name}: [setting.{setting}.designed] has {name!r}; there are {sorted(dimensions)}")
         guidance(name, parameters)
-    return Task(setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed)
+    for name, parameters in entry.start.items():
+        where = f"{file.name}: [setting.{setting}.start]"
+        if name not in dimensions:
+            raise InputError(f"{where} has {name!r}; there are {sorted(dimensions)}")
+        needed = sorted(dimension.name for dimension in dimensions[name])
+        if sorted(parameters) != needed:
+            raise InputError(f"{where}: {name} has {sorted(parameters)}, {needed} are needed")
+        for dimension in dimensions[name]:
+            dimension.position(parameters[dimension.name])
+    if unknown := sorted(set(content.budget_of) - set(dimensions)):
+        raise InputError(f"{file.name}: [budget_of.{unknown[0]}] is not known; there are {sorted(dimensions)}")
+    return Task(
+        setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start, content.budget_of
+    )
 
 
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
@@ -205,7 +226,9 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
         rail = rails.get(str(run.irregular.get("spectrum")), None)
         runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
     loop = load_loop() if any(run.sensors for run in task.runs) else None
-    return store.digest(runs, car, loop, task.budget, task.cost, task.dimensions[controller])[:16]
+    search = task.dimensions[controller], task.start.get(controller)
+    budget = task.budget_of.get(controller, task.budget)
+    return store.digest(runs, car, loop, budget, task.cost, *search)[:16]
 
 
 def is_current(controller: str, setting: str) -> bool:

@@ -10,7 +10,7 @@ shifting force over its limit; e, T, A of the front gear. With q = 1 / (1 + J), 
 
     100 (q - q_0) / (q_l - q_0), between 0 and 100,
 
-q_0 of a car without guidance in the same case (0 where that leaves the rail), q_l of the limit (`limit`). A case that
+q_0 of a car without guidance in the same case (0 where that derails), q_l of the limit (`limit`). A case that
 fails has no points. The runs with more delay and lag count as one case, with the mean of their points, which falls
 steadily before anything derails. The score is the mean over cases, and then over settings. Times are shown and do not
 count, as they depend on the machine; each is the least of three drives (`trial.DRIVES`).

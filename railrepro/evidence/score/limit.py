@@ -1,9 +1,10 @@
 """What stands at both ends of the scale of a case: no guidance at all, and the limit of physics and sensors.
 
-Behind sensors the limit is the linear-quadratic-Gaussian bound of the creep model (`railrepro.control.limit`) with the
-noise, latency and biases of the loop, at the speed of the case, on dry rail and for disturbances that wander as slowly
-as in the quietest run: what disturbs more raises it. It holds for the mean over draws; the bias of one draw may be
-kinder. With perfect measurements only the drive limits the error, which no case comes near, and the limit is 0.
+Behind sensors the limit is the linear-quadratic-Gaussian bound of the creep model
+(`railrepro.evidence.uncertainty.limit`) with the noise, latency and biases of the loop, at the speed of the case, on
+dry rail and for disturbances that wander as slowly as in the quietest run: what disturbs more raises it. It holds for
+the mean over draws; the bias of one draw may be kinder. With perfect measurements only the drive limits the error,
+which no case comes near, and the limit is 0.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from railrepro.control import limit as bound
 from railrepro.estimation.sensors import Loop, readings
 from railrepro.evidence.runs import sources, store
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import NOTHING, Entry
 from railrepro.evidence.score.trial import Trial
+from railrepro.evidence.uncertainty import limit as bound
 from railrepro.simulation.simulate import Run
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -69,6 +70,6 @@ def _errors(loop: Loop, speed: float) -> dict[float, float]:
         found = [bound.limit(load_vehicle(), loop, speed, WALKS, activity=a).error for a in _ACTIVITIES]
         return {"errors": found}, None
 
-    code = sources.closure(["from railrepro.control import limit"])
+    code = sources.closure(["from railrepro.evidence.uncertainty import limit"])
     row, _ = store.entry(store.key("score limit", code, loop, speed, WALKS, _ACTIVITIES, load_vehicle()), compute)
     return dict(zip(_ACTIVITIES, row["errors"], strict=True))

@@ -9,11 +9,11 @@ from html import escape
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
 from railrepro import paths
 from railrepro.evidence.report import figures
 from railrepro.evidence.score import card
+from railrepro.evidence.score.picture import leaderboard
 from railrepro.evidence.score.suite import JUDGED_ON, draws
 
 LEADERBOARD = "data/results/leaderboard.csv"
@@ -88,24 +88,12 @@ def _standing(name: str, long: pd.DataFrame) -> list[str]:
     if not file.exists():
         return []
     others = pd.read_csv(file)
-    table = card.ranking(pd.concat([others[others["controller"] != name], long]), published)
-    heads = ("ranked", "spread", *JUDGED_ON, "failures")
+    cards = pd.concat([others[others["controller"] != name], long])
+    heads = ("ranked", "spread", "published", *JUDGED_ON, "failures")
+    table = card.ranking(cards, published)
     lines = [[str(k), *(_number(row.get(key, np.nan)) for key in heads)] for k, row in table.iterrows()]
-    figure, axis = figures.new_figure(height=0.3 * len(table) + 0.6, width=7.0)
-    draw_ranking(axis, table)
-    return ["<h2>Among the others</h2>", _table(("controller", *heads), lines, own=name), _image(figure)]
-
-
-def draw_ranking(axis: Axes, table: pd.DataFrame) -> None:
-    """Bars of the ranked scores with their spread, and the published draw as a dot; see `card.ranking`."""
-    places = np.arange(len(table))
-    axis.barh(places, table["ranked"], xerr=table["spread"].fillna(0.0), color=figures.BLUE, label="ranked, and spread")
-    axis.plot(table["published"], places, "o", color=figures.BLACK, markersize=3, label="published draw")
-    axis.axvline(100.0, color=figures.BLACK, linestyle="--", linewidth=0.8, label="limit")
-    axis.set_yticks(places, table.index)
-    axis.set(xlabel="score (0: no guidance, 100: limit)", xlim=(0, 104))
-    axis.invert_yaxis()
-    axis.legend(loc="lower right")
+    drawn = _image(leaderboard(cards, own=name))
+    return ["<h2>Among the others</h2>", _table(("controller", *heads), lines, own=name), drawn]
 
 
 def _case(row: pd.Series) -> list[str]:

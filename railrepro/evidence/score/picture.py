@@ -10,13 +10,15 @@ from railrepro.evidence.report import figures
 from railrepro.evidence.score import card, suite
 
 
-def leaderboard(table: pd.DataFrame) -> Figure:
+def leaderboard(table: pd.DataFrame, own: str = "") -> Figure:
     """Scores of all controllers on both settings of the benchmark, best mean first.
 
     Parameters
     ----------
     table : DataFrame
         data/results/leaderboard.csv.
+    own : str
+        A controller that is no example.
     """
     ranked = card.ranking(table, suite.draws().published)
     place = np.arange(len(ranked))
@@ -25,8 +27,8 @@ def leaderboard(table: pd.DataFrame) -> Figure:
     for setting, face in (("equal", "white"), ("loop", "black")):
         look = {"marker": figures.SETTING_MARKERS[setting], "markerfacecolor": face, "markeredgecolor": "black"}
         axes.plot(ranked[setting], place, linestyle="", markersize=4.5, label=f"setting {setting}", **look)
-    labels = [figures.LOOKS[name].label if name in figures.LOOKS else f"{name} (example)" for name in ranked.index]
-    axes.set_yticks(place, labels)
+    labels = {name: look.label for name, look in figures.LOOKS.items()} | {own: own}
+    axes.set_yticks(place, [labels.get(name, f"{name} (example)") for name in ranked.index])
     axes.invert_yaxis()
     axes.set(xlabel="points of 100", xlim=(0, max(60.0, 1.05 * ranked[["equal", "loop"]].max().max())))
     figure.legend(ncols=3, loc="outside upper center", handletextpad=0.4, columnspacing=1.2)

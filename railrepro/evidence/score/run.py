@@ -24,7 +24,7 @@ def check(entry: Entry) -> None:
     Raises
     ------
     InputError
-        When it fails for another reason than leaving the rail.
+        When it fails for another reason than derailment.
     """
     scenario = load_scenario("curve_entry_T3").but(end_m=FIRST_LOOK)
     for setting in suite.JUDGED_ON:

@@ -27,7 +27,7 @@ from railrepro.vehicle.parameters import sample_ranges
 
 JUDGED_ON = (EQUAL, LOOP)
 """Setting of the benchmark."""
-MISMATCH = ("body.mass", "gear.mass", "gear.inertia_z", "wheel.spin_inertia", "wheel.cone_angle", "suspension.k_x")
+MISMATCH = ("body.mass", "gear.mass", "gear.inertia_z", "wheel.spin_inertia", "suspension.k_x")
 MISMATCH += ("suspension.c_x", "suspension.k_y", "drive.lag")
 """Parameters that the car has and its controller does not know, drawn over the ranges of data/vehicle.toml."""
 _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
@@ -199,6 +199,6 @@ def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:
     runs["braking_patch"] = load_scenario("braking").but(poor_share=_PATCH, end_m=1450.0), {}, {}
     curve = curves["T3"].but(end_m=500.0)
     runs["irregular"] = curve, {"spectrum": "en_B_300", "seed": seed}, {}
-    runs["s1002"] = curve, {}, {"contact.profile": "s1002"}
+    runs["cone"] = curve, {}, {"contact.profile": "cone"}
     runs |= {f"mismatch_{k}": (curve, {}, mismatch(seed, k)) for k in (1, 2)}
     return runs

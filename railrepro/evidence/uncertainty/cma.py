@@ -14,25 +14,23 @@ def minimise(
     cost: Callable[[np.ndarray], np.ndarray], start: np.ndarray, generations: int, sigma: float = 0.1, seed: int = 0,
     size: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Search for a minimum.
+    """Search for a minimum of a cost of points, shape (n, d), in the unit cube.
 
     Parameters
     ----------
     cost : callable
-        Points, shape (n, d), in the unit cube -> costs, shape (n,).
+        Points -> costs, shape (n,).
     start : ndarray, shape (d,)
-    generations : int
+    generations, seed : int
     sigma : float
         Standard deviation of the first generation.
-    seed : int
     size : int, optional
         Points of a generation; default 4 + 3 ln d.
 
     Returns
     -------
-    points : ndarray, shape (generations * size, d)
+    points, costs : ndarray, shapes (generations * size, d), (generations * size,)
         All that were asked for, in order.
-    costs : ndarray
     """
     d, generator = len(start), np.random.default_rng(seed)
     size = size or 4 + int(3 * np.log(d))

@@ -57,17 +57,7 @@ class Emulator:
     error: float
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation at points.
-
-        Parameters
-        ----------
-        x : ndarray, shape (m, d)
-            In the unit cube.
-
-        Returns
-        -------
-        mean, deviation : ndarray, shape (m,)
-        """
+        """Mean and standard deviation, shape (m,), at points of the unit cube, shape (m, d)."""
         points = x[:, self.active] * self.weights
         correlation = _correlation(points, self.design, self.length) * (1 - self.noise)
         mean = _with_constant(x[:, self.active]) @ self.trend + correlation @ self.residual
@@ -77,19 +67,10 @@ class Emulator:
 
 
 def fit(x: np.ndarray, y: np.ndarray) -> Emulator:
-    """Emulator of a quantity.
+    """Emulator of a quantity y, shape (n,), of runs with inputs x in the unit cube, shape (n, d).
 
-    Parameters
-    ----------
-    x : ndarray, shape (n, d)
-        Inputs of the runs in the unit cube.
-    y : ndarray, shape (n,)
-
-    Returns
-    -------
-    Emulator
-        Its error and deviation are those that runs show which it has not seen, neither when it was fitted nor when its
-        inputs were chosen: with more inputs than runs some seem to matter by chance.
+    Its error and deviation are those that runs show which it has not seen, neither when it was fitted nor when its
+    inputs were chosen: with more inputs than runs some seem to matter by chance.
     """
     found, spread = _fitted(x, y), max(float(y.std()), 1e-12)
     missed, report_errors = np.zeros(len(y)), np.ones(len(y))

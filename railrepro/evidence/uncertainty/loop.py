@@ -1,4 +1,4 @@
-"""The closed loop with sensors over unseen seeds: our controller, rivals, and the limit of `control.limit`.
+"""The closed loop with sensors over unseen seeds: our controller, rivals, and the limit of `uncertainty.limit`.
 
 `python -m railrepro loop` writes data/results/loop_table.csv; runs that were made before are in the store. Kinds:
 `loop` are the runs of tuning with other seeds, `stressed` has what tuning's stressed run has, `held out` is what tuning
@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control import limit
 from railrepro.control.creep_gains import CreepSettings
 from railrepro.control.creep_mpc import CreepGuide
 from railrepro.control.registry import CONTROLLERS, OURS
@@ -21,6 +20,7 @@ from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.uncertainty import limit
 from railrepro.files import write
 from railrepro.model.creep_model import STATES, UNKNOWN, creep_at
 from railrepro.simulation import metrics, simulate
@@ -151,11 +151,12 @@ def limit_of(case: Case) -> dict:
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Errors of both gears against the rails where they lie (mm), torque above 5 Hz (N m), and whether it failed."""
-    errors = {} if run.failed else {g: 1e3 * metrics.followed_rmse(run.series, g) for g in simulate.GEARS}
-    activity = float("nan") if run.failed else metrics.activity(run.series)
+    """Errors against the rails where they lie (mm), torque above 5 Hz (N m), and whether the flanges were reached."""
+    failed = run.failed or metrics.reaches_flange(run.series)
+    errors = {} if failed else {g: 1e3 * metrics.followed_rmse(run.series, g) for g in simulate.GEARS}
+    activity = float("nan") if failed else metrics.activity(run.series)
     row = {"error_mm": errors.get("front", float("nan")), "rear_mm": errors.get("rear", float("nan"))}
-    return row | {"activity_Nm": activity, "failed": run.failed}, None
+    return row | {"activity_Nm": activity, "failed": failed}, None
 
 
 def _call(task: tuple[Case, str, int]) -> dict:
@@ -166,7 +167,7 @@ def _call(task: tuple[Case, str, int]) -> dict:
 def table(rows: list[Case], pool) -> pd.DataFrame:
     """One row per case and controller: mean and standard deviation over the seeds of the error (mm), runs that failed.
 
-    Means are over the runs that ended on the rail.
+    Means are over the runs that kept off the flanges; `failed` counts the others.
     """
     tasks = [(case, name, seed) for case in rows for name in COMPARED for seed in seeds(case)]
     found = pd.DataFrame(ordered_map(pool, _call, tasks, "loop", stored=True))
@@ -186,6 +187,35 @@ def table(rows: list[Case], pool) -> pd.DataFrame:
 def seeds(case: Case) -> tuple[int, ...]:
     """Seeds of a case."""
     return FEW if case.kind == "held out" else SEEDS
+
+
+def standing(measured: pd.DataFrame) -> pd.DataFrame:
+    """Ours beside the best other, one row per kind and case, those that are not led first.
+
+    Parameters
+    ----------
+    measured : DataFrame
+        data/results/loop_table.csv.
+
+    Returns
+    -------
+    DataFrame
+        ours_mm, other_mm, other, spread_mm (larger standard deviation of both), limit_mm, over_limit
+        (-), lost (runs of ours that reached the flanges), other_lost, and standing: `behind`, `tied` within the spread,
+        or `ahead`. Who loses fewer runs is ahead; the best other is the one that loses fewest.
+    """
+    names, ours = ["kind", "case"], measured["controller"] == OURS
+    own = measured[ours].set_index(names)
+    other = measured[~ours].sort_values(["failed", "error_mm"]).groupby(names, sort=False).first().reindex(own.index)
+    rows = pd.DataFrame({"ours_mm": own["error_mm"], "other_mm": other["error_mm"], "other": other["controller"]})
+    rows["spread_mm"] = np.fmax(own["spread_mm"], other["spread_mm"])
+    rows["limit_mm"], rows["over_limit"] = own["limit_mm"], own["error_mm"] / own["limit_mm"]
+    rows["lost"], rows["other_lost"] = own["failed"], other["failed"]
+    more, worse = rows["lost"] - rows["other_lost"], (rows["ours_mm"] - rows["other_mm"]).fillna(0.0)
+    level = np.where(more != 0, np.sign(more), np.sign(worse) * (worse.abs() > rows["spread_mm"]))
+    rows["standing"] = pd.Series(level, rows.index).map({1: "behind", 0: "tied", -1: "ahead"})
+    order = np.lexsort([-(rows["ours_mm"] / rows["other_mm"]), -level])
+    return rows.iloc[order]
 
 
 def main() -> None:

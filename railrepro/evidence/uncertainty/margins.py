@@ -23,9 +23,9 @@ from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, code
 from railrepro.files import write
-from railrepro.simulation import simulate
+from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.vehicle.parameters import load_vehicle
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 WINDOW, SETTLED = 4.0, 2.0
 """Length of the window that is analysed and time before it (s); all frequencies are whole multiples of 1 / WINDOW."""
@@ -46,11 +46,7 @@ _KMH = (100.0, 200.0, 300.0, 400.0)
 class ProbedLaw:
     """A 1 kHz law whose torque is disturbed by a sum of sines with Schroeder's phases; a `lateral.LateralLaw`.
 
-    Parameters
-    ----------
-    law : lateral.LateralLaw
-    amplitude : float
-        Of each sine (N m).
+    The amplitude (N m) is that of each sine.
     """
 
     def __init__(self, law: lateral.LateralLaw, amplitude: float):
@@ -96,10 +92,7 @@ def probed(guidance, amplitude: float):
 class Sensitivity:
     """Measured sensitivity of the loop of the front gear, broken at its differential torque.
 
-    Attributes
-    ----------
-    values : ndarray of complex, shape (len(FREQUENCIES),)
-        Torque over disturbance, S = 1 / (1 + L).
+    `values` are torque over disturbance, S = 1 / (1 + L), complex, shape (len(FREQUENCIES),).
     """
 
     values: np.ndarray
@@ -118,29 +111,20 @@ class Sensitivity:
         return float(1 / np.abs(self.values - 0.5).max())
 
 
-def sensitivity(guidance, speed_kmh: float, sensors: dict | None = None) -> Sensitivity | None:
+def sensitivity(
+    guidance, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
+) -> Sensitivity | None:
     """Sensitivity on the straight dry track, the difference of a run with and one without disturbance.
 
-    The noise of sensors is the same in both runs, so it does not enter.
-
-    Parameters
-    ----------
-    guidance : lateral.Guidance
-    speed_kmh : float
-    sensors : dict, optional
-        Arguments of `sensors.readings`.
-
-    Returns
-    -------
-    Sensitivity or None
-        None when a run fails, or when the loop does not answer at the frequencies of the disturbance: it is unstable.
+    The noise of sensors (arguments of `sensors.readings`) is the same in both runs, so it does not enter. None when a
+    run fails, or when the loop does not answer at the frequencies of the disturbance: it is unstable.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None
     first, count, found = round(SETTLED / EXCHANGE_PERIOD), round(WINDOW / EXCHANGE_PERIOD), []
     for amplitude in (0.0, AMPLITUDE):
-        run = simulate.run(scenario, probed(guidance, amplitude), sensors=seen)
+        run = simulate.run(scenario, probed(guidance, amplitude), vehicle=vehicle, sensors=seen)
         if run.failed:
             return None
         found.append(run.series["front.du"].to_numpy()[: first + count])
@@ -156,7 +140,7 @@ def sensitivity(guidance, speed_kmh: float, sensors: dict | None = None) -> Sens
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is worsened until a controller leaves the rail.
+    """What is worsened until the car derails or reaches the flanges.
 
     Attributes
     ----------
@@ -199,7 +183,7 @@ def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:
 
 @dataclass(frozen=True)
 class Survival:
-    """Largest value of a quantity with which a tuned controller stays on a rail; picklable."""
+    """Largest value of a quantity with which a tuned controller keeps the car off its flanges; picklable."""
 
     setting: str
     controller: str
@@ -246,8 +230,8 @@ class Measured:
 
 
 def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Whether a run failed."""
-    return {"failed": run.failed}, None
+    """Whether a run derailed or reached the flanges."""
+    return {"failed": run.failed or metrics.reaches_flange(run.series)}, None
 
 
 def _call(task):

@@ -195,15 +195,10 @@ def match(
     problem : Problem
     waves, count : int
         Number of waves, runs in each.
-    generations : int
-        Of the evolution strategy; its runs are a last row of `waves`.
-    seed : int
+    generations, seed : int
+        Of the evolution strategy, whose runs are a last row of `waves`; of the draws.
     candidates : int
         Points of the prior on which the region is measured.
-
-    Returns
-    -------
-    Matched
     """
     size = len(problem.dimensions)
     prior = stats.qmc.Sobol(size, seed=seed).random(candidates)
@@ -279,12 +274,9 @@ def _within(problem, emulators, allowed: int, kept_points: np.ndarray, count: in
 def region(problem: Problem, matched: Matched) -> pd.DataFrame:
     """Projection of the region on each dimension, and what knowing it would tell.
 
-    Returns
-    -------
-    DataFrame
-        what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), second (share of them with the
-        second of two choices), narrowing (share of the prior that is lost: 1 - exp(-information), which is 1 - width
-        for a range), reduction (share of the variance of how many statements hold which goes when it is known).
+    Columns: what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), second (share of them with
+    the second of two choices), narrowing (share of the prior that is lost: 1 - exp(-information), which is 1 - width
+    for a range), reduction (share of the variance of how many statements hold which goes when it is known).
     """
     x = problem.encoded(matched.survivors)
     expected = np.zeros(len(x))
@@ -406,13 +398,7 @@ _FIELDS = {
 
 @dataclass(frozen=True)
 class ProbeTask:
-    """Runs of the car at some values, as "scenario/controller/metric" -> value; picklable.
-
-    Attributes
-    ----------
-    parts : tuple of str
-        See `probe`.
-    """
+    """Runs of the car at some values (see `probe`), as "scenario/controller/metric" -> value; picklable."""
 
     parts: tuple[str, ...] = PARTS
 
@@ -476,21 +462,10 @@ def best(problem: Problem, matched: Matched) -> dict:
     )
 
 
-def _sentence(row) -> str:
-    report_errors = f"{100 * row.reduction:.0f} % of the variance of how many statements hold would go; "
-    if np.isfinite(row.second):
-        return report_errors + f"{names_of_choice(row.what)[1]} in {100 * row.second:.0f} % of what is left"
-    low, high, least, most = (f"{float(f'{x:.3g}'):g}" for x in (row.low, row.high, row.prior_low, row.prior_high))
-    return report_errors + f"plausible are {low} to {high} of {least} to {most}"
-
-
 def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFrame:
     """The nominal car with choices of two thrown by hand: a look at what the emulators say that needs none of them.
 
-    Returns
-    -------
-    DataFrame
-        One column per choice, missed (sum of the squares of the missed margins), and the margins.
+    One column per choice, missed (sum of the squares of the missed margins), and the margins.
     """
     choices = [d for d in SEARCHED if choice(d)]
     places = [
@@ -502,17 +477,14 @@ def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFr
 
 
 def tables(problem: Problem, matched: Matched) -> dict[str, pd.DataFrame]:
-    """Tables by name: waves, region, questions, conflicts, best (margins of all runs with their points), survivors."""
-    projection = region(problem, matched)
-    asked = projection.assign(sentence=[_sentence(row) for row in projection.itertuples()])
+    """Tables by name: waves, region, conflicts, best (margins of all runs with their points), survivors."""
     values, left = (
         pd.DataFrame([dict(problem.values(point)) for point in points])
         for points in (matched.points, np.random.default_rng(0).permutation(matched.survivors)[:SHOWN])
     )
     return {
         "waves": matched.waves,
-        "region": projection,
-        "questions": asked[["what", "reduction", "sentence"]],
+        "region": region(problem, matched),
         "conflicts": conflicts(matched.margins > 0),
         "best": pd.concat([matched.margins, values], axis=1),
         "survivors": left,

@@ -66,10 +66,10 @@ def _noisy(factor: float) -> dict:
 
 
 CAR = {
-    "cone": {},
-    "S1002": {"plant": {"contact.profile": "s1002"}},
-    "cone, filter": {"sensors": {"perfect": True}},
-    "cone, loop": {"sensors": {"seed": 0}},
+    "S1002": {},
+    "cone": {"plant": {"contact.profile": "cone"}},
+    "S1002, filter": {"sensors": {"perfect": True}},
+    "S1002, loop": {"sensors": {"seed": 0}},
 }
 """Profiles of the wheels; and what stands between the car and its controllers: nothing, the filter of the realistic
 loop with exact readings, all of that loop."""
@@ -90,7 +90,7 @@ AXES = {
     "noise": Axis("over the sensors'", (0.0, 0.25, 0.5, 1.0, 2.0, 4.0), _noisy),
 }
 """Everything is nominal but the axis. Delay and noise come behind the filter of the realistic loop: their zero is the
-choice "cone, filter"."""
+choice "S1002, filter"."""
 
 
 @dataclass(frozen=True)

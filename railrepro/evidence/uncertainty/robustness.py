@@ -22,12 +22,13 @@ from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import PARTS, ProbeSetup, probe
-from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.runs.swarm import driven, run_cost
 from railrepro.files import write
+from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
@@ -45,10 +46,15 @@ def rows(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -
         return ordered_map(pool, task, arguments, title, quiet, stored=True)
 
 
+def _held(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed_at_m")
+    values = experiment.values(run)
+    row = {name: _plain(values.get(name)) for name in names}
+    return row | {"failed": run.failed or metrics.reaches_flange(run.series)}, None
+
+
 def _row(experiment: Experiment) -> dict:
-    names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed", "failed_at_m")
-    row, _ = experiment()
-    return {**experiment.label, **{name: _plain(row.get(name)) for name in names}}
+    return {**experiment.label, **experiment.measured(_held)[0]}
 
 
 def _plain(value):
@@ -59,13 +65,10 @@ def stability(
     speeds_kmh=(100, 200, 300, 400), sets=("dry", "wet", "poor", "very_poor"), factors=(0.1, 1, 10, 100),
     periods_ms=(5, 10, 20), poles=(10, 20, 30, 45, 70), quiet: bool = False,
 ) -> pd.DataFrame:  # fmt: skip
-    """Whether the car stays on the rail: speed, adhesion set, R and sampling time of NMPC, pole of NDI, ours with the
-    paper's adhesion law and with slip control; rolling and at the adhesion maximum.
+    """Whether the car keeps off its flanges: speed, adhesion set, R and sampling time of NMPC, pole of NDI, CreepMPC
+    with the adhesion law of the paper and with slip control; rolling and at the adhesion maximum.
 
-    Returns
-    -------
-    DataFrame
-        speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, …, failed, failed_at_m.
+    Columns speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, …, failed, failed_at_m.
     """
     tuned = tuning.load("nmpc")["parameters"]
     experiments = []
@@ -115,16 +118,8 @@ def prior() -> tuple[Dimension, ...]:
 
 @dataclass(frozen=True)
 class Sample:
-    """One draw of what the paper does not publish, in some setting.
-
-    Attributes
-    ----------
-    number : int
-        Place in the sequence.
-    setting : str
-        Setting of comparison.
-    values : tuple
-        (name of a dimension, value) pairs; what is not named stays nominal.
+    """One draw of what the paper does not publish: its place in the sequence, the setting of comparison, and pairs of
+    dimension and value; what is not named stays nominal.
     """
 
     number: int
@@ -155,10 +150,7 @@ def draw(count: int = SAMPLES, seed: int = SEED, settings: Sequence[str] = tunin
 def evaluate(sample: Sample) -> dict:
     """A small retuning of each controller on its setting, then the probe with other seeds of the noise; values in SI.
 
-    Returns
-    -------
-    dict
-        The sample's number, setting, profile and reading of LTV-MPC, and "scenario/controller/metric" -> value.
+    The sample's number, setting, profile and reading of LTV-MPC, and "scenario/controller/metric" -> value.
     """
     world = sample.world()
     tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
@@ -210,10 +202,7 @@ def ties(settings: Iterable[str]) -> dict[str, Mapping]:
 def holds(table: pd.DataFrame) -> pd.DataFrame:
     """Whether each statement holds in each sample, by the rule of the report; a failed run is no missing one.
 
-    Returns
-    -------
-    DataFrame
-        Columns of `LABELS`, one column of True and False per statement that the samples can answer.
+    `LABELS`, and a column of True and False per statement that the samples can answer.
     """
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     spread = ties(table["setting"].unique())
@@ -232,10 +221,7 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
     """Share of the samples in which each statement holds, in each setting, with its 95 % interval (Clopper-Pearson).
 
-    Returns
-    -------
-    DataFrame
-        id, setting, share, low, high, samples; cone, s1002: shares by profile. Empty for a table of an older form.
+    Columns id, setting, share, low, high, samples; cone, s1002: shares by profile. Empty for a table of an older form.
     """
     columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
     if table is None or not set(LABELS) <= set(table):
@@ -267,15 +253,8 @@ def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
 
 
 def confirmed(found: pd.DataFrame, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
-    """Keep of the candidates those with which a statement turns when they alone go from one end of their range to the
-    other, everything else nominal.
-
-    Parameters
-    ----------
-    found : DataFrame
-        See `candidates`.
-    run : callable
-        Samples -> rows as of `evaluate`.
+    """Keep of the `candidates` those with which a statement turns when they alone go from one end of their range to the
+    other, everything else nominal; `run` makes rows of samples as `evaluate` does.
     """
     ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
     pairs = list(dict.fromkeys((r.setting, n) for r in found.itertuples() for n in r.candidates.split(" ; ") if n))

@@ -1,4 +1,4 @@
-r"""How small the lateral error behind sensors can be: a linear-quadratic-Gaussian bound.
+r"""How small the lateral error with sensors can be: a linear-quadratic-Gaussian bound.
 
 The creep model of a gear (`railrepro.model.creep_model`) with disturbances and biases as slow Gauss-Markov processes is
 a linear system under white noise:
@@ -32,7 +32,7 @@ from railrepro.vehicle.parameters import Vehicle
 BIASES = ("y", "psi", "r")
 """Readings with a bias each."""
 MEMORY = 30.0
-"""Time constant of biases and disturbances, longer than any run: they do not tell themselves by dying away (s)."""
+"""Time constant of biases and disturbances, longer than any run: their decay gives no information (s)."""
 ACTIVITY = 115.0
 """Torque above 5 Hz at which the bound is stated (N m, RMS): what the tuned controllers spend on dry rail."""
 _CUT, _ORDER = 5.0, 4
@@ -183,7 +183,7 @@ def feedback(of: System, weight: float) -> np.ndarray:
 
 
 def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """The bound (m) at the true place: with the error of localisation, which nobody can see, times the slopes of the
+    """The bound (m) at the true place: with the error of localisation, which is not observable, times the slopes of the
     set point along the way (-)."""
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 

@@ -1,0 +1,126 @@
+"""The contact of wheel and rail by other methods: FASTSIM, rigid profiles, equivalent conicity.
+
+What the car computes (`railrepro.contact`) is compared with these; nothing that drives it uses them. Serves the
+paper's section Simulation Environment.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+
+from railrepro.contact.table import section
+
+
+def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus, cells=(40, 21)):
+    """Creep forces by Kalker's simplified theory, constant friction, many cases at once.
+
+    Each creepage has the flexibility of its own direction, so that small creepages of any mixture reproduce linear
+    theory. Strips run from the leading edge backwards; where the traction would exceed its parabolic bound it slides,
+    and slides against its own direction.
+
+    Parameters
+    ----------
+    nu_x, nu_y, spin, load, a, b, friction : array_like, broadcast to shape (n,)
+        As in `polach`, with a coefficient of friction (-).
+    coefficients : tuple of array_like
+        c11, c22, c23, each as the others.
+    shear_modulus : float
+        G (Pa).
+    cells : tuple of int
+        Elements along a strip and number of strips.
+
+    Returns
+    -------
+    F_x, F_y : ndarray, shape (n,)
+        Force on the wheel (N).
+
+    Source: Kalker 1982.
+    """
+    inputs = np.broadcast_arrays(nu_x, nu_y, spin, load, a, b, friction, *coefficients)
+    shape = inputs[0].shape
+    nu_x, nu_y, spin, load, a, b, friction, c11, c22, c23 = (np.reshape(v, (-1, 1)).astype(float) for v in inputs)
+    flexible_x, flexible_y = (8 * a / (3 * shear_modulus * c) for c in (c11, c22))
+    turning = spin * 4 * shear_modulus * c23 * np.sqrt(a * b) / (np.pi * a**2)
+    n_along, n_across = cells
+    eta = (np.arange(n_across) - (n_across - 1) / 2) / (n_across / 2)
+    half = a * np.sqrt(1 - eta**2)
+    step, width = 2 * half / n_along, 2 * b / n_across
+    p_x, p_y = np.zeros_like(half), np.zeros_like(half)
+    f_x, f_y = np.zeros(len(a)), np.zeros(len(a))
+    for k in range(n_along):
+        x = half - (k + 0.5) * step
+        advance = step if k else step / 2
+        p_x = p_x - advance * (nu_x / flexible_x - turning * eta * b)
+        p_y = p_y - advance * (nu_y / flexible_y + turning * (x + step / 2 if k else x + step / 4))
+        bound = 2 * friction * load / (np.pi * a * b) * np.maximum(1 - (x / a) ** 2 - eta**2, 0)
+        p_x, p_y = _slide(p_x, p_y, bound, flexible_x, flexible_y)
+        f_x += np.sum(p_x * step * width, axis=1)
+        f_y += np.sum(p_y * step * width, axis=1)
+    return f_x.reshape(shape), f_y.reshape(shape)
+
+
+def _slide(p_x, p_y, bound, flexible_x, flexible_y):
+    """Traction within its bound: what a sliding element gives up, times its flexibility, is along its traction.
+
+    So p_i = q_i / (1 + w/L_i) of the traction q before, with w from Newton's rule for 1/|p| = 1/bound, which is exact
+    for equal flexibilities.
+    """
+    size, bound = np.hypot(p_x, p_y), np.maximum(bound, 1e-9)
+    over = size > bound
+    weight = np.where(over, np.sqrt(flexible_x * flexible_y) * (size / bound - 1), 0.0)
+    for _ in range(3):
+        along, across = p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)
+        square = np.maximum(along**2 + across**2, 1e-300)
+        fall = np.maximum(along**2 / (flexible_x + weight) + across**2 / (flexible_y + weight), 1e-300)
+        weight = weight + np.where(over, (np.sqrt(square) - bound) * square / (bound * fall), 0.0)
+    return p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)
+
+
+def rigid_contact(shifts, radius: float) -> pd.DataFrame:
+    """Point contact of rigid S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
+
+    At shifts towards the flange (m), shape (n,), for a nominal rolling radius (m): columns shift_m, position_m (from
+    the track centre), tan_angle (-), rolling_radius_m.
+    """
+    rows = []
+    for shift in shifts:
+        cut = section(shift)
+        i = cut.first_contact
+        rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
+    return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
+
+
+def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> float:
+    """Conicity (-) of the cone whose wheelset would run with the same wavelength.
+
+    The wheelset rolls as it moves to the side, because one wheel climbs and the other sinks. Its wheels, a radius below
+    the axle, then shift further than the axle does.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Of a `ContactTable`, covering both signs of the amplitude.
+    amplitude, base : float
+        Amplitude of the lateral motion of the axle, lateral distance of the contacts (m).
+
+    Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
+    """
+    shift = np.linspace(0.0, 1.5 * amplitude, 6001)
+    right, left = (
+        {
+            name: np.interp(side * shift, frame["shift_m"], frame[f"{name}_m"])
+            for name in ("effective_radius", "rolling_radius")
+        }
+        for side in (1, -1)
+    )
+    roll = (left["effective_radius"] - right["effective_radius"]) / base
+    lateral = shift + roll * left["effective_radius"][0]
+    y = np.linspace(0.0, amplitude, 4001)
+    difference = np.interp(y, lateral, right["rolling_radius"] - left["rolling_radius"])
+    potential = CubicSpline(y, difference).antiderivative()
+    phase = (np.arange(4000) + 0.5) * np.pi / 8000
+    speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(phase))))
+    quarter = np.mean(amplitude * np.cos(phase) / speed) * np.pi / 2
+    return float((np.pi / 2 / quarter) ** 2 / 2)
