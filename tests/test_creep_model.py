@@ -121,7 +121,7 @@ def test_stiff_creep_is_the_control_model(cone_angle, tolerance):
     by_x, by_u, by_theta = (np.array(m) for m in jacobians(*at))
     keep = [rolling.PSI_AX, rolling.PSIDOT_AX, rolling.Y, rolling.PSI_TRAX]
     a = by_x[np.ix_(keep, keep)]
-    side, turning, rolls, heading, slewing = stiff.e.T
+    side, turning, rolls, heading, slewing, *_ = stiff.e.T
     inputs = {
         "du": (stiff.b, by_u[keep, rolling.TAU_LE] - by_u[keep, rolling.TAU_RI]),
         "cant": (speed * rolls, by_theta[keep, rolling.DPHI_DP]),
@@ -136,6 +136,22 @@ def test_stiff_creep_is_the_control_model(cone_angle, tolerance):
             found = response(stiff.a, ours, STATES.index("y"), frequency)
             expected = response(a, theirs, 2, frequency) * (lag if name == "du" else 1)
             assert abs(found / expected - 1) < tolerance, (name, frequency)
+
+
+def test_a_gear_and_a_body_that_move_with_the_rails_feel_nothing():
+    vehicle = load_vehicle()
+    speed, creep = 60.0, creep_at(vehicle, "dry", 60.0, 1e-3)
+    model = lateral_model(vehicle, speed, creep)
+    assert abs(creep.spin.force[0]) > 0.0 and creep.adhesion > 0.1  # all forces of the contact are there
+    offset, rate = (KNOWN.index(name) for name in ("rail_offset", "rail_rate"))
+    beside = np.array([float(name in ("y", "yb")) for name in STATES])
+    np.testing.assert_allclose(model.a @ beside + model.e[:, offset], 0.0, atol=1e-9 * np.abs(model.e[:, offset]).max())
+    # rails that are straight and turned: all that moves along them does so steadily, with the yaw angle of the rails
+    along = {"vy": 1.0, "vb": 1.0, "psi": 1 / speed}
+    turned = model.a @ [along.get(name, 0.0) for name in STATES] + model.e[:, rate]
+    stage = vehicle.suspension.yaw_stiffness / speed / vehicle.gear.inertia_z  # holds the gear along the car body
+    steady = [{"y": 1.0, "yb": 1.0, "r": -stage}.get(name, 0.0) for name in STATES]
+    np.testing.assert_allclose(turned, steady, atol=1e-9 * np.abs(model.e[:, rate]).max())
 
 
 def test_discrete_model_is_exact_for_held_inputs():

@@ -17,6 +17,8 @@ from railrepro.estimation.sensors import readings
 from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at, lateral_model
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.track.rough import rough_track
+from railrepro.track.route import CELL
 from railrepro.vehicle.parameters import load_vehicle
 
 V = load_vehicle()
@@ -35,7 +37,7 @@ def test_first_move_is_that_of_the_whole_optimisation(delay, sent):
     found, fine = gains(V, 30.0, DRY, settings, delay), lateral_model(V, 30.0, DRY).discrete(1e-3)
     scale = [1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 50.0, 1e-2, 1e-2, 1e-3, 1e-3, 500.0, 300.0]
     start, before = generator.normal(0, scale), generator.normal(0, 50.0, sent)
-    ahead = generator.normal(0, [0.3, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3], (settings.steps + 1, 6))
+    ahead = generator.normal(0, [0.3, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3, 1e-3], (settings.steps + 1, 8))
     move = found.change @ np.concatenate([start, [7.0], before, ahead.T.ravel()])
 
     n, late = len(STATES), round(delay / 1e-3)
@@ -224,7 +226,7 @@ def test_the_track_is_that_under_the_readings_which_are_older_than_the_place(gui
     """Six milliseconds from reading to torque, one of them the exchange; T3 curves from 25 m on, 423 m to 4250 m."""
     guide.read(np.zeros(3), 6e-3)
     guide.plan(measured(70.0), 0.0)
-    curvature, _ = guide._track_ahead(70.0, 0.0)
+    (curvature, *_), _ = guide._track_ahead(70.0, 0.0)
     assert curvature == pytest.approx((100.0 - 5e-3 * 70.0 - 25.0) / 423.0 / 4250.0, rel=1e-6)
 
 
@@ -378,6 +380,23 @@ def test_the_gear_stays_near_its_set_point_on_a_patch_where_both_wheels_slide_ap
     run = simulate.run(scenario, tuned("creep_mpc"), plant_vehicle=plant)
     assert np.abs(metrics.lateral_error(run.series)).max() < 3e-3
     assert np.abs(run.controllers[0]._offset).max() < 1.5e-3
+
+
+def test_the_rear_gear_knows_the_rails_that_the_front_gear_found():
+    scenario, law = load_scenario("curve_entry_T3").but(end_m=200.0), tuned("creep_mpc", setting="loop")
+    rough = rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum="en_B_300", seed=201)
+
+    def errors(follows, irregularities=rough):
+        guidance = replace(law, follows=follows)
+        series = simulate.run(scenario, guidance, sensors=readings(seed=201), irregularities=irregularities).series
+        series = series[series["rear.p"] > 20.0]
+        return np.array([metrics.followed_rmse(series, gear) for gear in ("front", "rear")])
+
+    gain = errors(True) / errors(False)
+    assert gain[0] == pytest.approx(1.0, abs=0.02)
+    assert gain[1] < 0.9  # measured .82
+    ideal = errors(True, None) / errors(False, None)
+    np.testing.assert_allclose(ideal, 1.0, atol=0.05)
 
 
 def test_factory_is_picklable():

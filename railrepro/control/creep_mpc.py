@@ -6,7 +6,8 @@ its gains are scheduled over speed, used adhesion and slip; the torque limit cut
 told.
 A Kalman filter finds creepage, body motion and disturbances from displacement, yaw angle and yaw rate; the disturbances
 make the controller free of steady error. Behind sensors the filter works on the readings themselves, with their age and
-the way of the commands in its model, not on what the filter of the loop makes of them for models that roll.
+the way of the commands in its model, not on what the filter of the loop makes of them for models that roll. There the
+front gear also measures how the rails lie, which is preview for the rear one.
 
 No counterpart in the paper.
 """
@@ -22,6 +23,7 @@ import numpy as np
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.table import contact_table
 from railrepro.control.creep_gains import ALERT, READ, CreepSettings, delay_of, schedule
+from railrepro.control.lateral import SlowController
 from railrepro.control.predictive import Solve
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
@@ -49,6 +51,10 @@ _SETTLED = 2.0
 """Time that it takes from awake to quiet (s)."""
 _GRID = 0.25
 """Pitch of the table of the road ahead (m)."""
+_RAIL_LAG, _RAIL_FADE = 0.01, 0.3
+"""Time constants of the band-pass through which a gear measures the direction of the rails (s)."""
+_RAIL_AHEAD = 100.0
+"""Distance over which the rails are taken to stay as offset as where the front gear is (m)."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,8 @@ class CreepMPC:
     settings : CreepSettings
     creep : Creep, optional
         Of wheels that hardly slip; default that of the vehicle on a dry rail. What they do when they slip is measured.
+    follows : bool
+        Whether the rear gear knows, behind sensors, the offset of the rails that the front gear measures.
 
     Raises
     ------
@@ -69,9 +77,11 @@ class CreepMPC:
 
     settings: CreepSettings = field(default_factory=CreepSettings)
     creep: Creep | None = None
+    follows: bool = True
 
     def __post_init__(self) -> None:
         require("CreepMPC: settings", self.settings, CreepSettings)
+        require("CreepMPC: follows", self.follows, bool)
         if self.creep is not None:
             require("CreepMPC: creep", self.creep, Creep)
             if self.creep.adhesion:
@@ -80,7 +90,7 @@ class CreepMPC:
     def __call__(self, vehicle: Vehicle, route: Route, gear: int) -> CreepGuide:
         """The controller of a gear (0 front, 1 rear)."""
         creep = creep_at(vehicle, "dry", 20.0) if self.creep is None else self.creep
-        return CreepGuide(vehicle, route, gear, self.settings, creep)
+        return CreepGuide(vehicle, route, gear, self.settings, creep, self.follows)
 
 
 class CreepGuide:
@@ -102,7 +112,9 @@ class CreepGuide:
         One record per sample.
     """
 
-    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings, creep: Creep):
+    def __init__(
+        self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings, creep: Creep, follows: bool = True
+    ):
         self.period, self.missed, self.restarts = settings.period, 0, 0
         self.stats: list[Solve] = []
         self.state = np.zeros(len(STATES) + len(UNKNOWN) + 1)
@@ -116,7 +128,15 @@ class CreepGuide:
         self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros((2, 2))
         self._slow, self._power, self._slow_power, self._alert = 0.0, 0.0, 0.0, 0.0
         self._read: np.ndarray | None = None
+        self._follows = follows
+        self._rails: np.ndarray | None = None  # rows of the follower's table
+        self._turned, self._fine, self._coarse, self._aside = 0.0, 0.0, 0.0, 0.0
         self._wait(0.0)
+
+    def follow(self, leader: SlowController) -> None:
+        """Know the offset of the rails that the gear in front measures, see `SlowController`."""
+        if self._follows and isinstance(leader, CreepGuide):
+            leader._rails = self._ahead[-2:]
 
     def _wait(self, delay: float) -> None:
         """Plan for torques that act a delay (s) after what was read."""
@@ -162,9 +182,11 @@ class CreepGuide:
             asked = max(abs(u_d) / _FREE, abs(self.sent[0]) / _FREE_APART) / (self._vehicle.wheel.radius * self._load)
             self._demanded = max(asked, self._demanded * (1 - self.period / _RADIUS_LAG))  # wheels come to rest
         v = float(self._seen[model.XDOT])
-        curvature, ahead = self._track_ahead(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
+        here, ahead = self._track_ahead(v, u_d * self._acceleration if np.isfinite(u_d) else 0.0)
         read = self._seen[[model.Y, model.PSI_TRAX, model.PSIDOT_AX]] if self._read is None else self._read.copy()
-        read[-1] -= v * curvature
+        read[-1] -= v * here[0]
+        if self._read is not None:
+            read[:2] += here[1:]  # from the track, not from the rails
         sound = bool(np.isfinite(self.state).all() and np.isfinite(self.sent).all()) and not (
             measured and abs(read[0] - self.state[0]) > _LOST
         )
@@ -174,6 +196,8 @@ class CreepGuide:
             self._started = True
             self._begin(v, read)
         if v >= LEAST_SPEED:
+            if measured and self._read is not None and self._rails is not None:
+                self._notice_rails(self._rails, read, v)
             self._follow(read if measured else None, ahead, v)
         self.stats.append(Solve(time.thread_time() - begin, 0, False))
         return float(self.sent[0])
@@ -221,8 +245,25 @@ class CreepGuide:
         self.sent[:] = self.sent[0] if np.isfinite(self.sent[0]) else 0.0
         self.state[STATES.index("tau")] = self.sent[0]
 
-    def _track_ahead(self, speed: float, acceleration: float) -> tuple[float, np.ndarray]:
-        """Curvature here (1/m); known inputs in the middle of each step and set point at its end, (6, steps + 1)."""
+    def _notice_rails(self, rails: np.ndarray, read: np.ndarray, v: float) -> None:
+        """Offset of the rails here, for the gear behind: the part of the yaw angle that the yaw rate does not explain.
+
+        It counts as far as the filter is awake, so that noise does not move the gear on ideal rails.
+        """
+        h = self.period
+        self._turned += h * (read[2] - self.state[-1])
+        self._fine += h / (h + _RAIL_LAG) * (self._turned - read[1] - self._fine)
+        self._coarse += h / (h + _RAIL_FADE) * (self._fine - self._coarse)
+        slope = self._fine - self._coarse
+        self._aside += h * (v * slope - self._aside / _RAIL_FADE)
+        place = int((self._seen[model.X] - (self._behind + _RAIL_LAG) * v - self._start) / _GRID + 0.5)
+        if 0 < place < rails.shape[1]:
+            rails[0, place : place + round(_RAIL_AHEAD / _GRID)] = self._alert * self._aside
+            rails[1, place] = self._alert * slope
+
+    def _track_ahead(self, speed: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
+        """Curvature (1/m), offset (m) and direction (-) of the rails here; and ahead, shape (8, steps + 1), the known
+        inputs in the middle of each step and the set point at its end."""
         t = self._times
         driven = np.minimum(t, speed / -acceleration) if acceleration < 0 else t
         p = self._seen[model.X] - self._behind * speed + (speed + acceleration / 2 * driven) * driven
@@ -230,11 +271,12 @@ class CreepGuide:
         index = place.astype(int)
         columns = self._ahead.take(index, axis=1)
         columns += (place - index) * (self._ahead.take(index + 1, axis=1) - columns)
-        kappa, dkappa, phi, dphi, heading, apart, y_ref, slope = columns[:, 1:]
+        kappa, dkappa, phi, dphi, heading, apart, y_ref, slope, rail, turned = columns[:, 1:]
         v = speed + acceleration * driven[1:]
-        side, set_point = self._vehicle.gravity * phi - v**2 * kappa, y_ref + self.period / 2 * v * slope
-        track_ahead = np.array([side, v**2 * dkappa, v * dphi, heading, v * apart, set_point])
-        return columns[0, 0], track_ahead
+        side = self._vehicle.gravity * phi - v**2 * kappa
+        set_point = y_ref + rail + self.period / 2 * v * (slope + turned)
+        track_ahead = np.array([side, v**2 * dkappa, v * dphi, heading, v * apart, rail, v * turned, set_point])
+        return columns[[0, 8, 9], 0], track_ahead
 
 
 _READ = [STATES.index(name) for name in READ]
@@ -243,18 +285,19 @@ _READ = [STATES.index(name) for name in READ]
 def _apparent_slip(vehicle: Vehicle) -> Callable[[np.ndarray], np.ndarray]:
     """Slip that a wheel of the nominal radius seems to have when it rolls, negative, over its shift (m)."""
     frame = contact_table(vehicle.contact.profile, vehicle).frame
-    shift, radius = frame["shift_m"].to_numpy(), frame["rolling_radius_m"].to_numpy()
-    return lambda at: np.interp(at, shift, radius / vehicle.wheel.radius - 1)
+    shift, change = frame["shift_m"].to_numpy(), frame["rolling_radius_m"].to_numpy() / vehicle.wheel.radius - 1
+    return lambda at: np.interp(at, shift, change)
 
 
 def _table(route: Route, partner: float) -> np.ndarray:
-    """The track along the route every `_GRID`, shape (8, n).
+    """The track along the route every `_GRID`, shape (10, n).
 
     Curvature and its slope (1/m, 1/m2), cant angle and its slope (rad, rad/m), heading and curvature at the gear less
-    those at the car body (rad, 1/m), set point and its slope (m, -).
+    those at the car body (rad, 1/m), set point and its slope (m, -), offset of the rails and its slope (m, -), which
+    are 0 at first.
     """
     p = np.arange(route.start, route.start + CELL * len(route.cells), _GRID)
     (psi, kappa, phi, dphi, *_), there = route.track_at(p), route.track_at(p + partner)
     dkappa = route.rows_at(p)[:, INDEX["dkappa"]]
     apart = (psi - there[0]) / 2, (kappa - there[1]) / 2
-    return np.ascontiguousarray([kappa, dkappa, phi, dphi, *apart, *route.reference_at(p)])
+    return np.ascontiguousarray([kappa, dkappa, phi, dphi, *apart, *route.reference_at(p), 0 * p, 0 * p])

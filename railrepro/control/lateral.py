@@ -100,6 +100,9 @@ class SlowController(Protocol):
     displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as they were read, and the time from the
     reading to the moment when a torque acts (s).
 
+    One that learns from the gear in front also has `follow(leader)`, which is called once, before the first sample,
+    with that gear's controller; in each sample the front gear plans first.
+
     Attributes
     ----------
     period : float
@@ -197,10 +200,11 @@ def check_controller(controller: SlowController) -> None:
     owner = f"lateral controller {type(controller).__name__}"
     if not callable(getattr(controller, "plan", None)):
         raise InputError(f"{owner}: has no plan(x_hat, u_d)")
-    for name in ("plan", "notice", "read"):
+    for name, count in {"plan": 2, "notice": 2, "read": 2, "follow": 1}.items():
         method = getattr(controller, name, max)
-        if not (callable(method) and _takes(method, 2)):
-            raise InputError(f"{owner}: {name} is {reprlib.repr(method)}, a method of two arguments is needed")
+        if not (callable(method) and _takes(method, count)):
+            needed = "a method of one argument" if count == 1 else "a method of two arguments"
+            raise InputError(f"{owner}: {name} is {reprlib.repr(method)}, {needed} is needed")
     require(f"{owner}: period", getattr(controller, "period", None), between(-inf, LONGEST_PERIOD, "s"))
 
 

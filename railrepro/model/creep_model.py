@@ -16,7 +16,8 @@ through f, and the traction of both rails acts beside the centre of a gear that 
 
 The contact of wheels with a profile (`Shape`) turns and wanders with the displacement y. Its slope pushes the gear
 back by F_N = 2 (s dN - N s' y), its spin pushes it away by S_y and turns it (`Spin`), and traction gains a longer arm:
-f N y becomes f N (1 + arm) y. On cones s' and the arm are zero and lambda is the slope s.
+f N y becomes f N (1 + arm) y. On cones s' and the arm are zero and lambda is the slope s. Where rails lie aside of the
+track, forces of the contact count y from the rails.
 
 Serves the lateral dynamics that the paper's eq. (discr_state_space1) leaves out.
 """
@@ -38,10 +39,11 @@ from railrepro.vehicle.parameters import Vehicle
 STATES = ("y", "vy", "psi", "r", "E", "tau", "yb", "vb", "phib", "wb")
 """Displacement (m), absolute lateral velocity (m/s), yaw (rad) and yaw rate (rad/s) against the track, difference of
 the wheel speeds (m/s), motor torque (N m); displacement, lateral velocity, roll and absolute roll rate of the body."""
-KNOWN = ("side", "turning", "rolling", "heading", "slewing")
+KNOWN = ("side", "turning", "rolling", "heading", "slewing", "rail_offset", "rail_rate")
 """What the track does to a gear at speed v: lateral acceleration g phi_Tr - v^2 kappa (m/s2), yaw acceleration of its
 frame v^2 kappa' (rad/s2), roll rate v phi_Tr' (rad/s), its heading psi_Tr - psi_CB against the car body's (rad) and the
-rate of that, v (kappa - kappa_CB) (rad/s). In these terms the model depends but weakly on the speed."""
+rate of that, v (kappa - kappa_CB) (rad/s); lateral offset of the rails from the track (m) and its
+rate (m/s). In these terms the model depends but weakly on the speed."""
 UNKNOWN = ("force", "moment")
 """Disturbances: lateral force (N) and yaw moment (N m) on the gear."""
 LEAST_SPEED = 0.5
@@ -129,7 +131,7 @@ class LateralModel:
 
     Attributes
     ----------
-    a, b, e, d : ndarray, shapes (10, 10), (10,), (10, 5), (10, 2)
+    a, b, e, d : ndarray, shapes (10, 10), (10,), (10, 7), (10, 2)
     """
 
     a: np.ndarray
@@ -151,13 +153,13 @@ def shape(vehicle: Vehicle) -> Shape:
     """The `Shape` of a vehicle's wheels in the middle of the track."""
     frame = contact_table(vehicle.contact.profile, vehicle).frame
 
-    low, high = ({name: np.interp(shift, frame["shift_m"], frame[name]) for name in frame} for shift in (-REACH, REACH))
+    def secant(column: np.ndarray) -> float:
+        low, high = np.interp((-REACH, REACH), frame["shift_m"], column)
+        return float(high - low) / (2 * REACH)
 
-    def secant(name: str) -> float:
-        return float(high[name] - low[name]) / (2 * REACH)
-
-    bend = float(np.tan(high["angle_rad"]) - np.tan(low["angle_rad"])) / (2 * REACH)
-    return Shape(secant("effective_radius_m"), bend, secant("rolling_radius_m"), -secant("rail_contact_m"))
+    names = "effective_radius_m", "rolling_radius_m", "rail_contact_m"
+    slope, conicity, contact = (secant(frame[name]) for name in names)
+    return Shape(slope, secant(np.tan(frame["angle_rad"])), conicity, -contact)
 
 
 def creep_at(vehicle: Vehicle, adhesion: str, speed: float, slip: float = 0.0) -> Creep:
@@ -224,30 +226,31 @@ def lateral_model(vehicle: Vehicle, speed: float, creep: Creep) -> LateralModel:
     body, gear, wheel, stage = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension
     v, g, r_0, base = speed, vehicle.gravity, wheel.radius, gear.contact_base
     form, spin = shape(vehicle), creep.spin
-    gamma = form.slope / (base / 2 - r_0 * form.slope)
+    gamma = vehicle.roll_per_shift(form.slope)
     half, inertia = body.mass / 2, body.inertia_x / 2
     weight = (half + gear.mass) * g
     below, above_axle = body.cg_height - stage.height, stage.height - r_0
 
     cant_rate = z["rolling"]
     ydot = z["vy"] - r_0 * cant_rate
-    roll, roll_rate = -gamma * z["y"], cant_rate - gamma * ydot
+    aside, aside_rate = z["y"] - z["rail_offset"], ydot - z["rail_rate"]  # against the rails where they lie
+    roll, roll_rate = -gamma * aside, cant_rate - gamma * aside_rate
     sway = z["yb"] - below * z["phib"] - z["y"] - above_axle * roll
     sway_rate = z["vb"] - below * z["wb"] - z["vy"] - above_axle * roll_rate
     spring = 2 * stage.k_y * sway + 2 * stage.c_y * sway_rate
     bar = stage.roll_stiffness * (z["phib"] - roll) + stage.roll_damping * (z["wb"] - roll_rate)
 
-    creepage, turn = (1 + gamma * r_0) * ydot / v - z["psi"], z["r"] / v
-    across = -2 * creep.across * creepage + spin.force[0] * z["y"] + spin.force[1] * turn
-    rails = across - weight * form.slope_rate * z["y"]  # without what the shifted load adds
+    creepage, turn = (ydot + gamma * r_0 * aside_rate) / v - z["psi"], z["r"] / v
+    across = -2 * creep.across * creepage + spin.force[0] * aside + spin.force[1] * turn
+    steepening = -weight * form.slope_rate * aside
     per_load = 2 * form.slope + spin.force[2]
-    unloading = -(bar + above_axle * spring - r_0 * rails + half * g * sway + weight * z["y"])
+    unloading = -(bar + above_axle * spring - r_0 * (across + steepening) + half * g * sway + weight * aside)
     unloading = unloading / (base - r_0 * per_load)
-    along = creep.along / v * (z["E"] - base / 2 * z["r"] - form.conicity * v / r_0 * z["y"])
+    along = creep.along / v * (z["E"] - base / 2 * z["r"] - form.conicity * v / r_0 * aside)
     along = along + creep.adhesion * unloading
-    normal = gear.mass * g * roll + rails - across + per_load * unloading
-    turning = base * along + creep.adhesion * weight * (1 + form.arm) * z["y"] + z["moment"]
-    turning = turning + spin.moment[0] * z["y"] + spin.moment[1] * turn + spin.moment[2] * unloading
+    normal = gear.mass * g * roll + steepening + per_load * unloading
+    turning = base * along + creep.adhesion * weight * (1 + form.arm) * aside + z["moment"]
+    turning = turning + spin.moment[0] * aside + spin.moment[1] * turn + spin.moment[2] * unloading
     turning = turning + spin.moment[3] * creepage
     turning = turning + 2 * wheel.spin_inertia * v / r_0 * roll_rate - stage.yaw_stiffness * (z["psi"] + z["heading"])
     turning = turning - stage.yaw_damping * (z["r"] + z["slewing"])

@@ -6,6 +6,7 @@ Serves the paper's Fig. 4 and section Simulation Environment.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import isfinite
 
 import numpy as np
@@ -199,6 +200,9 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -
     periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
         raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
+    for leader, follower in pairwise(controllers):
+        if hasattr(follower, "follow"):
+            follower.follow(leader)
     steps = int(min(periods))
     blocks = []
     for _ in range(0, longest, steps):

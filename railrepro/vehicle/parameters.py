@@ -286,7 +286,10 @@ class Vehicle:
     @property
     def gamma(self) -> float:
         """Roll of the axle per lateral displacement, Gamma (rad/m). Source: paper, eq. (z_and_phi)."""
-        slope = math.tan(self.wheel.cone_angle)
+        return self.roll_per_shift(math.tan(self.wheel.cone_angle))
+
+    def roll_per_shift(self, slope: float) -> float:
+        """Roll of the axle per lateral displacement on wheels whose contact has a slope (-), in rad/m."""
         return slope / (self.gear.contact_base / 2 - self.wheel.radius * slope)
 
     @property
