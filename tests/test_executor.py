@@ -104,6 +104,8 @@ class Cluster:
         while not (folder / "scheduler.json").exists() or not (folder / "scheduler.json").read_text():
             time.sleep(0.1)
         self.address = json.loads((folder / "scheduler.json").read_text())["address"]
+        with pytest.importorskip("distributed").Client(self.address) as client:
+            client.wait_for_workers(len(self.processes) - 1, timeout=120)  # else the kill may come first
 
     def kill(self, *which):
         for i in which:

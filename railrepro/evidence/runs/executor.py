@@ -247,5 +247,7 @@ def _there(pool: Executor) -> bool:
         return True
     try:
         return bool(client.sync(client.scheduler.identity, callback_timeout=5)["workers"])
-    except Exception:  # any error counts as no answer; time decides
+    except TimeoutError:  # a scheduler that loads the modules of a task answers late; a lost one has no connection
+        return client.status == "running"
+    except Exception:  # any other error counts as no answer; time decides
         return False
