@@ -1,4 +1,4 @@
-"""How far each tuned controller is from instability: what it survives, and its measured sensitivity.
+"""Stability margins of each tuned controller, and its measured sensitivity.
 
 `python -m railrepro margins` writes data/results/margins.csv and sensitivity.csv. Nothing is
 linearised by hand: the loop runs as it is, with sampling, filter and latency, and is disturbed.

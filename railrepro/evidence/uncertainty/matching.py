@@ -86,7 +86,7 @@ CANDIDATES = 2**14
 SHOWN = 500
 """Points of the region that are kept for figures, at most."""
 LEAST = 1e-3
-"""Share of the prior that is to survive at least; else one more statement is allowed to be implausible."""
+"""Least share of the prior that is to remain; else one more statement is allowed to be implausible."""
 
 
 def margin(statement: Statement, finding: Finding) -> float:
