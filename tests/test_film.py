@@ -200,11 +200,11 @@ def test_knobs_at_rest_change_nothing_and_friction_mixes_the_rails():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "sentence"),
-    [({"r": 0.0}, "knob r"), ({"delay_ms": 21.0}, "knob delay_ms"), ({"friction": 0.6}, "knob friction")],
+    ("wrong", "name"),
+    [({"r": 0.0}, "r"), ({"delay_ms": 21.0}, "delay_ms"), ({"friction": 0.6}, "friction")],
 )
-def test_a_knob_beyond_its_range_is_refused(wrong, sentence):
-    with pytest.raises(InputError, match=sentence):
+def test_a_parameter_beyond_its_range_is_refused(wrong, name):
+    with pytest.raises(InputError, match=f"parameter {name}"):
         Parameters(**wrong).scenario(load_scenario("curve_entry_T3"))
 
 

@@ -44,7 +44,7 @@ GOES = {
 }
 """What goes, as a pattern, and what comes in its place."""
 PATTERN = re.compile("|".join(rf"\b(?:{word})\b" for word in GOES), re.IGNORECASE)
-_CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.MULTILINE | re.DOTALL)
+_CODE = re.compile(r"^```(?!\{).*?^```|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
 
 def files() -> list[Path]:
@@ -117,7 +117,7 @@ def test_the_allowance_only_falls():
 def test_code_is_no_prose(tmp_path):
     module, page = tmp_path / "a.py", tmp_path / "a.md"
     module.write_text('told = f"nobody {told}"  # it is told\n')
-    page.write_text("`told` stays\n```\nnobody\n```\nand whoever\nis told\n")
+    page.write_text("`told` stays\n```\nnobody\n```\n```{glossary}\nand whoever\n```\nis told\n")
     assert [len(found(file)) for file in (module, page)] == [2, 2]
 
 

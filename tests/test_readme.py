@@ -45,6 +45,14 @@ def test_results_of_the_paper_stand_beside_ours(figure):
     assert said == pytest.approx(of_the_paper(figure), abs=tolerance)
 
 
+def test_the_verdicts_are_counted():
+    claims = pd.read_csv(paths.ROOT / "data/results/claims.csv").query("kind == 'statement'")
+    found = claims[claims["setting"].isna() | (claims["setting"] == "paper")]["verdict"]
+    said = re.search(r"Of (\d+) statements, (\d+) are reproduced .*?, (\d+) partly, (\d+) not\.", README).groups()
+    kinds = ("reproduced", "partly", "not reproduced")
+    assert [int(number) for number in said] == [len(found), *((found == kind).sum() for kind in kinds)]
+
+
 @pytest.mark.parametrize("row", CASES)
 def test_errors_of_ours_and_of_the_best_other(row):
     found = pd.read_csv(paths.ROOT / "data/results/creep_mpc_metrics.csv")

@@ -23,7 +23,8 @@ def test_codemeta_is_that_of_its_sources():
 def test_the_changelog_is_short_and_begins_with_this_version():
     lines = (paths.ROOT / "CHANGELOG.md").read_text().splitlines()
     assert len(lines) <= 60
-    assert f"## {__version__.partition('.dev')[0]}" in next(line for line in lines if line.startswith("## "))
+    heading = next(line for line in lines if line.startswith("## "))
+    assert heading == f"## {__version__.partition('.dev')[0]}, {release._citation()['date-released']}"
 
 
 pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="there is no git")

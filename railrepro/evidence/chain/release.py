@@ -54,6 +54,7 @@ def codemeta() -> dict:
         "name": project["name"],
         "description": project["description"],
         "version": __version__,
+        "datePublished": str(citation["date-released"]),
         "license": f"https://spdx.org/licenses/{project['license']}",
         "author": [{"@type": "Organization", "name": author["name"]} for author in citation["authors"]],
         "programmingLanguage": ["Python", "C"],

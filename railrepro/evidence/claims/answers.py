@@ -120,7 +120,7 @@ def setup(answered: Mapping[str, Question]) -> probe.ProbeSetup:
         kind, _, key = target.partition(":")
         (parameters[kind] if kind in parameters else changes[kind])[key] = value
     world = probe.ProbeSetup(parameters, vehicle=changes["vehicle"], brake_sweep=changes["brake_sweep"])
-    world.car()  # so that a value which the car refuses is told before anything runs
+    world.car()  # so that a value which the car refuses stops it before anything runs
     return replace(world, **changes["setup"])
 
 
@@ -131,7 +131,7 @@ def parts(answered: Mapping[str, Question]) -> list[str]:
 
 
 def judged(evidence: Evidence) -> dict[str, str]:
-    """Verdict of each statement that some evidence can tell."""
+    """Verdict of each statement that some evidence can decide."""
     found = {}
     for identity, statement in statements.load().items():
         try:
@@ -144,7 +144,7 @@ def judged(evidence: Evidence) -> dict[str, str]:
 def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) -> pd.DataFrame:
     """Verdicts before and after the answers by name: id, statement, before, after.
 
-    Those of the setting `paper` that a probe can tell; the probe is driven unless its rows (scenario, controller,
+    Those of the setting `paper` that a probe can decide; the probe is driven unless its rows (scenario, controller,
     metric, value) are given.
     """
     world, needed = setup(answered), parts(answered)

@@ -129,7 +129,7 @@ def paper_like(**instead: Any) -> ProbeSetup:
 
 
 def matched(rules: Mapping[str, Statement] | None = None) -> dict[str, Statement]:
-    """The statements about Figs. 6 to 9 that a probe can tell."""
+    """The statements about Figs. 6 to 9 that a probe can decide."""
     return {i: rule for i, rule in (rules or statements.load()).items() if i in MATCHED and rule.kind == "statement"}
 
 

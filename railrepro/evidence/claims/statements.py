@@ -1,7 +1,7 @@
 """The paper's statements as predicates: one function and one rule per statement, for report, studies and tests.
 
 A function here turns evidence into a number; data/claims.toml says between which limits the statement holds, and why.
-Evidence is a table of metrics by scenario, controller and metric, whoever drove the runs, so that the nominal results,
+Evidence is a table of metrics by scenario, controller and metric, from any source, so that the nominal results,
 a sample of the robustness study and a point of the matching are judged alike.
 
 Serves the paper's section Multi-Body Simulation Results.
@@ -178,7 +178,7 @@ def load(path: Path | str | None = None) -> dict[str, Statement]:
 
 
 def find(identity: str, evidence: Evidence) -> Finding:
-    """What the predicate of a statement finds; MissingEvidence when the evidence cannot tell."""
+    """What the predicate of a statement finds; MissingEvidence when the evidence does not suffice."""
     found = VALUES[identity](evidence)
     return found if isinstance(found, Finding) else Finding(float(found))
 

@@ -9,7 +9,7 @@ from railrepro.track.route import CELL, Route
 from railrepro.vehicle.parameters import Vehicle
 
 AHEAD = (0.05, 0.1, 0.2, 0.3, 0.5)
-"""Times ahead at which track and set point are seen (s)."""
+"""Times ahead at which track and set point are observed (s)."""
 SIZE = 4 + 2 * len(AHEAD)
 """Numbers of a gear."""
 _PITCH = 4
@@ -17,7 +17,7 @@ _PITCH = 4
 
 
 class Sight:
-    """Track and set point ahead as a table, and what is seen from a state.
+    """Track and set point ahead as a table, and the observation of a state.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Films of runs, two controllers side by side: what a film shows, its page, its movie; and runs with knobs to turn."""
+"""Films of runs, two controllers side by side: what a film shows, its page, its movie; and interactive parameters."""

@@ -23,7 +23,7 @@ CONTROLLERS = ("nmpc", "ndi")
 def main(
     scenario: str = ALL, controllers: Sequence[str] = (), setting: str = tuning.EQUAL, with_movie: bool = True
 ) -> None:
-    """Film one scenario or the usual ones; each page and movie is told where it is."""
+    """Film one scenario or the usual ones; prints where each page and movie is."""
     names = DEFAULT if scenario == ALL else (scenario,)
     controllers = tuple(controllers or CONTROLLERS)
     _check(names, controllers, setting)

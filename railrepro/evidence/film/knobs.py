@@ -54,8 +54,8 @@ class Parameters:
 
     def __post_init__(self):
         for name, largest in (("r", 1e6), ("horizon", 10.0), ("poles", 10.0)):
-            require(f"knob {name}", getattr(self, name), above(0.0, largest))
-        require("knob delay_ms", self.delay_ms, between(0.0, 1e3 * LONGEST * EXCHANGE_PERIOD, "ms"))
+            require(f"parameter {name}", getattr(self, name), above(0.0, largest))
+        require("parameter delay_ms", self.delay_ms, between(0.0, 1e3 * LONGEST * EXCHANGE_PERIOD, "ms"))
 
     def scenario(self, scenario: Scenario) -> Scenario:
         """A scenario with this speed and friction."""
@@ -64,7 +64,7 @@ class Parameters:
         if self.friction is not None:
             adhesion = load_vehicle().adhesion
             low, high = adhesion[scenario.poor].mu0, adhesion[scenario.good].mu0
-            require("knob friction", self.friction, between(low, high))
+            require("parameter friction", self.friction, between(low, high))
             changes["poor_share"] = [[0, (high - self.friction) / (high - low)]]
         return scenario.but(**changes)
 
@@ -75,11 +75,11 @@ class Parameters:
             return with_r_times(tuned, self.r) | {"horizon_s": self.horizon * tuned["horizon_s"]}
         if controller == "ndi":
             return tuned | {name: self.poles * tuned[name] for name in ("pole", "frequency")}
-        raise InputError(f"controller {controller!r} has no knobs; there are {list(CONTROLLERS)}")
+        raise InputError(f"controller {controller!r} has no parameters here; there are {list(CONTROLLERS)}")
 
 
 def turned(scenario: Scenario, knobs: Parameters, setting: str = tuning.EQUAL) -> dict[str, simulate.Run]:
-    """Runs of `CONTROLLERS` with the knobs where they are."""
+    """Runs of `CONTROLLERS` with the parameters as they are set."""
     require("knobs", knobs, Parameters)
     driven = knobs.scenario(scenario)
     laws = {name: guidance(name, knobs.parameters(name, setting)) for name in CONTROLLERS}

@@ -1,4 +1,4 @@
-"""Sliders for the knobs in JupyterLab, and what they draw."""
+"""Sliders for the parameters in JupyterLab, and what they draw."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _window(runs: dict[str, Run]) -> tuple[float, float]:
 
 
 def panel(scenario: Scenario, setting: str, draw: Callable[[dict[str, Run]], Figure] = curves) -> widgets.Widget:
-    """Sliders, a line that tells how the runs went and how long they took, and the curves, which follow the sliders."""
+    """Sliders, a line that says how the runs went and how long they took, and the curves, which follow the sliders."""
     sliders, status, shown = _sliders(scenario), widgets.HTML(), widgets.Output()
 
     def follow(_change=None) -> None:
@@ -64,7 +64,7 @@ def panel(scenario: Scenario, setting: str, draw: Callable[[dict[str, Run]], Fig
 
 
 def _sliders(scenario: Scenario) -> dict[str, widgets.Widget]:
-    """One slider per knob, where the scenario has it; they answer when they are let go."""
+    """One slider per parameter, where the scenario has it; they answer when they are let go."""
     adhesion = load_vehicle().adhesion
     low, high = adhesion[scenario.poor].mu0, adhesion[scenario.good].mu0
     look = {"continuous_update": False, "style": {"description_width": "12em"}, "layout": {"width": "29em"}}

@@ -31,11 +31,11 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 _COUNT = between(2, 100_000)
 FRAMES = 600
-"""Frames of a film unless told otherwise."""
+"""Frames of a film unless given otherwise."""
 SEED = 101
 """Seed of the sensors in the setting `loop`, as in the other chapters."""
 AHEAD, BEHIND = 30.0, 24.0
-"""What of the way is seen before and behind the front gear (m)."""
+"""Length of track that is shown behind and ahead of the front gear (m)."""
 _GEAR = {"p_m": ("p", 1.0), "y_mm": ("y", 1e3), "y_ref_mm": ("y_ref", 1e3), "psi_mrad": ("psi_TrAx", 1e3),
          "du_Nm": ("du", 1.0)}  # fmt: skip
 _WHEEL = {"Fx_kN": ("Fx", 1e-3), "Fy_kN": ("Fy", 1e-3), "tau_Nm": ("tau", 1.0), "slip_percent": ("sx", 100.0)}

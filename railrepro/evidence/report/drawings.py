@@ -364,7 +364,7 @@ def control_structure() -> Figure:
     _box(axes, (0.6, low), (0.95, 0.56), "database", note="track over $p$")
     _box(axes, (3.0, low - 0.06), (2.75, 1.12), "", BLUE)
     _text(axes, (2.95, low + 0.35), "lateral controller", BLUE)
-    _text(axes, (3.0, low - 0.5), "or, in place of both, NDI: 1 kHz, road at $p$ only", GREY, SIZE - 1)
+    _text(axes, (3.0, low - 0.5), "or, in place of both, NDI: 1 kHz, track at $p$ only", GREY, SIZE - 1)
     _box(axes, (2.15, low - 0.1), (0.85, 0.5), "forecast", GREEN, "at $k = 0 \\ldots L$")
     _box(axes, (3.75, low - 0.1), (1.1, 0.5), "MPC", BLUE, "every $T$, some ms")
     _box(axes, (3.75, top), (1.1, 0.56), "adhesion\ncontroller", RED, "1 kHz")

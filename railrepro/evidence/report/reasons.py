@@ -253,7 +253,7 @@ def _unpublished(nominal: Nominal) -> str:
 
 
 def _survived(nominal: Nominal, setting: str) -> str:
-    """Largest delay (ms) that NMPC of a setting survives at 400 km/h on dry rail."""
+    """Delay margin (ms) of NMPC of a setting at 400 km/h on dry rail."""
     table = nominal.results("margins").query(
         "setting == @setting and rail == 'dry' and controller == 'nmpc' and quantity == 'delay'"
     )

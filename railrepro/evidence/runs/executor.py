@@ -54,7 +54,7 @@ def executor() -> Iterator[Executor]:
     if not (workers.isascii() and workers.isdigit() and 1 <= int(workers) <= 4096):
         raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 to 4096 is needed")
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # what multiprocessing itself looks at
-        sys.exit(_UNGUARDED)  # told by the process that started this one
+        sys.exit(_UNGUARDED)  # reported by the process that started this one
     pool = _processes(int(workers))
     try:
         yield pool
@@ -72,7 +72,7 @@ def _cluster(address: str) -> Iterator[Executor]:
         from distributed import Client
     except ImportError as error:
         raise InputError("RAILREPRO_DASK is set, but the package distributed is not installed") from error
-    # what goes wrong is told by `ordered_map`, in one sentence
+    # what goes wrong is reported by `ordered_map`, in one sentence
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
     if not re.fullmatch(r"[a-z]+://[^/:\s]+:\d{1,5}/?", address):
@@ -85,7 +85,7 @@ def _cluster(address: str) -> Iterator[Executor]:
     try:
         yield pool
     finally:
-        with suppress(Exception):  # a lost scheduler cannot be told good-bye
+        with suppress(Exception):  # a lost scheduler cannot be left in order
             client.close(timeout=2)
 
 
@@ -241,7 +241,7 @@ _LOST = "the Dask scheduler, or all its workers, are lost; start them and run ag
 
 
 def _there(pool: Executor) -> bool:
-    """Whether somebody works: local processes tell by themselves, of a cluster the scheduler knows its workers."""
+    """Whether there are workers: local processes report themselves, of a cluster the scheduler knows its workers."""
     client = getattr(pool, "_client", None)
     if client is None:
         return True

@@ -2,7 +2,7 @@
 
 Functions work on arrays of shape (n,) over a run (SI, forces on the rail): `p` is the track coordinate, which never
 decreases (m), `rate` the samples per second (Hz). `ride_summary` takes the series of a run and is the edge where units
-of the trade appear. How sure a number is stands with it: *read* in a public document that quotes the standard,
+of the trade appear. The source of a number stands with it: *read* in a public document that quotes the standard,
 *recalled* from the standard. The standards themselves were not at hand.
 
 Two kinds of filter. Forces are low-passed forwards and backwards (no phase), so that peaks keep their place on the

@@ -2,7 +2,7 @@
 
 One ranking of controllers does not exist: it depends on what they are given. The settings are `paper` (perfect
 measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
-alike) and `loop` (all tuned alike behind sensors, noise, latency and filter).
+alike) and `loop` (all tuned alike with sensor noise, latency and filter).
 
 Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
 """

@@ -4,7 +4,7 @@ The cost of a case is
 
     J = e / 1 mm + T / 4 kN m + max(0, A / 0.5 kN m - 1) + 2 (1 - u) + 10 max(0, s - 1)
 
-e: RMS lateral error (behind sensors from the rails where they lie), T: RMS differential torque, A: its part above 5 Hz,
+e: RMS lateral error (with sensors from the rails where they lie), T: RMS differential torque, A: its part above 5 Hz,
 u: adhesion used of what there is, where the demand exceeds it (else 1), s: the larger of Y/Q over 0.8 and of the track
 shifting force over its limit; e, T, A of the front gear. With q = 1 / (1 + J), points are
 

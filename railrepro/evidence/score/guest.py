@@ -99,7 +99,7 @@ def _serve(descriptor: int, processor: float) -> None:
 
 
 def main(number: int) -> None:
-    """Fork one confined process at a time; tell its number and, when it has ended, its status."""
+    """Fork one confined process at a time; report its number and, when it has ended, its status."""
     confine.die_with_parent()
     with socket.socket(fileno=number) as channel:
         while True:

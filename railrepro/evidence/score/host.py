@@ -75,7 +75,7 @@ class _Nursery:
         theirs.close()
 
     def number(self) -> int:
-        """What it tells next: the number of a process, or how one ended."""
+        """What it reports next: the number of a process, or how one ended."""
         found = self.channel.recv(4)
         if len(found) < 4:
             _nursery.cache_clear()
@@ -118,7 +118,7 @@ class Guest:
         Raises
         ------
         Fault
-            When it tells one, answers nothing sensible, takes too long, or has ended. The process is gone then.
+            When it reports one, answers nothing sensible, takes too long, or has ended. The process is gone then.
         """
         begin = time.monotonic()
         try:
@@ -286,7 +286,7 @@ class RemoteController:
     period : float
         Sampling time (s).
     stats : list of Solve
-        Times of its samples as its process tells them (s).
+        Times of its samples as its process reports them (s).
     """
 
     def __init__(self, guest_: Guest, gear: int, made: dict):

@@ -1,6 +1,6 @@
 """What stands at both ends of the scale of a case: no guidance at all, and the limit of physics and sensors.
 
-Behind sensors the limit is the linear-quadratic-Gaussian bound of the creep model
+With sensors the limit is the linear-quadratic-Gaussian bound of the creep model
 (`railrepro.evidence.uncertainty.limit`) with the noise, latency and biases of the loop, at the speed of the case, on
 dry rail and for disturbances that wander as slowly as in the quietest run: what disturbs more raises it. It holds for
 the mean over draws; the bias of one draw may be kinder. With perfect measurements only the drive limits the error,
@@ -49,7 +49,7 @@ def _cost(run: Run, experiment: Experiment) -> store.Entry:
 
 
 def limits(case: suite.Case) -> dict[str, float]:
-    """RMS lateral error that no causal controller undercuts behind sensors (m), and the least J with its torque."""
+    """RMS lateral error that no causal controller undercuts with sensors (m), and the least J with its torque."""
     scenario, loop = case.scenario, readings(**case.sensors).loop
     speed = scenario.speed if scenario.stop_kmh is None else max(scenario.stop_speed, _SLOWEST)
     route = scenario.route()

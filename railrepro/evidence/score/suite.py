@@ -1,7 +1,7 @@
 """The runs of the benchmark: scenario, setting, and the random numbers of a seed.
 
 A seed draws noise and biases of the sensors, irregularities, and the car that differs from the one the controller
-believes in. Whoever develops uses the published seed; ranked is a file by a draw that its own bytes decide, so that
+believes in. For development there is the published seed; a file is ranked by a draw that its own bytes decide, so that
 nothing can be fitted to it, and a registered controller by the mean of several draws of the season.
 """
 
@@ -128,7 +128,7 @@ def mismatch(seed: int, number: int) -> dict[str, float]:
 
 
 def _margins(setting: str, seed: int) -> list[Case]:
-    """Runs at 400 km/h with rising delay and lag; behind sensors each has another seed."""
+    """Runs at 400 km/h with rising delay and lag; with sensors each has another seed."""
     found = []
     for rail, scenario in _RAILS.items():
         short = load_scenario(scenario).but(end_m=_MARGINS_END)

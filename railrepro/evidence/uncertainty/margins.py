@@ -1,4 +1,4 @@
-"""How far each tuned controller is from instability: what it survives, and its measured sensitivity.
+"""Stability margins of each tuned controller, and its measured sensitivity.
 
 `python -m railrepro margins` writes data/results/margins.csv and sensitivity.csv. Nothing is
 linearised by hand: the loop runs as it is, with sampling, filter and latency, and is disturbed.
@@ -164,7 +164,7 @@ QUANTITIES = {
     "lag": Quantity(5e-3, 0.1, 2.5e-3, lambda value: {"plant": {"drive.lag": value}}, "s"),
     "gain": Quantity(1.0, 5.0, 0.1, lambda value: {"sensors": {"inverter.gain": value}}, "-"),
 }
-"""Delay on top of that of the loop, lag of the drive, torque over what was told."""
+"""Delay on top of that of the loop, lag of the drive, torque over the command."""
 
 
 def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:

@@ -37,7 +37,7 @@ from railrepro.files import write
 from railrepro.vehicle.parameters import load_vehicle
 
 TUNED_IN = ("paper", tuning.EQUAL)
-"""Settings whose tuned sets are varied: which of them is one of the choices, as the paper does not tell what its swarm
+"""Settings whose tuned sets are varied: which of them is one of the choices, as the paper does not say what its swarm
 drove. Every point is driven as the paper compared, with exact states."""
 SEARCHED = (
     Dimension("tuned in setting (paper, equal)", 0, 1, "integer"),
@@ -81,12 +81,12 @@ DISCREPANCY = 0.1
 STEPS = {"C17": 0.2, "C18": 0.1, "C20": 0.2, "C24": 0.1, "C46": 0.2}
 """Steps of margins that move in steps (shares of five speeds, of poles, of entries): they may be off by one more."""
 CLIP = 2.0
-"""Largest margin that is told apart; a run that failed has this one, negative."""
+"""Largest margin that is distinguished; a run that failed has this one, negative."""
 CANDIDATES = 2**14
 SHOWN = 500
 """Points of the region that are kept for figures, at most."""
 LEAST = 1e-3
-"""Share of the prior that is to survive at least; else one more statement is allowed to be implausible."""
+"""Least share of the prior that is to remain; else one more statement is allowed to be implausible."""
 
 
 def margin(statement: Statement, finding: Finding) -> float:
@@ -119,7 +119,7 @@ class Problem:
     dimensions : tuple of Dimension
         The prior: uniform in each (in the logarithm, where its scale says so).
     run : callable
-        List of `Values` -> margin by statement (`margin`) of each, in order. What a run cannot tell, though others
+        List of `Values` -> margin by statement (`margin`) of each, in order. What a run cannot decide, though others
         can, counts as missed by far.
     """
 
@@ -272,7 +272,7 @@ def _within(problem, emulators, allowed: int, kept_points: np.ndarray, count: in
 
 
 def region(problem: Problem, matched: Matched) -> pd.DataFrame:
-    """Projection of the region on each dimension, and what knowing it would tell.
+    """Projection of the region on each dimension, and how informative its value would be.
 
     Columns: what, prior_low, prior_high, low, median, high (5, 50, 95 % of the survivors), second (share of them with
     the second of two choices), narrowing (share of the prior that is lost: 1 - exp(-information), which is 1 - width
@@ -375,7 +375,7 @@ def world(values: Mapping[str, float]) -> ProbeSetup:
     parameters["ndi"] |= {key: value for key, value in own.items() if value is not None}
     delay = v.get("delay of the drive (s)", 0.0)
     if delay:
-        # of the motor alone, a lag: behind sensors an estimator would come along, and no delay would not be its limit
+        # of the motor alone, a lag: with sensors an estimator would come along, and no delay would not be its limit
         vehicle["drive.lag"] = vehicle.get("drive.lag", load_vehicle().drive.lag) + delay
     profile, rail = v.get("profile (cone, S1002)"), v.get("rail (dry, wet)")
     fields = {name: v[key] for name, key in _FIELDS.items() if key in v}

@@ -1,4 +1,4 @@
-"""Where the order turns: NMPC against inversions on curve entry T3 while one thing after the other is changed.
+"""Sensitivity of the controller ranking: NMPC against inversions on T3 while one thing after the other is changed.
 
 `python -m railrepro order` writes data/results/order_turns.csv, one row per run. Every finished run is in the store, so
 an interrupted study goes on where it was. Serves the paper's Fig. 6.
@@ -29,7 +29,7 @@ from railrepro.vehicle.parameters import load_vehicle
 
 SCENARIO = "curve_entry_T3"
 CONTROLLERS = ("nmpc", "ndi", "ndi_integral")
-"""The paper's two, and the strongest that sees nothing of the road ahead."""
+"""The paper's two, and the strongest without preview."""
 SETTINGS = ("paper", "equal")
 SEEDS = (101, 102, 103)
 """Of the noise; tuning used others."""

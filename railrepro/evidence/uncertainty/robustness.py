@@ -184,7 +184,7 @@ def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
 
 
 def evidence(row: dict, spread: Mapping | None = None) -> statements.Evidence:
-    """What a row of robustness_samples.csv tells, with the spread between seeds of the nominal case."""
+    """What a row of robustness_samples.csv shows, with the spread between seeds of the nominal case."""
     metrics = {}
     for name, value in row.items():
         key = tuple(name.split("/"))
