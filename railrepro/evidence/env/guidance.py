@@ -20,6 +20,9 @@ a policy with it. It has no counterpart in the paper.
 
 from __future__ import annotations
 
+import math
+import warnings
+
 import gymnasium
 import numpy as np
 
@@ -30,7 +33,7 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.evidence.env.observation import SIZE, Sight
 from railrepro.model.control_model import XDOT, X
-from railrepro.schema import require
+from railrepro.schema import between, require
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -41,6 +44,8 @@ EFFORT, WORST = 0.1, 100.0
 """Weight of the torque; largest cost of a second, that of an error of 10 mm."""
 OFFSET = 1e-3
 """Largest lateral displacement at the start (m)."""
+_UNUSUAL = 10.0
+"""Actions beyond it are warned of; all beyond 1 act as 1."""
 _SLOWER, _BRAKED = 1.25, 5.0
 """Longest episode over the time at initial speed, also where the scenario brakes."""
 
@@ -84,6 +89,8 @@ class GuidanceEnv(gymnasium.Env):
         """Start again; see `gymnasium.Env.reset`. There are no options."""
         if options:
             raise InputError(f"environment: options are {options!r}, there are none")
+        if seed is not None:
+            require("environment: seed", seed, between(0, math.inf), whole=True)
         super().reset(seed=seed)
         seen = readings(seed=int(self.np_random.integers(2**31))) if self._sensors else None
         settings = LawSettings(sensors=seen)
@@ -103,6 +110,9 @@ class GuidanceEnv(gymnasium.Env):
         torque = _numbers(action)
         if torque.shape != (len(GEARS),) or not np.isfinite(torque).all():
             raise InputError(f"environment: the action is {action!r}, two numbers from -1 to 1 are needed")
+        if np.abs(torque).max() > _UNUSUAL:
+            said = "is unusual, -1 to 1 of the torque limit are usual: is it in N m?"
+            warnings.warn(f"environment: the action {action!r} {said}", stacklevel=2)
         left = self.duration - exchange.time
         exchange.held[:] = np.clip(torque, -1.0, 1.0) * self.vehicle.drive.torque_limit
         exchange.run(EXCHANGES)

@@ -6,13 +6,20 @@ with three equal poles, each generation draws rows around the mean and moves it 
 
 from __future__ import annotations
 
-import gymnasium
+import sys
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
-from railrepro.evidence.env.guidance import EXCHANGES, GuidanceEnv
+from railrepro.errors import InputError, report_errors
 from railrepro.evidence.env.observation import SIZE
 from railrepro.simulation.scenarios import load_scenario
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from railrepro.evidence.env.guidance import GuidanceEnv
 
 NAME = "railrepro.evidence.env.guidance:railrepro/Guidance-v0"
 _POLE = 20.0
@@ -44,6 +51,10 @@ def evolve(
     scenario: str = "curve_entry_T3", end: float = 300.0, population: int = 12, generations: int = 8
 ) -> np.ndarray:
     """Weights of a policy that follows the set point with perfect measurements, shape (SIZE,)."""
+    try:
+        import gymnasium
+    except ModuleNotFoundError as error:
+        raise InputError(f"learn: {error}; the extra `learn` has it") from None
     short = load_scenario(scenario).but(end_m=end)
     envs = gymnasium.make_vec(NAME, num_envs=population, vectorization_mode="sync", scenario=short)
     mean, draw = first_guess(envs.envs[0].unwrapped), np.random.default_rng(1)
@@ -58,5 +69,15 @@ def evolve(
     return mean
 
 
+def main() -> None:
+    """Print the weights that `evolve` finds; there are no arguments."""
+    if sys.argv[1:]:
+        raise InputError(f"learn: takes no arguments, found {sys.argv[1:]}")
+    weights = evolve()
+    from railrepro.evidence.env.guidance import EXCHANGES  # needs Gymnasium
+
+    print(f"every {EXCHANGES * EXCHANGE_PERIOD:g} s:", [float(f"{weight:.4g}") for weight in weights])
+
+
 if __name__ == "__main__":
-    print(f"every {EXCHANGES * EXCHANGE_PERIOD:g} s:", [float(f"{weight:.4g}") for weight in evolve()])
+    sys.exit(report_errors(main))
