@@ -1,4 +1,4 @@
-"""The one exception for wrong input, and how a command tells it: a single plain sentence."""
+"""The one exception for wrong input, and how a command reports it: a single plain sentence."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class InputError(ValueError):
 
 
 def report_errors(command: Callable[[], int | None]) -> int:
-    """Run a command; what stops it is told in one sentence.
+    """Run a command; what stops it is reported in one sentence.
 
     Returns
     -------

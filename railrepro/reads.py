@@ -1,4 +1,4 @@
-"""Which entries of a data file are read: noted for whoever asks, so that an entry that nobody reads changes nothing."""
+"""Which entries of a data file are read: noted on request, so that an entry that is not read changes nothing."""
 
 from __future__ import annotations
 

@@ -318,7 +318,9 @@ def _place(kind: type, content: Any, loc: tuple) -> tuple[str, str]:
     tables: list[str] = []
     key = ""
     for i, step in enumerate(loc, 1):
-        if isinstance(content, dict) and step not in content:  # which of several classes the table was checked against
+        if not isinstance(content, dict | list):  # which of several classes the value was checked against
+            break
+        if isinstance(content, dict) and step not in content:  # the same of a table
             key += f" of kind {step!r}" if i == len(loc) else ""
             continue
         content = content[step]

@@ -37,7 +37,7 @@ _before: list[int] = []
 def one_thread() -> Iterator[None]:
     """Linear algebra of NumPy and SciPy with one thread for a block, whatever the environment says.
 
-    Blocks may overlap in several Python threads. Where there is no OpenBLAS, or the system does not tell what is
+    Blocks may overlap in several Python threads. Where there is no OpenBLAS, or the system does not report what is
     loaded, nothing changes.
     """
     global _inside, _before

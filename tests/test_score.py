@@ -57,7 +57,7 @@ FAULTS = {
     "law without its symbol": (LAW.format("return gear['height'], {}"), "own.py, line 7 (Mine.torque): lateral law "
                                "Mine: there is no gear state 'height'"),
     "law that is NaN": (LAW.format("return float('nan') * gear['held'], {}"), "Mine: torque() holds the constant nan"),
-    "law that becomes NaN": (LAW.format("return (gear['held'] - 1) ** 0.5, {}"), "times no finite number; "),
+    "law that becomes NaN": (LAW.format("return (gear['held'] - 1) ** 0.5, {}"), "returned NaN or Inf "),
     "law with an if": (LAW.format("return 0 if gear['held'] > 1 else 1, {}"), "use casadi.if_else"),
     "law of a list": (LAW.format("return [gear['held'], 0], {}"), "line 6 (Mine.torque): lateral law Mine: its"),
     "law of a vector": (LAW.format("import casadi; return casadi.vertcat(gear['held'], 0), {}"), "of shape (2, 1)"),

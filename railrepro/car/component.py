@@ -115,7 +115,7 @@ class SteppedCar:
         self.model, self.left_rail, self.beyond_end = self._car.model, "", ""
 
     def step(self, torque=None, exchanges: int = 1, period: float = EXCHANGE_PERIOD) -> None:
-        """Advance by some exchanges with the torques held; a warning tells once when a gear derails.
+        """Advance by some exchanges with the torques held; one warning when a gear derails.
 
         Parameters
         ----------

@@ -6,7 +6,7 @@ in track-frame components; angular velocities are absolute, in body axes. With t
 Coriolis, cant, inclination and gyroscopic terms are exact and no second derivative of the track is needed.
 
 State: per body the coordinates of `kinematics.COORDINATES`, wheel speeds `w` (traction-positive, rad/s), motor torques
-`tau` (traction-positive, N m); where each stands tells `INDEX`. Input: torque commands of `WHEELS` (N m). Output: named
+`tau` (traction-positive, N m); `INDEX` has the place of each. Input: torque commands of `WHEELS` (N m). Output: named
 in `Car.outputs`. Signs as in the documentation: x forward, y right, z down; yaw to the right, pitch nose up, roll right
 side down.
 

@@ -82,7 +82,7 @@ class CarStepper:
         Wheel-rail contact; of a pair the second comes in where the route says so (`second_profile`).
     route : Route
     state : array_like
-        Initial state; its length tells whether the car has frames.
+        Initial state; its length says whether the car has frames.
     compiled : bool
         False evaluates in CasADi's virtual machine.
     substeps : int

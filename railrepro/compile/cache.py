@@ -3,7 +3,7 @@
 The key of the cache is the full source text, the compiler with its version and flags, and the CPU where the flags ask
 for this very one, so that neither a changed model nor a moved build folder can meet a stale object. Processes that need
 the same object at the same time wait for the one that compiles it. An object is loaded as code only when it belongs to
-the user, nobody else can write it, and its content is what was stored; else it is made again.
+the user, no other user can write it, and its content is what was stored; else it is made again.
 
 By default nothing but 256-bit registers is asked of the processor, where it has them, and products and sums are not
 fused, so that compilers and processors round alike. Very long sources are optimised less: a tenth of the time to
@@ -48,7 +48,7 @@ class CompilerError(InputError):
 def compiler() -> str | None:
     """Path of a C compiler that works; None when there is none, or when `RAILREPRO_NO_COMPILER` is set.
 
-    Looked for are `CC`, cc, gcc, and the `PACKAGED` one. One that is there and does not work is told on stderr, once.
+    Looked for are `CC`, cc, gcc, and the `PACKAGED` one. One that does not work is reported on stderr, once.
     """
     if os.environ.get("RAILREPRO_NO_COMPILER"):
         return None
@@ -57,7 +57,7 @@ def compiler() -> str | None:
     if asked and shutil.which(asked) is None:
         instead = f"{command} is used" if command else "there is no other"
         print(f"CC={asked!r} is no compiler that can be found; {instead}", file=sys.stderr, flush=True)
-        os.environ["CC"] = command or ""  # told once: processes that this one starts inherit it
+        os.environ["CC"] = command or ""  # reported once: processes that this one starts inherit it
     if command is not None:
         try:
             _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
@@ -68,7 +68,7 @@ def compiler() -> str | None:
 
 
 def do_without(error: CompilerError) -> None:
-    """Tell why there is no compiler, and have this process and those that it starts do without."""
+    """Report why there is no compiler, and have this process and those that it starts do without."""
     print(f"{error}; everything is interpreted, some twenty times slower", file=sys.stderr, flush=True)
     os.environ["RAILREPRO_NO_COMPILER"] = "1"
     compiler.cache_clear()
@@ -76,7 +76,7 @@ def do_without(error: CompilerError) -> None:
 
 @lru_cache(maxsize=1)
 def _processor() -> str:
-    """What the system tells of the processor: model and features, sorted lines; empty where it does not."""
+    """What the system reports of the processor: model and features, sorted lines; empty where it does not."""
     file = Path("/proc/cpuinfo")
     lines = file.read_text().splitlines() if file.exists() else []
     return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
@@ -96,7 +96,7 @@ def flags(portable: bool = False, length: int = 0, level: str = "-Og") -> tuple[
 
 @lru_cache
 def _version(command: str) -> str:
-    """First line of what a compiler tells of itself."""
+    """First line of what a compiler reports of itself."""
     try:
         done = subprocess.run(
             [command, "--version"], capture_output=True, text=True, check=True, timeout=_seconds(_PROBE_SECONDS)
@@ -217,7 +217,7 @@ def _digest(target: Path, content: bytes) -> str:
 
 
 def own_file(file: Path) -> bytes | None:
-    """Content of a regular file that belongs to this user and that nobody else can write; None for anything else."""
+    """Content of a regular file that belongs to this user and that no other user can write; None for anything else."""
     try:
         with open(os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as stream:
             status = os.fstat(stream.fileno())

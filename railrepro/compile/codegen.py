@@ -1,6 +1,6 @@
 """From CasADi functions to C source text, and from there to functions that are called.
 
-The only module of this room that the others import: `cache` compiles text and keeps the objects, `graphs` the functions
+The module that the others here import: `cache` compiles text and keeps the objects, `graphs` the functions
 that they come from, `functions` binds them to buffers, `reciprocals` saves divisions. Without a C compiler `library`
 returns None and callers evaluate the same CasADi functions in CasADi's virtual machine.
 """

@@ -47,7 +47,7 @@ class CompiledFunction:
 class InterpretedFunction:
     """The same interface on CasADi's virtual machine, for machines without a C compiler.
 
-    CasADi's type stubs ask for the size of a buffer that a memoryview tells by itself.
+    CasADi's type stubs ask for the size of a buffer that a memoryview knows by itself.
     """
 
     def __init__(self, function: ca.Function, arguments=None, results=None):

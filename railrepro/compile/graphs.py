@@ -48,7 +48,7 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     Parameters
     ----------
     build : callable
-        Of arguments whose `repr` tells them apart, and of nothing else but code; it gives CasADi functions, texts,
+        Of arguments whose `repr` distinguishes them, and of nothing else but code; it gives CasADi functions, texts,
         numbers, and tuples, lists and dictionaries of them.
 
     Raises

@@ -66,7 +66,7 @@ def write_unit(path: Path | str, unit: Unit, text: str, own: str, fmi: str = "2.
     unit : Unit
     text : str
         C source with call.h, generated functions and constants; INPUTS_TEXT says what can be set, INPUT_TEXT what a
-        refused value is told.
+        refused value gets as an answer.
     own : str
         C source of the unit.
     fmi : str

@@ -12,7 +12,7 @@ import casadi as ca
 def allocate(u_d, du, tau_max, fixed_share=0.0):
     """Motor torques of one running gear from base torque and differential torque.
 
-    The differential torque is kept whole and the longitudinal torque takes what is left, so a sharp change of `u_d`
+    The differential torque is kept whole and the longitudinal torque takes the remainder, so a sharp change of `u_d`
     between two lateral updates cannot disturb the guidance.
 
     Parameters

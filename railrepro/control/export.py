@@ -1,4 +1,4 @@
-"""Controllers to take away: as C that needs nothing else, and as units of FMI 2.0 or 3.0 for co-simulation.
+"""Export of controllers: as C that needs nothing else, and as units of FMI 2.0 or 3.0 for co-simulation.
 
 What is exported is the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also their filter)
 with the road, and before it the predictive controllers at their own period. It measures what the car's unit puts out

@@ -11,7 +11,6 @@ import inspect
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf
 from typing import Protocol
 
 import casadi as ca
@@ -19,7 +18,7 @@ import numpy as np
 
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES, THETA
-from railrepro.schema import between, is_number, require
+from railrepro.schema import above, is_number, require
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -96,7 +95,7 @@ class SlowController(Protocol):
     One that wants to know how its wheels slip also has `notice(adhesion, slip)`, which is called before `plan` with the
     estimates of the adhesion law, each of left and right wheel, shape (2,), adhesion traction positive (-).
 
-    One that has a filter of its own has `read(readings, delay)`: behind sensors it is called before `plan` with the
+    One that has a filter of its own has `read(readings, delay)`: with sensors it is called before `plan` with the
     displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as they were read, and the time from the
     reading to the moment when a torque acts (s).
 
@@ -205,7 +204,7 @@ def check_controller(controller: SlowController) -> None:
         if not (callable(method) and _takes(method, count)):
             needed = "a method of one argument" if count == 1 else "a method of two arguments"
             raise InputError(f"{owner}: {name} is {reprlib.repr(method)}, {needed} is needed")
-    require(f"{owner}: period", getattr(controller, "period", None), between(-inf, LONGEST_PERIOD, "s"))
+    require(f"{owner}: period", getattr(controller, "period", None), above(0.0, LONGEST_PERIOD, "s"))
 
 
 def planned(torque) -> float:

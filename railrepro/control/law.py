@@ -1,4 +1,4 @@
-"""The control law of the 1 kHz exchange as one function: what is seen, adhesion law, lateral law, integration rule.
+"""The control law of the 1 kHz exchange as one function: measurement, adhesion law, lateral law, integration rule.
 
 Without sensors the controllers see the car's own states; with them, what `railrepro.estimation` makes of readings.
 

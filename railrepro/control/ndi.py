@@ -2,7 +2,7 @@
 
 The lateral position has relative degree three: y' = v psi_r, psi_r' = psi_Ax' - v kappa, and the yaw equation contains
 the differential torque. The inverse of the corrected control model turns a wanted third derivative of y into du. The
-track geometry at the present position is known to it (as to the MPC), the road ahead is not.
+track geometry at the present position is known to it (as to the MPC), preview is not.
 
 Serves the paper's section Multi-Body Simulation Results (comparison after Grether 2018 and Heckmann 2020).
 """

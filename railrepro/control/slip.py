@@ -1,6 +1,6 @@
 r"""Slip control of our own: a base torque that holds a limit of slip, and a limit that seeks a place below the maximum.
 
-A wheel with moment of inertia J that is told
+A wheel with moment of inertia J that is commanded
 
     u = r_0 N f + J v'/r_0 + J v/r_0 k (sigma_lim - sigma)
 

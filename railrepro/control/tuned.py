@@ -1,7 +1,7 @@
 """Tuned parameters of the controllers, as data/tuned keeps them, one file per setting and controller.
 
 Which setting: `paper` (perfect measurements, inversions with the poles of a designer), `equal` (perfect measurements,
-everybody tuned alike) or `loop` (the same behind sensors). How they were found tells `railrepro.evidence.runs.tuning`.
+all tuned alike) or `loop` (the same with sensors). `railrepro.evidence.runs.tuning` describes how they were tuned.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 r"""Filter of a running gear: from late, noisy readings to its present states, creep forces and slips.
 
 Two kinds of Kalman filter with stationary gains run on the readings, that is, in the past. One per wheel finds speed w
-and longitudinal creep force F from the torque that the motor was told:
+and longitudinal creep force F from the torque that was commanded to the motor:
 
     T_m tau' = u - tau,   J_Wy w' = tau - r_0 F,   F' = noise
 

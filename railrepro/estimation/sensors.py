@@ -55,7 +55,7 @@ class Lateral:
 class Rate:
     """Angular velocity: the gyroscope of the carrier, or the speed of a wheel.
 
-    What is usual tells rad/s from degrees per second.
+    The usual range distinguishes rad/s from degrees per second.
     """
 
     noise: Annotated[float, _upto(1.0, "rad/s", (1e-5, 0.1))]
@@ -78,7 +78,7 @@ class Speed:
 
 @schema.table
 class Position:
-    """Position along the track, told for the present moment."""
+    """Position along the track, reported for the present moment."""
 
     noise: Annotated[float, _upto(1.0, "m")]
     bias: Annotated[float, _upto(20.0, "m")]
@@ -280,7 +280,7 @@ def late(line: list, exchanges):
 
 
 def arriving(line: list, gain: dict):
-    """Torque that a motor is told in this exchange (N m), from the line of its commands."""
+    """Torque that a motor is commanded in this exchange (N m), from the line of its commands."""
     return gain["torque_gain"] * late(line, gain["command"] + gain["unknown_delay"])
 
 

@@ -161,7 +161,7 @@ class _Job:
             self.rows = []
         except StopIteration as end:
             self.outcome, self.ended = end.value, True
-        except BaseException as error:  # told in the thread of the task
+        except BaseException as error:  # raised again in the thread of the task
             self.error, self.ended = error, True
 
     def take(self, rows: np.ndarray) -> None:
@@ -245,7 +245,7 @@ def together(task: Callable, arguments: Sequence) -> list:
             try:
                 for i, argument in left:
                     found[i] = task(argument)
-            except BaseException as error:  # told by the caller
+            except BaseException as error:  # reported by the caller
                 errors.append(error)
                 for _ in left:
                     pass

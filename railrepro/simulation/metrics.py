@@ -35,6 +35,8 @@ def _of(series: pd.DataFrame, name: str) -> np.ndarray:
     require("metrics: series", series, pd.DataFrame)
     if name not in series or series.empty:
         raise InputError(f"metrics: a series of {len(series)} rows has no {name!r}, the series of a run is needed")
+    if series[name].dtype.kind not in "iuf":
+        raise InputError(f"metrics: {name!r} holds {series[name].iloc[0]!r}, numbers are needed")
     return series[name].to_numpy()
 
 
@@ -85,12 +87,14 @@ def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step
     Returns
     -------
     float
-        Positive when y comes after y* (m); nan when the set point does not move.
+        Positive when y comes after y* (m); nan when the set point or the car does not move.
     """
     require("delay: longest", longest, above(0.0, 1e5, "m"))
     require("delay: step", step, above(1e-4, longest, "m"))
     p = _of(series, f"{gear}.p")
     grid = np.arange(p[0], p[-1], step)
+    if grid.size < 2:
+        return float("nan")
     y, reference = (_detrended(np.interp(grid, p, _of(series, f"{gear}.{name}"))) for name in ("y", "y_ref"))
     if np.ptp(reference) < 1e-9:
         return float("nan")

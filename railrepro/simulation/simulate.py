@@ -191,7 +191,7 @@ def _longest(route: Route, scenario: Scenario, columns: int) -> int:
 def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> lanes.Steps:
     """Alternate lateral plans and exchanges until the run ends; returns rows of the log, shape (n, columns).
 
-    Behind sensors a torque acts a `delay` (s) after the readings that it answers, those of the exchange before.
+    With sensors a torque acts a `delay` (s) after the readings that it answers, those of the exchange before.
     """
     if not controllers:
         return (yield exchange, longest)

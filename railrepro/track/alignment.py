@@ -103,7 +103,7 @@ class CurveEntry:
 
 @schema.table
 class SegmentEntry:
-    """Segment of data/tracks.toml; what is left out stays as at the end of the segment before."""
+    """Segment of data/tracks.toml; a key that is missing stays as at the end of the segment before."""
 
     length_m: Annotated[Number, LENGTH]
     radius_m: Annotated[Number, RADIUS] | None = None

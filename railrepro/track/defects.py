@@ -71,7 +71,7 @@ def _lateral(p: np.ndarray, lateral: np.ndarray) -> pd.DataFrame:
 
 
 def _check_place(name: str, p: np.ndarray, start: float, length: float, detail: float) -> None:
-    """A defect has to lie on the coordinates and to be seen by at least four of their steps."""
+    """A defect has to lie on the coordinates and to cover at least four of their steps."""
     for place in (start, length, detail):
         require(f"{name}: place", place, between(-1e6, 1e6, "m"))
     if not p[0] <= start < start + length <= p[-1]:

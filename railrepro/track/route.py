@@ -3,7 +3,7 @@
 A route is a table of cells of uniform length. A cell holds values and derivatives at its start, so that the compiled
 simulation needs one row per body and a Taylor expansion inside the cell, which is exact for straight, clothoid and arc.
 Set point and irregularities are cubics, of which the irregularities continue with value and slope into the next cell:
-a kink would ring the contact springs. Controllers read the same cells, so plant and preview agree about the road ahead
+a kink would ring the contact springs. Controllers read the same cells, so plant and preview agree about the track ahead
 (paper eq. (track), theta and y*).
 """
 

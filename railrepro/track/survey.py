@@ -12,6 +12,7 @@ linear cant ramps:
 from __future__ import annotations
 
 import itertools
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -59,6 +60,9 @@ def derived(points: pd.DataFrame, where: str) -> pd.DataFrame:
         kappa = np.where(radius == 0, 0.0, 1 / radius.mask(radius == 0, 1.0))
     else:
         kappa = points["curvature_1pm"].to_numpy()
+    if "cant_mm" in points and 0 < points["cant_mm"].abs().max() < 1:
+        said = f"{where}: cant_mm of {points['cant_mm'].abs().max():g} is unusual, above 1 mm is usual: is it in mm?"
+        warnings.warn(said, stacklevel=2)
     cant = points["cant_m"] if "cant_m" in points else 1e-3 * points.get("cant_mm", 0.0 * p)
     phi = np.arcsin(np.asarray(cant) / CANT_BASE)
     eps = np.arctan(1e-3 * np.asarray(points.get("gradient_permille", 0.0 * p)))

@@ -126,7 +126,7 @@ class Wheel:
 
 @schema.table
 class Wear:
-    """What each wheel has lost of its radius; controllers are not told where the car alone has it."""
+    """What each wheel has lost of its radius; controllers do not know it where the car alone has it."""
 
     front_le: Annotated[float, _from_zero(0.05, "m")]
     front_ri: Annotated[float, _from_zero(0.05, "m")]

@@ -232,7 +232,7 @@ def _workers(pool: Executor) -> int:
     return max(1, len(client.scheduler_info(n_workers=-1)["workers"])) if client is not None else 1
 
 
-_KILLED = "a process of the study was killed, by the system when memory ran out or by somebody; run again to resume"
+_KILLED = "a process of the study was killed, by the system when memory ran out or by a user; run again to resume"
 _READ_AGAIN = (
     "the processes of a study read the script that starts it: there, what calls the library must stand below "
     'if __name__ == "__main__":'

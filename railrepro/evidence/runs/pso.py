@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro.errors import InputError
-from railrepro.schema import is_number, require
+from railrepro.schema import between, is_number, require
 
 CONSTRICTION, ATTRACTION = 0.7298, 2.05
 
@@ -185,6 +185,7 @@ def minimise(
     for name, (value, low) in counts.items():
         if not isinstance(value, int) or isinstance(value, bool) or value < low:
             raise InputError(f"swarm: {name} = {value!r}, a whole number from {low} is needed")
+    require("swarm: particles", particles, between(1, 1e6))
     if not dimensions:
         raise InputError("swarm: there are no dimensions, at least one is needed")
     for dimension in dimensions:

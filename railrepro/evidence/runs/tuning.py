@@ -128,7 +128,7 @@ class SettingEntry:
     sensors: schema.Flag
     runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
     designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
-    start: dict[str, dict[str, Number]] = field(default_factory=dict)
+    start: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
 
 
 def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
@@ -188,7 +188,10 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
         if sorted(parameters) != needed:
             raise InputError(f"{where}: {name} has {sorted(parameters)}, {needed} are needed")
         for dimension in dimensions[name]:
-            dimension.position(parameters[dimension.name])
+            try:
+                dimension.position(parameters[dimension.name])
+            except InputError as error:
+                raise InputError(f"{where}: {name}: {error}") from None
     if unknown := sorted(set(content.budget_of) - set(dimensions)):
         raise InputError(f"{file.name}: [budget_of.{unknown[0]}] is not known; there are {sorted(dimensions)}")
     return Task(

@@ -100,7 +100,7 @@ class Trial:
         spent = time.monotonic() - begin
         row = {key: value for key, value in experiment.row(run).items() if isinstance(value, float | int)}
         lost = sum(count for name, count in run.memory.items() if name.endswith(f".lateral.{NOT_FINITE}"))
-        ended = f"torque() gave {lost:.0f} times no finite number; {run.ended}" if lost else run.ended
+        ended = f"torque() returned NaN or Inf {lost:.0f} times; {run.ended}" if lost else run.ended
         row |= {"failure": ended if run.failed or lost else "", "way": float(run.series["front.p"].iloc[-1])}
         if self.case.scenario.stop_kmh is None:
             row.pop("stopping_distance")
