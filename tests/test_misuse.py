@@ -310,7 +310,7 @@ gymnasium_rows = {
     "states before the start": (lambda env: env.states, "reset() is needed before there are states"),
     **{
         f"the action {action!r}": (lambda env, action=action: stepped(env, action), "two numbers from -1 to 1")
-        for action in ("ab", {}, [1j, 0], [object(), 0], [True, False], [[1], [2, 3]], [None, 0], [np.nan, 0], 3)
+        for action in ("ab", {}, [1j, 0], [len, 0], [True, False], [[1], [2, 3]], [None, 0], [np.nan, 0], 3)
     },
 }
 

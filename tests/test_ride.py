@@ -148,6 +148,13 @@ def test_sliding_mean_refuses_a_short_or_backward_run():
         ride.sliding_mean(np.ones(4), [0, 5, 4, 9])
 
 
+def test_sliding_mean_of_a_car_that_swings_back_after_its_stop():
+    t = np.linspace(0.0, 2.0, 401)
+    p = np.where(t < 1.0, 40 * t, 40 + 2e-3 * np.exp(-3 * (t - 1)) * np.sin(20 * (t - 1)))
+    assert (np.diff(p) < 0).any()
+    assert ride.sliding_mean(5 * p, p) == pytest.approx(5 * (0.5 * np.arange(77) + 1), abs=0.05)
+
+
 def test_rail_forces_of_hand_made_contacts():
     y, q = ride.rail_forces(50e3, 4e3, 0.0, "ri")
     assert (y, q) == pytest.approx((-4e3, 50e3))
