@@ -100,8 +100,8 @@ def low_pass(values, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
 
-SWAY = 0.01
-"""How far a car that has stopped may swing back on its springs (m)."""
+SWAY = 0.5
+"""How far a car that has come to a stand may go back (m); between its flanges it rolls back by decimetres."""
 
 
 def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarray:
