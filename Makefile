@@ -50,7 +50,9 @@ BOOK_LOCK := notebooks/book/book.lock
 BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell cat $(BOOK_LOCK) 2>&1 | sha256sum | cut -c1-16)
 # So do the packages of the extras `bench` and `learn`, which only some tests and tables need.
 EXTRAS_LOCK := tests/extras.lock
-EXTRAS := .venv/ready-extras-$(LOCK_HASH)-$(shell cat $(EXTRAS_LOCK) 2>&1 | sha256sum | cut -c1-16)
+# acados brings a CasADi of its own and so stands apart, in .venv/acados.
+ACADOS_LOCK := tests/acados.lock
+EXTRAS := .venv/ready-extras-$(LOCK_HASH)-$(shell cat $(EXTRAS_LOCK) $(ACADOS_LOCK) 2>&1 | sha256sum | cut -c1-16)
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
@@ -105,8 +107,8 @@ test-all: $(VENV)  ## run the tests that take minutes, too
 	@$(MAKE) --no-print-directory test
 	@$(MAKE) --no-print-directory test-slow
 
-test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their tests: Exudyn, do-mpc, Gymnasium
-	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_env.py
+test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their tests: acados, Exudyn, do-mpc, Gymnasium
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_env.py tests/test_bench.py
 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files; SHORT=1 fewer
 	$(PY) tests/faults.py $(if $(SHORT),--short)
@@ -179,6 +181,7 @@ lock:  ## renew environment.lock from pyproject.toml, and the locks that share i
 	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' $(CURDIR)/environment.lock) > $(CURDIR)/$(EXTRAS_LOCK); cd $(CURDIR); \
 	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
 	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); \
+	  echo comma-deps-acados | $$uv pip compile -q --no-deps --no-annotate --no-header --generate-hashes - -o $(ACADOS_LOCK); \
 	  echo ziglang | $$uv pip compile -q --universal --no-annotate --no-header --generate-hashes - -o $(COMPILER_LOCK); rm -rf $$d
 
 clean:  ## remove executed notebooks, stamps and reports of runs
@@ -215,8 +218,10 @@ $(BOOK): $(BOOK_LOCK) | $(VENV)
 	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(BOOK_LOCK)
 	@touch $@
 
-$(EXTRAS): $(EXTRAS_LOCK) | $(VENV)
+$(EXTRAS): $(EXTRAS_LOCK) $(ACADOS_LOCK) | $(VENV)
 	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(EXTRAS_LOCK)
+	@rm -rf .venv/acados; .venv/bin/uv pip install -q --python $(PY) --target .venv/acados --require-hashes --no-deps \
+	  -r $(ACADOS_LOCK) || echo "acados cannot be had for this machine; the bench leaves it out"
 	@touch $@
 
 $(RULES): notebooks/chain.toml railrepro/evidence/chain/graph.py | $(VENV)

@@ -17,7 +17,7 @@ from railrepro.car.equations import SLIP_FLOOR
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
 from railrepro.contact.creep import polach
-from railrepro.contact.table import cone_patch
+from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 from railrepro.control.law import EstimateSettings, white_noise
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
@@ -126,7 +126,7 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     factor = np.asarray(factor, dtype=float)
     factor = np.ascontiguousarray(np.broadcast_to(factor.reshape(-1, 1) if factor.ndim == 1 else factor, demand.shape))
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    a, b, kalker = cone_patch(vehicle)
+    a, b, kalker = middle_patch(vehicle)
     body = (vehicle.wheel.radius, vehicle.wheel.spin_inertia, load, vehicle.gravity, 1e5)
     body += (a, b, *kalker, vehicle.contact.shear_modulus)
     columns = [[*c.law.gains().values(), *c.estimate.gains().values(), *astuple(c.adhesion), *body] for c in cases]

@@ -1,4 +1,4 @@
-"""The peers of our recursion: Ipopt, fatrop, and SQP with HPIPM, DAQP, OSQP and qrqp, on the same problem.
+"""The peers of our recursion: Ipopt, fatrop, SQP with HPIPM, DAQP, OSQP and qrqp, and acados, on the same problem.
 
 All get the optimal control problem stage by stage with its functions as compiled C, the Hessian of the costs, the same
 start (the solution before, one sample later) and tolerances that lead to the same optimum, which `compare`
@@ -9,6 +9,7 @@ turn with the others; the least counts. Serves the paper's section Evaluation of
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -22,6 +23,7 @@ from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import TUNING, MPCSettings, Problem, Tuning
 from railrepro.control.solvers.condensed import COST, UNIT
 from railrepro.control.solvers.ipopt import SCALE, SLACK
+from railrepro.evidence.bench import acados
 from railrepro.model.control_model import STATES, THETA
 from railrepro.model.parameters import PARAMETERS
 from railrepro.vehicle.parameters import Vehicle
@@ -52,7 +54,7 @@ PEERS = {
     "sqp_osqp": _sqp("osqp", **_OSQP),
     "sqp_qrqp": _sqp("qrqp", **_QRQP),
 }
-"""Plugin and options of each peer."""
+"""Plugin and options of each peer inside CasADi."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ class Peer:
         begin = time.thread_time()
         try:
             self._function()
-        except RuntimeError:
+        except (RuntimeError, ArithmeticError):  # reported by CasADi or by the compiled call
             return np.full(problem.settings.steps, np.nan), time.thread_time() - begin
         spent = time.thread_time() - begin
         found = dict(zip(self._results, self._function.results, strict=True))
@@ -241,15 +243,24 @@ class Own:
         return self._plan, time.thread_time() - begin
 
 
-def compare(recording, vehicle: Vehicle, names=tuple(PEERS), rounds: int = 3) -> pd.DataFrame:
+def installed() -> tuple[str, ...]:
+    """Names of the peers that can be compared here: those inside CasADi, and acados where it is installed."""
+    return (*PEERS, acados.NAME) if acados.available() else tuple(PEERS)
+
+
+def _peer(name: str, settings: MPCSettings) -> Peer | acados.Acados:
+    return acados.Acados(settings) if name == acados.NAME else Peer(name, settings)
+
+
+def compare(recording, vehicle: Vehicle, names: Sequence[str] | None = None, rounds: int = 3) -> pd.DataFrame:
     """All solvers on one recording, in turn at each problem (contract of data/results/peer_times.csv).
 
     Parameters
     ----------
     recording : bench.Recording
     vehicle : Vehicle
-    names : sequence of str
-        Keys of `PEERS`.
+    names : sequence of str, optional
+        See `installed`, the default.
     rounds : int
         Times that each problem is solved by each solver; the least time counts.
 
@@ -259,11 +270,12 @@ def compare(recording, vehicle: Vehicle, names=tuple(PEERS), rounds: int = 3) ->
         Times, ratio of the medians to ours, and `error_du`, the largest difference from the torques of Ipopt or,
         without it, from ours, relative to the torque limit; `missed` counts problems where it is above `SAME`.
     """
-    settings, everybody = recording.problems[0].settings, (OURS, *names)
+    settings, names = recording.problems[0].settings, installed() if names is None else names
+    everybody = (OURS, *names)
     seconds = np.empty((len(everybody), rounds, len(recording.problems)))
     plans: dict[str, list[np.ndarray]] = {}
     for turn in range(rounds):
-        solvers = [Own(vehicle, recording.route, settings), *(Peer(name, settings) for name in names)]
+        solvers = [Own(vehicle, recording.route, settings), *(_peer(name, settings) for name in names)]
         plans = {name: [] for name in everybody}
         for i, problem in enumerate(recording.problems):
             for j in np.roll(np.arange(len(everybody)), i + turn):

@@ -150,7 +150,7 @@ def _evidence(statement: statements.Statement, data: str) -> str:
     links = [f"[{name[:5]}](figures/{name}.png)"] if name.startswith("fig") else []
     cell = _source(statement.notebook, Path(name).name) if name else ""
     anchor = f"#cell-id={cell}" if cell else ""
-    links.append(f"[chapter {statement.notebook[:2]}](notebooks/{statement.notebook}.ipynb{anchor})")
+    links.append(f"[{statement.notebook[:2]}](notebooks/{statement.notebook}.ipynb{anchor})")
     tables = dict.fromkeys([*data.split(), *([name] if "/" in name else [])])
     tables.pop(PROBES, None)  # named once above the table
     return ", ".join([*links, *map(file_link, tables)])
@@ -179,7 +179,14 @@ def _statements(table: pd.DataFrame) -> list[str]:
         rows.append(
             [str(identity), statement.statement, *three, calibrated, _rule(statement), _evidence(statement, data)]
         )
-    heads = ["id", "statement", *(f"`{setting}`" for setting in tuning.SETTINGS), "calibrated", "holds", "evidence"]
+    heads = [
+        "id",
+        "statement",
+        *(f"`{setting}`" for setting in tuning.SETTINGS),
+        "calibrated",
+        "holds",
+        "figure, chapter, table",
+    ]
     return rows_of(rows, heads)
 
 
@@ -303,12 +310,20 @@ def _elsewhere() -> list[str]:
     ]
 
 
+def _mark(verdict: str) -> str:
+    """The mark of a verdict, with what follows it, as a setting."""
+    known = next((name for name in sorted(MARKS, key=len, reverse=True) if verdict.startswith(name)), "")
+    return MARKS[known] + verdict.removeprefix(known) if known else verdict
+
+
 def _rules(table: pd.DataFrame) -> list[str]:
     """Rules that were changed, with the verdict under the old rule when it was replaced and under the new one today."""
     found = claims.verdicts(table)
     log = pd.read_csv(paths.source("data/rule_changes.csv"), dtype=str)
     last = log.drop_duplicates("id", keep="last")
-    rows = [[r.id, r.old, r.old_verdict, r.new, found.get(r.id, "none"), r.why] for r in last.itertuples()]
-    heads = ["id", "old rule", "verdict then", "new rule", "verdict now", "why"]
+    rows = [
+        [r.id, r.old, _mark(r.old_verdict), r.new, _mark(found.get(r.id, "none")), r.why] for r in last.itertuples()
+    ]
+    heads = ["id", "old rule", "then", "new rule", "now", "why"]
     said = f"{len(log)} changes; the table shows the last one of each rule, {file_link('data/rule_changes.csv')} all."
     return [said, "", *rows_of(rows, heads)]

@@ -78,8 +78,13 @@ def markdown(found: pd.DataFrame) -> str:
     lines.append(("---",) * len(lines[0]))
     for name, row in card.ranking(found, suite.draws().published).iterrows():
         values = [factor * row.get(key, np.nan) for key, (_, factor) in _COLUMNS.items()]
-        lines.append((f"`{name}`", *("–" if np.isnan(value) else f"{value:.3g}" for value in values)))
+        lines.append((f"`{name}`", *map(_number, values)))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _number(value: float) -> str:
+    """Three digits, more of a large number, a dash for none."""
+    return "–" if np.isnan(value) else f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def in_page(text: str, found: pd.DataFrame) -> str:

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from railrepro.evidence.report import figures
 from railrepro.evidence.score import card, suite
+from railrepro.evidence.score.entry import NOTHING
 
 
 def leaderboard(table: pd.DataFrame, own: str = "") -> Figure:
@@ -27,7 +28,7 @@ def leaderboard(table: pd.DataFrame, own: str = "") -> Figure:
     for setting, face in (("equal", "white"), ("loop", "black")):
         look = {"marker": figures.SETTING_MARKERS[setting], "markerfacecolor": face, "markeredgecolor": "black"}
         axes.plot(ranked[setting], place, linestyle="", markersize=4.5, label=f"setting {setting}", **look)
-    labels = {name: look.label for name, look in figures.LOOKS.items()} | {own: own}
+    labels = {name: look.label for name, look in figures.LOOKS.items()} | {NOTHING: "no control", own: own}
     axes.set_yticks(place, [labels.get(name, f"{name} (example)") for name in ranked.index])
     axes.invert_yaxis()
     axes.set(xlabel="points of 100", xlim=(0, max(60.0, 1.05 * ranked[["equal", "loop"]].max().max())))

@@ -1,8 +1,8 @@
 """Heavy grids and samples behind the notebooks: stability over speed, friction and tuning; robustness of the verdicts.
 
 `python -m railrepro robustness [stability] [robustness]` writes data/results/stability_map.csv,
-robustness_samples.csv and robustness_claims.csv. Every finished run is in the store, so an interrupted study goes on
-where it was. Serves the question what the paper's unpublished parameters decide.
+robustness_samples.csv and robustness_claims.csv, these two after each setting of comparison. Every finished run is in
+the store, so an interrupted study goes on where it was. Serves the question what the unpublished parameters decide.
 """
 
 from __future__ import annotations
@@ -290,13 +290,14 @@ def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: flo
     return found
 
 
-def robustness(count: int = SAMPLES, quiet: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Samples; shares with what decides, confirmed by changing one parameter at a time."""
+def robustness(setting: str, count: int = SAMPLES, quiet: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Samples in a setting; shares with what decides, confirmed by changing one parameter at a time."""
     schema.require("samples", count, schema.between(1, 4096), whole=True)
-    samples = draw(count)
-    table = pd.DataFrame(rows(evaluate, samples, "robustness", quiet))
+    tuning.load_task(setting=setting)
+    samples = draw(count, settings=(setting,))
+    table = pd.DataFrame(rows(evaluate, samples, f"robustness, {setting}", quiet))
     found = candidates(table, samples)
-    return table, confirmed(found, lambda single: rows(evaluate, single, "one at a time", quiet))
+    return table, confirmed(found, lambda single: rows(evaluate, single, f"one at a time, {setting}", quiet))
 
 
 def main(studies: Sequence[str] = (), samples: int | None = None) -> None:
@@ -307,7 +308,10 @@ def main(studies: Sequence[str] = (), samples: int | None = None) -> None:
     if "stability" in studies or not studies:
         write(paths.product("data/results/stability_map.csv"), stability().to_csv(index=False, float_format="%.6g"))
     if "robustness" in studies or not studies:
-        table, found = robustness(SAMPLES if samples is None else samples)
-        write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
-        write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
+        finished = []
+        for setting in tuning.SETTINGS:
+            finished.append(robustness(setting, SAMPLES if samples is None else samples))
+            table, found = (pd.concat(tables) for tables in zip(*finished, strict=True))
+            write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
+            write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
         print(found.to_string(index=False))
