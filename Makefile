@@ -113,8 +113,8 @@ test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files; SHORT=1 fewer
 	$(PY) tests/faults.py $(if $(SHORT),--short)
 
-lab: $(VENV)  ## open the notebooks in JupyterLab
-	$(PY) -m jupyterlab --notebook-dir=notebooks $(if $(filter 0,$(shell id -u)),--allow-root)
+lab: $(VENV)  ## open the notebooks in JupyterLab; LAB="--no-browser --ip=0.0.0.0" passes options on, as in a container
+	$(PY) -m jupyterlab --notebook-dir=notebooks $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
 
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another random seed
 	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))

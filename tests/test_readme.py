@@ -47,9 +47,11 @@ def test_results_of_the_paper_stand_beside_ours(figure):
 
 def test_the_verdicts_are_counted():
     claims = pd.read_csv(paths.ROOT / "data/results/claims.csv").query("kind == 'statement'")
-    found = claims[claims["setting"].isna() | (claims["setting"] == "paper")]["verdict"]
-    said = re.search(r"Of (\d+) statements, (\d+) are reproduced .*?, (\d+) partly, (\d+) not\.", README).groups()
-    kinds = ("reproduced", "partly", "not reproduced")
+    found = claims[claims["setting"].isna() | (claims["setting"] == "paper")]["judged"]
+    said = re.search(
+        r"Of (\d+) statements, (\d+) are reproduced .*?, (\d+) fragile .*?, (\d+) partly, (\d+) not\.", README
+    ).groups()
+    kinds = ("reproduced", "fragile", "partly", "not reproduced")
     assert [int(number) for number in said] == [len(found), *((found == kind).sum() for kind in kinds)]
 
 

@@ -380,6 +380,12 @@ def test_a_finished_controller_of_the_leaderboard_is_not_scored_again(board, tmp
     monkeypatch.setattr(leaderboard.sources, "closure", lambda _: {"library": "another one"})
     leaderboard.main(["ndi"])
     assert board[4:] == ["ndi"]
+    (tmp_path / "data/theses.toml").write_text("# a text of the report\n")
+    leaderboard.main(["ndi"])
+    assert board[5:] == []
+    (tmp_path / "data/sensors.toml").write_text((paths.ROOT / "data/sensors.toml").read_text() + "# other\n")
+    leaderboard.main(["ndi"])
+    assert board[5:] == ["ndi"]
 
 
 def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_path):

@@ -9,13 +9,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from railrepro import paths
-from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, UNTESTABLE
+from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE
 from railrepro.evidence.report import figures
+from railrepro.evidence.report.claims import FRAGILE
 from railrepro.evidence.runs import tuning
 
 _MARKS = {
     REPRODUCED: {"marker": "o", "markerfacecolor": figures.BLUE, "markeredgecolor": figures.BLUE},
+    FRAGILE: {"marker": "o", "markerfacecolor": "white", "markeredgecolor": figures.BLUE},
     PARTLY: {"marker": "o", "fillstyle": "left", "markerfacecoloralt": "white", "color": figures.BLUE},
+    TIE: {"marker": "$=$", "markeredgecolor": figures.BLACK, "markerfacecolor": figures.BLACK, "markeredgewidth": 0.3},
     NOT: {"marker": "x", "markeredgecolor": figures.RED, "markeredgewidth": 1.2},
     UNTESTABLE: {"marker": "_", "markeredgecolor": "0.5"},
 }
@@ -35,21 +38,21 @@ def named(identities: Iterable[str]) -> list[str]:
 def verdicts(claims: pd.DataFrame) -> Figure:
     """Verdict on each statement by setting; what no tuned controller enters has one verdict in a column of its own.
 
-    From id, kind, setting, verdict of data/results/claims.csv.
+    From id, kind, setting, judged of data/results/claims.csv.
     """
     judged = claims[claims["kind"] == "statement"].assign(setting=claims["setting"].fillna(""))
     columns = [*tuning.SETTINGS, ""]
     rows = list(dict.fromkeys(judged["id"]))
     figure, axes = figures.new_figure(height=0.13 * len(rows) + 0.7)
     for (identity, setting), group in judged.groupby(["id", "setting"], sort=False):
-        look = {"linestyle": "", "markersize": 4.5} | _MARKS[group["verdict"].iloc[0]]
+        look = {"linestyle": "", "markersize": 4.5} | _MARKS[group["judged"].iloc[0]]
         axes.plot(columns.index(setting), rows.index(identity), **look)
     axes.set_yticks(range(len(rows)), named(rows), fontsize=6.5)
     axes.set_xticks(range(len(columns)), [*tuning.SETTINGS, "independent\nof setting"])
     axes.xaxis.tick_top()
     axes.set(xlim=(-0.5, len(columns) - 0.5), ylim=(len(rows) - 0.4, -0.6))
     axes.tick_params(length=0)
-    used = [(name, look) for name, look in _MARKS.items() if name in set(judged["verdict"])]
+    used = [(name, look) for name, look in _MARKS.items() if name in set(judged["judged"])]
     handles = [Line2D([], [], linestyle="", markersize=4.5, label=name, **look) for name, look in used]
-    figure.legend(handles=handles, ncols=4, loc="outside lower center", handletextpad=0.2, columnspacing=1.0)
+    figure.legend(handles=handles, ncols=5, loc="outside lower center", handletextpad=0.2, columnspacing=1.0)
     return figure

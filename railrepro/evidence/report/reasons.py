@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,7 +22,7 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import MissingEvidence
 from railrepro.evidence.runs import tuning
-from railrepro.evidence.uncertainty.robustness import OPEN, prior
+from railrepro.evidence.uncertainty.robustness import LABELS, OPEN, draw, holds, prior
 from railrepro.simulation.scenarios import load_scenario
 
 UNKNOWN = "n/a"
@@ -274,6 +275,52 @@ NAMED |= {
     "sweep_on_t3": lambda nominal: _set_point(nominal, "curve_entry_T3"),
     "sine_on_t5": lambda nominal: _set_point(nominal, "sine_tracking"),
     "sine_on_poor": lambda nominal: _set_point(nominal, "adhesion_loss"),
+}
+
+
+@lru_cache(maxsize=1)
+def _sampled(file: Path, _changed: int) -> pd.DataFrame:
+    """Which statement holds in which sample of the setting `paper`, with its profile and the values drawn."""
+    table = pd.read_csv(file)
+    if not set(LABELS) <= set(table):
+        raise MissingEvidence("robustness")
+    table = table[table["setting"] == "paper"].reset_index(drop=True)
+    drawn = pd.DataFrame([dict(sample.values) for sample in draw(settings=("paper",))])
+    return holds(table).join(drawn.loc[table["number"]].reset_index(drop=True))
+
+
+def _share(nominal: Nominal, identity: str, chosen: Callable[[pd.DataFrame], pd.Series]) -> str:
+    """Share (%) of some samples of the setting `paper` in which a statement holds."""
+    if nominal.results.optional("robustness_samples") is None:
+        raise MissingEvidence("robustness")
+    file = nominal.results.file("data/results/robustness_samples.csv")
+    rows = _sampled(file, file.stat().st_mtime_ns)
+    return quantity(100 * float(rows.loc[chosen(rows), identity].astype(float).mean()))
+
+
+def _third(parameter: str, last: bool = False) -> Callable[[pd.DataFrame], pd.Series]:
+    """The third of the samples with the smallest values of a parameter, or the largest."""
+
+    def chosen(rows: pd.DataFrame) -> pd.Series:
+        place = rows[parameter].rank(pct=True)
+        return place > 2 / 3 if last else place <= 1 / 3
+
+    return chosen
+
+
+def _profile(name: str) -> Callable[[pd.DataFrame], pd.Series]:
+    return lambda rows: rows["profile"] == name
+
+
+NAMED |= {
+    "c12_s1002": lambda nominal: _share(nominal, "C12", _profile("s1002")),
+    "c12_cones": lambda nominal: _share(nominal, "C12", _profile("cone")),
+    "c30_s1002": lambda nominal: _share(nominal, "C30", _profile("s1002")),
+    "c30_cones": lambda nominal: _share(nominal, "C30", _profile("cone")),
+    "c31_smallest_r": lambda nominal: _share(nominal, "C31", _third("r_brake")),
+    "c31_largest_r": lambda nominal: _share(nominal, "C31", _third("r_brake", last=True)),
+    "c36_shortest_lag": lambda nominal: _share(nominal, "C36", _third("drive.lag")),
+    "c36_longest_lag": lambda nominal: _share(nominal, "C36", _third("drive.lag", last=True)),
 }
 
 

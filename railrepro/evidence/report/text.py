@@ -123,15 +123,14 @@ def without(table: pd.DataFrame) -> str:
 
 
 def _numbers(nominal: Nominal) -> list[str]:
-    """Results of the paper that are numbers beside ours; its numbers that are inputs here are listed in one line."""
+    """Results of the paper that are numbers beside ours; its numbers that are inputs here are linked."""
     table = pd.read_csv(paths.source("data/paper_numbers.csv"), dtype=str)
     rows = [
         [row.what, f"{row.paper} {row.unit}".removesuffix(" -"), filled(row.here, nominal, linked=True)]
         for row in table[table["role"] == "result"].itertuples()
     ]
-    given = table[table["role"] == "input"]
-    inputs = "; ".join(f"{row.what} {row.paper} {row.unit}".removesuffix(" -") for row in given.itertuples())
-    return [*rows_of(rows, ["number", "paper", "here"]), "", f"Inputs taken from the paper: {inputs}."]
+    inputs = f"Inputs taken from the paper are in {file_link('data/paper_numbers.csv')}."
+    return [*rows_of(rows, ["number", "paper", "here"]), "", inputs]
 
 
 def file_link(name: str) -> str:
@@ -192,7 +191,7 @@ def _statements(table: pd.DataFrame) -> list[str]:
 
 def shown(row) -> str:
     """Mark and value in some setting, with the share of samples in which it holds and its interval."""
-    around = f"; {100 * row.share:.0f} % ({100 * row.share_low:.0f} to {100 * row.share_high:.0f})"
+    around = f"; {100 * row.share:.0f} % [{100 * row.share_low:.0f}, {100 * row.share_high:.0f}]"
     return f"{MARKS[row.judged]} {_number(row.measured_value, row.unit)}{around if np.isfinite(row.share) else ''}"
 
 
@@ -232,12 +231,15 @@ def robust(nominal: Nominal) -> str:
         return "There are no shares: the robustness study (`make study`) has not run with these rules and this car yet."
     where = "data/results/robustness_claims.csv"
     decided = found[found["decided_by"].notna() & (found["decided_by"] != "")]
-    named = "; ".join(f"{row.id} on `{row.setting}` by {row.decided_by}" for row in decided.itertuples())
+    alike = decided.groupby(["setting", "decided_by"], sort=False)["id"].agg(", ".join)
+    named = "; ".join(f"{ids} on `{setting}` by {parameter}" for (setting, parameter), ids in alike.items())
+    missing = [f"`{setting}`" for setting in tuning.SETTINGS if setting not in set(found["setting"])]
+    yet = f" ({' and '.join(missing)} not sampled yet)" if missing else ""
     return (
-        f"Cars and experiments were drawn from the ranges of the unpublished parameters, with every controller tuned "
-        f"again: [{(found['share'] > 0.5).sum()}]({where}) of [{len(found)}]({where}) pairs of statement and setting "
-        f"hold in more than half of [{int(found['samples'].max())}]({where}) samples. Decisive parameters, confirmed "
-        f"by changing one parameter at a time: {named or 'none'}."
+        f"Cars and experiments were drawn from the ranges of the unpublished parameters, with controllers tuned again: "
+        f"[{(found['share'] > 0.5).sum()} of {len(found)}]({where}) pairs of statement and setting{yet} hold in more "
+        f"than half of [{int(found['samples'].max())}]({where}) samples. Decisive parameters, confirmed one at a time: "
+        f"{named or 'none'}."
     )
 
 
@@ -252,8 +254,8 @@ def matched(nominal: Nominal) -> str:
     earlier = "" if "stage" in waves else " These runs were made with an earlier car and earlier rules."
     return (
         "History matching searches cars, weights and experiments for points at which the statements hold together: "
-        f"{runs} runs, at best {most_of} statements in one run. The search is an exploration: points that no run "
-        f"visited may hold more statements.{earlier} The chapter on history matching shows the result."
+        f"{runs} runs, at best {most_of} statements in one run. It is an exploration: points that no run visited may "
+        f"hold more.{earlier}"
     )
 
 

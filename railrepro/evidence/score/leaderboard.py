@@ -38,6 +38,8 @@ _COLUMNS = {
     },
 }
 """Columns of the table: words and factor from SI."""
+_READ = ("irregularities", "scenarios", "score", "sensors", "tracks", "tuning", "vehicle")
+"""Data that a score depends on, besides the tuned sets."""
 
 
 def entries() -> list[Entry]:
@@ -64,7 +66,7 @@ def _scored(each: Entry, names: tuple[str, ...] | None) -> pd.DataFrame:
         found = found[~found["metric"].str.startswith("sample")]
         return {"csv": found.to_csv(index=False, float_format="%.6g")}, None
 
-    data = [file.read_text() for file in sorted((paths.ROOT / "data").glob("*.toml"))]
+    data = [paths.source(f"data/{name}.toml").read_text() for name in _READ]
     data += [file.read_text() for file in sorted((paths.ROOT / tuning.TUNED).rglob("*.json"))]
     own = Path(each.file).read_text() if each.file else ""
     reached = sources.closure(["import railrepro.evidence.score.run"])
