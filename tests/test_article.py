@@ -181,8 +181,8 @@ def test_article_and_report_show_shares_and_the_matching_when_they_are_there(pla
     assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.3[23]\d*; 25 % \[10, 95\] \|", report)
     assert "Fragile, by rule, are [C05]" in made and "[C05](REPLICATION.md#C05): fragile" in made
     for page in (made, report):
-        assert "[1](data/results/robustness_claims.csv) of [3]" in page and "1 fragile" in page
-        assert "one parameter at a time: C05 on `paper` by wheel.radius." in page
+        assert "[1 of 3](data/results/robustness_claims.csv) pairs" in page and "1 fragile" in page
+        assert "confirmed one at a time: C05 on `paper` by wheel.radius." in page
         assert "[256](data/results/matching_waves.csv) runs, at best [11 of 20]" in page
         assert "1. Which rails did the runs have" in page
     assert "**Figure 5.** Non-implausible region" in made and "Vernon" in made
