@@ -229,9 +229,9 @@ def leaderboard(table: str) -> str:
     lines = [
         "# Leaderboard",
         "",
-        "The open benchmark: 28 runs and two searches for margins, in the setting `equal` (perfect measurements) and "
-        "`loop` (with sensor noise, latency and state estimation), at most 100 points. How to enter a controller of "
-        "your own: {doc}`notebooks/16_own_controller`.",
+        "The open benchmark: 14 runs, and 16 short ones with more delay or lag, each in the settings `equal` (perfect "
+        "measurements) and `loop` (with sensor noise, latency and state estimation), at most 100 points. How to enter "
+        "a controller of your own: {doc}`notebooks/16_own_controller`.",
         "",
         table or "There is no table yet: `make leaderboard` makes it, and the next book shows it.",
         "",
