@@ -280,7 +280,7 @@ NAMED |= {
 
 @lru_cache(maxsize=1)
 def _sampled(file: Path, _changed: int) -> pd.DataFrame:
-    """Which statement holds in which sample of the setting `paper`, with its profile and the values drawn."""
+    """Which statement holds in which sample of the setting `paper`, with the values drawn."""
     table = pd.read_csv(file)
     if not set(LABELS) <= set(table):
         raise MissingEvidence("robustness")
@@ -308,15 +308,20 @@ def _third(parameter: str, last: bool = False) -> Callable[[pd.DataFrame], pd.Se
     return chosen
 
 
-def _profile(name: str) -> Callable[[pd.DataFrame], pd.Series]:
-    return lambda rows: rows["profile"] == name
+def _by_profile(nominal: Nominal, identity: str, profile: str) -> str:
+    """Share (%) of the samples of the setting `paper` with a profile in which a statement holds."""
+    table = nominal.results.optional("robustness_claims")
+    if table is None or not {"id", "setting", profile} <= set(table):
+        raise MissingEvidence("robustness")
+    found = table.query("id == @identity and setting == 'paper'")[profile]
+    return quantity(100 * float(found.iloc[0])) if len(found) else UNKNOWN
 
 
 NAMED |= {
-    "c12_s1002": lambda nominal: _share(nominal, "C12", _profile("s1002")),
-    "c12_cones": lambda nominal: _share(nominal, "C12", _profile("cone")),
-    "c30_s1002": lambda nominal: _share(nominal, "C30", _profile("s1002")),
-    "c30_cones": lambda nominal: _share(nominal, "C30", _profile("cone")),
+    "c12_s1002": lambda nominal: _by_profile(nominal, "C12", "s1002"),
+    "c12_cones": lambda nominal: _by_profile(nominal, "C12", "cone"),
+    "c30_s1002": lambda nominal: _by_profile(nominal, "C30", "s1002"),
+    "c30_cones": lambda nominal: _by_profile(nominal, "C30", "cone"),
     "c31_smallest_r": lambda nominal: _share(nominal, "C31", _third("r_brake")),
     "c31_largest_r": lambda nominal: _share(nominal, "C31", _third("r_brake", last=True)),
     "c36_shortest_lag": lambda nominal: _share(nominal, "C36", _third("drive.lag")),
