@@ -236,3 +236,14 @@ def test_a_planted_car_is_found_by_its_runs():
     matched = matching.match(problem, waves=3, count=32, candidates=2**12)
     assert still_there(problem, matched, hidden)
     assert matched.waves["surviving_share"].iloc[-1] < 0.6
+
+
+def test_choices_that_are_thrown_are_all_stated():
+    """The nominal car has S1002 wheels: what is left out is not a cone."""
+    asked = []
+    found = matching.switched(lambda points: asked.extend(points) or [{"C04": -1.0} for _ in points])
+    names = [d.name for d in matching.SEARCHED if matching.choice(d)]
+    assert len({tuple(sorted(point)) for point in asked}) == len(found) == 2 ** len(names)
+    assert all([name for name, _ in point] == names for point in asked)
+    profiles = {matching.world(dict(point)).profile for point in asked}
+    assert profiles == {"cone", "s1002"}

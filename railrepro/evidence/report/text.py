@@ -178,20 +178,14 @@ def _statements(table: pd.DataFrame) -> list[str]:
         rows.append(
             [str(identity), statement.statement, *three, calibrated, _rule(statement), _evidence(statement, data)]
         )
-    heads = [
-        "id",
-        "statement",
-        *(f"`{setting}`" for setting in tuning.SETTINGS),
-        "calibrated",
-        "holds",
-        "figure, chapter, table",
-    ]
+    settings = [f"`{setting}`" for setting in tuning.SETTINGS]
+    heads = ["id", "statement", *settings, "calibrated", "holds", "figure, chapter, table"]
     return rows_of(rows, heads)
 
 
 def shown(row) -> str:
     """Mark and value in some setting, with the share of samples in which it holds and its interval."""
-    around = f"; {100 * row.share:.0f} % [{100 * row.share_low:.0f}, {100 * row.share_high:.0f}]"
+    around = f"; {100 * row.share:.0f} [{100 * row.share_low:.0f}, {100 * row.share_high:.0f}]"
     return f"{MARKS[row.judged]} {_number(row.measured_value, row.unit)}{around if np.isfinite(row.share) else ''}"
 
 
@@ -229,17 +223,18 @@ def robust(nominal: Nominal) -> str:
     found, samples = (nominal.results.optional(f"robustness_{name}") for name in ("claims", "samples"))
     if found is None or claims.shares(samples).empty:
         return "There are no shares: the robustness study (`make study`) has not run with these rules and this car yet."
-    where = "data/results/robustness_claims.csv"
     decided = found[found["decided_by"].notna() & (found["decided_by"] != "")]
-    alike = decided.groupby(["setting", "decided_by"], sort=False)["id"].agg(", ".join)
-    named = "; ".join(f"{ids} on `{setting}` by {parameter}" for (setting, parameter), ids in alike.items())
-    missing = [f"`{setting}`" for setting in tuning.SETTINGS if setting not in set(found["setting"])]
-    yet = f" ({' and '.join(missing)} not sampled yet)" if missing else ""
+    lines = []
+    for setting, own in found.groupby("setting", sort=False):
+        alike = decided[decided["setting"] == setting].groupby("decided_by", sort=False)["id"].agg(", ".join)
+        named = ", ".join(f"{parameter} for {ids}" for parameter, ids in alike.items())
+        held = f"{(own['share'] > 0.5).sum()} of {len(own)} statements hold in more than half of the samples"
+        lines.append(f"On `{setting}` {held}{'; decisive: ' + named if named else ''}.")
+    lines += [f"`{setting}` is not sampled yet." for setting in tuning.SETTINGS if setting not in set(found["setting"])]
+    size = link(str(int(found["samples"].max())), ["data/results/robustness_claims.csv"])
     return (
-        f"Cars and experiments were drawn from the ranges of the unpublished parameters, with controllers tuned again: "
-        f"[{(found['share'] > 0.5).sum()} of {len(found)}]({where}) pairs of statement and setting{yet} hold in more "
-        f"than half of [{int(found['samples'].max())}]({where}) samples. Decisive parameters, confirmed one at a time: "
-        f"{named or 'none'}."
+        f"Cars and experiments were drawn {size} times from the ranges of the unpublished parameters, with controllers "
+        f"tuned again. {' '.join(lines)} What is decisive is confirmed by a run with this change alone."
     )
 
 
@@ -251,11 +246,10 @@ def matched(nominal: Nominal) -> str:
     where, last = "data/results/matching_waves.csv", waves.iloc[-1]
     runs, most = link(str(int(waves["points"].sum())), [where]), int(last["most_statements"])
     most_of = link(f"{most} of {int(last['statements'])}", [where])
-    earlier = "" if "stage" in waves else " These runs were made with an earlier car and earlier rules."
     return (
         "History matching searches cars, weights and experiments for points at which the statements hold together: "
         f"{runs} runs, at best {most_of} statements in one run. It is an exploration: points that no run visited may "
-        f"hold more.{earlier}"
+        "hold more, as the calibrated car does."
     )
 
 
@@ -297,18 +291,17 @@ def _elsewhere() -> list[str]:
     """Tolerances of results between computers."""
     file = "notebooks/chain.toml"
     tolerance = tomllib.loads(paths.source(file).read_text(encoding="utf-8"))["verify"]
-    own = "; ".join(
-        f"{each['table']}, `{each['column']}`{' where ' + each['rows'] if 'rows' in each else ''}: "
-        f"{each['relative']:g} ({each['why']})"
-        for each in tolerance["own"]
-    )
+    larger: dict[str, list[str]] = {}
+    for each in tolerance["own"]:
+        larger.setdefault(f"{each['relative']:g}", []).append(Path(each["table"]).stem)
+    own = ", ".join(f"{relative} in {' and '.join(tables)}" for relative, tables in larger.items())
     return [
         "On one machine with the locked packages tables and figures are bit-identical. Another processor or "
         "mathematical library rounds differently; `make verify` reruns everything and compares. Numbers may differ "
         f"by {tolerance['relative']:g} of the largest value of their column or metric, images by "
-        f"{tolerance['image_rms']:g} of 255 grey levels in the root mean square (`{file}`). Some numbers amplify "
-        f"rounding and have larger tolerances: {own}. `notebooks/book/reproducibility.md` lists the computers and "
-        "compilers that were tried."
+        f"{tolerance['image_rms']:g} of 255 grey levels in the root mean square. Some rows amplify rounding and may "
+        f"differ by more: {own}; `{file}` lists them with the reasons, `notebooks/book/reproducibility.md` the "
+        "computers and compilers that were tried."
     ]
 
 

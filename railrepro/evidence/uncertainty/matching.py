@@ -71,7 +71,7 @@ CHOICES = (
     Dimension("rail (dry, wet)", 0, 1, "integer"),
 )
 """What `world` knows besides the keys of the vehicle; the latter ones turn hardly anything and stay nominal."""
-SIZES = {"committed": (4, 64, 20), "small": (2, 16, 2)}
+SIZES = {"committed": (3, 48, 10), "small": (2, 16, 2)}
 """Waves, runs per wave, generations of the evolution strategy."""
 PARTS = ("curve", "sine", "loss", "brake")
 CUT = 3.0
@@ -472,7 +472,7 @@ def switched(run: Callable[[list[Values]], list[dict[str, float]]]) -> pd.DataFr
         {d.name: value for d, value in zip(choices, values, strict=True)}
         for values in itertools.product((0, 1), repeat=len(choices))
     ]
-    found = pd.DataFrame(run([tuple((k, v) for k, v in place.items() if v) for place in places])).fillna(-CLIP)
+    found = pd.DataFrame(run([tuple(place.items()) for place in places])).fillna(-CLIP)
     return pd.concat([pd.DataFrame(places), missed(found), found], axis=1)
 
 
