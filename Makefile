@@ -9,7 +9,7 @@ endif
 PYTHON ?= python3
 VARIANTS ?=
 PY := .venv/bin/python
-CORES := $(shell nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
+CORES := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
 # Notebooks at a time; each has the workers of its share of the processors.
 AT_ONCE := $(shell echo $$(( $(CORES) < 4 ? $(CORES) : 4 )))
 PYTEST_JOBS := -n $(AT_ONCE)

@@ -178,11 +178,12 @@ def test_article_and_report_show_shares_and_the_matching_when_they_are_there(pla
     fragile = (plain["id"] == "C05") & (plain["setting"] == "paper")
     table = plain.assign(**{column: plain[column].mask(fragile, value) for column, value in shares.items()})
     made, report = article.render(table, Nominal(Studied())), text.render(table, Nominal(Studied()))
-    assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.3[23]\d*; 25 % \[10, 95\] \|", report)
+    assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.3[23]\d*; 25 \[10, 95\] \|", report)
     assert "Fragile, by rule, are [C05]" in made and "[C05](REPLICATION.md#C05): fragile" in made
     for page in (made, report):
-        assert "[1 of 3](data/results/robustness_claims.csv) pairs" in page and "1 fragile" in page
-        assert "confirmed one at a time: C05 on `paper` by wheel.radius." in page
+        where, most = "(data/results/robustness_claims.csv)", "statements hold in more than half of the samples"
+        assert f"On `paper` [0 of 1]{where} {most}; decisive: wheel.radius for C05." in page and "1 fragile" in page
+        assert f"On `equal` [1 of 1]{where} {most}." in page and f"On `loop` [0 of 1]{where} {most}." in page
         assert "[256](data/results/matching_waves.csv) runs, at best [11 of 20]" in page
         assert "1. Which rails did the runs have" in page
     assert "**Figure 5.** Non-implausible region" in made and "Vernon" in made

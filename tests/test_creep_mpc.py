@@ -382,12 +382,25 @@ def test_the_gear_stays_near_its_set_point_on_a_patch_where_both_wheels_slide_ap
     assert np.abs(run.controllers[0]._offset).max() < 1.5e-3
 
 
+@pytest.mark.parametrize(("adhesion", "slip"), [(True, True), (False, True), (True, False)])
+def test_gains_depend_on_what_the_settings_say(adhesion, slip):
+    asked, settings = [], CreepSettings(uses_adhesion=adhesion, uses_slip=slip)
+    guide = CreepMPC(settings)(V, T3.route(), 0)
+    around = guide._schedule.around
+    guide._schedule = type("Spy", (), {"around": lambda self, *at: asked.append(at) or around(*at)})()
+    guide._slip[:] = [[0.1, 0.2], [0.01, 0.02]]
+    guide.plan(np.array([10.0, 0.0, 70.0, 0.0, 0.0, 0.0]), 0.0)
+    _, used, slipping, _ = asked[0]
+    np.testing.assert_array_equal(used, adhesion * np.array([0.1, 0.2]))
+    np.testing.assert_array_equal(slipping, slip * np.array([0.01, 0.02]))
+
+
 def test_the_rear_gear_knows_the_rails_that_the_front_gear_found():
     scenario, law = load_scenario("curve_entry_T3").but(end_m=200.0), tuned("creep_mpc", setting="loop")
     rough = rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum="en_B_300", seed=201)
 
     def errors(follows, irregularities=rough):
-        guidance = replace(law, follows=follows)
+        guidance = replace(law, settings=replace(law.settings, uses_rails=follows))
         series = simulate.run(scenario, guidance, sensors=readings(seed=201), irregularities=irregularities).series
         series = series[series["rear.p"] > 20.0]
         return np.array([metrics.followed_rmse(series, gear) for gear in ("front", "rear")])
@@ -410,6 +423,7 @@ def test_factory_is_picklable():
         (lambda: CreepSettings(change=-1.0), "CreepSettings: change = -1.0, a number from 1e-09"),
         (lambda: CreepSettings(force_rate="much"), "CreepSettings: force_rate is 'much'"),
         (lambda: CreepSettings(preview=np.nan), "CreepSettings: preview = nan"),
+        (lambda: CreepSettings(uses_slip=0.5), "CreepSettings: uses_slip is 0.5, an object of the class bool"),
         (lambda: CreepMPC({"period": 2e-3}), "CreepMPC: settings is .*CreepSettings is needed"),
         (lambda: CreepMPC(creep=1e7), "CreepMPC: creep is 10000000.0"),
         (lambda: CreepMPC(creep=replace(DRY, adhesion=0.1)), "creep.adhesion = 0.1, 0 is needed"),

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+import subprocess
 import sys
 import types
 
@@ -307,3 +308,22 @@ def test_equal_values_keep_their_order_on_every_processor():
         code[chapter.name] = "\n".join(c["source"] for c in manifest.cells(chapter) if c["cell_type"] == "code")
     found = {name: list(unstable_sorts(text)) for name, text in code.items()}
     assert {name: calls for name, calls in found.items() if calls} == {}
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processors are counted otherwise")
+def test_threads_of_a_library_are_not_taken_for_processors():
+    """nproc gives OMP_NUM_THREADS where it is set; then one notebook would run at a time."""
+    makefile = ["make", "-C", str(paths.ROOT), "--no-print-directory", "-np", "help"]
+    found = subprocess.run(makefile, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    assert re.search(r"^CORES := (\d+)$", found.stdout, re.MULTILINE)[1] == str(len(os.sched_getaffinity(0)))
+
+
+def test_notebooks_are_read_without_the_grammars_of_addresses():
+    """They take a second at each start; a notebook that is none is refused as before."""
+    program = "import sys; from railrepro.evidence.chain import cleaning; print('lark' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", program], cwd=paths.ROOT, capture_output=True, text=True, check=True)
+    assert found.stdout == "False\n"
+    odd = cleaning.nbformat.read(next(paths.NOTEBOOKS.glob("*.ipynb")), 4)
+    odd.cells[0].cell_type = "nothing"
+    with pytest.raises(cleaning.nbformat.ValidationError):
+        cleaning.nbformat.validate(odd)

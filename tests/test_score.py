@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import re
 
 import numpy as np
 import pandas as pd
@@ -344,6 +345,12 @@ def test_a_small_score_writes_card_and_page(tmp_path, monkeypatch, capsys):
 def test_names_of_no_run_are_refused():
     with pytest.raises(InputError, match="there is no run of the names"):
         run.score(entry(PID), 1, names=("nowhere",))
+
+
+def test_a_stored_score_is_of_all_data_that_a_run_can_read():
+    reached = leaderboard.sources.closure(["import railrepro.evidence.score.run"])
+    named = (re.findall(r"data/(\w+)\.toml", (paths.ROOT / name).read_text()) for name in reached if name[-3:] == ".py")
+    assert set().union(*named) == set(leaderboard._READ)
 
 
 @pytest.fixture

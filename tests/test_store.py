@@ -14,6 +14,7 @@ from railrepro.evidence.claims import probe
 from railrepro.evidence.runs import experiment, sources, store, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, run_all
+from railrepro.simulation import metrics
 from railrepro.simulation.scenarios import load_scenario
 
 SHORT = Experiment(load_scenario("curve_entry_T3").but(end_m=8.0), "ndi", stride=100)
@@ -230,3 +231,11 @@ def test_the_executor_and_the_store_give_the_same(folder, monkeypatch):
     with executor() as pool:
         results = ordered_map(pool, experiment._call, [SHORT, SHORT], "two", quiet=True, stored=True)
     assert repr(results[0][0]) == repr(SHORT()[0])
+
+
+def test_figures_of_a_row_count_from_a_coordinate():
+    whole = replace(SHORT, scenario=load_scenario("sine_tracking").but(end_m=60.0))
+    run, late = whole.run(), replace(whole, from_m=30.0)
+    rows = run.series[run.series["front.p"] >= 30.0]
+    assert late.row(run)["rmse_y"] == metrics.rmse(rows) != whole.row(run)["rmse_y"]
+    assert late.key(experiment._values) != whole.key(experiment._values)

@@ -76,6 +76,9 @@ class CreepSettings:
         Standard deviations of what is read (m, rad, rad/s).
     r_drift : float
         Random walk of the bias of the yaw rate that is read, standard deviation after one second (rad/s).
+    uses_adhesion, uses_slip, uses_rails : bool
+        Whether the gains depend on the measured adhesion and on the measured slip, and whether the rear gear has
+        the offset of the rails that the front gear measures with sensors. False shows what each is worth.
 
     Raises
     ------
@@ -97,6 +100,9 @@ class CreepSettings:
     psi_noise: float = 1e-5
     r_noise: float = 1e-4
     r_drift: float = 1e-6
+    uses_adhesion: bool = True
+    uses_slip: bool = True
+    uses_rails: bool = True
 
     def __post_init__(self) -> None:
         ranges = {"period": between(1e-3, 0.1, "s"), "preview": between(0.0, 5.0, "s")}
@@ -108,6 +114,8 @@ class CreepSettings:
         ranges |= {name: between(1e-9, 10.0, "rad/s") for name in ("r_noise", "r_drift")}
         for name, allowed in ranges.items():
             require(f"CreepSettings: {name}", getattr(self, name), allowed)
+        for name in ("uses_adhesion", "uses_slip", "uses_rails"):
+            require(f"CreepSettings: {name}", getattr(self, name), bool)
 
     @property
     def steps(self) -> int:

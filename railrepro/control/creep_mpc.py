@@ -69,8 +69,6 @@ class CreepMPC:
     settings : CreepSettings
     creep : Creep, optional
         Of wheels that hardly slip; default that of the vehicle on a dry rail. What they do when they slip is measured.
-    follows : bool
-        Whether the rear gear knows, behind sensors, the offset of the rails that the front gear measures.
 
     Raises
     ------
@@ -80,11 +78,9 @@ class CreepMPC:
 
     settings: CreepSettings = field(default_factory=CreepSettings)
     creep: Creep | None = None
-    follows: bool = True
 
     def __post_init__(self) -> None:
         require("CreepMPC: settings", self.settings, CreepSettings)
-        require("CreepMPC: follows", self.follows, bool)
         if self.creep is not None:
             require("CreepMPC: creep", self.creep, Creep)
             if self.creep.adhesion:
@@ -93,7 +89,7 @@ class CreepMPC:
     def __call__(self, vehicle: Vehicle, route: Route, gear: int) -> CreepGuide:
         """The controller of a gear (0 front, 1 rear)."""
         creep = creep_at(vehicle, "dry", 20.0) if self.creep is None else self.creep
-        return CreepGuide(vehicle, route, gear, self.settings, creep, self.follows)
+        return CreepGuide(vehicle, route, gear, self.settings, creep)
 
 
 class CreepGuide:
@@ -111,13 +107,13 @@ class CreepGuide:
         Samples whose measurement was not finite, so that the filter went on without it.
     restarts : int
         How often the filter was so far off that it began anew.
+    rails : ndarray or None
+        Rows of the table of the gear behind into which the offset of the rails that this gear measures is written.
     stats : list of Solve
         One record per sample.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings, creep: Creep, follows: bool = True
-    ):
+    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings, creep: Creep):
         self.period, self.missed, self.restarts = settings.period, 0, 0
         self.stats: list[Solve] = []
         self.state = np.zeros(len(STATES) + len(UNKNOWN) + 1)
@@ -131,15 +127,15 @@ class CreepGuide:
         self._seen, self._slip = np.zeros(len(model.STATES)), np.zeros((2, 2))
         self._slow, self._power, self._slow_power, self._alert = 0.0, 0.0, 0.0, 0.0
         self._read: np.ndarray | None = None
-        self._follows = follows
-        self._rails: np.ndarray | None = None  # rows of the follower's table
+        self._uses = np.array([[settings.uses_adhesion], [settings.uses_slip]], dtype=float)
+        self.rails: np.ndarray | None = None
         self._measure = _RailOffset(self.period)
         self._wait(0.0)
 
     def follow(self, leader: SlowController) -> None:
         """Know the offset of the rails that the gear in front measures, see `SlowController`."""
-        if self._follows and isinstance(leader, CreepGuide):
-            leader._rails = self._ahead[-2:]
+        if self._settings.uses_rails and isinstance(leader, CreepGuide):
+            leader.rails = self._ahead[-2:]
 
     def _wait(self, delay: float) -> None:
         """Plan for torques that act a delay (s) after what was read."""
@@ -199,15 +195,16 @@ class CreepGuide:
             self._started = True
             self._begin(v, read)
         if v >= LEAST_SPEED:
-            if measured and self._read is not None and self._rails is not None:
-                self._notice_rails(self._rails, read, v)
+            if measured and self._read is not None and self.rails is not None:
+                self._notice_rails(self.rails, read, v)
             self._follow(read if measured else None, ahead, v)
         self.stats.append(Solve(time.thread_time() - begin, 0, False))
         return float(self.sent[0])
 
     def _follow(self, read: np.ndarray | None, ahead: np.ndarray, v: float) -> None:
         """Correct the state by what was read, choose the torque, predict the state of the next sample."""
-        low, high, share = self._schedule.around(v, self._slip[0], self._slip[1], self._alertness())
+        adhesion, slip = self._uses * self._slip
+        low, high, share = self._schedule.around(v, adhesion, slip, self._alertness())
         state, limit, free = self.state, self._vehicle.drive.torque_limit, len(STATES) + len(UNKNOWN)
         if read is not None:
             expected = state[_READ]

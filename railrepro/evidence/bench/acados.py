@@ -37,12 +37,20 @@ NAME = "acados"
 FOLDER = Path(sys.prefix) / "acados"
 _INSTALLED = FOLDER / "acados" / "install"
 _N = len(STATES)
+_TOLERANCES = ("qp_solver_tol_stat", "qp_solver_tol_eq", "qp_solver_tol_ineq", "qp_solver_tol_comp")
 _OPTIONS = {
-    **{"integrator_type": "DISCRETE", "hessian_approx": "GAUSS_NEWTON", "nlp_solver_type": "SQP"},
-    **{"nlp_solver_max_iter": 20, "tol": 1e-6, "print_level": 0, "ext_fun_compile_flags": "-O3 -march=native"},
-    **{"qp_solver": "FULL_CONDENSING_HPIPM", "hpipm_mode": "SPEED", "qp_solver_iter_max": 100},
-    **{"qp_solver_warm_start": 1},
-    **{f"qp_solver_tol_{name}": 1e-8 for name in ("stat", "eq", "ineq", "comp")},
+    "integrator_type": "DISCRETE",
+    "hessian_approx": "GAUSS_NEWTON",
+    "nlp_solver_type": "SQP",
+    "nlp_solver_max_iter": 20,
+    "tol": 1e-6,
+    "print_level": 0,
+    "ext_fun_compile_flags": "-O3 -march=native",
+    "qp_solver": "FULL_CONDENSING_HPIPM",
+    "hpipm_mode": "SPEED",
+    "qp_solver_iter_max": 100,
+    "qp_solver_warm_start": 1,
+    **dict.fromkeys(_TOLERANCES, 1e-8),
 }
 """Tolerances of the other peers; full condensing, which was faster here than blocks of stages."""
 

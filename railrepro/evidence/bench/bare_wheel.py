@@ -125,9 +125,8 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     demand = np.ascontiguousarray(np.broadcast_to(demand.reshape(len(demand), -1), (len(demand), len(cases))))
     factor = np.asarray(factor, dtype=float)
     factor = np.ascontiguousarray(np.broadcast_to(factor.reshape(-1, 1) if factor.ndim == 1 else factor, demand.shape))
-    load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
     a, b, kalker = middle_patch(vehicle)
-    body = (vehicle.wheel.radius, vehicle.wheel.spin_inertia, load, vehicle.gravity, 1e5)
+    body = (vehicle.wheel.radius, vehicle.wheel.spin_inertia, vehicle.wheel_load, vehicle.gravity, 1e5)
     body += (a, b, *kalker, vehicle.contact.shear_modulus)
     columns = [[*c.law.gains().values(), *c.estimate.gains().values(), *astuple(c.adhesion), *body] for c in cases]
     call = codegen.compiled(_exchange().map("bare_wheels", "serial", len(cases), [], []))

@@ -163,7 +163,7 @@ class Statement:
 
 def _within(value: float, above: float | None, below: float | None, tie: float) -> bool:
     """Whether a value lies between limits, both drawn in by a factor of exp(tie)."""
-    factor = np.exp(min(tie, 700.0))
+    factor = np.exp(np.clip(tie, -700.0, 700.0))
     return bool((above is None or value > above * factor) and (below is None or value * factor < below))
 
 

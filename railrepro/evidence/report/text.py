@@ -224,14 +224,15 @@ def robust(nominal: Nominal) -> str:
     if found is None or claims.shares(samples).empty:
         return "There are no shares: the robustness study (`make study`) has not run with these rules and this car yet."
     decided = found[found["decided_by"].notna() & (found["decided_by"] != "")]
-    lines = []
+    lines, table = [], "data/results/robustness_claims.csv"
     for setting, own in found.groupby("setting", sort=False):
         alike = decided[decided["setting"] == setting].groupby("decided_by", sort=False)["id"].agg(", ".join)
         named = ", ".join(f"{parameter} for {ids}" for parameter, ids in alike.items())
-        held = f"{(own['share'] > 0.5).sum()} of {len(own)} statements hold in more than half of the samples"
+        count = link(f"{(own['share'] > 0.5).sum()} of {len(own)}", [table])
+        held = f"{count} statements hold in more than half of the samples"
         lines.append(f"On `{setting}` {held}{'; decisive: ' + named if named else ''}.")
     lines += [f"`{setting}` is not sampled yet." for setting in tuning.SETTINGS if setting not in set(found["setting"])]
-    size = link(str(int(found["samples"].max())), ["data/results/robustness_claims.csv"])
+    size = link(str(int(found["samples"].max())), [table])
     return (
         f"Cars and experiments were drawn {size} times from the ranges of the unpublished parameters, with controllers "
         f"tuned again. {' '.join(lines)} What is decisive is confirmed by a run with this change alone."

@@ -76,6 +76,8 @@ class Experiment:
         Whether the row also has the figures of `ride.ride_summary`.
     stride : int
         Every n-th exchange of the front gear is kept as a series; 0 keeps none.
+    from_m : float
+        Coordinate of the front gear from which the figures of the row count.
     """
 
     scenario: Scenario
@@ -96,6 +98,7 @@ class Experiment:
     substeps: int | None = None
     ride: bool = False
     stride: int = 0
+    from_m: float = 0.0
 
     def __post_init__(self) -> None:
         require("experiment: scenario", self.scenario, Scenario)
@@ -123,7 +126,8 @@ class Experiment:
             fit("preview", self.preview, _line, preview.known)
             if rough is None:
                 raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
-        return rough, _line(rough, **self.preview) if self.preview else None
+        said = [json.dumps(given, sort_keys=True) for given in (self.irregular, self.preview)]
+        return rough, _planned(self.scenario.end_m, *said) if self.preview else None
 
     def run(self) -> simulate.Run:
         """The simulation itself."""
@@ -157,7 +161,7 @@ class Experiment:
         sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
         believed = load_vehicle(**self.vehicle)
         cars = believed, self.car() if self.plant else believed
-        more = self.rails(), sensed, self.substeps, self.ride, self.stride
+        more = self.rails(), sensed, self.substeps, self.ride, self.stride, self.from_m
         try:
             return store.key(code(measure), self.controller, scenario, cars, plan, more)
         except TypeError:
@@ -187,13 +191,13 @@ class Experiment:
 
     def values(self, run: simulate.Run) -> dict:
         """Metrics of a run (SI); of a failed run the place instead of how well it followed."""
-        vehicle = self.car()
-        values = metrics.summary(run.series, vehicle.drive.torque_limit)
+        vehicle, series = self.car(), run.series[run.series["front.p"] >= self.from_m] if self.from_m else run.series
+        values = metrics.summary(series, vehicle.drive.torque_limit)
         if run.failed:
             values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
-        values |= metrics.longitudinal(run.series, self.scenario, vehicle)
+        values |= metrics.longitudinal(series, self.scenario, vehicle)
         if self.ride and not run.failed:
-            values |= ride.ride_summary(run.series, vehicle)
+            values |= ride.ride_summary(series, vehicle)
         row = {name: value for name, (value, _) in values.items()}
         row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
         solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
@@ -215,6 +219,12 @@ def sample_times(run: simulate.Run, experiment: Experiment, again: int) -> np.nd
 def _laid_rough(end: float, irregular: str) -> pd.DataFrame:
     """Irregularities up to a coordinate (m); tuning drives the same ones very often."""
     return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular))
+
+
+@lru_cache(maxsize=64)
+def _planned(end: float, irregular: str, known: str) -> tuple[np.ndarray, np.ndarray]:
+    """Planned line up to a coordinate (m); studies of what is known drive the same ones with several controllers."""
+    return _line(_laid_rough(end, irregular), **json.loads(known))
 
 
 def _line(rough: pd.DataFrame, share=1.0, smoothing_m=3.0, limit=5e-3, **errors) -> tuple[np.ndarray, np.ndarray]:
