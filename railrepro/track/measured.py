@@ -25,8 +25,7 @@ def read_irregularities(
     - p_m: coordinate along the track (m), increasing, 0 where the run begins, or `chainage`;
     - lateral_m: alignment of the track centre (m), right positive;
     - vertical_m: longitudinal level of the track centre (m), down positive;
-    - crosslevel_rad: deviation from the designed cant as an angle (rad), right rail down positive: the height
-      difference over the base of 1.5 m divided by 1.5 m;
+    - crosslevel_rad: deviation from the designed cant (rad), right rail down positive: height difference over 1.5 m;
     - gauge_m: deviation from the nominal gauge (m), wider positive.
 
     Rails measured one by one become a track centre by `railrepro.track.irregularity.track_centre`. The numbers are
