@@ -239,7 +239,7 @@ def test_a_planted_car_is_found_by_its_runs():
 
 
 def test_choices_that_are_thrown_are_all_stated():
-    """The nominal car has S1002 wheels: what is left out is not a cone."""
+    """The nominal car has S1002 wheels, so a choice that is not stated is no cone."""
     asked = []
     found = matching.switched(lambda points: asked.extend(points) or [{"C04": -1.0} for _ in points])
     names = [d.name for d in matching.SEARCHED if matching.choice(d)]
