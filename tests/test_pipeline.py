@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import types
@@ -13,7 +14,7 @@ import pytest
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.evidence.chain import book, cleaning, graph, manifest, runner
+from railrepro.evidence.chain import book, cleaning, graph, kernel, manifest, runner
 
 CELLS = [
     "from railrepro import paths",
@@ -74,6 +75,23 @@ def test_executed_notebooks_are_identical_bytes(tiny):
         executed.append(result.read_bytes())
     assert executed[0] == executed[1]
     assert not (tiny / "data/results/out.csv").exists()
+
+
+def test_a_kernel_starts_where_another_program_holds_its_ports(tiny, monkeypatch):
+    """Two kernels that start side by side may be given the same TCP port; ours have sockets of their own."""
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        taken = other.getsockname()[1]
+        monkeypatch.setattr("jupyter_client.connect.LocalPortCache.find_available_port", lambda *_: taken)
+        runner.run_notebook(graph.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
+    assert kernel.Kernel.folders == []
+
+
+def test_a_kernel_that_does_not_start_tells_its_last_words(tiny, monkeypatch):
+    monkeypatch.setattr(kernel, "_SETTINGS", "import os\nos.write(2, b'first\\nno room left\\n')\nos._exit(1)\n")
+    with pytest.raises(InputError, match=r"01_tiny: the kernel did not start .*no room left\)$"):
+        runner.run_notebook(graph.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
 
 
 def test_unknown_parameter_is_refused_before_running(tiny):

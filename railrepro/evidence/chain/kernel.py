@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import signal
 import subprocess
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
@@ -22,12 +24,20 @@ runpy.run_path({parent_death.__file__!r})["follow"](int(os.environ["{PARENT}"]))
 c = get_config()
 c.IPKernelApp.log_level = 50
 """
+_STDERR = "stderr"
+_LONGEST_SOCKET = 100
+"""Characters that the name of a Unix socket may have (104 to 108 by system)."""
 
 
 class Kernel(AsyncKernelManager):
-    """Kernel manager that remembers the processes it started."""
+    """Kernel manager that remembers the processes it started and the folders of their sockets.
+
+    Sockets are files of a folder of its own: of TCP ports the manager can only guess which stay free until the kernel
+    takes them, and kernels that start side by side then end with "address already in use" now and then.
+    """
 
     started: ClassVar[list[subprocess.Popen]] = []
+    folders: ClassVar[list[str]] = []
 
     @staticmethod
     def prepare(folder: Path) -> None:
@@ -40,12 +50,28 @@ class Kernel(AsyncKernelManager):
         for number in (signal.SIGINT, signal.SIGTERM):
             with suppress(RuntimeError, ValueError):
                 loop.remove_signal_handler(number)
-        await super()._async_start_kernel(**options, stderr=subprocess.DEVNULL)
+        folder = tempfile.mkdtemp(prefix="railrepro-")
+        self.folders.append(folder)
+        if len(folder) + len("/kernel-5") <= _LONGEST_SOCKET:
+            self.transport, self.ip = "ipc", f"{folder}/kernel"
+        with open(f"{folder}/{_STDERR}", "wb") as stderr:
+            await super()._async_start_kernel(**options, stderr=stderr)
         process = getattr(self.provisioner, "process", None)
         if process is not None:
             self.started.append(process)
 
     start_kernel = _async_start_kernel  # type: ignore[assignment]
+
+    @classmethod
+    def last_words(cls) -> str:
+        """Last line that a kernel wrote to stderr, "" when none did."""
+        lines = [
+            line
+            for folder in cls.folders
+            for line in Path(folder, _STDERR).read_text(errors="replace").splitlines()
+            if line.strip()
+        ]
+        return lines[-1].strip() if lines else ""
 
     @classmethod
     def end_all(cls) -> None:
@@ -56,3 +82,5 @@ class Kernel(AsyncKernelManager):
                 with suppress(ProcessLookupError, PermissionError):
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
+        while cls.folders:
+            shutil.rmtree(cls.folders.pop(), ignore_errors=True)

@@ -212,7 +212,7 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, output: Path, 
             where, message = _first_failure(failed)
             raise InputError(f"{notebook.name}: {where} failed with {message} (kept {_short(failed)})") from None
         except (RuntimeError, TimeoutError) as error:
-            reason = str(error).partition("\n")[0]
+            reason = str(error).partition("\n")[0] + (f"; {words}" if (words := Kernel.last_words()) else "")
             raise InputError(f"{notebook.name}: the kernel did not start or ended before its time ({reason})") from None
         finally:
             Kernel.end_all()
