@@ -181,9 +181,9 @@ def test_article_and_report_show_shares_and_the_matching_when_they_are_there(pla
     assert "| ✓? |" in made and re.search(r"\| ✓\? 0\.3[23]\d*; 25 \[10, 95\] \|", report)
     assert "Fragile, by rule, are [C05]" in made and "[C05](REPLICATION.md#C05): fragile" in made
     for page in (made, report):
-        where, most = "(data/results/robustness_claims.csv)", "statements hold in more than half of the samples"
-        assert f"On `paper` [0 of 1]{where} {most}; decisive: wheel.radius for C05." in page and "1 fragile" in page
-        assert f"On `equal` [1 of 1]{where} {most}." in page and f"On `loop` [0 of 1]{where} {most}." in page
+        where, most = "(data/results/robustness_claims.csv)", "Statements that hold in more than half of the samples: "
+        counted = f"[0 of 1]{where} on `paper`, [1 of 1]{where} on `equal`, [0 of 1]{where} on `loop`."
+        assert f"{most}{counted} Decisive on `paper`: wheel.radius for C05." in page and "1 fragile" in page
         assert "[256](data/results/matching_waves.csv) runs, at best [11 of 20]" in page
         assert "1. Which rails did the runs have" in page
     assert "**Figure 5.** Non-implausible region" in made and "Vernon" in made

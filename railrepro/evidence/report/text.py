@@ -224,18 +224,21 @@ def robust(nominal: Nominal) -> str:
     if found is None or claims.shares(samples).empty:
         return "There are no shares: the robustness study (`make study`) has not run with these rules and this car yet."
     decided = found[found["decided_by"].notna() & (found["decided_by"] != "")]
-    lines, table = [], "data/results/robustness_claims.csv"
-    for setting, own in found.groupby("setting", sort=False):
+    counts, causes, table = [], [], "data/results/robustness_claims.csv"
+    for setting in tuning.SETTINGS:
+        own = found[found["setting"] == setting]
+        if own.empty:
+            causes.append(f"`{setting}` is not sampled yet.")
+            continue
+        counts.append(f"{link(f'{(own.share > 0.5).sum()} of {len(own)}', [table])} on `{setting}`")
         alike = decided[decided["setting"] == setting].groupby("decided_by", sort=False)["id"].agg(", ".join)
-        named = ", ".join(f"{parameter} for {ids}" for parameter, ids in alike.items())
-        count = link(f"{(own['share'] > 0.5).sum()} of {len(own)}", [table])
-        held = f"{count} statements hold in more than half of the samples"
-        lines.append(f"On `{setting}` {held}{'; decisive: ' + named if named else ''}.")
-    lines += [f"`{setting}` is not sampled yet." for setting in tuning.SETTINGS if setting not in set(found["setting"])]
+        named = "; ".join(f"{parameter} for {ids}" for parameter, ids in alike.items())
+        causes += [f"Decisive on `{setting}`: {named}."] if named else []
     size = link(str(int(found["samples"].max())), [table])
     return (
         f"Cars and experiments were drawn {size} times from the ranges of the unpublished parameters, with controllers "
-        f"tuned again. {' '.join(lines)} What is decisive is confirmed by a run with this change alone."
+        f"tuned again. Statements that hold in more than half of the samples: {', '.join(counts)}. {' '.join(causes)} "
+        "What is decisive is confirmed by a run with this change alone."
     )
 
 
@@ -292,17 +295,13 @@ def _elsewhere() -> list[str]:
     """Tolerances of results between computers."""
     file = "notebooks/chain.toml"
     tolerance = tomllib.loads(paths.source(file).read_text(encoding="utf-8"))["verify"]
-    larger: dict[str, list[str]] = {}
-    for each in tolerance["own"]:
-        larger.setdefault(f"{each['relative']:g}", []).append(Path(each["table"]).stem)
-    own = ", ".join(f"{relative} in {' and '.join(tables)}" for relative, tables in larger.items())
     return [
         "On one machine with the locked packages tables and figures are bit-identical. Another processor or "
         "mathematical library rounds differently; `make verify` reruns everything and compares. Numbers may differ "
         f"by {tolerance['relative']:g} of the largest value of their column or metric, images by "
         f"{tolerance['image_rms']:g} of 255 grey levels in the root mean square. Some rows amplify rounding and may "
-        f"differ by more: {own}; `{file}` lists them with the reasons, `notebooks/book/reproducibility.md` the "
-        "computers and compilers that were tried."
+        f"differ by more; `{file}` lists them with the reasons, `notebooks/book/reproducibility.md` the computers "
+        "and compilers that were tried."
     ]
 
 
