@@ -1,5 +1,7 @@
 """The answer sheet: slots reach the probe, only what depends on them is driven, bad answers get one sentence."""
 
+from dataclasses import fields
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from railrepro import paths
 from railrepro.control.registry import PAPER_TRIO
 from railrepro.errors import InputError
-from railrepro.evidence.claims import answers, probe
+from railrepro.evidence.claims import answers, calibrated, probe
 from railrepro.evidence.report import answers as report
 from railrepro.evidence.runs import tuning
 
@@ -41,6 +43,15 @@ def test_the_example_answers_everything_and_asks_the_same():
     filled, empty = answers.read(EXAMPLE).questions, answers.load()
     assert list(filled) == list(empty) and all(question.answer for question in filled.values())
     assert [q.asks for q in filled.values()] == [q.asks for q in empty.values()]
+
+
+def test_the_example_is_the_calibrated_car():
+    """But for the R and poles that no answer sets: they are only looked through, and each statement has its own."""
+    ours, other = answers.setup(answers.read(EXAMPLE).answered), calibrated.paper_like()
+    assert ours.car() == other.car() and ours.parameters == other.parameters
+    passed = {"parameters", "vehicle", "r_factors", "poles"}
+    for field in {field.name for field in fields(probe.ProbeSetup)} - passed:
+        assert getattr(ours, field) == getattr(other, field), field
 
 
 def test_answers_reach_the_car_the_controllers_and_the_experiments(tmp_path):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Annotated
 
@@ -43,7 +44,7 @@ class Question:
     choices: tuple[str, ...] = ()
 
     def __post_init__(self):
-        if len(self.answer) not in (0, 1, len(self.sets)):
+        if self.answer and len(self.sets) % len(self.answer):
             raise ValueError(f"has {len(self.answer)} answers, 1 or {len(self.sets)} are needed")
         for value in self.answer:
             if self.choices and value not in self.choices:
@@ -55,8 +56,8 @@ class Question:
                 raise ValueError(f"has the answer {value!r}, a number from {low} to {high} {self.unit} is needed")
 
     def given(self) -> dict[str, object]:
-        """Answer by what it sets."""
-        return dict(zip(self.sets, self.answer * (len(self.sets) if len(self.answer) == 1 else 1), strict=False))
+        """Answer by what it sets; fewer answers than targets repeat in their order."""
+        return dict(zip(self.sets, cycle(self.answer), strict=False))
 
 
 @dataclass(frozen=True)
