@@ -12,6 +12,7 @@ from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings, dynamics
 from railrepro.control.registry import guidance
 from railrepro.control.solvers import condensed, ipopt, riccati
+from railrepro.control.solvers.planner import Planner
 from railrepro.control.solvers.riccati import MOST_SETS, Horizon, PlainHorizon
 from railrepro.errors import InputError
 from railrepro.evidence.runs import tuning
@@ -172,14 +173,20 @@ def test_active_sets_that_do_not_settle_are_found_by_interior_points(vehicle, wa
 @pytest.mark.parametrize(("name", "solver"), [("nmpc", "gauss_newton"), ("nmpc_observer", "rti")])
 def test_no_sample_on_poor_rail_needs_more_than_compiled_code(name, solver, monkeypatch):
     """With tuning for dry rail the gear leaves the poor one, nearly all torques and positions at their bounds."""
-    most, solve = [], Horizon.solve
+    most, solve, plan = [], Horizon.solve, Planner.plan
 
     def counted(horizon):
         solve(horizon)
         most.append(horizon.passes[0])
 
+    def planned(planner, *arguments):
+        found = plan(planner, *arguments)
+        most.append(planner.horizon.passes[0])
+        return found
+
     monkeypatch.setattr(condensed, "solve", None)
     monkeypatch.setattr(Horizon, "solve", counted)
+    monkeypatch.setattr(Planner, "plan", planned)
     if solver == "gauss_newton":
         monkeypatch.setattr(Horizon, "iterate", PlainHorizon.iterate)
     controller = guidance(name, tuning.load(name, "paper")["parameters"], {"solver": solver})
@@ -340,6 +347,27 @@ def test_while_measurements_are_broken_the_old_plan_plays_on(vehicle, way, solve
     planned = guided.plan_du.copy()
     assert [guided.plan(x * np.nan, 0.0) for _ in range(4)] == pytest.approx(planned[1:5])
     assert [record.fallback for record in guided.stats] == [False, True, True, True, True]
+
+
+@needs_compiler
+@pytest.mark.parametrize("change", [{"observer": 0.3}, {"yielding": False}, {"informed": False}, {"steps": 41}])
+@pytest.mark.parametrize(("kind", "options"), [(NMPC, {"solver": "rti"}), (LTVMPC, {}), (LTVMPC, {"printed": True})])
+def test_a_compiled_sample_is_the_one_done_step_by_step(kind, options, change, vehicle, way):
+    """To the bit: torques, plans, offsets and failures over samples with pushes, base torques and broken readings."""
+    settings = replace(WIDE, lateral_bound=1.5e-3, bound_weight=30.0, **change)
+    compiled, by_step = (kind(vehicle, way, 0, settings, **options) for _ in range(2))
+    by_step._samples = None
+    random, x = np.random.default_rng(4), measured(way, **STATE)
+    for sample in range(40):
+        seen = x * np.nan if sample in (16, 17) else x
+        base = 3990.0 if sample % 5 == 0 else random.uniform(-4200, 4200)
+        assert compiled.plan(seen, base) == by_step.plan(seen, base)
+        assert np.array_equal(compiled.plan_du, by_step.plan_du) and compiled.offset == by_step.offset
+        assert np.array_equal(compiled.horizon.fixed, by_step.horizon.fixed)
+        x = after(x, compiled.plan_du[0], compiled) + random.normal(0, 1, 6) * [0, 0, 0, 1e-3, 5e-4, 1e-4]
+    failed = [[record.fallback for record in guided.stats] for guided in (compiled, by_step)]
+    assert failed[0] == failed[1] and failed[0].count(True) == 2
+    assert (compiled.offset != 0.0) == (settings.observer > 0.0)
 
 
 @pytest.mark.parametrize(("push", "tolerance"), [(0.0, 1e-6), (2e-4, 1e-2)])

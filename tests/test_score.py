@@ -429,8 +429,9 @@ def test_the_times_of_a_slower_controller_are_the_least_of_all_drives(name, monk
     def run(experiment):
         found = original(experiment)
         drives.append(len(drives))
-        for number, solve in enumerate(solve for controller in found.controllers for solve in controller.stats):
-            object.__setattr__(solve, "seconds", 1.0 + (number % 3 != drives[-1] % 3))
+        for controller in found.controllers:
+            seconds = [1.0 + (number % 3 != drives[-1] % 3) for number in range(len(controller.stats))]
+            controller.stats[:] = [old._replace(seconds=s) for old, s in zip(controller.stats, seconds, strict=True)]
         return found
 
     monkeypatch.setattr(trial.Experiment, "run", run)

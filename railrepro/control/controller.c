@@ -12,7 +12,7 @@ typedef struct {
   double work[LAW_W + 1];
   casadi_int exchanges;
 #ifdef PLAN_STEPS
-  planner_t planner[GEARS];
+  planner_memory_t planner[GEARS];
 #endif
 } controller_t;
 

@@ -27,7 +27,7 @@ from railrepro.control.predictive import PredictiveController
 from railrepro.control.solvers import riccati
 from railrepro.errors import InputError
 from railrepro.files import write
-from railrepro.model.control_model import STATES, THETA
+from railrepro.model.control_model import STATES
 from railrepro.model.forecast import nominal_values
 from railrepro.schema import location, require
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
@@ -127,22 +127,22 @@ class Export:
         sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
         sizes |= {"INFORMED": int(settings.informed), "N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.kind.sensed)}
         sizes |= _work("PLAN", functions)
-        numbers = {"OBSERVER": settings.observer, "PLAN_PERIOD": settings.period, "AFFINE": first.horizon.affine}
+        numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.affine}
         numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
         sizes |= {name: float(value).hex() for name, value in numbers.items()}
-        if isinstance(first, LTVMPC):
-            sizes["LINEAR"] = 1
+        sizes["LINEAR"] = int(isinstance(first, LTVMPC))
         nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
         sizes["N_NOMINAL"] = nominal.shape[1]
         states = [[law.MEASURED.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS]
         names = [[f"{gear}.{name}" for name in law.SEEN] for gear in law.GEARS]
         seen = [[memory.index(name) if control.kind.sensed else 0 for name in row] for row in names]
-        text = _defines(sizes) + f"enum {{ {', '.join(f'THETA_{name}' for name in THETA)} }};\n"
+        text = _defines(sizes)
         text += _integers("STATES_AT", states) + _integers("SEEN", seen)
         text += _integers("BASE", [memory.index(f"{gear}.u") for gear in law.GEARS])
         tables = {"NOMINAL": nominal, "MODEL": first.parameters, "TUNING": settings.tuning()}
         text += "".join(constant(name, table) for name, table in tables.items())
-        return text + riccati.c_text(settings.variant, settings.discretisation) + (_HERE / "planner.c").read_text()
+        text += riccati.c_text(settings.variant, settings.discretisation)
+        return text + (_HERE / "planner_memory.c").read_text()
 
 
 def _checked(planner: lateral.SlowController) -> PredictiveController:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from railrepro.control.predictive import PredictiveController
+from railrepro.control.solvers.planner import planner
 from railrepro.model.control_model import DPSI_DP, PSI_AX, PSI_TR, PSIDOT_AX, XDOT, X
 from railrepro.schema import require
 
@@ -25,6 +26,7 @@ class LTVMPC(PredictiveController):
         super().__post_init__()
         require("LTVMPC: printed", self.printed, bool)
         self.horizon.affine = 0.0 if self.printed else 1.0
+        self._samples = planner(self.horizon, self.vehicle.drive.torque_limit, linear=True)
 
     def expected_state(self) -> np.ndarray:
         """See `PredictiveController.expected_state`."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from railrepro.control.predictive import PredictiveController, Solve
 from railrepro.control.solvers import ipopt
+from railrepro.control.solvers.planner import planner
 from railrepro.errors import InputError
 from railrepro.model.control_model import Y
 
@@ -36,6 +37,8 @@ class NMPC(PredictiveController):
             raise InputError(f"NMPC solver {self.solver!r} is not known; there are {SOLVERS}")
         super().__post_init__()
         self._started = False
+        if self.solver == "rti":
+            self._samples = planner(self.horizon, self.vehicle.drive.torque_limit, linear=False)
 
     def solve(self, du: np.ndarray) -> tuple[np.ndarray, int]:
         """See `PredictiveController.solve`."""
@@ -47,7 +50,7 @@ class NMPC(PredictiveController):
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """See `PredictiveController.plan`; real-time iteration does all but the last quadratic problem beforehand."""
-        if self.solver != "rti" or self.recorded is not None:
+        if self.solver != "rti" or self.recorded is not None or self._samples is not None:
             return super().plan(x_hat, u_d)
         begin = time.thread_time()
         x_hat, u_d = self.observed(x_hat), self.known_base_torque(u_d)

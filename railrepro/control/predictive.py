@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from railrepro.control.problem import MPCSettings, Problem
+from railrepro.control.solvers.planner import Planner
 from railrepro.control.solvers.riccati import horizon
 from railrepro.model import forecast
 from railrepro.model.control_model import PSI_TRAX, XDOT, Y, control_model, kept_as_printed
@@ -17,8 +19,7 @@ from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
 
-@dataclass(frozen=True)
-class Solve:
+class Solve(NamedTuple):
     """Record of one sample.
 
     Attributes
@@ -68,6 +69,7 @@ class PredictiveController:
         self.horizon = horizon(s, nominal, self.parameters, self.route)
         self.plan_du = np.zeros(s.steps)
         self.offset = 0.0
+        self._samples: Planner | None = None
         self._expected_y: float | None = None
 
     @property
@@ -98,6 +100,8 @@ class PredictiveController:
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now; a failing solver falls back on the shifted previous plan, counted."""
+        if self._samples is not None and self.recorded is None:
+            return self._plan_compiled(self._samples, x_hat, u_d)
         begin = time.thread_time()
         self.look_ahead(self.observed(x_hat), self.known_base_torque(u_d))
         if self.recorded is not None:
@@ -114,6 +118,16 @@ class PredictiveController:
         self._expected_y = None if fallback else float(self.expected_state()[Y])
         self.stats.append(Solve(time.thread_time() - begin, iterations, fallback))
         return float(self.plan_du[0])
+
+    def _plan_compiled(self, samples: Planner, x_hat: np.ndarray, u_d: float) -> float:
+        """`plan` in compiled code; what of the next sample can be done is done when the torque is out."""
+        begin = time.thread_time()
+        torque, fallback = samples.plan(x_hat, u_d)
+        ready = time.thread_time()
+        samples.prepare()
+        self.stats.append(Solve(ready - begin, 1, fallback, time.thread_time() - ready))
+        self.plan_du, self.offset = samples.torques.copy(), samples.offset
+        return torque
 
     def observed(self, x_hat: np.ndarray) -> np.ndarray:
         """Measured state with the yaw angle corrected by the observed offset, see `MPCSettings.observer`."""

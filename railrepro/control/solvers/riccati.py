@@ -28,7 +28,7 @@ from railrepro.model.control_model import STATES, THETA
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 
 _N = len(STATES)
-_UNSETTLED, _DIVERGED = 2, 3
+UNSETTLED, _DIVERGED = 2, 3
 MOST_SETS = 8
 """Active sets tried per quadratic problem before the interior point method takes over."""
 _OF_BOUNDS = ("inner", "room", "force", "room_step", "force_step", "target")
@@ -74,12 +74,13 @@ def _lanes(variant: str, discretisation: str) -> str:
 def c_text(variant: str, discretisation: str) -> str:
     """Hand-written C around the generated functions, to stand after `codegen.source_text` and call.h."""
     model = dynamics(variant, discretisation)
-    extra = (
-        codegen.lanes_header() + _enum(f"STATE_{name}" for name in STATES) + _enum(f"TUNING_{name}" for name in TUNING)
-    )
+    names = {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}
+    extra = codegen.lanes_header()
+    extra += "".join(_enum(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
     extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
     extra += _lanes(variant, discretisation)
-    return extra + "".join(Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c"))
+    written = "riccati.c", "interior.c", "planner.c"
+    return extra + "".join(Path(__file__).with_name(name).read_text() for name in written)
 
 
 @lru_cache
@@ -215,7 +216,7 @@ class Horizon(PlainHorizon):
             *(getattr(self, name).ctypes.data for name in _FIELDS),
         )  # fmt: skip
         self._pointer = ctypes.byref(self.c)
-        self._library, self._iterations = library, ctypes.c_longlong()
+        self.library, self._iterations = library, ctypes.c_longlong()
         self._count = ctypes.byref(self._iterations)
 
     def sample(self, x_hat: np.ndarray, u_d: float, bound: float) -> None:
@@ -244,29 +245,29 @@ class Horizon(PlainHorizon):
 
     def forecast(self) -> None:
         """See `PlainHorizon.forecast`."""
-        self._check(self._library.horizon_forecast(self._pointer))
+        self._check(self.library.horizon_forecast(self._pointer))
 
     def linearise(self) -> None:
         """See `PlainHorizon.linearise`."""
-        self._library.horizon_linearise(self._pointer)
+        self.library.horizon_linearise(self._pointer)
 
     def solve(self) -> None:
         """See `PlainHorizon.solve`."""
-        code = self._library.horizon_solve(self._pointer)
-        if code == _UNSETTLED:
+        code = self.library.horizon_solve(self._pointer)
+        if code == UNSETTLED:
             self.dx[:], self.du[:] = condensed.solve(self)
         else:
             self._check(code)
 
     def apply(self) -> None:
         """See `PlainHorizon.apply`."""
-        self._library.horizon_apply(self._pointer)
+        self.library.horizon_apply(self._pointer)
 
     def iterate(self, most: int, tolerance: float) -> int:
         """See `PlainHorizon.iterate`."""
         arguments = ctypes.c_longlong(most), ctypes.c_double(tolerance)
-        code = self._library.horizon_iterate(self._pointer, *arguments, self._count)
-        if code == _UNSETTLED:
+        code = self.library.horizon_iterate(self._pointer, *arguments, self._count)
+        if code == UNSETTLED:
             return super().iterate(most, tolerance)
         self._check(code)
         return self._iterations.value
