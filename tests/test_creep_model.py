@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from railrepro.car.component import SteppedCar
+from railrepro.contact.table import contact_table
+from railrepro.control.creep_mpc import CreepMPC
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.model import control_model as rolling
 from railrepro.model import creep_model
-from railrepro.model.creep_model import KNOWN, STATES, Creep, creep_at, lateral_model
+from railrepro.model.creep_model import KNOWN, SHIFTS, STATES, Creep, creep_at, lateral_model, shifts
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.table import load_track
@@ -103,6 +105,76 @@ def test_steady_creep_in_an_arc_is_that_of_the_car_and_of_the_hand_formula():
     assert psi > 3e-4
 
 
+class Aside:
+    """Our controller, which takes a gear at a distance (m) from the middle of the track for one in the middle."""
+
+    def __init__(self, distance, *on):
+        self._law, self._distance = CreepMPC()(*on), distance
+        self.period, self.stats, self.notice = self._law.period, self._law.stats, self._law.notice
+
+    def plan(self, x_hat, u_d):
+        seen = x_hat.copy()
+        seen[rolling.Y] -= self._distance
+        return self._law.plan(seen, u_d)
+
+
+@pytest.mark.parametrize(("distance", "missed"), [(2e-3, 0.1), (3e-3, 0.25), (-3e-3, 0.25)])
+def test_a_gear_that_is_held_aside_of_the_track_yaws_as_the_car_does(distance, missed):
+    """The creep angle that carries the weight on inclined contacts; secants alone miss it by a tenth to a third."""
+    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, end_m=600.0)
+    last = simulate.run(scenario, lambda *on: Aside(distance, *on), vehicle=S1002).series.tail(300).mean()
+    assert last["front.y"] == pytest.approx(distance, rel=1e-3)
+    model = lateral_model(S1002, last["front.v"], creep_at(S1002, "dry", last["front.v"]))
+    place, errors = STATES.index("y"), []
+    for bend in (shifts(S1002)(np.array(distance)), np.zeros(3)):
+        known = np.zeros(len(KNOWN))
+        known[SHIFTS] = bend
+        beside = -model.e @ known - distance * model.a[:, place]
+        steady = np.linalg.solve(np.column_stack([np.delete(model.a, place, 1), model.b]), beside)
+        errors.append(abs(steady[STATES.index("psi") - 1] / last["front.psi_TrAx"] - 1))
+    assert errors[0] < 0.01 and errors[1] > missed
+
+
+def test_shifts_are_what_the_contact_table_has_beyond_the_secants():
+    form, frame = creep_model.shape(S1002), contact_table("s1002", S1002).frame
+    columns = np.tan(frame["angle_rad"]), frame["rolling_radius_m"], -frame["rail_contact_m"]
+    found = shifts(S1002)(np.array([-3e-3, -1e-3, 0.0, 1e-3, 3e-3]))
+    for row, column, rate in zip(found, columns, (form.slope_rate, form.conicity, form.arm), strict=True):
+        low, high = np.interp([-3e-3, 3e-3], frame["shift_m"], column)
+        assert row[-1] == pytest.approx((high - low) / 2 / rate - 3e-3, rel=1e-3) == -row[0]
+        assert np.abs(row[1:4]).max() < 1e-9  # the secants are those of a millimetre
+    beyond = shifts(S1002)(np.array([4.5e-3, 6e-3]))
+    np.testing.assert_allclose(beyond[:, 1], beyond[:, 0], atol=1e-6)
+    assert not shifts(V)(np.array([-3e-3, 2e-3]))[[0, 2]].any() and abs(shifts(V)(np.array(3e-3))).max() < 1e-9
+
+
+def test_each_shift_turns_the_gear_by_its_own_moment():
+    speed, weight = 60.0, (S1002.body.mass / 2 + S1002.gear.mass) * S1002.gravity
+    rolling, pulling = (creep_at(S1002, "dry", speed, slip) for slip in (0.0, 1e-3))
+    form, wheel, inertia = creep_model.shape(S1002), S1002.wheel, S1002.gear.inertia_z
+    angle, radius, contact = (KNOWN.index(name) for name in KNOWN[SHIFTS])
+    model, row = lateral_model(S1002, speed, rolling), STATES.index("r")
+    assert inertia * model.e[row, angle] == pytest.approx(rolling.spin.moment[0], rel=0.05)
+    rolled = -S1002.gear.contact_base * rolling.along * form.conicity / wheel.radius
+    assert inertia * model.e[row, radius] == pytest.approx(rolled, rel=1e-9)
+    pulled = inertia * lateral_model(S1002, speed, pulling).e[row, contact]
+    assert pulled == pytest.approx(pulling.adhesion * weight * form.arm, rel=1e-9)
+    assert pulling.adhesion > 0.1 and model.e[row, contact] == 0.0
+
+
+def test_where_one_wheel_slides_half_of_the_torque_reaches_the_rails():
+    """The other wheel has twice the mean stiffness; the torque of its motor goes to the rail, that of the sliding one
+    to its speed."""
+    speed, stiff, whole = 30.0, 4e6, creep_at(S1002, "dry", 30.0)
+    model = lateral_model(S1002, speed, Creep(stiff, whole.across, share=0.5))
+    wheel, place = S1002.wheel, STATES.index
+    # of the wheel that holds: J E' = r (tau - r F), F = 2 k_11 E/v, and half the difference of the forces is F/2
+    faster = -(wheel.radius**2) / wheel.spin_inertia * 2 * stiff / speed
+    assert model.a[place("E"), place("E")] == pytest.approx(faster, rel=1e-12)
+    steady = model.a[place("E"), place("tau")] / -faster  # its speed per N m
+    assert stiff / speed * steady == pytest.approx(0.5 / wheel.radius, rel=1e-12)
+
+
 def response(a, b, row, frequency):
     return np.linalg.solve(1j * frequency * np.eye(len(a)) - a, b)[row]
 
@@ -168,6 +240,7 @@ def test_discrete_model_is_exact_for_held_inputs():
     [
         (lambda: Creep(1e7, 0.0), "Creep: across is 0.0, a number above 0"),
         (lambda: Creep(True, 1e7), "Creep: along is True"),
+        (lambda: Creep(1e7, 1e7, share=0.4), "Creep: share = 0.4, a number from 0.5"),
         (lambda: Creep(1e7, 1e7, np.nan), "Creep: adhesion = nan"),
         (lambda: lateral_model(V, 0.0, Creep(1e7, 1e7)), "lateral model: speed = 0.0, a number from 0.5"),
         (lambda: creep_at(V, "dry", 20.0, "much"), "creep: slip is 'much'"),

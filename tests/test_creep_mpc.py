@@ -9,6 +9,7 @@ import pytest
 from test_symmetry import drive_with, mirrored, turned
 
 from railrepro.contact.table import contact_table
+from railrepro.control import creep_gains, creep_mpc
 from railrepro.control.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains
 from railrepro.control.creep_mpc import CreepGuide, CreepMPC
 from railrepro.control.tuned import tuned
@@ -37,7 +38,7 @@ def test_first_move_is_that_of_the_whole_optimisation(delay, sent):
     found, fine = gains(V, 30.0, DRY, settings, delay), lateral_model(V, 30.0, DRY).discrete(1e-3)
     scale = [1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 50.0, 1e-2, 1e-2, 1e-3, 1e-3, 500.0, 300.0]
     start, before = generator.normal(0, scale), generator.normal(0, 50.0, sent)
-    ahead = generator.normal(0, [0.3, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3, 1e-3, 1e-3], (settings.steps + 1, 8))
+    ahead = generator.normal(0, [0.3, *4 * [1e-2], *6 * [1e-3]], (settings.steps + 1, len(KNOWN) + 1))
     move = found.change @ np.concatenate([start, [7.0], before, ahead.T.ravel()])
 
     n, late = len(STATES), round(delay / 1e-3)
@@ -410,6 +411,55 @@ def test_the_rear_gear_knows_the_rails_that_the_front_gear_found():
     assert gain[1] < 0.9
     ideal = errors(True, None) / errors(False, None)
     np.testing.assert_array_equal(ideal, 1.0)  # noise is not taken for rails
+
+
+def test_the_bend_of_the_profile_is_known_ahead_and_where_the_gear_is(monkeypatch):
+    """Half of it is worth less than all; of a profile that bends the other way it expects the wrong."""
+    scenario = load_scenario("sine_tracking").but(end_m=250.0)
+    bent = creep_mpc.shifts
+
+    def error(ahead, here):
+        def found(vehicle):
+            def at(y):
+                return (here if np.ndim(y) == 0 else ahead) * bent(vehicle)(y)
+
+            return at
+
+        monkeypatch.setattr(creep_mpc, "shifts", found)
+        return metrics.rmse(simulate.run(scenario, tuned("creep_mpc")).series)
+
+    both, neither, one, other, against = (error(*uses) for uses in ((1, 1), (0, 0), (1, 0), (0, 1), (-1, -1)))
+    assert both < 0.5 * neither and both < 0.3 * min(one, other) and against > 1.5 * neither
+    knowing = tuned("creep_mpc")
+    off = replace(knowing, settings=replace(knowing.settings, uses_bend=False))
+    monkeypatch.setattr(creep_mpc, "shifts", bent)
+    assert metrics.rmse(simulate.run(scenario, off).series) == neither
+
+
+def test_the_bend_counts_from_the_rails():
+    places = []
+    for offset in (0.0, 1e-3):
+        guide = CreepMPC()(V, T3.route(), 1)
+        guide.plan(measured(50.0, 1e-4), 0.0)
+        guide._ahead[-2] = offset
+        bent = guide._shifts
+        guide._shifts = lambda y, bent=bent: places.append(float(y)) or bent(y)
+        guide.plan(measured(50.0, 1e-4), 0.0)
+    assert places[0] - places[1] == pytest.approx(1e-3, rel=1e-12)
+
+
+def test_where_one_wheel_slides_the_other_carries_the_torque(monkeypatch):
+    shares, schedule = [], Schedule(V, CreepSettings(), DRY)
+
+    def spy(vehicle, speed, creep, *rest):
+        shares.append(creep.share)
+        return gains(vehicle, speed, creep, *rest)
+
+    monkeypatch.setattr(creep_gains, "gains", spy)
+    for adhesion, slip in (((0.09, 0.13), (0.017, 8e-4)), ((0.1, 0.1), (0.03, 8e-3)), ((0.1, 0.1), (8e-4, 8e-4))):
+        schedule.around(100.0, np.array(adhesion), np.array(slip))
+    one, both, rolling = shares[0], shares[2], shares[4]
+    assert one < 0.65 and both == rolling == 1.0
 
 
 def test_factory_is_picklable():

@@ -46,6 +46,11 @@ _SOFTNESS_STEP, _ADHESION_STEP = 0.15, 0.01
 _KNEE, _LEAST_SLOPE = 3e-3, 0.03
 """Slip at which the slope of the longitudinal creep force is half its secant, and least ratio of both (-): rounded from
 Polach's law, for which this slip is 0.0015 to 0.006 on dry to very poor rails at 40 to 400 km/h."""
+_SHARE_STEP = 0.0625
+"""Step to which the share of a torque that arrives is rounded (-)."""
+_STIFF = 0.2, 0.3
+"""Secant stiffness of a wheel over that of one that rolls: up to the first both wheels slide, from the second on this
+one holds the gear (-)."""
 _UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0, 1e-2, 1e-2, 1e-3, 1e-2)
 """Usual sizes of the states (SI)."""
 _SLIGHT = 1e-12
@@ -76,9 +81,10 @@ class CreepSettings:
         Standard deviations of what is read (m, rad, rad/s).
     r_drift : float
         Random walk of the bias of the yaw rate that is read, standard deviation after one second (rad/s).
-    uses_adhesion, uses_slip, uses_rails : bool
-        Whether the gains depend on the measured adhesion and on the measured slip, and whether the rear gear has
-        the offset of the rails that the front gear measures with sensors. False shows what each is worth.
+    uses_adhesion, uses_slip, uses_rails, uses_bend : bool
+        Whether the gains depend on the measured adhesion and on the measured slip, whether the rear gear has
+        the offset of the rails that the front gear measures with sensors, and whether the model knows how the profile
+        bends, see `creep_model.shifts`. False shows what each is worth.
 
     Raises
     ------
@@ -103,6 +109,7 @@ class CreepSettings:
     uses_adhesion: bool = True
     uses_slip: bool = True
     uses_rails: bool = True
+    uses_bend: bool = True
 
     def __post_init__(self) -> None:
         ranges = {"period": between(1e-3, 0.1, "s"), "preview": between(0.0, 5.0, "s")}
@@ -114,7 +121,7 @@ class CreepSettings:
         ranges |= {name: between(1e-9, 10.0, "rad/s") for name in ("r_noise", "r_drift")}
         for name, allowed in ranges.items():
             require(f"CreepSettings: {name}", getattr(self, name), allowed)
-        for name in ("uses_adhesion", "uses_slip", "uses_rails"):
+        for name in ("uses_adhesion", "uses_slip", "uses_rails", "uses_bend"):
             require(f"CreepSettings: {name}", getattr(self, name), bool)
 
     @property
@@ -129,12 +136,12 @@ class Gains:
 
     Attributes
     ----------
-    step : ndarray, shape (10, 10 + 2 + 2 + 5)
+    step : ndarray, shape (10, 10 + 2 + 2 + 10)
         States after a period (exact) from states, disturbances, the differential torque that acts last, the one before
         it, and known inputs.
     read : ndarray, shape (13, 3)
         Kalman gain from readings (y, psi, r) to states, disturbances and the bias of r.
-    change : ndarray, shape (10 + 2 + 1 + sent + 6 * (steps + 1),)
+    change : ndarray, shape (10 + 2 + 1 + sent + 11 * (steps + 1),)
         Factors of a change of torque (N m): of states, disturbances, bias and the torques that were sent, the last one
         first; of each known input during each previewed step; of the set point after each of them. Those of the last
         step stand for all that follow.
@@ -210,7 +217,7 @@ class Schedule:
         speed : float
         adhesion, slip : float or ndarray
             Used adhesion and slip of all wheels or each, traction positive (-). Wheels that slip in opposite directions
-            are as soft as if both did in one.
+            are as soft as if both did in one. Where one slides alone, the other carries what both share.
         alert : int
             Alertness, 0 to `ALERT`; wheels that slip keep the filter awake.
         """
@@ -222,21 +229,25 @@ class Schedule:
         against = [copysign(max(abs(one - middle) - _APART, 0.0), one - middle) for one in slips]
         unsure = _TOLERANCE + _SPEED_NOISE / max(speed, SPEEDS[0])
         beyond = [max(abs(middle + b) - a - unsure, 0.0) for a, b in zip(linear, against, strict=True)]
-        softness = sum(a / (a + b) for a, b in zip(linear, beyond, strict=True)) / len(linear)
+        soft = [a / (a + b) for a, b in zip(linear, beyond, strict=True)]
+        softness, stiff = sum(soft) / len(soft), max(soft)
+        arrives = 1 - np.interp(stiff, _STIFF, (0.0, 1.0)) * (1 - softness / stiff)
         level = round(log(softness) / _SOFTNESS_STEP)
+        share = round(arrives / _SHARE_STEP)
         used = round(sum(wheels) / len(wheels) / _ADHESION_STEP)
         each = round(sum(map(abs, wheels)) / len(wheels) / _ADHESION_STEP)
-        key = level, used, each, alert if level == 0 else ALERT
+        key = level, share, used, each, alert if level == 0 else ALERT
         return self._node(node, *key), self._node(node + 1, *key), place - node
 
-    def _node(self, node: int, level: int, used: int, each: int, alert: int) -> Gains:
-        key = node, level, used, each, alert
+    def _node(self, node: int, level: int, share: int, used: int, each: int, alert: int) -> Gains:
+        key = node, level, share, used, each, alert
         if key not in self._nodes:
             softness, adhesion = float(np.exp(_SOFTNESS_STEP * level)), _ADHESION_STEP * used
             across = softness * self._creep.across
             slip = self._vehicle.wheel_load * _ADHESION_STEP * each / across
             along = softness * self._creep.along * max(1 / (1 + (slip / _KNEE) ** 2), _LEAST_SLOPE)
-            creep = Creep(along, across, adhesion, self._creep.spin.times(softness))
+            arrives = max(_SHARE_STEP * share, 0.5)
+            creep = Creep(along, across, adhesion, self._creep.spin.times(softness), arrives)
             settings = self._settings_at(float(SPEEDS[node]), softness, 1 - alert / ALERT)
             self._nodes[key] = gains(self._vehicle, float(SPEEDS[node]), creep, settings, self._delay)
         return self._nodes[key]

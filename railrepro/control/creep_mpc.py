@@ -27,7 +27,7 @@ from railrepro.control.lateral import SlowController
 from railrepro.control.predictive import Solve
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
-from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at
+from railrepro.model.creep_model import KNOWN, LEAST_SPEED, SHIFTS, STATES, UNKNOWN, Creep, creep_at, shifts
 from railrepro.model.forecast import nominal_values
 from railrepro.schema import require
 from railrepro.track.route import CELL, INDEX, Route
@@ -119,7 +119,8 @@ class CreepGuide:
         self.state = np.zeros(len(STATES) + len(UNKNOWN) + 1)
         self._vehicle, self._settings, self._creep, self._started = vehicle, settings, creep, False
         self._acceleration, partner, _ = nominal_values(vehicle, gear)
-        self._ahead, self._start = _table(route, partner), route.start
+        self._shifts = shifts(vehicle) if settings.uses_bend else lambda y: np.zeros((len(KNOWN[SHIFTS]), *y.shape))
+        self._ahead, self._start = _table(route, partner, self._shifts), route.start
         self._times = self.period * np.append(0.0, np.arange(settings.steps + 1) + 0.5)
         self._load, self._offset, self._learnt, self._demanded = vehicle.wheel_load, np.zeros(2), 0, 0.0
         self._profile = _apparent_slip(vehicle)
@@ -213,13 +214,15 @@ class CreepGuide:
             state += (low.read + share * (high.read - low.read)) @ surprise
             self._notice_colour(float(surprise[0]))
             state[len(STATES) : free] = np.minimum(np.maximum(state[len(STATES) : free], -self._bounds), self._bounds)
+        here = ahead[: len(KNOWN), 0].copy()
+        here[SHIFTS] = self._shifts(state[0] - here[_RAIL_OFFSET])  # where the gear is, not where it should be
         known = np.concatenate([state, self.sent, ahead.ravel()])
         below, above = low.change @ known, high.change @ known
         torque = min(max(self.sent[0] + below + share * (above - below), -limit), limit)
         torques = np.array([torque, *self.sent])
         acts = torques[[self._late.whole, min(self._late.whole + 1, len(torques) - 1)]]
         step = low.step + share * (high.step - low.step)
-        state[: len(STATES)] = step @ np.concatenate([state[:free], acts, ahead[: len(KNOWN), 0]])
+        state[: len(STATES)] = step @ np.concatenate([state[:free], acts, here])
         self.sent = torques[: len(self.sent)]
 
     def _notice_colour(self, surprise: float) -> None:
@@ -254,7 +257,7 @@ class CreepGuide:
             rails[1, place] = direction
 
     def _track_ahead(self, speed: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:
-        """Curvature (1/m), offset (m) and direction (-) of the rails here; and ahead, shape (8, steps + 1), the known
+        """Curvature (1/m), offset (m) and direction (-) of the rails here; and ahead, shape (11, steps + 1), the known
         inputs in the middle of each step and the set point at its end."""
         t = self._times
         driven = np.minimum(t, speed / -acceleration) if acceleration < 0 else t
@@ -263,12 +266,12 @@ class CreepGuide:
         index = place.astype(int)
         columns = self._ahead.take(index, axis=1)
         columns += (place - index) * (self._ahead.take(index + 1, axis=1) - columns)
-        kappa, dkappa, phi, dphi, heading, apart, y_ref, slope, rail, turned = columns[:, 1:]
+        kappa, dkappa, phi, dphi, heading, apart, y_ref, slope, *bent, rail, turned = columns[:, 1:]
         v = speed + acceleration * driven[1:]
         side = self._vehicle.gravity * phi - v**2 * kappa
         set_point = y_ref + rail + self.period / 2 * v * (slope + turned)
-        track_ahead = np.array([side, v**2 * dkappa, v * dphi, heading, v * apart, rail, v * turned, set_point])
-        return columns[[0, 8, 9], 0], track_ahead
+        known = side, v**2 * dkappa, v * dphi, heading, v * apart, rail, v * turned, *bent
+        return columns[[0, -2, -1], 0], np.array([*known, set_point])
 
 
 class _RailOffset:
@@ -301,6 +304,7 @@ class _RailOffset:
 
 
 _READ = [STATES.index(name) for name in READ]
+_RAIL_OFFSET = KNOWN.index("rail_offset")
 
 
 def _apparent_slip(vehicle: Vehicle) -> Callable[[np.ndarray], np.ndarray]:
@@ -310,15 +314,16 @@ def _apparent_slip(vehicle: Vehicle) -> Callable[[np.ndarray], np.ndarray]:
     return lambda at: np.interp(at, shift, change)
 
 
-def _table(route: Route, partner: float) -> np.ndarray:
-    """The track along the route every `_GRID`, shape (10, n).
+def _table(route: Route, partner: float, bent: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """The track along the route every `_GRID`, shape (13, n).
 
     Curvature and its slope (1/m, 1/m2), cant angle and its slope (rad, rad/m), heading and curvature at the gear less
-    those at the car body (rad, 1/m), set point and its slope (m, -), offset of the rails and its slope (m, -), which
-    are 0 at first.
+    those at the car body (rad, 1/m), set point and its slope (m, -), `shifts` of the profile there (m),
+    offset of the rails and its slope (m, -), which are 0 at first.
     """
     p = np.arange(route.start, route.start + CELL * len(route.cells), _GRID)
     (psi, kappa, phi, dphi, *_), there = route.track_at(p), route.track_at(p + partner)
     dkappa = route.rows_at(p)[:, INDEX["dkappa"]]
     apart = (psi - there[0]) / 2, (kappa - there[1]) / 2
-    return np.ascontiguousarray([kappa, dkappa, phi, dphi, *apart, *route.reference_at(p), 0 * p, 0 * p])
+    y_ref, slope = route.reference_at(p)
+    return np.ascontiguousarray([kappa, dkappa, phi, dphi, *apart, y_ref, slope, *bent(y_ref), 0 * p, 0 * p])
