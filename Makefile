@@ -76,6 +76,7 @@ endif
 
 # Where there is no C compiler one comes as a Python package, with a pin of its own.
 COMPILER_LOCK := railrepro/compile/compiler.lock
+PACKAGED_CC = .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(COMPILER_LOCK) && cp railrepro/compile/packaged-cc .venv/bin/cc
 
 .PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article answers verify variants bench study html script cite dist lock strip clean distclean FORCE
 
@@ -140,7 +141,7 @@ answers: $(VENV)  ## verdicts that flip with the answers in data/answers.toml; S
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro chain verify
 
-variants: $(VENV)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
+variants: $(VENV) $(if $(filter packaged,$(VARIANTS)),.venv/bin/cc)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
 	$(PY) -m railrepro chain variants $(VARIANTS)
 
 bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` also a second opinion on the car
@@ -197,6 +198,8 @@ $(BOOK): $(VENV)
 	# the packages of the book would be installed
 $(EXTRAS): $(VENV)
 	# the packages of the extras would be installed
+.venv/bin/cc: $(VENV)
+	# a compiler would be installed
 else
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
@@ -210,9 +213,12 @@ $(VENV): environment.lock pyproject.toml
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
 	@rm -f .venv/bin/cc
 	@command -v "$${CC:-cc}" >/dev/null || command -v gcc >/dev/null || { echo "there is no C compiler (CC, cc, gcc): installing one into .venv, 100 MB"; \
-	  .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(COMPILER_LOCK) && cp railrepro/compile/packaged-cc .venv/bin/cc; } \
+	  $(PACKAGED_CC); } \
 	  || echo "it cannot be had; everything is interpreted, some twenty times slower"
 	@touch $@
+
+.venv/bin/cc: | $(VENV)
+	@$(PACKAGED_CC)
 
 $(BOOK): $(BOOK_LOCK) | $(VENV)
 	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(BOOK_LOCK)
