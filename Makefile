@@ -217,7 +217,7 @@ $(VENV): environment.lock pyproject.toml
 	  || echo "it cannot be had; everything is interpreted, some twenty times slower"
 	@touch $@
 
-.venv/bin/cc: | $(VENV)
+.venv/bin/cc: $(COMPILER_LOCK) railrepro/compile/packaged-cc | $(VENV)
 	@$(PACKAGED_CC)
 
 $(BOOK): $(BOOK_LOCK) | $(VENV)

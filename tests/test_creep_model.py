@@ -83,6 +83,14 @@ def test_used_adhesion_makes_the_gear_unstable_as_in_the_car(slip):
     assert model_poles(speed, Creep(creep.along, creep.across, 0.0, creep.spin)).real.max() < 0
 
 
+def steady_yaw(model, known, y):
+    """Yaw angle (rad) of a gear that is held at a displacement (m); the torque that it takes is unknown instead."""
+    place = STATES.index("y")
+    forced = -model.e @ known - y * model.a[:, place]
+    steady = np.linalg.solve(np.column_stack([np.delete(model.a, place, 1), model.b]), forced)
+    return steady[STATES.index("psi") - 1]
+
+
 def test_steady_creep_in_an_arc_is_that_of_the_car_and_of_the_hand_formula():
     scenario = load_scenario("curve_entry_T3").but(set_point={"kind": "none"})
     run = simulate.run(scenario, NDI(integral=0.05), vehicle=V)
@@ -94,9 +102,7 @@ def test_steady_creep_in_an_arc_is_that_of_the_car_and_of_the_hand_formula():
     model = lateral_model(V, speed, creep)
     known = np.zeros(len(KNOWN))
     known[KNOWN.index("side")] = V.gravity * phi - speed**2 * kappa
-    place = STATES.index("y")  # y = 0, and the torque that it takes is unknown instead
-    steady = np.linalg.solve(np.column_stack([np.delete(model.a, place, 1), model.b]), -model.e @ known)
-    psi = steady[STATES.index("psi") - 1]
+    psi = steady_yaw(model, known, 0.0)
     shifted = (last["front_le.N"] - last["front_ri.N"]) / 2
     cone, spin = 2 * np.tan(V.wheel.cone_angle) * shifted, creep.spin.force[2] * shifted
     assert psi == pytest.approx((side - cone - spin) / (2 * creep.across), rel=0.01)
@@ -125,13 +131,11 @@ def test_a_gear_that_is_held_aside_of_the_track_yaws_as_the_car_does(distance, m
     last = simulate.run(scenario, lambda *on: Aside(distance, *on), vehicle=S1002).series.tail(300).mean()
     assert last["front.y"] == pytest.approx(distance, rel=1e-3)
     model = lateral_model(S1002, last["front.v"], creep_at(S1002, "dry", last["front.v"]))
-    place, errors = STATES.index("y"), []
+    errors = []
     for bend in (shifts(S1002)(np.array(distance)), np.zeros(3)):
         known = np.zeros(len(KNOWN))
         known[SHIFTS] = bend
-        beside = -model.e @ known - distance * model.a[:, place]
-        steady = np.linalg.solve(np.column_stack([np.delete(model.a, place, 1), model.b]), beside)
-        errors.append(abs(steady[STATES.index("psi") - 1] / last["front.psi_TrAx"] - 1))
+        errors.append(abs(steady_yaw(model, known, distance) / last["front.psi_TrAx"] - 1))
     assert errors[0] < 0.01 and errors[1] > missed
 
 
