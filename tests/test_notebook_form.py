@@ -37,9 +37,6 @@ def faults(content):
     tried = re.findall(r"^- ", last["source"].partition("## What to try")[2], re.MULTILINE)
     if last["cell_type"] != "markdown" or not 2 <= len(tried) <= 3:
         found.append("the last cell is not what to try, two or three changes")
-    code = "\n".join(cell["source"] for cell in content if cell["cell_type"] == "code")
-    if len(prose.split()) < len(code.split()):
-        found.append(f"{len(prose.split())} words of prose for {len(code.split())} of code")
     return found
 
 
@@ -79,7 +76,6 @@ def chapter(*sources, title=TITLE, end=END):
         (chapter(title=TITLE.replace("Run time", "x")), "the first cell has no line 'Run time'"),
         (chapter(end=END.replace("What differs", "x")), "there is no section 'What differs'"),
         (chapter(end=END.replace("- two", "")), "the last cell is not what to try, two or three changes"),
-        (chapter(*(f"{'a b ' * 20}" for _ in range(2))), "80 of code"),
     ],
 )
 def test_a_fault_of_the_form_is_told(content, fault):
