@@ -78,7 +78,7 @@ endif
 COMPILER_LOCK := railrepro/compile/compiler.lock
 PACKAGED_CC = .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(COMPILER_LOCK) && cp railrepro/compile/packaged-cc .venv/bin/cc
 
-.PHONY: help figures chain check test test-slow test-all test-extras faults lab film score leaderboard tune report article answers verify variants bench study html script cite dist lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all test-extras faults lab score leaderboard tune report article answers verify variants bench study html script cite dist lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -119,9 +119,6 @@ lab: $(VENV)  ## open the notebooks in JupyterLab; LAB="--no-browser --ip=0.0.0.
 
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another random seed
 	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
-
-film: $(VENV)  ## page and movie of runs side by side: FILM=scenario CONTROLLERS="nmpc ndi" SETTING=equal, in build/film
-	$(PY) -m railrepro film $(if $(FILM)$(CONTROLLERS),"$(or $(FILM),all)") $(CONTROLLERS) $(if $(SETTING),--setting $(SETTING))
 
 leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
 	$(PY) -m railrepro leaderboard

@@ -40,8 +40,6 @@ from railrepro.control.slip import SlipSettings
 from railrepro.estimation.sensors import readings
 from railrepro.evidence.chain import graph
 from railrepro.evidence.claims import answers, statements
-from railrepro.evidence.film import knobs, scene
-from railrepro.evidence.film.scene import film
 from railrepro.evidence.runs import experiment, preview, pso, ride, tuning
 from railrepro.evidence.score.entry import entry, load_class, made
 from railrepro.evidence.uncertainty import robustness

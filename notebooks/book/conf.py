@@ -29,7 +29,6 @@ nb_execution_mode = "off"
 nb_merge_streams = True
 nb_code_prompt_show = "Show the code"
 nb_code_prompt_hide = "Hide the code"
-nb_ipywidgets_js = {}
 nb_mime_priority_overrides = [("html", "text/latex", 5)]
 nb_render_markdown_format = "myst"
 myst_enable_extensions = ["amsmath", "dollarmath", "deflist"]

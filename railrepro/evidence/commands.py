@@ -86,11 +86,6 @@ def _tools(command: Callable) -> None:
     added.add_argument("--small", action="store_true", help="only the quick runs of the published draw, no margins")
     added = command("leaderboard", "score.leaderboard:main", "score registered controllers and examples/ (long)")
     added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
-    added = command("film", "film.command:main", "page and movie of two controllers side by side, in build/film")
-    added.add_argument("scenario", nargs="?", default="all", help="key of scenarios.toml; default the usual four")
-    added.add_argument("controllers", nargs="*", help="two registered names or files; default nmpc ndi")
-    added.add_argument("--setting", default="equal", help="paper, equal (default) or loop")
-    added.add_argument("--no-movie", action="store_false", dest="with_movie", help="only the page")
 
     command("cite", "chain.release:cite", "print how this version is cited, write build/metadata.yaml")
     command("codemeta", "chain.release:store_codemeta", "write codemeta.json from CITATION.cff and pyproject.toml")

@@ -29,7 +29,7 @@ BROWN = "#8C6D31"
 
 @dataclass(frozen=True)
 class Look:
-    """How a controller is drawn in every figure and film: by colour, by line style and by marker."""
+    """How a controller is drawn in every figure: by colour, by line style and by marker."""
 
     label: str
     color: str
