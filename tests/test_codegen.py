@@ -74,7 +74,6 @@ SOLVERS = ["control/solvers/riccati.c", "control/solvers/interior.c"]
         ["car/car.c"],
         ["simulation/loop.c"],
         ["compile/lanes.h", "compile/elementary.c", GENERATED, *SOLVERS],
-        ["compile/lanes.h", "compile/elementary.c", "car/car.c", "simulation/lanes.c"],
     ],
     ids=lambda parts: parts[-1],
 )

@@ -130,7 +130,6 @@ class CarStepper:
             "output": (common, [self.outputs]),
             "step": ([*common, self.period], [self.next_state, np.zeros_like(self.state)]),
         }
-        self._second = bindings["step"][1][1]
         self._library: Any = library(two_stage) if compiled else None
         form: Callable = codegen.InterpretedFunction
         if self._library is not None:
@@ -164,16 +163,6 @@ class CarStepper:
     def c_functions(self) -> tuple[ctypes.c_void_p, ...]:
         """Addresses of `car_measure` and `car_advance` for callers written in C."""
         return tuple(ctypes.cast(f, ctypes.c_void_p) for f in (self._library.car_measure, self._library.car_advance))
-
-    def buffers(self) -> dict[str, np.ndarray]:
-        """All numbers of the functions by name, each once."""
-        names = ("state", "next_state", "torque", "period", "rows", "contacts", "parameters", "outputs")
-        return {name: getattr(self, name) for name in names} | {"places": self._places, "second": self._second}
-
-    def cells_and_shares(self) -> tuple[list, list]:
-        """For each look-up the buffer of its cell, and the share of a second table or None."""
-        _, _, _, cells, _, shares = zip(*self._tables(), strict=True)
-        return list(cells), list(shares)
 
     def look_up(self) -> None:
         """Cells of track and contacts at the present state."""

@@ -33,7 +33,6 @@ __all__ = [
     "share_reciprocals",
     "source_text",
     "stored",
-    "wide_text",
 ]
 
 
@@ -131,16 +130,6 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
         slots[to[0]] = f"t{i}", wide
     body = "\n  ".join(lines)
     return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {body}\n}}\n"
-
-
-def wide_text(functions: Sequence[ca.Function]) -> str:
-    """C source of functions on several sets of arguments: `void NAME_wide(arguments, results)`, arrays of pointers."""
-    text = source_text(()) + lanes_header()
-    for function in functions:
-        pointers = [f"a[{i}]" for i in range(function.n_in())] + [f"r[{i}]" for i in range(function.n_out())]
-        text += lanes_text(function) + f"void {function.name()}_wide(const lanes_t *const *a, lanes_t *const *r) "
-        text += f"{{ {function.name()}_lanes({', '.join(pointers)}); }}\n"
-    return text
 
 
 _loaded: list[ctypes.CDLL] = []

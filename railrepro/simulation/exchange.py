@@ -131,32 +131,13 @@ class Exchange:
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
-            blocks.append(self.took(rows, self._advance(rows)))
+            done = self._advance(rows)
+            self.exchanges += done
+            self.ended = done < len(rows)
+            blocks.append(rows[: done + 1])
             if self.ended:
                 break
         return np.concatenate(blocks)
-
-    def took(self, rows: np.ndarray, done: int) -> np.ndarray:
-        """Note the exchanges that were done of those that `rows` has room for; the rows of their log."""
-        self.exchanges += done
-        self.ended = done < len(rows)
-        return rows[: done + 1]
-
-    @property
-    def two_stage(self) -> bool:
-        """Whether the car has frames."""
-        return self.state.size == len(equations.TWO_STAGE_STATES)
-
-    @property
-    def structure(self) -> tuple | None:
-        """What exchanges that can go side by side share; None without compiled code."""
-        return (self.two_stage, self.car.substeps, self.control.kind) if self.compiled else None
-
-    def buffers(self) -> dict[str, np.ndarray]:
-        """All numbers of the functions by name, each once."""
-        own = {"held": self.held, "gains": self._gains, "memory": self.memory, "next_memory": self._next_memory}
-        own |= {"record": self._record, "measured": self._measured, "margins": self._margins}
-        return own | self.car.buffers()
 
     @property
     def time(self) -> float:

@@ -24,7 +24,6 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
 from railrepro.schema import between, require
-from railrepro.simulation import lanes
 from railrepro.simulation.exchange import Exchange
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY
 from railrepro.simulation.scenarios import Scenario
@@ -124,21 +123,13 @@ def run(
     require("substeps", substeps, between(1, 10_000), whole=True)
     require("compiled", compiled, bool)
     route = checked_route(scenario, body, irregularities, line)
-    return lanes.drive(_run(scenario, guidance, route, vehicle, body, settings, substeps, compiled))
-
-
-def _run(
-    scenario: Scenario, guidance: lateral.Guidance, route: Route, vehicle: Vehicle, body: Vehicle,
-    settings: law.LawSettings, substeps: int, compiled: bool,
-) -> lanes.Steps:  # fmt: skip
-    """A checked run that asks for its exchanges, see `lanes.Steps`."""
     lateral_law, factory = lateral.split(guidance)
     exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
     longest = _longest(route, scenario, len(exchange.columns))
     latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()
     with one_thread():
         controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
-        log = yield from _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
+        log = _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
     ended, failed = _reason(exchange, series)
@@ -188,13 +179,13 @@ def _longest(route: Route, scenario: Scenario, columns: int) -> int:
     return min(int(max(10.0, 10 * seconds) / EXCHANGE_PERIOD), fit)
 
 
-def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> lanes.Steps:
+def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> np.ndarray:
     """Alternate lateral plans and exchanges until the run ends; returns rows of the log, shape (n, columns).
 
     With sensors a torque acts a `delay` (s) after the readings that it answers, those of the exchange before.
     """
     if not controllers:
-        return (yield exchange, longest)
+        return exchange.run(longest)
     for controller in controllers:
         lateral.check_controller(controller)
     periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
@@ -222,7 +213,7 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -
                     f"p = {states[gear, X]:.1f} m"
                 )
             exchange.held[gear] = plan
-        blocks.append((yield exchange, steps))
+        blocks.append(exchange.run(steps))
         if exchange.ended:
             break
     return np.concatenate(blocks)

@@ -44,7 +44,7 @@ from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.runs.experiment import sample_times as sample_times_of
 from railrepro.files import write
 from railrepro.model.control_model import Y
-from railrepro.simulation import lanes, scenarios, simulate
+from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.exchange import Exchange
 from railrepro.track.rough import rough_track
 from railrepro.track.route import CELL, Route
@@ -366,9 +366,6 @@ def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
     for name, seconds in parts.items():
         add(f"share of {name}", seconds / loop, "-")
     add("share of look-up and log", 1 - sum(parts.values()) / loop, "-")
-    alone, beside = _beside(base, vehicle)
-    add(f"loop of one of {lanes.LANES} cars side by side", 1e6 * beside, per_second)
-    add("throughput side by side, cars alone 1", alone / beside, "-")
     operations = equations.car().operations
     for name in ("contact", "suspension"):
         add(f"share of {name} in the operations of the car's rate", operations[name] / operations["all"], "-")
@@ -388,18 +385,6 @@ def _loop(scenario, vehicle: Vehicle, rough=None, exchanges: int = 1000) -> tupl
         exchange.run(exchanges)
         best = min(best, (time.perf_counter() - begin) / exchanges)
     return exchange, best
-
-
-def _beside(scenario, vehicle: Vehicle, exchanges: int = 1000) -> tuple[float, float]:
-    """Time of an exchange of a car (s), alone and among others side by side, best of five in turns."""
-    best = [np.inf, np.inf]
-    for _ in range(5):
-        first, *others = (_exchange(scenario, vehicle) for _ in range(1 + lanes.LANES))
-        for i, each in enumerate((first, lanes.SideBySide(others))):
-            begin = time.perf_counter()
-            each.run(exchanges)
-            best[i] = min(best[i], (time.perf_counter() - begin) / exchanges)
-    return best[0], best[1] / lanes.LANES
 
 
 def _exchange(scenario, vehicle: Vehicle, rough=None, compiled: bool = True) -> Exchange:

@@ -23,10 +23,9 @@ from tqdm import tqdm
 
 from railrepro.errors import InputError
 from railrepro.evidence.runs import store
-from railrepro.simulation import lanes
 
 BATCH = 32
-"""Most arguments of one task: the runs of a task go side by side, and a cluster needs some milliseconds for each."""
+"""Most arguments of one task on a cluster, which needs some milliseconds for each task."""
 PATIENCE = 15.0
 """Time without scheduler or worker after which a cluster is lost (s)."""
 _LOOK = 1.0
@@ -137,8 +136,7 @@ def ordered_map(
     quiet : bool
         No progress bar.
     stored : bool
-        The task simulates only through `store`: what is there is not sent to a worker, and the runs of several tasks
-        go side by side in one process, as alone to the bit (`lanes.together`).
+        The task simulates only through `store`: what is there is not sent to a worker.
 
     Returns
     -------
@@ -154,11 +152,11 @@ def ordered_map(
     known = _known(task, arguments) if stored else {}
     missing = [i for i in range(len(arguments)) if i not in known]
     local = isinstance(pool, ProcessPoolExecutor)
-    size = _batch(len(missing), _workers(pool), local, stored)
+    size = 1 if local else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
     batches = [missing[i : i + size] for i in range(0, len(missing), size)]
     work = _here if local else _elsewhere
     try:
-        futures = {pool.submit(work, task, [arguments[i] for i in batch], stored): batch for batch in batches}
+        futures = {pool.submit(work, task, [arguments[i] for i in batch]): batch for batch in batches}
         waiting, seen = set(futures), time.monotonic()
         with tqdm(total=len(arguments), initial=len(known), desc=title, disable=quiet, leave=False) as bar:
             while waiting:
@@ -193,14 +191,6 @@ def _ended(pool: Executor, error: Exception) -> NoReturn:
     raise InputError(_KILLED) from error
 
 
-def _batch(number: int, workers: int, local: bool, stored: bool) -> int:
-    """Arguments of one task: some tasks for each worker, and full lanes where there is enough for all."""
-    share, several = -(-number // workers), -(-number // (2 * workers)) or 1
-    if stored and share >= lanes.LANES:
-        return min(BATCH, max(several, min(share, 2 * lanes.LANES)))
-    return 1 if local else min(BATCH, several)
-
-
 def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
     """Results that need nothing but what is stored, by position."""
     known: dict[int, object] = {}
@@ -213,15 +203,15 @@ def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
     return known
 
 
-def _here(task: Callable, batch: list, beside: bool) -> tuple[list, dict[str, bytes]]:
+def _here(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
     """Results of a batch; a local process stores by itself."""
-    return (lanes.together(task, batch) if beside else [task(argument) for argument in batch]), {}
+    return [task(argument) for argument in batch], {}
 
 
-def _elsewhere(task: Callable, batch: list, beside: bool) -> tuple[list, dict[str, bytes]]:
+def _elsewhere(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
     """Results of a batch, and what the client is to store: the disk of another machine goes with it."""
     with store.collected() as new:
-        return _here(task, batch, beside)[0], new
+        return _here(task, batch)[0], new
 
 
 def _workers(pool: Executor) -> int:
