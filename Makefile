@@ -48,7 +48,7 @@ VENV := .venv/ready-$(LOCK_HASH)
 # Sphinx, Typst and what they need come on top, and only for book and article; they share the pins of environment.lock.
 BOOK_LOCK := notebooks/book/book.lock
 BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell cat $(BOOK_LOCK) 2>&1 | sha256sum | cut -c1-16)
-# So do the packages of the extras `bench` and `learn`, which only some tests and tables need.
+# So do the packages of the extra `bench`, which only some tests and tables need.
 EXTRAS_LOCK := tests/extras.lock
 # acados brings a CasADi of its own and so stands apart, in .venv/acados.
 ACADOS_LOCK := tests/acados.lock
@@ -108,8 +108,8 @@ test-all: $(VENV)  ## run the tests that take minutes, too
 	@$(MAKE) --no-print-directory test
 	@$(MAKE) --no-print-directory test-slow
 
-test-extras: $(EXTRAS)  ## install the extras `bench` and `learn` and run their tests: acados, Exudyn, do-mpc, Gymnasium
-	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_env.py tests/test_bench.py
+test-extras: $(EXTRAS)  ## install the extra `bench` and run its tests: acados, Exudyn, do-mpc, Gymnasium
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_gym_env.py tests/test_bench.py
 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files; SHORT=1 fewer
 	$(PY) tests/faults.py $(if $(SHORT),--short)
@@ -173,9 +173,9 @@ strip: $(VENV)  ## remove outputs from the notebooks, tag the cells that the boo
 lock:  ## renew environment.lock from pyproject.toml, and the locks that share its pins
 	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
 	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=$$d/venv/bin/uv; }; \
-	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --no-extra learn --format requirements-txt --no-emit-project --no-header \
+	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
 	    > $(CURDIR)/environment.lock; \
-	  $$uv export -q --extra bench --extra learn --format requirements-txt --no-emit-project --no-header --no-annotate \
+	  $$uv export -q --extra bench --format requirements-txt --no-emit-project --no-header --no-annotate \
 	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' $(CURDIR)/environment.lock) > $(CURDIR)/$(EXTRAS_LOCK); cd $(CURDIR); \
 	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
 	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); \

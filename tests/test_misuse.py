@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 import tomllib
-import types
 import warnings
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -294,48 +293,6 @@ def test_measured_irregularities_begin_at_a_chainage(tmp_path):
     assert found["lateral_m"].iloc[25] == pytest.approx(
         rows["lateral_m"].iloc[65] * irregularity.smooth_step(np.array(24 / 30)).item()
     )
-
-
-gymnasium_rows = {
-    "options": (lambda env: env.reset(options={"speed": 3}), "options are {'speed': 3}, there are none"),
-    **{
-        f"the seed {seed!r}": (lambda env, seed=seed: env.reset(seed=seed), "environment: seed ")
-        for seed in ("x", -1, 1.5, True, [1])
-    },
-    "states before the start": (lambda env: env.states, "reset() is needed before there are states"),
-    **{
-        f"the action {action!r}": (lambda env, action=action: stepped(env, action), "two numbers from -1 to 1")
-        for action in ("ab", {}, [1j, 0], [len, 0], [True, False], [[1], [2, 3]], [None, 0], [np.nan, 0], 3)
-    },
-}
-
-
-def stepped(env, action):
-    env._exchange, env.duration = types.SimpleNamespace(ended=False, time=0.0), 1.0
-    return env.step(action)
-
-
-@pytest.mark.parametrize("what", gymnasium_rows)
-def test_the_environment_answers_in_one_sentence(what):
-    pytest.importorskip("gymnasium")
-    from railrepro.evidence.env.guidance import GuidanceEnv
-
-    call, sentence = gymnasium_rows[what]
-    env = GuidanceEnv.__new__(GuidanceEnv)
-    env._exchange = None
-    with pytest.raises(InputError) as refused:
-        call(env)
-    assert sentence in str(refused.value), refused.value
-
-
-def test_a_torque_in_newton_metres_is_warned_of():
-    pytest.importorskip("gymnasium")
-    from railrepro.evidence.env.guidance import GuidanceEnv
-
-    env = GuidanceEnv(load_scenarios()["curve_entry_T3"].but(end_m=5.0))
-    env.reset(seed=1)
-    with pytest.warns(UserWarning, match="of the torque limit are usual: is it in N m"):
-        env.step([2000.0, 0.0])
 
 
 def printed(*arguments, **environment):

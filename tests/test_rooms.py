@@ -13,7 +13,7 @@ from railrepro.evidence.runs.sources import parsed
 
 CORE = ("tried", "parent_death", "paths", "clock", "threads", "reads", "errors", "schema", "files")
 CORE += ("compile", "vehicle", "track", "contact", "estimation", "model", "car", "control", "simulation")
-EVIDENCE = ("runs", "claims", "bench", "uncertainty", "report", "env", "score", "chain", "commands")
+EVIDENCE = ("runs", "claims", "bench", "uncertainty", "report", "score", "chain", "commands")
 LISTED = (*CORE, *(f"evidence.{room}" for room in EVIDENCE))
 ORDER = (*LISTED, "__main__")
 

@@ -3,7 +3,7 @@
 import sys
 from itertools import pairwise
 
-_RUN = ("env.learn", "score.guest")
+_RUN = ("score.guest",)
 """Modules that are run by name; all others are reached by `python -m railrepro COMMAND`."""
 
 

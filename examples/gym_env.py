@@ -1,0 +1,109 @@
+"""Guidance of both running gears as an environment of Gymnasium: every 5 ms the agent sets two differential torques.
+
+`pip install gymnasium`, copy this file, and change observation and reward to what you want to learn:
+
+    env = GuidanceEnv("curve_entry_T3", sensors=True)
+    observation, info = env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step([0.02, -0.01])
+
+Observation, `Box(21,)`, about one in size: ten numbers per gear (front, rear) and the speed over 100 m/s. The ten are
+the lateral error y* - y over 1 mm, the slope of the set point less the yaw angle against the track over 1 mrad, the yaw
+rate against the track over 10 mrad/s, the last torque over its limit, and at the three times `AHEAD` the set point less
+y over 1 mm and the unbalanced lateral acceleration over 1 m/s2.
+Action, `Box(2,)` in [-1, 1]: torque of the front and the rear gear over the torque limit; positive steers to the right.
+Reward of a step: -T min(WORST, mean over the gears of (error / 1 mm)^2 + EFFORT (torque / 1 kN m)^2) with T = 5 ms. A
+step that derails costs WORST for all the time that the episode had left, so that no early end pays.
+"""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+
+from railrepro.control import lateral
+from railrepro.control.law import GEARS, LawSettings
+from railrepro.errors import InputError
+from railrepro.estimation.sensors import readings
+from railrepro.model.control_model import PSI_TRAX, PSIDOT_AX, XDOT, X, Y
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
+
+EXCHANGES, STEP = 5, 0.005
+"""Control cycles of 1 ms in a step, and their time (s)."""
+AHEAD = (0.1, 0.2, 0.4)
+"""Times ahead at which track and set point are observed (s)."""
+EFFORT, WORST = 0.1, 100.0
+"""Weight of the torque; largest cost of a second, that of an error of 10 mm."""
+OFFSET = 1e-3
+"""Largest lateral displacement at the start (m)."""
+
+
+class GuidanceEnv(gymnasium.Env):
+    """The car in a scenario of data/scenarios.toml; `sensors` adds noise, latency and a state estimate."""
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, scenario="curve_entry_T3", sensors: bool = False):
+        self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        self.vehicle, self.sensors, self.exchange = load_vehicle(), sensors, None
+        self.route = simulate.checked_route(self.scenario, self.vehicle)
+        slower = 5.0 if self.scenario.force_kN else 1.25
+        self.duration = slower * self.route.length / self.scenario.speed  # s, of the longest episode
+        size = len(GEARS) * (4 + 2 * len(AHEAD)) + 1
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(GEARS),), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Begin an episode. The seed draws where the gears stand, and the noise of the sensors."""
+        super().reset(seed=seed)
+        noisy = readings(seed=int(self.np_random.integers(2**31))) if self.sensors else None
+        law = LawSettings(sensors=noisy)
+        self.exchange = simulate.start(self.scenario, lateral.Held(), self.route, self.vehicle, self.vehicle, law)
+        names = self.exchange.car.model.states
+        for gear in GEARS:
+            self.exchange.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)
+        self.exchange.measure()
+        return self._observation(), self._info()
+
+    def step(self, action):
+        """Hold two torques for 5 ms."""
+        exchange, torque = self.exchange, np.asarray(action, dtype=float)
+        if exchange is None or self._over():
+            raise InputError("reset() is needed before a step")
+        if torque.shape != (len(GEARS),) or not np.isfinite(torque).all():
+            raise InputError(f"the action is {action!r}, two numbers from -1 to 1 are needed")
+        left = self.duration - exchange.time
+        exchange.held[:] = np.clip(torque, -1.0, 1.0) * self.vehicle.drive.torque_limit
+        exchange.run(EXCHANGES)
+        exchange.measure()
+        observation, info = self._observation(), self._info()
+        if not np.isfinite(observation).all() or min(exchange.margins[f"{gear}.lateral"] for gear in GEARS) <= 0:
+            return np.nan_to_num(observation, posinf=0.0, neginf=0.0), -WORST * left, True, False, info
+        cost = np.mean((1e3 * info["error"]) ** 2 + EFFORT * (1e-3 * exchange.held) ** 2)
+        return observation, -STEP * min(float(cost), WORST), False, self._over(), info
+
+    def _over(self) -> bool:
+        return bool(self.exchange.ended or self.duration - self.exchange.time < STEP / 2)
+
+    def _info(self) -> dict:
+        """Lateral error (m) and torque (N m) of both gears, arc length (m), speed (m/s) and time (s)."""
+        x, torque = self.exchange.measured_states(), self.exchange.held.copy()
+        error = np.array([self.route.reference_at(gear[X])[0].item() - gear[Y] for gear in x])
+        return {"error": error, "torque": torque, "p": x[0, X], "v": x[0, XDOT], "time": self.exchange.time}
+
+    def _observation(self) -> np.ndarray:
+        limit, x = self.vehicle.drive.torque_limit, self.exchange.measured_states()
+        gears = [self._of_gear(*pair) for pair in zip(x, self.exchange.held / limit, strict=True)]
+        return np.append(gears, x[0, XDOT] / 100).astype(np.float32)
+
+    def _of_gear(self, x, share: float) -> np.ndarray:
+        """The ten numbers of a gear with measured state x (SI) and its last torque over the limit."""
+        ends = self.route.start, self.route.start + self.route.length
+        places = np.clip(np.nan_to_num(x[X] + x[XDOT] * np.array([0.0, *AHEAD])), *ends)
+        y_ref, slope = self.route.reference_at(places)
+        _, curvature, cant, *_ = self.route.track_at(places)
+        aside = 1e3 * (y_ref - x[Y])
+        yaw, turning = slope[0] - x[PSI_TRAX], x[PSIDOT_AX] - x[XDOT] * curvature[0]
+        unbalanced = self.vehicle.gravity * cant[1:] - x[XDOT] ** 2 * curvature[1:]
+        return np.array([aside[0], 1e3 * yaw, 1e2 * turning, share, *aside[1:], *unbalanced])
