@@ -31,10 +31,8 @@ export JUPYTER_RUNTIME_DIR := $(CURDIR)/build/jupyter/runtime
 unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 # Where the cache of uv cannot be written, as without a home, there is one in build; pip says so itself and does without.
-ifneq ($(shell d="$${UV_CACHE_DIR:-$${XDG_CACHE_HOME:-$${HOME:-/nonexistent}/.cache}/uv}"; \
-    until test -e "$$d"; do d=$$(dirname "$$d"); done; test -d "$$d" -a -w "$$d" && echo yes),yes)
+ifneq ($(shell d="$${UV_CACHE_DIR:-$${XDG_CACHE_HOME:-$$HOME}}"; test -d "$$d" -a -w "$$d" && echo yes),yes)
   export UV_CACHE_DIR := $(CURDIR)/build/uv
-  export PIP_NO_CACHE_DIR := 1
 endif
 
 # What make starts ends with it, also when only make is killed.
@@ -45,14 +43,12 @@ endif
 # The folder is part of it: a moved or copied clone installs itself again.
 LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | sha256sum | cut -c1-16)
 VENV := .venv/ready-$(LOCK_HASH)
-# Sphinx, Typst and what they need come on top, and only for book and article; they share the pins of environment.lock.
-BOOK_LOCK := notebooks/book/book.lock
-BOOK := .venv/ready-book-$(LOCK_HASH)-$(shell cat $(BOOK_LOCK) 2>&1 | sha256sum | cut -c1-16)
-# So do the packages of the extra `bench`, which only some tests and tables need.
-EXTRAS_LOCK := tests/extras.lock
-# acados brings a CasADi of its own and so stands apart, in .venv/acados.
-ACADOS_LOCK := tests/acados.lock
-EXTRAS := .venv/ready-extras-$(LOCK_HASH)-$(shell cat $(EXTRAS_LOCK) $(ACADOS_LOCK) 2>&1 | sha256sum | cut -c1-16)
+# Other groups of the lock come on top, where they are needed.
+BOOK := .venv/ready-book-$(LOCK_HASH)
+BENCH := .venv/ready-bench-$(LOCK_HASH)
+COMPILER := .venv/ready-compiler-$(LOCK_HASH)
+GROUP = awk '/^\# group:/ {on = $$3 == "$(1)"} on' environment.lock
+INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
 NOT_BUILDING := help clean distclean lock
 RULES := build/chain.mk
 # With -n nothing may change on disk, neither the environment nor the rules of the chain.
@@ -61,9 +57,6 @@ ONLY_SHOW := $(if $(findstring n,$(filter-out --%,$(firstword $(MAKEFLAGS)))),ye
 INTACT := $(shell test -f $(RULES) && test -O $(RULES) && test -z "$$(find $(RULES) -perm /022)" && test "$$(tail -n 1 $(RULES))" = "RULES_HASH := $$(sed '$$d' $(RULES) | sha256sum | cut -c1-64)" && echo yes)
 
 ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
-  ifneq ($(shell for d in .venv .venv/bin; do test ! -e $$d || test -O $$d || echo $$d; done),)
-    $(error .venv belongs to another user and is not run; remove it, or clone into a folder of your own)
-  endif
   ifeq ($(INTACT),yes)
     include $(RULES)
   else ifdef MAKE_RESTARTS
@@ -73,10 +66,6 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
     include $(RULES)
   endif
 endif
-
-# Where there is no C compiler one comes as a Python package, with a pin of its own.
-COMPILER_LOCK := railrepro/compile/compiler.lock
-PACKAGED_CC = .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(COMPILER_LOCK) && cp railrepro/compile/packaged-cc .venv/bin/cc
 
 .PHONY: help figures chain check test test-slow test-all test-extras faults lab score leaderboard tune report article answers verify variants bench study html script cite dist lock strip clean distclean FORCE
 
@@ -108,7 +97,7 @@ test-all: $(VENV)  ## run the tests that take minutes, too
 	@$(MAKE) --no-print-directory test
 	@$(MAKE) --no-print-directory test-slow
 
-test-extras: $(EXTRAS)  ## install the extra `bench` and run its tests: acados, Exudyn, do-mpc, Gymnasium
+test-extras: $(BENCH)  ## install the group `bench` and run its tests: Exudyn, do-mpc, Gymnasium
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_gym_env.py tests/test_bench.py
 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files; SHORT=1 fewer
@@ -138,10 +127,10 @@ answers: $(VENV)  ## verdicts that flip with the answers in data/answers.toml; S
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro chain verify
 
-variants: $(VENV) $(if $(filter packaged,$(VARIANTS)),.venv/bin/cc)  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
+variants: $(VENV) $(if $(filter packaged,$(VARIANTS)),$(COMPILER))  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
 	$(PY) -m railrepro chain variants $(VARIANTS)
 
-bench: $(VENV)  ## measure speed, as ratios in one run; with the extra `bench` also a second opinion on the car
+bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also a second opinion on the car
 	$(PY) -m railrepro bench
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro second-opinion; \
 	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
@@ -170,17 +159,8 @@ dist: $(VENV)  ## an archive that builds without git and a wheel, in build/dist
 strip: $(VENV)  ## remove outputs from the notebooks, tag the cells that the book folds
 	$(PY) -m railrepro chain strip
 
-lock:  ## renew environment.lock from pyproject.toml, and the locks that share its pins
-	@set -e; d=$$(mktemp -d); cp pyproject.toml $$d; touch $$d/README.md; mkdir $$d/railrepro; cp railrepro/__init__.py $$d/railrepro; cd $$d; \
-	  uv=$$(command -v uv) || { $(PYTHON) -m venv venv && venv/bin/pip install -q uv && uv=$$d/venv/bin/uv; }; \
-	  $$uv lock -q && $$uv export -q --all-extras --no-extra bench --format requirements-txt --no-emit-project --no-header \
-	    > $(CURDIR)/environment.lock; \
-	  $$uv export -q --extra bench --format requirements-txt --no-emit-project --no-header --no-annotate \
-	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' $(CURDIR)/environment.lock) > $(CURDIR)/$(EXTRAS_LOCK); cd $(CURDIR); \
-	  $$uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --generate-hashes -c environment.lock \
-	    $$(awk -F== '/^[a-z]/{print "--no-emit-package " $$1}' environment.lock) notebooks/book/packages.txt -o $(BOOK_LOCK); \
-	  echo comma-deps-acados | $$uv pip compile -q --no-deps --no-annotate --no-header --generate-hashes - -o $(ACADOS_LOCK); \
-	  echo ziglang | $$uv pip compile -q --universal --no-annotate --no-header --generate-hashes - -o $(COMPILER_LOCK); rm -rf $$d
+lock:  ## renew environment.lock from pyproject.toml; pins stay, but for those of NEWER="numpy scipy" or NEWER=--upgrade
+	@.ci/lock $(NEWER)
 
 clean:  ## remove executed notebooks, stamps and reports of runs
 	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify build/chain.mk
@@ -188,46 +168,25 @@ clean:  ## remove executed notebooks, stamps and reports of runs
 distclean: clean  ## also remove the environment, compiled code and stored results
 	rm -rf build .venv
 
-ifeq ($(ONLY_SHOW),yes)
-$(VENV): environment.lock pyproject.toml
-	# .venv would be set up first
-$(BOOK): $(VENV)
-	# the packages of the book would be installed
-$(EXTRAS): $(VENV)
-	# the packages of the extras would be installed
-.venv/bin/cc: $(VENV)
-	# a compiler would be installed
-else
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
 	@test -w . || { echo "no write permission in $(CURDIR); clone into a folder of your own"; exit 1; }
 	@echo "setting up .venv (once, about a minute)"
 	@rm -f .venv/ready-*
-	@test -x $(PY) || $(PYTHON) -m venv .venv
-	@awk '/^uv==/{f=1} f{print} f&&!/\\$$/{exit}' environment.lock > .venv/uv.txt
-	@.venv/bin/python -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .venv/uv.txt
-	@.venv/bin/uv pip sync -q --python $(PY) --require-hashes environment.lock
+	@test -x .venv/bin/uv || $(PYTHON) -m venv --clear .venv
+	@$(call GROUP,environment) | awk '/^uv==/{f=1} f{print} f&&!/\\$$/{exit}' > .venv/uv.txt
+	@$(PY) -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .venv/uv.txt
+	@$(call GROUP,environment) | .venv/bin/uv pip sync -q --python $(PY) --require-hashes -
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
-	@rm -f .venv/bin/cc
-	@command -v "$${CC:-cc}" >/dev/null || command -v gcc >/dev/null || { echo "there is no C compiler (CC, cc, gcc): installing one into .venv, 100 MB"; \
-	  $(PACKAGED_CC); } \
+	@command -v "$${CC:-cc}" >/dev/null || command -v gcc >/dev/null || { \
+	  echo "there is no C compiler (CC, cc, gcc): installing that of the package ziglang, 400 MB"; $(call INSTALL,compiler); } \
 	  || echo "it cannot be had; everything is interpreted, some twenty times slower"
 	@touch $@
 
-.venv/bin/cc: $(COMPILER_LOCK) railrepro/compile/packaged-cc | $(VENV)
-	@$(PACKAGED_CC)
-
-$(BOOK): $(BOOK_LOCK) | $(VENV)
-	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(BOOK_LOCK)
-	@touch $@
-
-$(EXTRAS): $(EXTRAS_LOCK) $(ACADOS_LOCK) | $(VENV)
-	@.venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r $(EXTRAS_LOCK)
-	@rm -rf .venv/acados; .venv/bin/uv pip install -q --python $(PY) --target .venv/acados --require-hashes --no-deps \
-	  -r $(ACADOS_LOCK) || echo "acados cannot be had for this machine; the bench leaves it out"
+$(BOOK) $(BENCH) $(COMPILER): .venv/ready-%-$(LOCK_HASH): | $(VENV)
+	@$(call INSTALL,$*)
 	@touch $@
 
 $(RULES): notebooks/chain.toml railrepro/evidence/chain/graph.py | $(VENV)
 	@mkdir -p build
 	@$(PY) -m railrepro chain rules > $@.part && mv $@.part $@
-endif

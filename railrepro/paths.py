@@ -2,7 +2,7 @@
 
 In a checkout inputs and products lie where one edits them: in its `data`, `figures`, `notebooks`, `build`. The checkout
 is the folder above this package, or `RAILREPRO_ROOT`. An installed package has none: it carries a copy of the inputs
-(`setup.py` makes it from the same `data`), and what it writes goes to the working folder.
+(pyproject.toml says which), and what it writes goes to the working folder.
 
 With `RAILREPRO_OUTPUT` set, `product` writes below that folder and `source` prefers a file there, so notebooks run in
 tests or in staging without touching committed products.

@@ -232,7 +232,7 @@ def test_the_abstract_has_no_links(shown):
 
 def test_without_the_packages_of_the_book_the_pdf_is_refused(shown, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "typst", None)
-    with pytest.raises(InputError, match="needs the packages of book.lock; `make article` installs them"):
+    with pytest.raises(InputError, match="needs the packages of the group `book`; `make article` installs them"):
         article.pdf(shown)
 
 

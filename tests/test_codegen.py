@@ -1,6 +1,7 @@
 """Generated C: sets side by side equal one after the other. The hand-written C compiles without a warning."""
 
 import ctypes
+import importlib
 import os
 import shutil
 import subprocess
@@ -227,40 +228,44 @@ def test_a_compiler_that_fails_is_done_without(how, tmp_path):
     assert not list((tmp_path / "build/compiled").glob("*.so"))
 
 
+@pytest.fixture
+def forgotten():
+    """The compiler is looked for again afterwards."""
+    yield
+    cache.compiler.cache_clear()
+
+
 @needs_compiler
-def test_where_there_is_no_compiler_the_packaged_one_is_taken(tmp_path, monkeypatch):
-    """A compiler in the path comes first. The package is played by a script that hands over to the real one."""
-    zig, packaged = tmp_path / "lib/python3.11/site-packages/ziglang/zig", tmp_path / "bin/cc"
-    zig.parent.mkdir(parents=True)
-    said = 'cc)\nshift; for a; do shift; case "$a" in -mcpu=baseline) ;; *) set -- "$@" "$a";; esac; done'
-    zig.write_text(f'#!/bin/sh\ncase $1 in {said}\nexec {codegen.compiler()} "$@";; esac\nexit 3\n')
-    zig.chmod(0o755)
-    packaged.parent.mkdir()
-    shutil.copy(paths.ROOT / "railrepro/compile/packaged-cc", packaged)
-    assert str(Path(sys.executable).with_name("cc")) == cache.PACKAGED
+def test_where_there_is_no_compiler_the_packaged_one_is_taken(tmp_path, monkeypatch, forgotten):
+    """A compiler in the path comes first. The package is played by a module that hands over to the real one."""
+    package, real = tmp_path / "site/ziglang", codegen.compiler()
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "__main__.py").write_text(
+        "import os, sys\nassert 'CC' not in os.environ and sys.argv[1:3] == ['cc', '-mcpu=baseline']\n"
+        f"os.execv({real!r}, [{real!r}, *sys.argv[3:]])\n"
+    )
     monkeypatch.setattr(paths, "BUILD", tmp_path)
-    monkeypatch.setattr(cache, "PACKAGED", str(packaged))
+    monkeypatch.syspath_prepend(package.parent)
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
     monkeypatch.delenv("CC", raising=False)
     tools = tmp_path / "tools"
     tools.mkdir()
     first = tools / "cc"
-    first.write_text(f'#!/bin/sh\nexec {codegen.compiler()} "$@"\n')
+    first.write_text(f'#!/bin/sh\nexec {real} "$@"\n')
     first.chmod(0o755)
-    for tool in filter(None, map(shutil.which, ("sh", "dirname", "as", "ld"))):
+    for tool in filter(None, map(shutil.which, ("sh", "env", "as", "ld"))):
         (tools / Path(tool).name).symlink_to(tool)
     monkeypatch.setenv("PATH", str(tools))
+    for expected in (str(first), cache.PACKAGED):
+        cache.compiler.cache_clear()
+        assert cache.compiler() == expected
+        first.unlink(missing_ok=True)
+    assert ctypes.CDLL(str(cache.build("int number(void) { return 5; }"))).number() == 5
+    shutil.rmtree(package)
+    importlib.invalidate_caches()
     cache.compiler.cache_clear()
-    try:
-        assert cache.compiler() == str(first)
-        first.unlink()
-        cache.compiler.cache_clear()
-        assert cache.compiler() == str(packaged)
-        assert ctypes.CDLL(str(cache.build("int number(void) { return 5; }"))).number() == 5
-        packaged.unlink()
-        cache.compiler.cache_clear()
-        assert cache.compiler() is None
-    finally:
-        cache.compiler.cache_clear()
+    assert cache.compiler() is None
 
 
 @needs_compiler

@@ -28,10 +28,6 @@ def of_the_paper(figure):
     return found["uncalibrated"] + found["calibrated"]
 
 
-def test_the_readme_has_at_most_900_words():
-    assert len(README.split()) <= 900
-
-
 def test_files_that_the_readme_links_are_there():
     links = re.findall(r"\]\((?!https?:)([^)#]+)\)", README)
     assert len(links) > 20 and [link for link in links if not (paths.ROOT / link).exists()] == []

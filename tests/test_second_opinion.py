@@ -20,7 +20,7 @@ from railrepro.track.irregularity import irregularities
 from railrepro.track.table import Track, build_table
 from railrepro.vehicle.parameters import load_vehicle
 
-MISSING = "the extra `bench` is installed by `make test-extras`"
+MISSING = "the group `bench` is installed by `make test-extras`"
 
 
 def our_creep(vehicle, load, nu_x, nu_y, spin, slip_speed):

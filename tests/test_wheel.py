@@ -14,7 +14,7 @@ import pytest
 from railrepro import paths
 from railrepro.compile.cache import cache_folder
 
-PARTS = ("railrepro", "data", "pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
+PARTS = ("railrepro", "data", "pyproject.toml", "README.md", "LICENSE")
 
 
 @pytest.fixture(scope="module")

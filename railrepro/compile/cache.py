@@ -15,6 +15,7 @@ read.
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import math
 import os
 import platform
@@ -34,8 +35,8 @@ _LONG = 1_500_000
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 _SECONDS, _PROBE_SECONDS = 600.0, 30.0
 """Time limits of a compilation and of the try whether a compiler works (s)."""
-PACKAGED = str(Path(sys.executable).with_name("cc"))
-"""A compiler from a Python package, beside Python: `make` installs it on machines without another one."""
+PACKAGED = "ziglang"
+"""The compiler of a Python package, the extra `compiler`; `CC=ziglang` chooses it."""
 _OTHERS = 0o022
 """Write permission of group and others."""
 
@@ -52,9 +53,9 @@ def compiler() -> str | None:
     """
     if os.environ.get("RAILREPRO_NO_COMPILER"):
         return None
-    command = next(filter(None, map(shutil.which, (os.environ.get("CC") or "cc", "gcc", PACKAGED))), None)
+    command = next(filter(None, map(found, (os.environ.get("CC") or "cc", "gcc", PACKAGED))), None)
     asked = os.environ.get("CC")
-    if asked and shutil.which(asked) is None:
+    if asked and found(asked) is None:
         instead = f"{command} is used" if command else "there is no other"
         print(f"CC={asked!r} is no compiler that can be found; {instead}", file=sys.stderr, flush=True)
         os.environ["CC"] = command or ""  # reported once: processes that this one starts inherit it
@@ -65,6 +66,25 @@ def compiler() -> str | None:
             do_without(error)
             return None
     return command
+
+
+def found(name: str) -> str | None:
+    """Path of a compiler, or the name of the packaged one; None when there is none."""
+    if name == PACKAGED:
+        return name if importlib.util.find_spec(name) else None
+    return shutil.which(name)
+
+
+def _call(command: str) -> list[str]:
+    """How a compiler is called. The flags of the packaged one that are given later win; without the first of these,
+    objects would be for this very processor."""
+    if command != PACKAGED:
+        return [command]
+    place = cache_folder() / "zig"
+    # zig asks CC where the headers are
+    environment = ["-u", "CC", f"ZIG_GLOBAL_CACHE_DIR={place}", f"ZIG_LOCAL_CACHE_DIR={place}"]
+    portable = ["-mcpu=baseline", "-fno-sanitize=undefined", "-g0"]
+    return ["env", *environment, sys.executable, "-m", PACKAGED, "cc", *portable]
 
 
 def do_without(error: CompilerError) -> None:
@@ -99,7 +119,7 @@ def _version(command: str) -> str:
     """First line of what a compiler reports of itself."""
     try:
         done = subprocess.run(
-            [command, "--version"], capture_output=True, text=True, check=True, timeout=_seconds(_PROBE_SECONDS)
+            [*_call(command), "--version"], capture_output=True, text=True, check=True, timeout=_seconds(_PROBE_SECONDS)
         )
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
         raise CompilerError(f"the C compiler {command} does not answer to --version ({error})") from error
@@ -176,7 +196,7 @@ def build(text: str, portable: bool = False, level: str = "-Og") -> Path:
     """
     command = compiler()
     if command is None:
-        raise InputError("no C compiler was found (CC, cc, gcc); `make distclean check` installs one")
+        raise InputError("no C compiler was found (CC, cc, gcc); `pip install railrepro[compiler]` brings one")
     return _object(command, text, _SECONDS, flags(portable, len(text), level))
 
 
@@ -188,7 +208,7 @@ def _object(command: str, text: str, seconds: float, options: tuple[str, ...]) -
         if not _intact(target):
             with files.scratch(folder, key) as scratch:
                 if not _intact(target):
-                    _compile([command, *options], text, target, scratch, _seconds(seconds))
+                    _compile(command, options, text, target, scratch, _seconds(seconds))
         if os.environ.get("RAILREPRO_KEEP_SOURCE"):
             files.write(target.with_suffix(".c"), text)
     except OSError as error:
@@ -236,22 +256,22 @@ def _intact(target: Path) -> bool:
 _TRIAL = "import ctypes, sys; sys.exit(getattr(ctypes.CDLL(sys.argv[1]), sys.argv[2])() != 42)"
 
 
-def _compile(command: list[str], text: str, target: Path, scratch: Path, seconds: float) -> None:
+def _compile(command: str, options: tuple[str, ...], text: str, target: Path, scratch: Path, seconds: float) -> None:
     source, output, mark = scratch / "source.c", scratch / "object.so", f"railrepro_{target.stem}"
     source.write_text(f"{text}\nint {mark}(void) {{ return 42; }}\n")
     try:
-        code, on_stderr = parent_death.run([*command, str(source), "-o", str(output), "-lm"], seconds)
+        code, on_stderr = parent_death.run([*_call(command), *options, str(source), "-o", str(output), "-lm"], seconds)
         if code or not output.is_file():
             stored = target.with_suffix(".failed.c")
             files.write(stored, text)
             raise CompilerError(
-                f"{command[0]} refused the generated source {stored}: {on_stderr.strip()[:300] or 'no object'}"
+                f"{command} refused the generated source {stored}: {on_stderr.strip()[:300] or 'no object'}"
             )
         # in a process of its own: junk can end the one that loads it
         if parent_death.run([sys.executable, "-I", "-S", "-c", _TRIAL, str(output), mark], seconds)[0]:
-            raise CompilerError(f"the C compiler {command[0]} gave an object that cannot be loaded")
+            raise CompilerError(f"the C compiler {command} gave an object that cannot be loaded")
     except TimeoutError as error:
-        raise CompilerError(f"the C compiler {command[0]} {error}") from error
+        raise CompilerError(f"the C compiler {command} {error}") from error
     output.chmod(0o644)
     if target.is_dir():
         shutil.rmtree(target)

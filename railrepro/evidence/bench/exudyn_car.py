@@ -11,7 +11,7 @@ One convention decides curves under torque and must be the same in both: a rotat
 potential k e^2/2 of the product e of one axis of each body. The pitch reaction (e = x_carrier . z_body) therefore acts
 about z_body x x_carrier, and motor torque times relative roll becomes a yaw torque.
 
-Needs the extra `bench`. Serves the paper's section Simulation Environment.
+Needs the group `bench`. Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations

@@ -184,7 +184,7 @@ def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
 def main(names: list[str]) -> None:
     """Compare the named cases and print them, or all and write the table."""
     if importlib.util.find_spec("exudyn") is None:
-        raise InputError("the second opinion on the car needs exudyn; install the extra `bench` into .venv for it")
+        raise InputError("the second opinion on the car needs exudyn; install the group `bench` into .venv for it")
     unknown = set(names) - {case.name for case in CASES}
     if unknown:
         raise InputError(f"case {min(unknown)!r} is not known; there are {[case.name for case in CASES]}")

@@ -168,7 +168,7 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
 
 def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFrame:
-    """Cross-check of optimum and time with do-mpc, an independent MPC tool (extra `bench`).
+    """Cross-check of optimum and time with do-mpc, an independent MPC tool (group `bench`).
 
     Time, first torque and largest difference of the plan for the first `count` problems of the curve entry on T3.
     """

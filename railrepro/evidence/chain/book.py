@@ -21,7 +21,7 @@ def html() -> Path:
     try:
         from sphinx.cmd.build import build_main
     except ImportError as error:
-        raise InputError("the book needs the packages of book.lock; `make html` installs them") from error
+        raise InputError("the book needs the packages of the group `book`; `make html` installs them") from error
     with written():
         shutil.rmtree(folder, ignore_errors=True)
     settings = paths.NOTEBOOKS / "book"

@@ -166,7 +166,7 @@ def variants(names: Sequence[str]) -> int:
 def _hindrance(name: str) -> str:
     """Why a variant cannot run here, or an empty text."""
     compiler = VARIANTS[name].get("CC")
-    missing = cache.compiler() is None if compiler is None else shutil.which(compiler) is None
+    missing = cache.compiler() is None if compiler is None else cache.found(compiler) is None
     if name != "no-compiler" and missing:
         return f"there is no compiler {compiler!r}" if compiler else "there is no C compiler"
     feature = _NEEDS.get(name)

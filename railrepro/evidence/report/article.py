@@ -230,7 +230,7 @@ def pdf(article: str) -> bytes:
         import pypandoc
         import typst
     except ImportError as error:
-        raise InputError("the article needs the packages of book.lock; `make article` installs them") from error
+        raise InputError("the article needs the packages of the group `book`; `make article` installs them") from error
     title, body = article.removeprefix("# ").split("\n", 1)
     source = paths.NOTEBOOKS / "book" / "article.typ"
     options = ["--shift-heading-level-by=-1", "--wrap=none"]
