@@ -12,7 +12,7 @@ PY := .venv/bin/python
 CORES := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
 # Notebooks at a time; each has the workers of its share of the processors.
 AT_ONCE := $(shell echo $$(( $(CORES) < 4 ? $(CORES) : 4 )))
-PYTEST_JOBS := -n $(AT_ONCE)
+PYTEST_JOBS := -n $(AT_ONCE) --dist worksteal
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
@@ -82,10 +82,11 @@ figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and fi
 
 chain: $(STAMPS)
 
-check: $(VENV)  ## lint, format and types
+check: $(VENV)  ## lint, format, types, order of imports
 	$(PY) -m ruff check
 	$(PY) -m ruff format --check
 	$(PY) -m mypy
+	.venv/bin/lint-imports --no-logo --no-cache
 
 test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS)
