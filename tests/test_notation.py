@@ -2,12 +2,7 @@
 
 import dataclasses
 import importlib
-import os
 import re
-from pathlib import Path
-
-import pytest
-import symbols
 
 from railrepro.car import equations
 from railrepro.control import law
@@ -81,40 +76,3 @@ def test_all_of_the_control_model_is_there():
         assert f"railrepro.model.derivation.{symbols[id(quantity)]}" in listed
     keys = set(parameters.describe().query("symbol != '-'")["key"])
     assert {f"vehicle {key}" for key in keys} <= set(TABLE["python"])
-
-
-LOCAL = {"b:M", "b:v", "b:v_biM", "b:z", "b:z_vw", "z", "i", "j"}
-"""Letters of one definition each (norm, sequence) and running indices."""
-
-
-def ours():
-    return set().union(*(symbols.symbols(cell.replace("$", " ")) for cell in TABLE["symbol"]))
-
-
-@pytest.mark.parametrize(
-    ("latex", "found"),
-    [
-        (r"\dot{\psi}_{\ur{Ax}_k}^{\ur{d}}", {"psi_Ax"}),
-        (r"\bi{\cali{U}}", {"c:U"}),
-        (r"\bi{Q}_L + \bar{\sigma}", {"b:Q", "sigma"}),
-        (r"f_{x_{\ur{max}}}", {"f_xmax"}),
-        (r"160 \,\ur{km/h}", set()),
-        (r"\sin \psitrax", {"psi_TrAx"}),
-    ],
-)
-def test_symbols_are_read_from_formulas(latex, found):
-    assert symbols.symbols(latex) == found
-
-
-def test_known_symbols_are_there():
-    lacked_once = {"H", "sigma", "nu", "V", "G", "J_term", "f_max", "s_max", "tau_min", "l_sup", "c:F_Train", "c:L"}
-    assert lacked_once | {"b:x_lin", "b:q_red", "b:R_Tr", "f", "s", "a", "delta"} <= ours()
-
-
-@pytest.mark.skipif(
-    "RAILREPRO_PAPER" not in os.environ, reason="RAILREPRO_PAPER does not name the paper's LaTeX source"
-)
-def test_no_symbol_of_the_paper_is_left_out():
-    theirs = symbols.symbols(symbols.formulas(Path(os.environ["RAILREPRO_PAPER"]).read_text(encoding="utf-8")))
-    assert len(theirs) > 80
-    assert theirs - ours() - LOCAL == set()
