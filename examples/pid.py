@@ -1,10 +1,10 @@
-"""Template of an own controller: a PID on the lateral error, as a law of the 1 kHz exchange.
+"""Template of a controller of your own: a PID on the lateral error, as a law at 1 kHz.
 
-`make score CONTROLLER=examples/pid.py` scores it. The file holds one class; what its expressions may use of gear, road
-and nominal vehicle is listed in railrepro/control/lateral.py.
+`make score CONTROLLER=examples/pid.py` scores it. The file holds one class; what its expressions may use of running
+gear, track and nominal vehicle is listed in railrepro/control/lateral.py.
 """
 
-EXCHANGE = 1e-3  # s
+PERIOD = 1e-3  # s
 
 
 class PID:
@@ -22,11 +22,11 @@ class PID:
     def gains(self):
         return {"pole": self.pole, "share": self.share}
 
-    def torque(self, gear, track_ahead, memory, gain, model):
-        v, w = gear["xdot"], gain["pole"]
-        error = track_ahead["y_ref"] - gear["y_TrAx"]  # m
-        rate = v * (track_ahead["dy_ref"] - gear["psi_TrAx"])  # m/s
-        turning = gear["psidot_Ax"] - v * track_ahead["dpsi_dp"]  # rad/s, against the track
-        jerk = w**3 * (error + gain["share"] * w * memory["integral"]) + 3 * w**2 * rate - 3 * w * v * turning
-        du = model["r_0"] / model["b"] * model["J_eff"] * jerk / v  # N m
-        return du, {"integral": memory["integral"] + EXCHANGE * error}
+    def torque(self, q):
+        v, w = q.v, q.pole
+        error = q.y_ref - q.y  # m
+        rate = v * (q.dy_ref - q.psi)  # m/s
+        turning = q.yaw_rate - v * q.dpsi_dp  # rad/s, against the track
+        jerk = w**3 * (error + q.share * w * q.integral) + 3 * w**2 * rate - 3 * w * v * turning
+        du = q.r_0 / q.b * q.J_eff * jerk / v  # N m
+        return du, {"integral": q.integral + PERIOD * error}

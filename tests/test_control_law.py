@@ -22,15 +22,13 @@ class Probe:
     memory = ("calls",)
 
     def __init__(self, **scales):
-        self._scales = dict.fromkeys(SEEN, 0.0) | scales
+        self._scales = {f"scale_{name}": scales.get(name, 0.0) for name in SEEN}
 
     def gains(self):
         return self._scales
 
-    def torque(self, gear, track_ahead, memory, gain, model):
-        groups = ((gear, lateral.GEAR), (track_ahead, lateral.ROAD), (model, lateral.MODEL))
-        seen = sum(gain[name] * group[name] for group, names in groups for name in names)
-        return seen, {"calls": memory["calls"] + 1}
+    def torque(self, q):
+        return sum(getattr(q, f"scale_{name}") * getattr(q, name) for name in SEEN), {"calls": q.calls + 1}
 
 
 FUNCTION = law.function(law.LawKind(lateral.kind(Probe())))

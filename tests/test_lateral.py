@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -29,8 +30,13 @@ class Own:
     def gains(self):
         return self._gains
 
-    def torque(self, gear, track_ahead, memory, gain, model):
-        return self._torque(gear, gain), {"past": gear["y_TrAx"]}
+    def torque(self, q):
+        return self._torque(q), {"past": q.y}
+
+
+def quantities(values):
+    """What a law is given, with the short names of states."""
+    return SimpleNamespace(**values, **{short: values[name] for short, name in lateral.SHORT.items()})
 
 
 def blocks(page):
@@ -64,7 +70,7 @@ def test_controllers_of_the_guide_run_as_they_stand():
 def test_a_constant_of_an_own_law_is_not_taken_from_another_one():
     torques = []
     for stiffness in (1e4, 3e4):
-        own = Own(lambda gear, gain, stiffness=stiffness: -stiffness * gear["psi_TrAx"] - 1e2)
+        own = Own(lambda q, stiffness=stiffness: -stiffness * q.psi - 1e2)
         run = simulate.run(scenarios.load_scenario("curve_entry_T3").but(end_m=10.0), own)
         torques.append(run.series["front.du"] + 1e2)
     assert np.allclose(torques[1].iloc[1], 3 * torques[0].iloc[1], rtol=1e-3)
@@ -83,18 +89,18 @@ def test_a_1_khz_law_may_use_what_a_slower_controller_hands_in():
     ("guidance", "sentence"),
     [
         (
-            Own(lambda gear, gain: ca.vertcat(gear["y_TrAx"], 1)),
+            Own(lambda q: ca.vertcat(q.y, 1)),
             r"law Own: its torque is an expression of shape \(2, 1\)",
         ),
-        (Own(lambda gear, gain: "left"), "law Own: its torque is 'left', a scalar expression is needed"),
-        (Own(lambda gear, gain: None), "law Own: its torque is None, a scalar expression is needed"),
-        (Own(lambda gear, gain: gain["d"]), r"law Own: there is no gain 'd'; there are \['k'\]"),
-        (Own(lambda gear, gain: gear["yaw"]), "law Own: there is no gear state 'yaw'; there are .*'psi_Ax'"),
-        (Own(lambda gear, gain: ca.SX.sym("z")), r"law Own: the symbols \[.*z.*\] are not given to torque"),
-        (Own(lambda gear, gain: 0, {"k": float("nan")}), "law Own: gain 'k' is nan, a finite number is needed"),
-        (Own(lambda gear, gain: 0, {"k": "much"}), "law Own: gain 'k' is 'much', a finite number is needed"),
+        (Own(lambda q: "left"), "law Own: its torque is 'left', a scalar expression is needed"),
+        (Own(lambda q: None), "law Own: its torque is None, a scalar expression is needed"),
+        (Own(lambda q: q.yaw), r"law Own: torque\(\) asks for q.yaw; there are .*'psi_Ax'.*'past', 'k', 'J_eff'"),
+        (Own(lambda q: 0, {"psi": 1.0}), "law Own: 'psi' of its gains is the name of another quantity already"),
+        (Own(lambda q: ca.SX.sym("z")), r"law Own: the symbols \[.*z.*\] are not given to torque"),
+        (Own(lambda q: 0, {"k": float("nan")}), "law Own: gain 'k' is nan, a finite number is needed"),
+        (Own(lambda q: 0, {"k": "much"}), "law Own: gain 'k' is 'much', a finite number is needed"),
         (Own, "a factory .* is needed"),
-        ("nmpc", "guidance 'nmpc': an object with gains"),
+        ("nmpc", "guidance 'nmpc': an object with torque"),
     ],
 )
 def test_an_own_law_that_is_not_well_formed_is_refused_in_one_sentence(guidance, sentence):
@@ -108,17 +114,17 @@ def test_memory_that_is_not_declared_is_refused():
         memory = ()
 
     with pytest.raises(InputError, match=r"law Forgetful: torque\(\) gave memory \['past'\], declared is \[\]"):
-        lateral.kind(Forgetful(lambda gear, gain: 0.0))
+        lateral.kind(Forgetful(lambda q: 0.0))
 
 
 @pytest.mark.parametrize(
     ("torque", "sentence"),
     [
-        (lambda *groups: 0.0, r"torque\(\) returned 0.0, a pair \(du, memory by name\) is needed"),
-        (lambda *groups: (0.0, {"past": 0.0}, 1), r"returned \(0.0, .*\), a pair"),
-        (lambda *groups: (0.0, 0.0), r"returned \(0.0, 0.0\), a pair"),
-        (lambda *groups: [0.0, {"past": 0.0}], r"returned \[0.0, .*\], a pair"),
-        (lambda *groups: (0.0, {"past": ca.SX.zeros(1, 2)}), r"memory 'past' is an expression of shape \(1, 2\)"),
+        (lambda q: 0.0, r"torque\(\) gave memory \[\], declared is \['past'\]"),
+        (lambda q: (0.0, {"past": 0.0}, 1), r"returned \(0.0, .*\), a torque or \(torque, memory"),
+        (lambda q: (0.0, 0.0), r"returned \(0.0, 0.0\), a torque or"),
+        (lambda q: [0.0, {"past": 0.0}], r"torque\(\) gave memory \[\], declared"),
+        (lambda q: (0.0, {"past": ca.SX.zeros(1, 2)}), r"memory 'past' is an expression of shape \(1, 2\)"),
     ],
 )
 def test_a_torque_without_its_memory_is_refused(torque, sentence):
@@ -138,12 +144,12 @@ def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
     assert lateral.split(both) == (both, both)
     assert lateral.split(NMPC) == (lateral.Held(), NMPC)
     for nothing in (NDI, 3.0, None):
-        with pytest.raises(InputError, match=r"an object with gains\(\), memory and torque\(\), or a factory"):
+        with pytest.raises(InputError, match=r"an object with torque\(q\), or a factory"):
             lateral.split(nothing)
 
 
 def test_gains_may_be_whole_numbers():
-    law_of_one = Own(lambda gear, gain: gain["k"] * gear["y_TrAx"], {"k": 2})
+    law_of_one = Own(lambda q: q.k * q.y, {"k": 2})
     assert lateral.kind(law_of_one).gains == ("k",)
 
 
@@ -189,9 +195,9 @@ def test_the_inversion_inverts_the_control_model(speed, base_torque, tolerance):
     gain, model = ({name.partition(".")[2]: value for name, value in numbers.items() if name.startswith(f"{group}.")}
                    for group in ("lateral", "model"))  # fmt: skip
     gear = x | {"xddot": 2 * base_torque / (model["r_0"] * model["m_x_eff"]), "held": 0.0}
-    integral = lateral_quantity(1e-4)
-    du, _ = NDI().torque(gear, theta | extra, {"integral": integral}, gain, model)
-    wanted = ndi.wanted_jerk(gear, theta | extra, integral, gain)
+    q = quantities(gear | theta | extra | gain | model | {"integral": lateral_quantity(1e-4)})
+    du, _ = NDI().torque(q)
+    wanted = ndi.wanted_jerk(q)
     state = ca.vertcat(*(x[name] for name in STATES))
     found = jerk_of_the_model(vehicle, state, theta, extra["ddpsi_dp"], base_torque, du)
     slopes = ca.Function("slopes", [scale], [ca.jacobian(wanted, scale), ca.jacobian(found, scale)])
@@ -220,9 +226,10 @@ def test_the_wanted_jerk_is_that_of_the_error_dynamics():
     track_ahead = {name: ca.substitute(value, place, p) for name, value in zip(names, set_point, strict=True)}
     track_ahead["dpsi_dp"] = curvature
     gain = NDI(pole=20.0, frequency=30.0, damping=0.7, integral=0.1, derivatives=3).gains()
+    q = quantities(gear | track_ahead | gain | {"integral": integral})
     wanted = over_time(track_ahead["y_ref"], 3) + gain["ki"] * integral
     wanted += sum(gain[f"k{i}"] * over_time(track_ahead["y_ref"] - y, i) for i in range(3))
-    both = ca.Function("both", [t], [ndi.wanted_jerk(gear, track_ahead, integral, gain), wanted])
+    both = ca.Function("both", [t], [ndi.wanted_jerk(q), wanted])
     found, expected = map(float, both(0.3))
     assert found == pytest.approx(expected, rel=1e-10)
 
@@ -238,12 +245,9 @@ def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(s
     pole, speed, inertia = 20.0, 30.0, 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
     error = share * 4000.0 * 1.5 / 0.46 * speed / (inertia * pole**3)
     model = dict.fromkeys(lateral.MODEL, 0.0) | {"J_eff": inertia, "r_0": 0.46, "b": 1.5, "tau_max": 4000.0}
-    gear, track_ahead = (
-        dict.fromkeys(lateral.GEAR, 0.0) | {"xdot": speed, "y_TrAx": -error},
-        dict.fromkeys(lateral.ROAD, 0.0),
-    )
+    here = dict.fromkeys((*lateral.GEAR, *lateral.ROAD), 0.0) | {"xdot": speed, "y_TrAx": -error}
     guidance = NDI(pole, pole, 1.0, integral=0.1)
-    du, memory = guidance.torque(gear, track_ahead, {"integral": 0.0}, guidance.gains(), model)
+    du, memory = guidance.torque(quantities(here | model | guidance.gains() | {"integral": 0.0}))
     assert float(du) == pytest.approx(share * 4000.0)
     assert float(memory["integral"]) == pytest.approx(1e-3 * error * grows)
 

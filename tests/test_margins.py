@@ -19,16 +19,14 @@ CONE = load_vehicle(**{"contact.profile": "cone"})  # linear, and it does not le
 class RateFeedback:
     """du = -gain psi'."""
 
-    memory = ()
-
     def __init__(self, gain):
         self._gain = gain
 
     def gains(self):
         return {"k": self._gain}
 
-    def torque(self, gear, track_ahead, memory, gain, model):
-        return -gain["k"] * gear["psidot_Ax"], {}
+    def torque(self, q):
+        return -q.k * q.yaw_rate
 
 
 def linearised(gain):
@@ -68,7 +66,7 @@ def test_a_loop_that_is_unstable_has_none():
 
 def test_slow_controllers_are_disturbed_at_the_same_place():
     slow = margins.probed(guidance("nmpc", NMPC, {"solver": "rti"}), 1.0)
-    assert callable(slow) and slow.memory == ("probe.exchange",)
+    assert callable(slow) and slow.memory == ("probe_ticks",)
     found = margins.sensitivity(guidance("nmpc", NMPC, {"solver": "rti"}), SPEED)
     assert 1.0 < found.peak < 4.0
     assert abs(found.values[0]) < 0.7  # slow disturbances are countered

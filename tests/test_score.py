@@ -33,13 +33,8 @@ class Mine:
     memory = ()
     def gains(self):
         return {{}}
-    def torque(self, gear, track_ahead, memory, gain, model):
+    def torque(self, q):
         {}
-"""
-SHORT = """
-class Mine:
-    def torque(self, {}):
-        return {}
 """
 BOTH = SLOW.format("return 0.0") + LAW.format("return 0, {}").replace("Mine", "Other")
 FAULTS = {
@@ -55,16 +50,15 @@ FAULTS = {
     "gives nothing": (SLOW.format("pass"), "plan() returned None, a number (N m) is needed"),
     "no period": (SLOW.format("return 0.0").replace("period =", "rhythm ="), "Mine: period is None, a number in s"),
     "ends the process": (SLOW.format("os._exit(0)"), "ended the process"),
-    "law without its symbol": (LAW.format("return gear['height'], {}"), "own.py, line 7 (Mine.torque): lateral law "
-                               "Mine: there is no gear state 'height'"),
-    "law that is NaN": (LAW.format("return float('nan') * gear['held'], {}"), "Mine: torque() holds the constant nan"),
-    "law that becomes NaN": (LAW.format("return (gear['held'] - 1) ** 0.5, {}"), "returned NaN or Inf "),
-    "law with an if": (LAW.format("return 0 if gear['held'] > 1 else 1, {}"), "use casadi.if_else"),
-    "law of a list": (LAW.format("return [gear['held'], 0], {}"), "line 6 (Mine.torque): lateral law Mine: its"),
-    "law of a vector": (LAW.format("import casadi; return casadi.vertcat(gear['held'], 0), {}"), "of shape (2, 1)"),
-    "law that gives nothing": (LAW.format("pass"), "line 6 (Mine.torque): lateral law Mine: torque() returned"),
-    "wrong use of CasADi": (LAW.format("import casadi; return casadi.fmin('a', gear['held']), {}"), "function 'fmin'."),
-    "short form without its name": (SHORT.format("y, height", "y"), "torque() asks for 'height'; there are"),
+    "law without its symbol": (LAW.format("return q.height, {}"), "own.py, line 7 (Mine.torque): lateral law "
+                               "Mine: torque() asks for q.height"),
+    "law that is NaN": (LAW.format("return float('nan') * q.held, {}"), "Mine: torque() holds the constant nan"),
+    "law that becomes NaN": (LAW.format("return (q.held - 1) ** 0.5, {}"), "returned NaN or Inf "),
+    "law with an if": (LAW.format("return 0 if q.held > 1 else 1, {}"), "use casadi.if_else"),
+    "law of a list": (LAW.format("return [q.held, 0], {}"), "line 6 (Mine.torque): lateral law Mine: its"),
+    "law of a vector": (LAW.format("import casadi; return casadi.vertcat(q.held, 0), {}"), "of shape (2, 1)"),
+    "law that gives nothing": (LAW.format("pass"), "Mine: its torque is None, a scalar"),
+    "wrong use of CasADi": (LAW.format("import casadi; return casadi.fmin('a', q.held), {}"), "function 'fmin'."),
     "constructor wants more": (SLOW.format("return 0.0").replace("gear)", "gear, more)"), "missing 1 required"),
     "derails": (SLOW.format("return 3000.0"), "gear derailed, |y| = 30."),
 }  # fmt: skip
@@ -206,7 +200,7 @@ def test_a_seed_draws_noise_irregularity_and_mismatch():
 
 
 def test_a_delay_without_sensors_is_that_of_the_torque(tmp_path):
-    (tmp_path / "own.py").write_text(SHORT.format("y", "100 + 0 * y"))
+    (tmp_path / "own.py").write_text(LAW.format("return 100 + 0 * q.y"))
     case = suite.Case("short", "equal", CASE.scenario.but(end_m=5.0), group="short", delay=3e-3)
     torque = Trial(entry(str(tmp_path / "own.py")), case).experiment([]).run().series["front.du"]
     assert (torque[:3] == 0.0).all() and (torque[3:] == 100.0).all()

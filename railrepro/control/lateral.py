@@ -1,7 +1,7 @@
-"""What guides a running gear: laws of the 1 kHz exchange, and slower controllers whose torque is held between samples.
+"""What guides a running gear: laws at 1 kHz, and slower controllers whose torque is held between their samples.
 
-A 1 kHz law is written in CasADi expressions and becomes part of the compiled exchange; its gains are run-time numbers,
-so that one compiled object serves all tunings of a law. NDI is one, and `Held`, which applies what a slower controller
+A 1 kHz law is written in CasADi expressions and becomes part of the compiled loop; its gains are run-time numbers, so
+that one compiled object serves all tunings of a law. NDI is one, and `Held`, which applies what a slower controller
 such as NMPC hands in, is another. Serves the paper's Fig. 4.
 """
 
@@ -11,28 +11,20 @@ import inspect
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Protocol
 
 import casadi as ca
 import numpy as np
 
 from railrepro.errors import InputError
-from railrepro.model.control_model import STATES, THETA
 from railrepro.schema import above, is_number, require
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
 LONGEST_PERIOD = 1.0
 """Longest period of a slower controller (s)."""
-GEAR = (*STATES, "xddot", "held")
-"""What a 1 kHz law knows of its gear (SI): measured states, acceleration by the base torque, held torque (N m)."""
-ROAD = (*(name for name in THETA if name != "m_CB"), "ddpsi_dp", "y_ref", "dy_ref", "ddy_ref", "dddy_ref")
-"""What it knows of the road where the gear is (SI): track, set point, and their derivatives over the coordinate."""
-MODEL = ("J_eff", "k_sz", "k_dz", "J_Wy", "r_0", "b", "gamma", "tan_delta", "m_x_eff", "tau_max")
-"""What it knows of the nominal vehicle (SI)."""
-SHORT = {"y": "y_TrAx", "psi": "psi_TrAx", "yaw_rate": "psidot_Ax", "v": "xdot"}
-"""Short names of measured states."""
-MEANING = {
+GEAR = {
     "x": ("m", "coordinate along the track"),
     "psi_Ax": ("rad", "heading of the running gear"),
     "xdot": ("m/s", "speed"),
@@ -41,6 +33,9 @@ MEANING = {
     "psi_TrAx": ("rad", "yaw angle against the track, to the right"),
     "xddot": ("m/s2", "acceleration by the base torque"),
     "held": ("N m", "torque that a slower controller gave last"),
+}
+"""What a 1 kHz law knows of its running gear: unit and meaning by name; first the states of the control model."""
+ROAD = {
     "psi_Tr": ("rad", "heading of the track"),
     "dpsi_dp": ("1/m", "curvature of the track"),
     "phi_Tr": ("rad", "superelevation angle"),
@@ -54,6 +49,9 @@ MEANING = {
     "dy_ref": ("-", "its first derivative along the track"),
     "ddy_ref": ("1/m", "its second derivative"),
     "dddy_ref": ("1/m2", "its third derivative"),
+}
+"""What it knows of track and set point where the gear is."""
+MODEL = {
     "J_eff": ("kg m2", "effective yaw inertia of a running gear"),
     "k_sz": ("N m/rad", "yaw stiffness of the suspension"),
     "k_dz": ("N m s/rad", "yaw damping of the suspension"),
@@ -65,32 +63,28 @@ MEANING = {
     "m_x_eff": ("kg", "effective longitudinal mass"),
     "tau_max": ("N m", "torque limit"),
 }
-"""Unit and meaning of what a 1 kHz law may use, by name."""
-_GROUPS = ("gear", "track_ahead", "memory", "gain", "model")
+"""What it knows of the nominal vehicle."""
+SHORT = {"y": "y_TrAx", "psi": "psi_TrAx", "yaw_rate": "psidot_Ax", "v": "xdot"}
+"""Short names of measured states."""
 
 
 class LateralLaw(Protocol):
-    """A guidance law of the 1 kHz exchange.
+    """A guidance law at 1 kHz: an object with `torque(q)`.
 
-    In its short form it has `torque` alone, which asks by the names of its arguments for what it wants of `MEANING`,
-    `SHORT`, its memory and gains, and may return the torque alone; `memory` and `gains` are added where it needs them.
+    Where it needs them it also has `memory`, names of its own states (per gear, 0 at the start), and `gains()`, its
+    run-time numbers by name.
     """
 
-    @property
-    def memory(self) -> tuple[str, ...]:
-        """Names of its own states, per gear; all are 0 at the start."""
+    def torque(self, q: SimpleNamespace) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
+        """Differential torque (N m, positive steers right); with memory also the next value of each state by name.
 
-    def gains(self) -> dict[str, float]:
-        """Its run-time numbers by name."""
-
-    def torque(
-        self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict
-    ) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Differential torque (N m) and next memory from symbols by name, see `GEAR`, `ROAD`, `MODEL`."""
+        `q` has the quantities of `GEAR`, `ROAD` and `MODEL`, their short names `SHORT`, the law's memory and its gains
+        as attributes, all of them CasADi symbols in SI units.
+        """
 
 
 class SlowController(Protocol):
-    """A guidance law of one running gear that runs slower than the exchange.
+    """A guidance law of one running gear that runs slower than 1 kHz.
 
     One that wants to know how its wheels slip also has `notice(adhesion, slip)`, which is called before `plan` with the
     estimates of the adhesion law, each of left and right wheel, shape (2,), adhesion traction positive (-).
@@ -105,7 +99,7 @@ class SlowController(Protocol):
     Attributes
     ----------
     period : float
-        Sampling time, a whole number of exchanges (s).
+        Sampling time, a multiple of 1 ms (s).
     """
 
     period: float
@@ -122,65 +116,31 @@ Guidance = LateralLaw | Factory
 class Held:
     """The differential torque that a slower controller handed in last."""
 
-    memory = ()
-
-    def gains(self) -> dict[str, float]:
-        """See `LateralLaw.gains`."""
-        return {}
-
-    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, q: SimpleNamespace) -> ca.SX:
         """See `LateralLaw.torque`."""
-        return gear["held"], {}
+        return q.held
 
 
-def split(guidance: Guidance) -> tuple[LateralLaw, Factory | None]:
-    """The 1 kHz law of a guidance and the factory of its slower controllers; an object may be both.
+def split(guidance) -> tuple[LateralLaw, Factory | None]:
+    """The 1 kHz law of a `Guidance` and the factory of its slower controllers; an object may be both.
 
     Raises
     ------
     InputError
         When it is neither.
     """
+    is_class, has_torque = isinstance(guidance, type), hasattr(guidance, "torque")
     factory = guidance if callable(guidance) else None
-    if factory is not None and not isinstance(guidance, type) and not _takes(factory, 3):
+    if factory is not None and not is_class and not _takes(factory, 3):
         raise InputError(f"guidance {guidance!r}: cannot be called with (vehicle, route, gear)")
-    if hasattr(guidance, "torque") and not isinstance(guidance, type):
-        return _full(guidance), factory
-    if factory is None or hasattr(guidance, "torque"):
+    if has_torque and not is_class:
+        return guidance, factory
+    if factory is None or has_torque:
         raise InputError(
-            f"guidance {guidance!r}: an object with gains(), memory and torque(), or a factory (vehicle, route, gear) "
-            "of objects with period and plan(), is needed"
+            f"guidance {guidance!r}: an object with torque(q), or a factory (vehicle, route, gear) of objects with "
+            "period and plan(), is needed"
         )
     return Held(), factory
-
-
-def _full(law) -> LateralLaw:
-    """A law in its full form."""
-    whole = hasattr(law, "memory") and hasattr(law, "gains") and _takes(law.torque, len(_GROUPS))
-    names = set(inspect.signature(law.torque).parameters) if whole else set()
-    return law if whole and not names & {*MEANING, *SHORT, *law.memory} else _ByName(law)
-
-
-class _ByName:
-    """The full form of a law whose `torque` asks for quantities by the names of its arguments."""
-
-    def __init__(self, law):
-        self._law, self.owner = law, type(law).__name__
-        self.memory, self.gains = getattr(law, "memory", ()), getattr(law, "gains", dict)
-        if not callable(law.torque):
-            raise InputError(f"lateral law {self.owner}: torque is {reprlib.repr(law.torque)}, a method is needed")
-        self._wanted = list(inspect.signature(law.torque).parameters)
-
-    def torque(self, *groups: dict) -> tuple[ca.SX, dict]:
-        """See `LateralLaw.torque`."""
-        gear, track_ahead, memory, gain, model = groups
-        known = dict(zip(_GROUPS, groups, strict=True)) | model | track_ahead | gear
-        known |= {short: gear[name] for short, name in SHORT.items()} | dict(gain) | memory
-        missing = [name for name in self._wanted if name not in known]
-        if missing:
-            raise InputError(f"lateral law {self.owner}: torque() asks for {missing[0]!r}; there are {list(known)}")
-        answer = self._law.torque(**{name: known[name] for name in self._wanted})
-        return answer if isinstance(answer, tuple) else (answer, {})
 
 
 def _takes(call: Callable, count: int) -> bool:
@@ -200,7 +160,9 @@ def check_controller(controller: SlowController) -> None:
     if not callable(getattr(controller, "plan", None)):
         raise InputError(f"{owner}: has no plan(x_hat, u_d)")
     for name, count in {"plan": 2, "notice": 2, "read": 2, "follow": 1}.items():
-        method = getattr(controller, name, max)
+        if not hasattr(controller, name):
+            continue
+        method = getattr(controller, name)
         if not (callable(method) and _takes(method, count)):
             needed = "a method of one argument" if count == 1 else "a method of two arguments"
             raise InputError(f"{owner}: {name} is {reprlib.repr(method)}, {needed} is needed")
@@ -235,20 +197,20 @@ class Kind:
 
     @property
     def function(self) -> ca.Function:
-        """(gear, track_ahead, memory, gains, model) -> du, memory_next; vectors in the order of the names."""
+        """(gear, track, memory, gains, model) -> du, next memory; vectors in the order of the names."""
         return ca.Function.deserialize(self.text)
 
 
-class _Named(dict):
-    """Symbols by name; an unknown name is refused."""
-
-    def __init__(self, names: tuple[str, ...], owner: str, what: str):
-        self.vector = ca.SX.sym(what, len(names))
-        self._refusal = f"lateral law {owner}: there is no {what} {{!r}}; there are {list(names)}"
-        super().__init__(zip(names, ca.vertsplit(self.vector), strict=True))
-
-    def __missing__(self, name):
-        raise InputError(self._refusal.format(name))
+def gains_of(law: LateralLaw) -> dict[str, float]:
+    """Run-time numbers of a law by name; InputError when they are no finite numbers."""
+    gains = getattr(law, "gains", dict)
+    gains = gains() if callable(gains) else gains
+    if not isinstance(gains, dict):
+        raise InputError(f"{_owner(law)}: gains() gives {gains!r}, a table of numbers by name is needed")
+    for name, value in gains.items():
+        if not is_number(value):
+            raise InputError(f"{_owner(law)}: gain {name!r} is {value!r}, a finite number is needed")
+    return gains
 
 
 def kind(law: LateralLaw) -> Kind:
@@ -260,47 +222,66 @@ def kind(law: LateralLaw) -> Kind:
         When its gains are not finite, its torque or memory is not a scalar expression, or it uses what it did not
         declare or is not given.
     """
-    owner = getattr(law, "owner", type(law).__name__)
-    gains = law.gains() if callable(getattr(law, "gains", None)) else None
-    if not isinstance(gains, dict):
-        raise InputError(f"lateral law {owner}: gains() gives {gains!r}, a table of numbers by name is needed")
-    if not isinstance(getattr(law, "memory", None), tuple | list):
-        raise InputError(f"lateral law {owner}: memory is {getattr(law, 'memory', None)!r}, a tuple of names is needed")
-    if not _takes(law.torque, 5):
-        raise InputError(
-            f"lateral law {owner}: torque() cannot be called with (gear, track_ahead, memory, gain, model)"
-        )
-    memory = tuple(law.memory)
-    if len(set(memory)) < len(memory):
-        raise InputError(f"lateral law {owner}: memory is {list(memory)}, each name once is needed")
-    for name, value in gains.items():
-        if not is_number(value):
-            raise InputError(f"lateral law {owner}: gain {name!r} is {value!r}, a finite number is needed")
-    groups = {"gear state": GEAR, "road entry": ROAD, "memory": memory, "gain": tuple(gains), "model parameter": MODEL}
-    named = [_Named(names, owner, what) for what, names in groups.items()]
-    result = law.torque(*named)
-    if not isinstance(result, tuple) or len(result) != 2 or not isinstance(result[1], dict):
-        raise InputError(f"lateral law {owner}: torque() returned {result!r}, a pair (du, memory by name) is needed")
-    du, following = result
+    owner, memory, gains = _owner(law), _memory(law), tuple(gains_of(law))
+    groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
+    vectors = {group: ca.SX.sym(group, len(names)) for group, names in groups.items()}
+    known: dict[str, ca.SX] = {}
+    for group, names in groups.items():
+        for name, symbol in zip(names, ca.vertsplit(vectors[group]), strict=True):
+            if name in known or name in SHORT:
+                raise InputError(f"{owner}: {name!r} of its {group} is the name of another quantity already")
+            known[name] = symbol
+    known |= {short: known[name] for short, name in SHORT.items()}
+    du, following = answer(law, SimpleNamespace(**known))
     if set(following) != set(memory):
-        raise InputError(f"lateral law {owner}: torque() gave memory {sorted(following)}, declared is {list(memory)}")
+        raise InputError(f"{owner}: torque() gave memory {sorted(following)}, declared is {list(memory)}")
     states = [_scalar(following[name], f"memory {name!r}", owner) for name in memory]
     results = [_scalar(du, "torque", owner), ca.vertcat(*states)]
-    function = ca.Function("lateral", [group.vector for group in named], results, {"allow_free": True})
+    function = ca.Function("lateral", list(vectors.values()), results, {"allow_free": True})
     if function.has_free():
-        raise InputError(f"lateral law {owner}: the symbols {function.get_free()} are not given to torque()")
-    return Kind(function.serialize(), tuple(gains), memory)
+        raise InputError(f"{owner}: the symbols {function.get_free()} are not given to torque()")
+    return Kind(function.serialize(), gains, memory)
+
+
+def _owner(law: LateralLaw) -> str:
+    return f"lateral law {type(law).__name__}"
+
+
+def _memory(law: LateralLaw) -> tuple[str, ...]:
+    """Names of the states of a law."""
+    memory = getattr(law, "memory", ())
+    well_formed = isinstance(memory, tuple | list) and all(isinstance(name, str) for name in memory)
+    if not well_formed or len(set(memory)) < len(memory):
+        raise InputError(f"{_owner(law)}: memory is {memory!r}, a tuple of different names is needed")
+    return tuple(memory)
+
+
+def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
+    """Torque and next memory of a law from what it is given, see `LateralLaw.torque`."""
+    owner = _owner(law)
+    if not (callable(law.torque) and _takes(law.torque, 1)):
+        raise InputError(f"{owner}: torque is {reprlib.repr(law.torque)}, a method torque(q) is needed")
+    try:
+        result = law.torque(q)
+    except AttributeError as error:
+        if error.obj is not q:
+            raise
+        refusal = InputError(f"{owner}: torque() asks for q.{error.name}; there are {list(vars(q))}")
+        raise refusal.with_traceback(error.__traceback__) from None  # it shows the line that asked
+    if not isinstance(result, tuple):
+        return result, {}
+    if len(result) != 2 or not isinstance(result[1], dict):
+        raise InputError(f"{owner}: torque() returned {result!r}, a torque or (torque, memory by name) is needed")
+    return result
 
 
 def _scalar(value, what: str, owner: str) -> ca.SX:
     try:
         expression = ca.SX(value)
     except NotImplementedError:
-        raise InputError(f"lateral law {owner}: its {what} is {value!r}, a scalar expression is needed") from None
+        raise InputError(f"{owner}: its {what} is {value!r}, a scalar expression is needed") from None
     if expression.is_constant() and not np.isfinite(ca.evalf(expression).full()).all():
-        raise InputError(f"lateral law {owner}: its {what} is {value!r}, a finite number is needed")
+        raise InputError(f"{owner}: its {what} is {value!r}, a finite number is needed")
     if expression.shape != (1, 1):
-        raise InputError(
-            f"lateral law {owner}: its {what} is an expression of shape {expression.shape}, a scalar is needed"
-        )
+        raise InputError(f"{owner}: its {what} is an expression of shape {expression.shape}, a scalar is needed")
     return ca.densify(expression)

@@ -233,7 +233,7 @@ def control_law(
     """
     law, sensors = guidance or lateral.Held(), settings.sensors
     adhesion = settings.adhesion or AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
-    gains = {f"lateral.{name}": value for name, value in law.gains().items()}
+    gains = {f"lateral.{name}": value for name, value in lateral.gains_of(law).items()}
     gains |= adhesion.gains() | (settings.estimate or EstimateSettings()).gains()
     gains |= {"fixed_share": settings.fixed_share, "nominal_load": vehicle.wheel_load}
     gains["adhesion.torque_per_adhesion"] = vehicle.wheel_load * vehicle.wheel.radius

@@ -10,6 +10,7 @@ Serves the paper's section Multi-Body Simulation Results (comparison after Greth
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import casadi as ca
 
@@ -64,65 +65,50 @@ class NDI:
             **{f"ff{i}": float(self.derivatives >= i) for i in (1, 2, 3)},
         }
 
-    def torque(
-        self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict
-    ) -> tuple[ca.SX, dict[str, ca.SX]]:
+    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
         """Differential torque that gives the lateral error its wanted third-order dynamics; see `LateralLaw.torque`.
 
         The integral rests while the torque is beyond its limit.
         """
-        du = inverse(wanted_jerk(gear, track_ahead, memory["integral"], gain), gear, track_ahead, model)
-        free = ca.fabs(du) < model["tau_max"]
-        error = track_ahead["y_ref"] - gear["y_TrAx"]
-        return du, {"integral": memory["integral"] + ca.if_else(free, EXCHANGE_PERIOD * error, 0)}
+        du = inverse(wanted_jerk(q), q)
+        free = ca.fabs(du) < q.tau_max
+        return du, {"integral": q.integral + ca.if_else(free, EXCHANGE_PERIOD * (q.y_ref - q.y), 0)}
 
 
-def wanted_jerk(gear: dict, track_ahead: dict, integral, gain: dict):
-    """Third derivative of y (m/s^3) that the error dynamics ask for.
-
-    Parameters
-    ----------
-    gear, track_ahead : dict of SX
-        See `railrepro.control.lateral.GEAR` and `ROAD`.
-    integral : SX
-        Integral of y* - y (m s).
-    gain : dict of SX
-        See `NDI.gains`.
-    """
-    v, vdot, psi_r = gear["xdot"], gear["xddot"], gear["psi_TrAx"]
-    psidot_r = gear["psidot_Ax"] - v * track_ahead["dpsi_dp"]
-    ydot = v * psi_r
-    yddot = v * psidot_r + vdot * psi_r
-    ref1 = v * track_ahead["dy_ref"]
-    ref2 = v**2 * track_ahead["ddy_ref"] + vdot * track_ahead["dy_ref"]
-    ref3 = v**3 * track_ahead["dddy_ref"] + 3 * v * vdot * track_ahead["ddy_ref"]
+def wanted_jerk(q: SimpleNamespace) -> ca.SX:
+    """Third derivative of y (m/s^3) that the error dynamics ask for; `q` as in `LateralLaw.torque`."""
+    psidot_r = q.yaw_rate - q.v * q.dpsi_dp
+    ydot = q.v * q.psi
+    yddot = q.v * psidot_r + q.xddot * q.psi
+    ref1 = q.v * q.dy_ref
+    ref2 = q.v**2 * q.ddy_ref + q.xddot * q.dy_ref
+    ref3 = q.v**3 * q.dddy_ref + 3 * q.v * q.xddot * q.ddy_ref
     return (
-        gain["k0"] * (track_ahead["y_ref"] - gear["y_TrAx"])
-        + gain["k1"] * (gain["ff1"] * ref1 - ydot)
-        + gain["k2"] * (gain["ff2"] * ref2 - yddot)
-        + gain["ff3"] * ref3
-        + gain["ki"] * integral
+        q.k0 * (q.y_ref - q.y)
+        + q.k1 * (q.ff1 * ref1 - ydot)
+        + q.k2 * (q.ff2 * ref2 - yddot)
+        + q.ff3 * ref3
+        + q.ki * q.integral
     )
 
 
-def inverse(jerk, gear: dict, track_ahead: dict, model: dict):
-    """Differential torque (N m) under which y has a third derivative (m/s^3); see `wanted_jerk`.
+def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
+    """Differential torque (N m) under which y has a third derivative (m/s^3); q as in `LateralLaw.torque`.
 
     The weight's yaw stiffness, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
     radii are left out.
 
     Source: corrected yaw equation to first order (`railrepro.evidence.bench.linearised`).
     """
-    v, vdot = gear["xdot"], gear["xddot"]
-    ydot, psidot_r = v * gear["psi_TrAx"], gear["psidot_Ax"] - v * track_ahead["dpsi_dp"]
-    psiddot_r = (jerk - 2 * vdot * psidot_r) / ca.fmax(v, 1.0)
-    psiddot = psiddot_r + track_ahead["ddpsi_dp"] * v**2 + track_ahead["dpsi_dp"] * vdot
-    roll_rate = track_ahead["dphi_dp"] * v - model["gamma"] * ydot
+    ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
+    psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)
+    psiddot = psiddot_r + q.ddpsi_dp * q.v**2 + q.dpsi_dp * q.xddot
+    roll_rate = q.dphi_dp * q.v - q.gamma * ydot
     moment = (
-        model["J_eff"] * psiddot
-        + model["k_sz"] * (gear["psi_Ax"] - track_ahead["psi_CB"])
-        + model["k_dz"] * (gear["psidot_Ax"] - v * track_ahead["dpsi_dp_CB"])
-        - 2 * model["J_Wy"] * v / model["r_0"] * roll_rate
-        + model["J_Wy"] * model["b"] * v * model["tan_delta"] / model["r_0"] ** 3 * ydot
+        q.J_eff * psiddot
+        + q.k_sz * (q.psi_Ax - q.psi_CB)
+        + q.k_dz * (q.yaw_rate - q.v * q.dpsi_dp_CB)
+        - 2 * q.J_Wy * q.v / q.r_0 * roll_rate
+        + q.J_Wy * q.b * q.v * q.tan_delta / q.r_0**3 * ydot
     )
-    return model["r_0"] / model["b"] * moment
+    return q.r_0 / q.b * moment

@@ -43,15 +43,14 @@ def description() -> str:
     """Names that `torque` of a law of the 1 kHz exchange may use, with unit and meaning."""
     short = {full: name for name, full in lateral.SHORT.items()}
     lines = [
-        "A law is one class with torque(self, …), whose arguments are some of these names; it returns the differential",
-        "torque (N m, positive steers right) as an expression of CasADi. With `memory`, a tuple of names of its own,",
-        "it returns (torque, next value of each by name) once per millisecond. See examples/.",
+        "A law is one class with torque(self, q); q has these quantities as attributes, for example q.y. It returns",
+        "the differential torque (N m, positive steers right) as an expression of CasADi. With `memory`, a tuple of",
+        "names of its own that q has, too, it returns (torque, next value of each by name). See examples/.",
         "",
     ]
     for title, names in (("running gear", lateral.GEAR), ("track here", lateral.ROAD), ("vehicle", lateral.MODEL)):
         lines.append(title)
-        for name in names:
-            unit, meaning = lateral.MEANING[name]
+        for name, (unit, meaning) in names.items():
             shown = f"{name}, {short[name]}" if name in short else name
             lines.append(f"  {shown:22s}{unit:12s}{meaning}")
     return "\n".join(lines)

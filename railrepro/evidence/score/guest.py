@@ -39,7 +39,7 @@ def operations(law: lateral.LateralLaw) -> dict:
     InputError
         When it is not well formed, holds a constant that is no number, or too many operations.
     """
-    kind, owner = lateral.kind(law), getattr(law, "owner", type(law).__name__)
+    kind, owner = lateral.kind(law), type(law).__name__
     function, steps = kind.function, []
     if function.n_instructions() > LONGEST:
         raise InputError(f"lateral law {owner}: {function.n_instructions()} operations, {LONGEST} are the most")
@@ -52,7 +52,7 @@ def operations(law: lateral.LateralLaw) -> dict:
                 "the functions of `math` make nan and those of `casadi` expressions"
             )
         steps.append((name, function.instruction_input(i), function.instruction_output(i), constant))
-    return {"steps": steps, "gains": law.gains(), "memory": list(law.memory)}
+    return {"steps": steps, "gains": lateral.gains_of(law), "memory": list(kind.memory)}
 
 
 def answers(requests: Iterator[dict]) -> Iterator[dict]:

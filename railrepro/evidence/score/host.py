@@ -207,17 +207,17 @@ class HandedLaw:
         """See `LateralLaw.gains`."""
         return dict(self._gains)
 
-    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, q) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
-        named = (gear, lateral.GEAR), (track_ahead, lateral.ROAD), (memory, self._own), (gain, self._gains)
-        groups = [[group[name] for name in names] for group, names in (*named, (model, lateral.MODEL))]
+        named = lateral.GEAR, lateral.ROAD, self._own, self._gains, lateral.MODEL
+        groups = [[getattr(q, name) for name in names] for names in named]
         try:
             results = _evaluated(self._steps, groups)
             du, following = results[0, 0], {name: results[1, i] for i, name in enumerate(self._own)}
         except (LookupError, TypeError, ValueError):
             raise Fault("handed over what is no law") from None
         lost = 1 - (ca.fabs(du) < LARGEST)
-        return du, following | {NOT_FINITE: memory[NOT_FINITE] + lost}
+        return du, following | {NOT_FINITE: getattr(q, NOT_FINITE) + lost}
 
 
 def _evaluated(steps: list, groups: list) -> dict[tuple[int, int], ca.SX]:

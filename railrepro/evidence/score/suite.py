@@ -11,6 +11,7 @@ import hashlib
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -156,18 +157,18 @@ class DelayedLaw:
 
     def __init__(self, law: lateral.LateralLaw, delay: float):
         self._law, self._exchanges = law, delay / EXCHANGE_PERIOD
-        self._line = tuple(f"delay.{k}" for k in range(max(_DELAYS)))
-        self.memory = (*law.memory, *self._line)
+        self._line = tuple(f"delayed_{k}" for k in range(max(_DELAYS)))
+        self.memory = (*getattr(law, "memory", ()), *self._line)
 
     def gains(self) -> dict[str, float]:
         """See `LateralLaw.gains`."""
-        return {**self._law.gains(), "delay.exchanges": self._exchanges}
+        return {**lateral.gains_of(self._law), "delay_ticks": self._exchanges}
 
-    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
-        du, following = self._law.torque(gear, track_ahead, memory, gain, model)
-        line = [du, *(memory[name] for name in self._line)]
-        return late(line, gain["delay.exchanges"]), following | dict(zip(self._line, line[:-1], strict=True))
+        du, following = lateral.answer(self._law, q)
+        line = [du, *(getattr(q, name) for name in self._line)]
+        return late(line, q.delay_ticks), following | dict(zip(self._line, line[:-1], strict=True))
 
 
 class DelayedController(DelayedLaw):

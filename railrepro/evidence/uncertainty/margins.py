@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -51,18 +52,17 @@ class ProbedLaw:
 
     def __init__(self, law: lateral.LateralLaw, amplitude: float):
         self._law, self._amplitude = law, amplitude
-        self.memory = (*law.memory, "probe.exchange")
+        self.memory = (*getattr(law, "memory", ()), "probe_ticks")
 
     def gains(self) -> dict[str, float]:
         """See `LateralLaw.gains`."""
-        return {**self._law.gains(), "probe.amplitude": self._amplitude}
+        return {**lateral.gains_of(self._law), "probe_amplitude": self._amplitude}
 
-    def torque(self, gear: dict, track_ahead: dict, memory: dict, gain: dict, model: dict) -> tuple[ca.SX, dict]:
+    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
-        du, following = self._law.torque(gear, track_ahead, memory, gain, model)
-        exchange = memory["probe.exchange"]
-        signal = gain["probe.amplitude"] * multisine(exchange * EXCHANGE_PERIOD, ca.sin)
-        return du + signal, following | {"probe.exchange": exchange + 1}
+        du, following = lateral.answer(self._law, q)
+        signal = q.probe_amplitude * multisine(q.probe_ticks * EXCHANGE_PERIOD, ca.sin)
+        return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
 
 
 class ProbedController(ProbedLaw):
