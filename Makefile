@@ -67,7 +67,7 @@ ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
   endif
 endif
 
-.PHONY: help figures chain check test test-slow test-all test-extras faults lab score leaderboard tune report article answers verify variants bench study html script cite dist lock strip clean distclean FORCE
+.PHONY: help figures chain check test test-slow test-all test-extras faults lab score leaderboard tune report answers verify variants bench study html script lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -119,9 +119,6 @@ tune: $(VENV)  ## tune all controllers in all settings by particle swarm (long, 
 report: figures  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro report
 
-article: figures $(BOOK)  ## the report as an article, build/article.pdf, build/rescience
-	$(PY) -m railrepro article
-
 answers: $(VENV)  ## verdicts that flip with the answers in data/answers.toml; SHEET=FILE takes another sheet
 	$(PY) -m railrepro answers $(SHEET)
 
@@ -150,12 +147,6 @@ html: figures $(BOOK)  ## the book: executed notebooks, report and library refer
 
 script: $(VENV)  ## a chapter as a Python script in build/scripts: NB=06
 	@$(PY) -m railrepro chain script "$(or $(NB),00)"
-
-cite: $(VENV)  ## how this version is cited, with its Software Heritage id
-	@$(PY) -m railrepro cite
-
-dist: $(VENV)  ## an archive that builds without git and a wheel, in build/dist
-	@$(PY) -m railrepro dist
 
 strip: $(VENV)  ## remove outputs from the notebooks, tag the cells that the book folds
 	$(PY) -m railrepro chain strip

@@ -14,7 +14,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 @pytest.fixture(scope="session")
 def nominal():
-    """Where the numbers of report and article come from."""
+    """Where the numbers of the report come from."""
     from railrepro.evidence.claims.nominal import Nominal
 
     return Nominal()

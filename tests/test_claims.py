@@ -150,6 +150,17 @@ def test_the_first_table_has_the_verdict_on_the_calibrated_car_when_it_is_made(t
 
 
 @needs_results
+def test_a_study_that_has_not_run_is_told_with_its_command(monkeypatch):
+    optional = Results.optional
+    monkeypatch.setattr(
+        Results, "optional", lambda self, name: None if name.startswith("robustness") else optional(self, name)
+    )
+    nominal = Nominal()
+    page = text.render(claims.evaluate(nominal), nominal)
+    assert "the robustness study (`make study`) has not run" in page
+
+
+@needs_results
 @pytest.mark.parametrize(("key", "sentence"), [("{poll}", "is no number of the prose"), ("[[poll]]", "is no block")])
 def test_a_wrong_key_of_the_page_is_told_with_its_line(key, sentence, table, nominal, monkeypatch, tmp_path):
     (tmp_path / "data").mkdir()

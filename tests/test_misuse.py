@@ -167,7 +167,7 @@ def test_nothing_that_the_project_holds_is_unusual():
 
 
 COMMANDS = ["tune", "probe", "robustness", "matching", "margins", "order", "bench", "second-opinion", "report",
-            "article", "answers", "score", "leaderboard", "chain"]  # fmt: skip
+            "answers", "score", "leaderboard", "chain"]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -4,8 +4,9 @@ import re
 
 import pandas as pd
 import pytest
+import yaml
 
-from railrepro import paths
+from railrepro import __version__, paths
 
 README = (paths.ROOT / "README.md").read_text()
 GUIDE = paths.NOTEBOOKS / "book"
@@ -26,6 +27,13 @@ def of_the_paper(figure):
         error = 1e3 * ((rows["y_m"] - rows["y_ref_m"]) ** 2).mean() ** 0.5
         found.setdefault(car, []).extend([error, rows["p_m"].iloc[-1]] if figure == "Fig. 9" else [error])
     return found["uncalibrated"] + found["calibrated"]
+
+
+def test_readme_changelog_and_citation_name_this_version():
+    citation = yaml.safe_load((paths.ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == __version__ and f"*railrepro* {__version__}, " in README
+    newest = re.search(r"^## (\S+), (\S+)$", (paths.ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert newest.groups() == (__version__.partition(".dev")[0], str(citation["date-released"]))
 
 
 def test_files_that_the_readme_links_are_there():

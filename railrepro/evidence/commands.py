@@ -75,7 +75,6 @@ def _studies(command: Callable) -> None:
     added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/verdicts.csv")
     added = command("answers", "report.answers:main", "verdicts that flip with the authors' answers")
     added.add_argument("sheet", nargs="?", help="a filled sheet; default data/answers.toml")
-    command("article", "chain.release:submission", "the report as an article, build/article.pdf, build/rescience")
 
 
 def _tools(command: Callable) -> None:
@@ -86,10 +85,6 @@ def _tools(command: Callable) -> None:
     added.add_argument("--small", action="store_true", help="only the quick runs of the published draw, no margins")
     added = command("leaderboard", "score.leaderboard:main", "score registered controllers and examples/ (long)")
     added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
-
-    command("cite", "chain.release:cite", "print how this version is cited, write build/metadata.yaml")
-    command("codemeta", "chain.release:store_codemeta", "write codemeta.json from CITATION.cff and pyproject.toml")
-    command("dist", "chain.release:dist", "archive of the committed files and a wheel, in build/dist")
 
 
 def _chain(command: Callable) -> None:

@@ -55,8 +55,7 @@ def script(name: str) -> Path:
 def _source(folder: Path) -> Path:
     """Write the source of the book; returns its folder."""
     from railrepro.evidence.claims import statements
-    from railrepro.evidence.claims.nominal import Nominal
-    from railrepro.evidence.report import article, claims, notation
+    from railrepro.evidence.report import notation
 
     notebooks = chain()
     contents = {notebook.name: pages.executed(notebook) for notebook in notebooks}
@@ -78,10 +77,6 @@ def _source(folder: Path) -> Path:
         write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
     write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
     write(folder / "leaderboard.md", pages.leaderboard(_leaderboard()))
-    nominal = Nominal()
-    text = article.render(claims.evaluate(nominal), nominal)
-    write(folder / "article.md", article.for_the_book(text))
-    write(folder / "article.pdf", article.pdf(text))
     write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
     return folder
 

@@ -1,4 +1,4 @@
-"""Numbers in prose: placeholders of data/claims.toml, of the page and of the article, filled in from the results.
+"""Numbers in prose: placeholders of data/claims.toml and of the page, filled in from the results.
 
 {equal: scenario/controller/metric unit} is a metric in some setting, {printed: what} a number of
 data/paper_numbers.csv, {name} an entry of `NAMED`.
@@ -22,7 +22,7 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import MissingEvidence
 from railrepro.evidence.runs import tuning
-from railrepro.evidence.uncertainty.robustness import LABELS, OPEN, draw, holds, prior
+from railrepro.evidence.uncertainty.robustness import LABELS, draw, holds
 from railrepro.simulation.scenarios import load_scenario
 
 UNKNOWN = "n/a"
@@ -37,13 +37,13 @@ def named(function: Callable[[Nominal], str]) -> Callable:
     return function
 
 
-def filled(text: str, nominal: Nominal, linked: bool = False, strict: bool = False) -> str:
+def filled(text: str, nominal: Nominal, linked: bool = False) -> str:
     """A text with its placeholders filled in; `linked`: each number is a Markdown link to the file that it comes from.
 
     Raises
     ------
     InputError
-        When a placeholder names no number; with `strict` also when the results do not have it, which else reads n/a.
+        When a placeholder names no number. One that the results do not have reads n/a.
     """
 
     def number(match: re.Match) -> str:
@@ -63,8 +63,6 @@ def filled(text: str, nominal: Nominal, linked: bool = False, strict: bool = Fal
                 )
         except MissingEvidence:
             value, files = UNKNOWN, []
-        if strict and value == UNKNOWN:
-            raise InputError(f"{match[0]}: the results do not have it")
         return link(value, files) if linked else value
 
     return _PLACE.sub(number, text)
@@ -198,11 +196,6 @@ def _tuned_nmpc(nominal: Nominal) -> dict[str, float]:
     return json.loads(file.read_text(encoding="utf-8"))["parameters"]
 
 
-@named
-def _nmpc_period(nominal: Nominal) -> str:
-    return f"{_tuned_nmpc(nominal)['period_ms']:g} ms"
-
-
 def _cause(nominal: Nominal, cause: str) -> str:
     table = nominal.results("sine_causes").query("case == 'straight, 160 km/h'").set_index("cause")["rmse_y"]
     return quantity(table[cause], "mm") if cause in table else UNKNOWN
@@ -246,21 +239,6 @@ def _swarms(nominal: Nominal) -> str:
     return f"{len(tuning.load_task().budget['seeds'])}"
 
 
-@named
-def _unpublished(nominal: Nominal) -> str:
-    """Parameters of the car that the robustness study varies."""
-    nominal.results.file("data/vehicle.toml")
-    return f"{len(prior()) - sum('.' not in dimension.name for dimension in OPEN)}"
-
-
-def _survived(nominal: Nominal, setting: str) -> str:
-    """Delay margin (ms) of NMPC of a setting at 400 km/h on dry rail."""
-    table = nominal.results("margins").query(
-        "setting == @setting and rail == 'dry' and controller == 'nmpc' and quantity == 'delay'"
-    )
-    return quantity(1e3 * float(table["largest"].iloc[0]))
-
-
 def _set_point(nominal: Nominal, scenario: str) -> str:
     """Amplitude and wavelengths of a scenario's set point."""
     nominal.results.file("data/scenarios.toml")
@@ -270,8 +248,6 @@ def _set_point(nominal: Nominal, scenario: str) -> str:
 
 
 NAMED |= {
-    "delay_survived": lambda nominal: _survived(nominal, "paper"),
-    "delay_survived_equal": lambda nominal: _survived(nominal, "equal"),
     "sweep_on_t3": lambda nominal: _set_point(nominal, "curve_entry_T3"),
     "sine_on_t5": lambda nominal: _set_point(nominal, "sine_tracking"),
     "sine_on_poor": lambda nominal: _set_point(nominal, "adhesion_loss"),
@@ -327,12 +303,3 @@ NAMED |= {
     "c36_shortest_lag": lambda nominal: _share(nominal, "C36", _third("drive.lag")),
     "c36_longest_lag": lambda nominal: _share(nominal, "C36", _third("drive.lag", last=True)),
 }
-
-
-@named
-def _car_checks(nominal: Nominal) -> str:
-    """Checks of the car that are within their limits; InputError when one is not."""
-    table = nominal.results("car_checks")
-    if (table["value"].abs() > table["limit"]).any():
-        raise InputError("car_checks.csv: a check of the car is beyond its limit")
-    return f"{len(table)}"

@@ -6,7 +6,7 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -100,11 +100,11 @@ def page(relative: str, blocks: Mapping[str, Callable[[], list[str]]], fill: Cal
     return "\n".join(lines) + "\n"
 
 
-def rows_of(rows: list[list[str]], heads: list[str], widths: Sequence[int] = ()) -> list[str]:
-    """A table in Markdown; `widths` are relative, for a page that has a width."""
+def rows_of(rows: list[list[str]], heads: list[str]) -> list[str]:
+    """A table in Markdown."""
     return [
         "| " + " | ".join(heads) + " |",
-        "|" + "".join("-" * width + "|" for width in widths or [3] * len(heads)),
+        "|" + "---|" * len(heads),
         *("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows),
     ]
 
@@ -255,11 +255,6 @@ def matched(nominal: Nominal) -> str:
         f"{runs} runs, at best {most_of} statements in one run. It is an exploration: points that no run visited may "
         "hold more, as the calibrated car does."
     )
-
-
-def region_figure() -> str:
-    """Name of the figure of the non-implausible region, when a notebook has drawn it."""
-    return next((file.stem for file in sorted(paths.source("figures").glob("fig*_region.png"))), "")
 
 
 def _register(nominal: Nominal) -> list[str]:

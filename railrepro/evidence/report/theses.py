@@ -1,4 +1,4 @@
-"""Sentences of report and article as predicates: each says when it is true, and what the tables refute is not said.
+"""Sentences of the report as predicates: each says when it is true, and what the tables refute is not said.
 
 data/theses.toml has a sentence with its placeholders (`reasons`), the statements that it explains, and conditions:
 comparisons like "paper: scenario/controller/metric > 0.71 * paper: scenario/nothing/metric" or "0.1 < name < 0.5" with
