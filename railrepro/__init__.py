@@ -35,7 +35,7 @@ FACADE = {
     "NDI": "railrepro.control.ndi.NDI",
     "NMPC": "railrepro.control.nmpc.NMPC",
     "LTVMPC": "railrepro.control.ltv_mpc.LTVMPC",
-    "CreepMPC": "railrepro.control.creep_mpc.CreepMPC",
+    "CreepMPC": "railrepro.own.creep_mpc.CreepMPC",
     "load_loop": "railrepro.estimation.sensors.load_loop",
     "Readings": "railrepro.estimation.sensors.Readings",
     "SteppedCar": "railrepro.car.component.SteppedCar",

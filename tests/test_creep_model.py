@@ -6,12 +6,12 @@ import pytest
 
 from railrepro.car.component import SteppedCar
 from railrepro.contact.table import contact_table
-from railrepro.control.creep_mpc import CreepMPC
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.model import control_model as rolling
-from railrepro.model import creep_model
-from railrepro.model.creep_model import KNOWN, SHIFTS, STATES, Creep, creep_at, lateral_model, shifts
+from railrepro.own import creep_model
+from railrepro.own.creep_model import KNOWN, SHIFTS, STATES, Creep, creep_at, lateral_model, shifts
+from railrepro.own.creep_mpc import CreepMPC
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.table import load_track

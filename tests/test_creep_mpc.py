@@ -9,13 +9,13 @@ import pytest
 from test_symmetry import drive_with, mirrored, turned
 
 from railrepro.contact.table import contact_table
-from railrepro.control import creep_gains, creep_mpc
-from railrepro.control.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains
-from railrepro.control.creep_mpc import CreepGuide, CreepMPC
 from railrepro.control.tuned import tuned
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
-from railrepro.model.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at, lateral_model
+from railrepro.own import creep_gains, creep_mpc
+from railrepro.own.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains
+from railrepro.own.creep_model import KNOWN, LEAST_SPEED, STATES, UNKNOWN, Creep, creep_at, lateral_model
+from railrepro.own.creep_mpc import CreepGuide, CreepMPC
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.rough import rough_track

@@ -10,8 +10,8 @@ import pytest
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.creep import polach
 from railrepro.contact.table import cone_patch
-from railrepro.control.slip import SlipSettings, base_torque
 from railrepro.errors import InputError
+from railrepro.own.slip import SlipSettings, base_torque
 from railrepro.vehicle.parameters import load_vehicle
 
 V = load_vehicle()

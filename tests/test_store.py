@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.control.slip import SlipSettings
 from railrepro.evidence.claims import probe
 from railrepro.evidence.runs import experiment, sources, store, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, run_all
+from railrepro.own.slip import SlipSettings
 from railrepro.simulation import metrics
 from railrepro.simulation.scenarios import load_scenario
 
@@ -102,7 +102,7 @@ def copied(tmp_path_factory):
 
 def test_a_run_reaches_the_physics_and_not_the_report():
     found = set(experiment._reached())
-    for name in ("contact/creep.py", "car/suspension.py", "car/car.c", "control/slip.py", "simulation/loop.c",
+    for name in ("contact/creep.py", "car/suspension.py", "car/car.c", "own/slip.py", "simulation/loop.c",
                  "control/solvers/riccati.c", "estimation/observers.py", "track/route.py", "compile/lanes.h",
                  "vehicle/parameters.py", "model/derivation.py", "simulation/metrics.py"):  # fmt: skip
         assert f"railrepro/{name}" in found

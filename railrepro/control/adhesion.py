@@ -29,8 +29,27 @@ SLOWEST = 1.0
 """Speed below which the dead zone grows no more (m/s)."""
 
 
+class LongitudinalLaw:
+    """Settings of a law that gives the base torque of a running gear each millisecond."""
+
+    memory: ClassVar[tuple[str, ...]]
+    """Names of its states."""
+
+    def gains(self) -> dict[str, float]:
+        """Run-time gains by name."""
+        raise NotImplementedError
+
+    @staticmethod
+    def law(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
+        """Base torque per wheel (N m), next memory, and segment, as `base_torque` gives them.
+
+        `ticks` counts the milliseconds; `model` has tau_max (N m), r_0 (m), J_Wy (kg m2) and m_x_eff (kg).
+        """
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class AdhesionSettings:
+class AdhesionSettings(LongitudinalLaw):
     """Parameters of the law.
 
     Attributes
@@ -76,6 +95,11 @@ class AdhesionSettings:
     def gains(self) -> dict[str, float]:
         """Run-time gains by name."""
         return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
+
+    @staticmethod
+    def law(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
+        """See `LongitudinalLaw.law`."""
+        return base_torque(f, s, f_star, v, memory, gain, model["tau_max"])
 
 
 def base_torque(f, s, f_star, v, memory: dict, gain, tau_max) -> tuple:

@@ -19,10 +19,9 @@ import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.control import lateral, slip
-from railrepro.control.adhesion import AdhesionSettings, base_torque
+from railrepro.control import lateral
+from railrepro.control.adhesion import AdhesionSettings, LongitudinalLaw
 from railrepro.control.allocation import allocate
-from railrepro.control.slip import SlipSettings
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
 from railrepro.model.control_model import STATES
@@ -101,9 +100,9 @@ class LawSettings:
 
     Attributes
     ----------
-    adhesion : AdhesionSettings or SlipSettings, optional
-        Of the paper's adhesion law (default: its own, or those that the sensors need), or of the slip control of our
-        own.
+    adhesion : LongitudinalLaw, optional
+        The law of the base torque; default the paper's adhesion law with its own settings, or those that the sensors
+        need.
     estimate : EstimateSettings, optional
         Quality of the estimates of adhesion and slip without sensors; default exact.
     fixed_share : float
@@ -117,14 +116,14 @@ class LawSettings:
         When one is of another kind or beyond its range.
     """
 
-    adhesion: AdhesionSettings | SlipSettings | None = None
+    adhesion: LongitudinalLaw | None = None
     estimate: EstimateSettings | None = None
     fixed_share: float = 0.0
     sensors: Readings | None = None
 
     def __post_init__(self) -> None:
         if self.adhesion is not None:
-            require("adhesion", self.adhesion, (AdhesionSettings, SlipSettings))
+            require("adhesion", self.adhesion, LongitudinalLaw)
         if self.estimate is not None:
             require("estimate", self.estimate, EstimateSettings)
         if self.sensors is not None:
@@ -151,7 +150,7 @@ class LawKind:
 
     lateral: lateral.Kind
     sensed: bool = False
-    longitudinal_law: type[AdhesionSettings] | type[SlipSettings] = AdhesionSettings
+    longitudinal_law: type[LongitudinalLaw] = AdhesionSettings
 
     @property
     def gains(self) -> tuple[str, ...]:
@@ -321,10 +320,7 @@ def _exchange(kind: LawKind, gear: _Exact, track_ahead: dict) -> tuple[list, dic
     state, estimates = gear.look(track_ahead)
     f_star = gear.cell["force"] / (2 * gain["nominal_load"])
     f, s = ([estimates[f"{what}_hat_{i}"] for i in range(2)] for what in ("f", "s"))
-    if kind.longitudinal_law is SlipSettings:
-        u_d, stored, segment = slip.base_torque(f, s, f_star, state["xdot"], gear.ticks, own, gain, model)
-    else:
-        u_d, stored, segment = base_torque(f, s, f_star, state["xdot"], own, gain, model["tau_max"])
+    u_d, stored, segment = kind.longitudinal_law.law(f, s, f_star, state["xdot"], gear.ticks, own, gain, model)
 
     state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": gear.held}
     wanted, following = _lateral(kind.lateral, state, track_ahead, own, gain, model)

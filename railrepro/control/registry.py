@@ -10,9 +10,8 @@ import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
+from pkgutil import resolve_name
 
-from railrepro.control.creep_gains import CreepSettings
-from railrepro.control.creep_mpc import CreepMPC
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
@@ -76,6 +75,15 @@ def _inversion(settings: NDI) -> NDI:
     return settings
 
 
+def _creep_mpc(settings):
+    """CreepMPC is imported when it is asked for, so that the paper's controllers do not stand on ours."""
+    return resolve_name("railrepro.own.creep_mpc:CreepMPC")(settings)
+
+
+def _creep_settings(parameters: dict):
+    return resolve_name("railrepro.own.creep_gains:CreepSettings")(**parameters)
+
+
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
 CONTROLLERS = {
@@ -108,7 +116,7 @@ EMPHASIS = 10.0
 OURS = "creep_mpc"
 """The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
 REGISTERED = CONTROLLERS | {
-    OURS: Controller(CreepMPC, lambda p: CreepSettings(**p), True, _AHEAD + "; adhesion and slip of its wheels")
+    OURS: Controller(_creep_mpc, _creep_settings, True, _AHEAD + "; adhesion and slip of its wheels")
 }
 """All of them."""
 

@@ -17,9 +17,8 @@ from railrepro.car.component import DERAILED
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.table import contact_table
 from railrepro.control import lateral, law
-from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import GEARS
-from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
@@ -72,7 +71,7 @@ def run(
     *,
     vehicle: Vehicle | None = None,
     plant_vehicle: Vehicle | None = None,
-    adhesion: AdhesionSettings | SlipSettings | None = None,
+    adhesion: LongitudinalLaw | None = None,
     estimate: law.EstimateSettings | None = None,
     fixed_share: float = 0.0,
     sensors: Readings | None = None,

@@ -16,10 +16,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import REGISTERED, guidance
-from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
 from railrepro.evidence.runs import preview, ride, sources, store, tuning
@@ -88,7 +87,7 @@ class Experiment:
     changes: dict = field(default_factory=dict)
     vehicle: dict = field(default_factory=dict)
     plant: dict = field(default_factory=dict)
-    adhesion: AdhesionSettings | SlipSettings | None = None
+    adhesion: LongitudinalLaw | None = None
     estimate: EstimateSettings | None = None
     fixed_share: float = 0.0
     irregular: dict = field(default_factory=dict)

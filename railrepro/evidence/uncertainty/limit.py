@@ -1,6 +1,6 @@
 r"""How small the lateral error with sensors can be: a linear-quadratic-Gaussian bound.
 
-The creep model of a gear (`railrepro.model.creep_model`) with disturbances and biases as slow Gauss-Markov processes is
+The creep model of a gear (`railrepro.own.creep_model`) with disturbances and biases as slow Gauss-Markov processes is
 a linear system under white noise:
 
     x_(k+1) = A x_k + B (du_k - du_(k-1)) + w_k,    z_k = C x_k + v_k
@@ -26,7 +26,7 @@ from scipy.optimize import brentq
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.estimation.sensors import Loop
-from railrepro.model.creep_model import STATES, UNKNOWN, Creep, creep_at, lateral_model
+from railrepro.own.creep_model import STATES, UNKNOWN, Creep, creep_at, lateral_model
 from railrepro.vehicle.parameters import Vehicle
 
 BIASES = ("y", "psi", "r")

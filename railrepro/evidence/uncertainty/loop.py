@@ -13,8 +13,6 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.creep_gains import CreepSettings
-from railrepro.control.creep_mpc import CreepGuide
 from railrepro.control.registry import CONTROLLERS, OURS
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import store, tuning
@@ -22,7 +20,9 @@ from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.uncertainty import limit
 from railrepro.files import write
-from railrepro.model.creep_model import STATES, UNKNOWN, creep_at
+from railrepro.own.creep_gains import CreepSettings
+from railrepro.own.creep_model import STATES, UNKNOWN, creep_at
+from railrepro.own.creep_mpc import CreepGuide
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.route import Route

@@ -17,7 +17,6 @@ from scipy import stats
 
 from railrepro import paths, schema
 from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_times
-from railrepro.control.slip import SlipSettings
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
@@ -28,6 +27,7 @@ from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.runs.swarm import driven, run_cost
 from railrepro.files import write
+from railrepro.own.slip import SlipSettings
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges

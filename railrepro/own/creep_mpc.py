@@ -1,7 +1,7 @@
 """Predictive control of a running gear that knows creep: a slower controller with a filter of its own.
 
 Where the paper's model predictive controllers optimise over a model that rolls without sliding, this one optimises over
-`railrepro.model.creep_model`. Without active bounds the optimum is linear in states, disturbances and preview, so
+`railrepro.own.creep_model`. Without active bounds the optimum is linear in states, disturbances and preview, so
 its gains are scheduled over speed, used adhesion and slip; the torque limit cuts what they ask for, which the filter is
 told.
 A Kalman filter finds creepage, body motion and disturbances from displacement, yaw angle and yaw rate; the disturbances
@@ -22,13 +22,13 @@ import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.table import contact_table
-from railrepro.control.creep_gains import ALERT, READ, CreepSettings, delay_of, schedule
 from railrepro.control.lateral import SlowController
 from railrepro.control.predictive import Solve
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
-from railrepro.model.creep_model import KNOWN, LEAST_SPEED, SHIFTS, STATES, UNKNOWN, Creep, creep_at, shifts
 from railrepro.model.forecast import nominal_values
+from railrepro.own.creep_gains import ALERT, READ, CreepSettings, delay_of, schedule
+from railrepro.own.creep_model import KNOWN, LEAST_SPEED, SHIFTS, STATES, UNKNOWN, Creep, creep_at, shifts
 from railrepro.schema import require
 from railrepro.track.route import CELL, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle

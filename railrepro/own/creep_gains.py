@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from railrepro.errors import InputError
-from railrepro.model.creep_model import LEAST_SPEED, STATES, UNKNOWN, Creep, lateral_model
+from railrepro.own.creep_model import LEAST_SPEED, STATES, UNKNOWN, Creep, lateral_model
 from railrepro.schema import between, require
 from railrepro.vehicle.parameters import Vehicle
 

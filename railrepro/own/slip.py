@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.schema import above, between, require
 
 _RANGES = {
@@ -40,7 +41,7 @@ _RANGES = {
 
 
 @dataclass(frozen=True)
-class SlipSettings:
+class SlipSettings(LongitudinalLaw):
     """Parameters of the law.
 
     Attributes
@@ -92,6 +93,11 @@ class SlipSettings:
     def gains(self) -> dict[str, float]:
         """Run-time gains by name."""
         return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
+
+    @staticmethod
+    def law(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
+        """See `LongitudinalLaw.law`."""
+        return base_torque(f, s, f_star, v, ticks, memory, gain, model)
 
 
 _LEAST_SPEED = 12.0
