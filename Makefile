@@ -133,11 +133,10 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro second-opinion; \
 	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
 
-study: $(VENV)  ## nominal probes, robustness, matching over the unpublished, margins, ranking sensitivity (long, resumes)
+study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (long, resumes)
 	$(PY) -m railrepro probe
 	$(PY) -m railrepro calibrated
 	$(PY) -m railrepro robustness
-	$(PY) -m railrepro matching
 	$(PY) -m railrepro margins
 	$(PY) -m railrepro loop
 	$(PY) -m railrepro order

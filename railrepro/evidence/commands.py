@@ -60,8 +60,6 @@ def _studies(command: Callable) -> None:
     added = command("robustness", "uncertainty.robustness:main", "stability map and robustness (long, resumes)")
     added.add_argument("studies", nargs="*", metavar="STUDY", help="stability, robustness; default both")
     added.add_argument("--samples", type=_whole(1, 4096), help="samples of the robustness study, default 128")
-    added = command("matching", "uncertainty.matching:main", "parameters consistent with the paper (long, resumes)")
-    added.add_argument("size", nargs="?", default="committed", help="committed (default) or small")
     command("margins", "uncertainty.margins:main", "stability margins of all tuned sets (long)")
     command(
         "loop", "uncertainty.loop:main", "closed loop with sensors over unseen seeds, and its limit (long, resumes)"

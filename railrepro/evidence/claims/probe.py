@@ -1,8 +1,8 @@
 """What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
 
-The nominal results in three settings, each sample of the robustness study and each point of the matching are probes, so
-that one predicate (`statements`) judges all of them. `python -m railrepro probe` drives the nominal
-ones, for all settings and swarms, and writes data/results/nominal_metrics.csv.
+The nominal results in three settings and each sample of the robustness study are probes, so that one predicate
+(`statements`) judges all of them. `python -m railrepro probe` drives the nominal ones, for all settings and swarms, and
+writes data/results/nominal_metrics.csv.
 
 Serves the paper's section Multi-Body Simulation Results.
 """

@@ -1,8 +1,8 @@
 """The paper's statements as predicates: one function and one rule per statement, for report, studies and tests.
 
 A function here turns evidence into a number; data/claims.toml says between which limits the statement holds, and why.
-Evidence is a table of metrics by scenario, controller and metric, from any source, so that the nominal results,
-a sample of the robustness study and a point of the matching are judged alike.
+Evidence is a table of metrics by scenario, controller and metric, from any source, so that the nominal results
+and a sample of the robustness study are judged alike.
 
 Serves the paper's section Multi-Body Simulation Results.
 """

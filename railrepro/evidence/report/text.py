@@ -57,7 +57,6 @@ def render(table: pd.DataFrame, nominal: Nominal) -> str:
         "statements": lambda: _statements(table),
         "reasons": lambda: _reasons(table, nominal),
         "robustness": lambda: [robust(nominal)],
-        "matching": lambda: [matched(nominal)],
         "errata": lambda: _register(nominal),
         "rules": lambda: _rules(table),
         "elsewhere": _elsewhere,
@@ -239,21 +238,6 @@ def robust(nominal: Nominal) -> str:
         f"Cars and experiments were drawn {size} times from the ranges of the unpublished parameters, with controllers "
         f"tuned again. Statements that hold in more than half of the samples: {', '.join(counts)}. {' '.join(causes)} "
         "What is decisive is confirmed by a run with this change alone."
-    )
-
-
-def matched(nominal: Nominal) -> str:
-    """Result of the history matching, an exploration."""
-    waves = nominal.results.optional("matching_waves")
-    if waves is None:
-        return "History matching has not run yet: `python -m railrepro matching` (part of `make study`)."
-    where, last = "data/results/matching_waves.csv", waves.iloc[-1]
-    runs, most = link(str(int(waves["points"].sum())), [where]), int(last["most_statements"])
-    most_of = link(f"{most} of {int(last['statements'])}", [where])
-    return (
-        "History matching searches cars, weights and experiments for points at which the statements hold together: "
-        f"{runs} runs, at best {most_of} statements in one run. It is an exploration: points that no run visited may "
-        "hold more, as the calibrated car does."
     )
 
 

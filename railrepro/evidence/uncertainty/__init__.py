@@ -1,1 +1,1 @@
-"""How far a result depends on what the paper does not publish: robustness, history matching, margins."""
+"""How far a result depends on what the paper does not publish: robustness, margins."""
