@@ -48,6 +48,34 @@ int count(void) { return LANES; }
         np.testing.assert_allclose(other, exact[1][0], rtol=1e-14)
 
 
+@needs_compiler
+def test_the_wait_for_the_compiler_is_announced_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
+    cache._announce.cache_clear()
+    long = f"/*{'-' * cache._SLOW}*/ int number(void) {{ return %d; }}"
+    cache.build("int number(void) { return 3; }")
+    assert capsys.readouterr().err == ""
+    for number in (4, 5, 5):
+        cache.build(long % number)
+    assert capsys.readouterr().err == (
+        "compiling for this machine, once: some 20 s for the car, 10 s for a predictive controller\n"
+    )
+
+
+def test_that_there_is_no_compiler_is_reported(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cache.shutil, "which", lambda _: None)
+    for name in ("CC", "RAILREPRO_NO_COMPILER"):
+        monkeypatch.setenv(name, "")
+    cache.compiler.cache_clear()
+    try:
+        assert cache.compiler() is None and cache.compiler() is None
+    finally:
+        cache.compiler.cache_clear()
+    assert capsys.readouterr().err == (
+        "no C compiler was found (CC, cc, gcc), `pip install railrepro[compiler]` brings one; everything is interpreted, some twenty times slower\n"
+    )
+
+
 def test_an_operation_without_translation_is_refused():
     x = ca.SX.sym("x")
     with pytest.raises(ValueError, match="odd: operation .* is not translated"):
@@ -265,6 +293,7 @@ def test_where_there_is_no_compiler_the_packaged_one_is_taken(tmp_path, monkeypa
     shutil.rmtree(package)
     importlib.invalidate_caches()
     cache.compiler.cache_clear()
+    monkeypatch.setenv("RAILREPRO_NO_COMPILER", "")  # what is set for processes to come is taken back
     assert cache.compiler() is None
 
 

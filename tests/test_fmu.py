@@ -58,6 +58,12 @@ def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):
     assert token(unit) in guids
 
 
+def test_a_folder_is_refused_before_the_car_is_built(tmp_path, monkeypatch):
+    monkeypatch.setattr(fmu, "SteppedCar", lambda *_: pytest.fail("the car is built"))
+    with pytest.raises(InputError, match="is a folder, the name of an .fmu file is needed"):
+        export_fmu(tmp_path, "T5", 60.0)
+
+
 def test_no_flag_asks_for_more_than_any_processor_has(monkeypatch):
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
     assert not any(flag.startswith(("-march", "-mavx", "-mtune")) for flag in codegen.flags(portable=True))

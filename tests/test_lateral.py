@@ -99,7 +99,9 @@ def test_a_1_khz_law_may_use_what_a_slower_controller_hands_in():
         (Own(lambda q: ca.SX.sym("z")), r"law Own: the symbols \[.*z.*\] are not given to torque"),
         (Own(lambda q: 0, {"k": float("nan")}), "law Own: gain 'k' is nan, a finite number is needed"),
         (Own(lambda q: 0, {"k": "much"}), "law Own: gain 'k' is 'much', a finite number is needed"),
-        (Own, "a factory .* is needed"),
+        (Own(lambda q: 1 if q.y > 0 else 2), "law Own: .* casadi.if_else takes the place of if"),
+        (Own(lambda q: max(q.y, 0)), "law Own: .* casadi.fmin and casadi.fmax that of min and max"),
+        (Own, r"guidance Own is a class, an object of it is needed: Own\(\)"),
         ("nmpc", "guidance 'nmpc': an object with torque"),
     ],
 )
@@ -143,7 +145,7 @@ def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
     assert lateral.split(fast) == (fast, None)
     assert lateral.split(both) == (both, both)
     assert lateral.split(NMPC) == (lateral.Held(), NMPC)
-    for nothing in (NDI, 3.0, None):
+    for nothing in (3.0, None):
         with pytest.raises(InputError, match=r"an object with torque\(q\), or a factory"):
             lateral.split(nothing)
 

@@ -307,3 +307,26 @@ def test_make_needs_no_home_that_can_be_written_and_a_lab_of_root_may_start(tmp_
     for home, own in ((tmp_path, False), ("/dev/null", True), (tmp_path / "file", True)):
         assert ("UV_CACHE_DIR := " in printed("help", HOME=str(home), **environment)) is own, home
     assert ("notebooks --allow-root" in printed("lab")) is (os.getuid() == 0)
+
+
+def test_a_half_made_environment_is_made_again(tmp_path):
+    """What `python -m venv` leaves where ensurepip is missing: a Python without pip."""
+    for name in ("Makefile", "environment.lock", "pyproject.toml", "notebooks", "railrepro"):
+        (tmp_path / name).symlink_to(paths.ROOT / name)
+    broken, other = tmp_path / ".venv/bin/python", tmp_path / "python"
+    broken.parent.mkdir(parents=True)
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    other.write_text(f'#!/bin/sh\ncase "$*" in *venv*) echo made again; exit 1;; esac\n{sys.executable} "$@"\n')
+    for script in (broken, other):
+        script.chmod(0o755)
+    made = subprocess.run(["make", "check", f"PYTHON={other}"], cwd=tmp_path, capture_output=True, text=True)
+    assert made.returncode == 2 and "made again" in made.stdout, made.stdout
+
+
+def test_the_clone_in_the_working_directory_does_not_hide_the_package(tmp_path):
+    """The folder of a clone is called like the package; where it lies beside a script it is none."""
+    (tmp_path / "railrepro").mkdir()
+    (tmp_path / "first.py").write_text("from railrepro import simulate; print(simulate.__name__)")
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    found = subprocess.run([sys.executable, "first.py"], cwd=tmp_path, env=clean, capture_output=True, text=True)
+    assert found.stdout == "run\n", found.stderr

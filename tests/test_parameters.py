@@ -1,5 +1,7 @@
 """Vehicle data: derived quantities and refused input."""
 
+import warnings
+
 import pytest
 
 from railrepro import paths
@@ -20,6 +22,15 @@ def test_every_parameter_tells_where_it_comes_from():
     assert (table["source"].str.len() > 3).all()
     assert table["confidence"].isin(["VV", "V", "D", "R", "A"]).all()
     assert len(sample_ranges()) > 30
+
+
+def test_a_cone_angle_of_wheels_that_are_no_cones_is_warned_of():
+    with pytest.warns(UserWarning, match="wheel.cone_angle changes the control model only: .* profile 's1002'"):
+        load_vehicle(**{"wheel.cone_angle": 0.03})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_vehicle(**{"wheel.cone_angle": 0.03, "contact.profile": "cone"})
+        load_vehicle(**{"wheel.radius": 0.43})
 
 
 def test_overrides_are_checked_like_the_file():

@@ -100,6 +100,19 @@ def test_offset_observer_removes_the_drift_in_the_curve():
     assert drift[0] > 5e-4 > 4 * drift[1]
 
 
+@pytest.mark.parametrize(
+    ("period", "solver", "sentence"),
+    [(0.01, "magic", "NMPC solver 'magic' is not known"), (0.0105, "rti", r"whole number of ms; found \[10.5\] ms")],
+)
+def test_a_wrong_controller_is_refused_before_the_car_is_compiled(period, solver, sentence, monkeypatch):
+    class Own(NMPC):
+        period = property(lambda self: period)
+
+    monkeypatch.setattr(simulate, "start", lambda *_: pytest.fail("the car is compiled"))
+    with pytest.raises(InputError, match=sentence):
+        simulate.run(scenarios.load_scenario("sine_tracking"), lambda v, w, g: Own(v, w, g, solver=solver))
+
+
 def test_a_controller_that_returns_nan_is_named():
     class Broken:
         period = 0.01

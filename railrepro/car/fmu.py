@@ -8,9 +8,7 @@ from railrepro.car import equations, stepper
 from railrepro.car.component import DERAILED, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.compile.unit import Unit, constant, write_unit
-from railrepro.errors import InputError
-from railrepro.schema import location
+from railrepro.compile.unit import Unit, constant, unit_file, write_unit
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -46,9 +44,7 @@ def export_fmu(
     InputError
         Without C compiler, with an impossible speed or another version, or where the file cannot be written.
     """
-    path = location(path)
-    if codegen.compiler() is None:
-        raise InputError("an FMU holds compiled code: a C compiler is needed")
+    path = unit_file(path)  # refused before the car is built
     car = SteppedCar(route, speed, vehicle)
     text = codegen.source_text(stepper.functions()) + stepper.c_text() + _constants(car)
     unit = Unit(

@@ -32,6 +32,8 @@ from railrepro.errors import InputError
 _PORTABLE = "-ffp-contract=off"
 _LONG = 1_500_000
 """Length from which a source counts as long: cars with frames, and units, which hold their tables."""
+_SLOW = 200_000
+"""Length from which the compiler takes seconds: cars and predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 _SECONDS, _PROBE_SECONDS = 600.0, 30.0
 """Time limits of a compilation and of the try whether a compiler works (s)."""
@@ -49,7 +51,8 @@ class CompilerError(InputError):
 def compiler() -> str | None:
     """Path of a C compiler that works; None when there is none, or when `RAILREPRO_NO_COMPILER` is set.
 
-    Looked for are `CC`, cc, gcc, and the `PACKAGED` one. One that does not work is reported on stderr, once.
+    Looked for are `CC`, cc, gcc, and the `PACKAGED` one. That there is none, or none that works, is reported on stderr,
+    once.
     """
     if os.environ.get("RAILREPRO_NO_COMPILER"):
         return None
@@ -59,12 +62,14 @@ def compiler() -> str | None:
         instead = f"{command} is used" if command else "there is no other"
         print(f"CC={asked!r} is no compiler that can be found; {instead}", file=sys.stderr, flush=True)
         os.environ["CC"] = command or ""  # reported once: processes that this one starts inherit it
-    if command is not None:
-        try:
-            _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
-        except CompilerError as error:
-            do_without(error)
-            return None
+    if command is None:
+        do_without(CompilerError("no C compiler was found (CC, cc, gcc), `pip install railrepro[compiler]` brings one"))
+        return None
+    try:
+        _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
+    except CompilerError as error:
+        do_without(error)
+        return None
     return command
 
 
@@ -256,9 +261,18 @@ def _intact(target: Path) -> bool:
 _TRIAL = "import ctypes, sys; sys.exit(getattr(ctypes.CDLL(sys.argv[1]), sys.argv[2])() != 42)"
 
 
+@lru_cache(maxsize=1)
+def _announce() -> None:
+    """Report on stderr, once in a process, that it waits for the compiler."""
+    text = "compiling for this machine, once: some 20 s for the car, 10 s for a predictive controller"
+    print(text, file=sys.stderr, flush=True)
+
+
 def _compile(command: str, options: tuple[str, ...], text: str, target: Path, scratch: Path, seconds: float) -> None:
     source, output, mark = scratch / "source.c", scratch / "object.so", f"railrepro_{target.stem}"
     source.write_text(f"{text}\nint {mark}(void) {{ return 42; }}\n")
+    if len(text) > _SLOW:
+        _announce()
     try:
         code, on_stderr = parent_death.run([*_call(command), *options, str(source), "-o", str(output), "-lm"], seconds)
         if code or not output.is_file():

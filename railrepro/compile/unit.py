@@ -21,6 +21,7 @@ from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
 from railrepro.errors import InputError
 from railrepro.files import write
+from railrepro.schema import location
 
 VERSIONS = ("2.0", "3.0")
 """Versions of FMI."""
@@ -54,6 +55,22 @@ def constant(name: str, values: np.ndarray) -> str:
     """C constant that holds numbers exactly."""
     numbers = ",".join(float(v).hex() if v else "0" for v in np.ravel(values))
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
+
+
+def unit_file(path: Path | str) -> Path:
+    """A file that a unit can be written to.
+
+    Raises
+    ------
+    InputError
+        For a folder, and where no C compiler makes the code in it.
+    """
+    file = location(path)
+    if file.is_dir():
+        raise InputError(f"{file} is a folder, the name of an .fmu file is needed")
+    if codegen.compiler() is None:
+        raise InputError("an FMU holds compiled code: a C compiler is needed")
+    return file
 
 
 def write_unit(path: Path | str, unit: Unit, text: str, own: str, fmi: str = "2.0") -> Path:

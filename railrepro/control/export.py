@@ -19,7 +19,7 @@ from railrepro.car import equations
 from railrepro.car.component import DERAILED
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.compile.unit import Unit, constant, write_unit
+from railrepro.compile.unit import Unit, constant, unit_file, write_unit
 from railrepro.control import lateral, law
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.nmpc import NMPC
@@ -92,9 +92,7 @@ class Export:
 
     def write_fmu(self, path: Path | str, fmi: str = "2.0") -> Path:
         """Write a unit of FMI (version "2.0" or "3.0") for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
-        if codegen.compiler() is None:
-            raise InputError("an FMU holds compiled code: a C compiler is needed")
-        path = location(path)
+        path = unit_file(path)
         description = "Controller of two running gears with independently rotating wheels"
         unit = Unit("controller", description, TORQUES, law.MEASURED, _LARGEST)
         sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}

@@ -129,13 +129,15 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
     InputError
         When it is neither.
     """
-    is_class, has_torque = isinstance(guidance, type), hasattr(guidance, "torque")
+    if isinstance(guidance, type) and hasattr(guidance, "torque"):
+        name = guidance.__name__
+        raise InputError(f"guidance {name} is a class, an object of it is needed: {name}(), with its arguments if any")
     factory = guidance if callable(guidance) else None
-    if factory is not None and not is_class and not _takes(factory, 3):
+    if factory is not None and not isinstance(guidance, type) and not _takes(factory, 3):
         raise InputError(f"guidance {guidance!r}: cannot be called with (vehicle, route, gear)")
-    if has_torque and not is_class:
+    if hasattr(guidance, "torque"):
         return guidance, factory
-    if factory is None or has_torque:
+    if factory is None:
         raise InputError(
             f"guidance {guidance!r}: an object with torque(q), or a factory (vehicle, route, gear) of objects with "
             "period and plan(), is needed"
@@ -268,6 +270,13 @@ def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]
             raise
         refusal = InputError(f"{owner}: torque() asks for q.{error.name}; there are {list(vars(q))}")
         raise refusal.with_traceback(error.__traceback__) from None  # it shows the line that asked
+    except RuntimeError as error:
+        if "truth value" not in str(error):  # what CasADi says of `if` and `max` on expressions
+            raise
+        raise InputError(
+            f"{owner}: torque() compares expressions; casadi.if_else takes the place of if, casadi.fmin and "
+            "casadi.fmax that of min and max"
+        ) from None
     if not isinstance(result, tuple):
         return result, {}
     if len(result) != 2 or not isinstance(result[1], dict):

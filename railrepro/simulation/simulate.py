@@ -123,11 +123,11 @@ def run(
     require("compiled", compiled, bool)
     route = checked_route(scenario, body, irregularities, line)
     lateral_law, factory = lateral.split(guidance)
-    exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
-    longest = _longest(route, scenario, len(exchange.columns))
     latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()
     with one_thread():
-        controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS))) if factory else ()
+        controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
+        exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
+        longest = _longest(route, scenario, len(exchange.columns))
         log = _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
     series = pd.DataFrame(log, columns=exchange.columns)
     series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
@@ -136,6 +136,20 @@ def run(
         series = series[:-1]
     memory = dict(zip(exchange.control.kind.memory, exchange.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy(), memory)
+
+
+def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tuple[lateral.SlowController, ...]:
+    """Slower controllers of both gears, of one period that the exchanges can keep; InputError otherwise."""
+    controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
+    for controller in controllers:
+        lateral.check_controller(controller)
+    periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
+    if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
+        raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
+    for leader, follower in pairwise(controllers):
+        if hasattr(follower, "follow"):
+            follower.follow(leader)
+    return controllers
 
 
 def checked_route(scenario: Scenario, body: Vehicle, irregularities=None, line=None) -> Route:
@@ -185,15 +199,7 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -
     """
     if not controllers:
         return exchange.run(longest)
-    for controller in controllers:
-        lateral.check_controller(controller)
-    periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
-    if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
-        raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
-    for leader, follower in pairwise(controllers):
-        if hasattr(follower, "follow"):
-            follower.follow(leader)
-    steps = int(min(periods))
+    steps = round(controllers[0].period / EXCHANGE_PERIOD)
     blocks = []
     for _ in range(0, longest, steps):
         if not np.isfinite(exchange.measure()).all():

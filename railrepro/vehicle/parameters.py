@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -338,7 +339,14 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     InputError
         One sentence naming file, key, what was found and what is allowed.
     """
-    return loaded(Vehicle, _file(path), overrides)[0]
+    vehicle = loaded(Vehicle, _file(path), overrides)[0]
+    if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
+        warnings.warn(
+            f"wheel.cone_angle changes the control model only: the wheels of the car have the profile "
+            f"{vehicle.contact.profile!r}; contact.profile = 'cone' gives it cones",
+            stacklevel=2,
+        )
+    return vehicle
 
 
 def loaded(kind: type[Built], file: Path, overrides: dict) -> tuple[Built, dict[str, dict]]:
