@@ -35,6 +35,7 @@ _LONG = 1_500_000
 _SLOW = 200_000
 """Length from which the compiler takes seconds: cars and predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
+_NONE = "no C compiler was found (CC, cc, gcc), `pip install railrepro[compiler]` brings one"
 _SECONDS, _PROBE_SECONDS = 600.0, 30.0
 """Time limits of a compilation and of the try whether a compiler works (s)."""
 PACKAGED = "ziglang"
@@ -63,7 +64,7 @@ def compiler() -> str | None:
         print(f"CC={asked!r} is no compiler that can be found; {instead}", file=sys.stderr, flush=True)
         os.environ["CC"] = command or ""  # reported once: processes that this one starts inherit it
     if command is None:
-        do_without(CompilerError("no C compiler was found (CC, cc, gcc), `pip install railrepro[compiler]` brings one"))
+        do_without(CompilerError(_NONE))
         return None
     try:
         _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
@@ -201,7 +202,7 @@ def build(text: str, portable: bool = False, level: str = "-Og") -> Path:
     """
     command = compiler()
     if command is None:
-        raise InputError("no C compiler was found (CC, cc, gcc); `pip install railrepro[compiler]` brings one")
+        raise InputError(_NONE)
     return _object(command, text, _SECONDS, flags(portable, len(text), level))
 
 
