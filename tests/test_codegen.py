@@ -71,9 +71,9 @@ def test_that_there_is_no_compiler_is_reported(tmp_path, monkeypatch, capsys):
         assert cache.compiler() is None and cache.compiler() is None
     finally:
         cache.compiler.cache_clear()
-    assert capsys.readouterr().err == (
-        "no C compiler was found (CC, cc, gcc), `pip install railrepro[compiler]` brings one; everything is interpreted, some twenty times slower\n"
-    )
+    said = capsys.readouterr().err
+    assert said.startswith("no C compiler was found (CC, cc, gcc), `pip install railrepro[compiler]` brings one;")
+    assert said.count("\n") == 1
 
 
 def test_an_operation_without_translation_is_refused():
