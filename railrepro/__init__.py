@@ -21,6 +21,8 @@ import signal
 import sys
 from typing import Any
 
+from railrepro import code  # noqa: F401  before all others: it notes what this process imports
+
 __version__ = "1.0.0"
 
 FACADE = {

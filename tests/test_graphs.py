@@ -6,7 +6,7 @@ import shutil
 import casadi as ca
 import pytest
 
-from railrepro import paths
+from railrepro import code
 from railrepro.car import equations
 from railrepro.compile import cache, codegen, graphs
 from railrepro.control import lateral, law
@@ -83,25 +83,10 @@ def test_a_broken_or_foreign_file_is_built_again(counted, spoil):
 
 def test_a_graph_of_other_code_is_built_again(counted, monkeypatch):
     look, built, _ = counted
-    monkeypatch.setattr(graphs, "library_key", lambda: "other")
+    monkeypatch.setattr(code, "version", lambda: "other")
     look.cache_clear()
     look(3)
     assert built == [3, 3]
-
-
-def test_every_module_of_the_library_counts_and_no_evidence(tmp_path, monkeypatch):
-    copy = tmp_path / "railrepro"
-    shutil.copytree(paths.ROOT / "railrepro", copy, ignore=shutil.ignore_patterns("__pycache__", "*.c", "*.h"))
-    monkeypatch.setattr(graphs, "_LIBRARY", copy)
-    key = graphs.library_key.__wrapped__
-    before = key()
-    for file in sorted(copy.rglob("*.py")):
-        text = file.read_bytes()
-        file.write_bytes(text + b" ")
-        assert (key() == before) == ("evidence" in file.parts), file
-        file.write_bytes(text)
-    monkeypatch.setattr(graphs, "version", lambda name: "other")
-    assert key() != before
 
 
 def test_only_functions_of_the_library_are_stored():

@@ -1,4 +1,4 @@
-"""The names of the package, and where a chapter that uses one depends on."""
+"""The names of the package."""
 
 import subprocess
 import sys
@@ -6,7 +6,6 @@ import sys
 import pytest
 
 import railrepro
-from railrepro.evidence.runs.sources import parsed
 
 
 def test_the_names_of_the_package_are_there_and_are_loaded_when_used():
@@ -19,11 +18,3 @@ def test_the_names_of_the_package_are_there_and_are_loaded_when_used():
     code = "import sys, railrepro; print(sorted({'casadi', 'numpy', 'pandas', 'scipy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
-
-
-@pytest.mark.parametrize(
-    "code", ["from railrepro import simulate", "import railrepro", "import railrepro.paths", "from railrepro import *"]
-)
-def test_a_chapter_that_uses_a_name_of_the_package_depends_on_where_it_lives(code):
-    assert "railrepro.simulation.simulate" in parsed(code)[1]
-    assert "railrepro.simulation.simulate" not in parsed("from railrepro import paths, InputError")[1]

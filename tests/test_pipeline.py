@@ -12,9 +12,10 @@ import types
 
 import pytest
 
-from railrepro import paths
+from railrepro import code, paths
 from railrepro.errors import InputError
 from railrepro.evidence.chain import book, cleaning, graph, kernel, manifest, runner
+from railrepro.evidence.runs import store
 
 CELLS = [
     "from railrepro import paths",
@@ -141,10 +142,10 @@ def test_a_broken_stamp_means_stale(tiny):
     notebook = graph.find("01_tiny")
     (tiny / "data/results").mkdir()
     (tiny / "data/results/out.csv").write_text("a\n1\n")
-    manifest.record(notebook, manifest.Inputs(notebook))
-    assert manifest.is_fresh(notebook)
+    manifest.record(notebook, manifest.inputs(notebook, {}))
+    assert manifest.why_stale(notebook) == ""
     (tiny / "build/stamps/01_tiny.json").write_text("{")
-    assert not manifest.is_fresh(notebook)
+    assert manifest.why_stale(notebook)
 
 
 def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
@@ -156,25 +157,30 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], loads + CELLS[2]])
     runner.refresh("01_tiny")
     notebook, text = graph.find("01_tiny"), file.read_text()
-    assert manifest.is_fresh(notebook)
+    assert manifest.why_stale(notebook) == ""
     used = text.index("[curve_entry_T1]")
-    for changed, fresh in (
-        (text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"), True),
-        ("# a remark\n" + text, True),
-        (text[:used] + text[used:].replace("speed_kmh = 40", "speed_kmh = 41", 1), False),
-        (text.replace("speed_kmh = 280", "speed_kmh = 281"), True),
-        ("not TOML", False),
+    for changed, why in (
+        (text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"), ""),
+        ("# a remark\n" + text, ""),
+        (
+            text[:used] + text[used:].replace("speed_kmh = 40", "speed_kmh = 41", 1),
+            "data/scenarios.toml [curve_entry_T1]",
+        ),
+        (text.replace("speed_kmh = 280", "speed_kmh = 281"), ""),
+        ("not TOML", "data/scenarios.toml and 1 more"),
     ):
         assert changed != text
         file.write_text(changed)
-        assert manifest.is_fresh(notebook) == fresh, changed[:80]
+        assert manifest.why_stale(notebook) == why, changed[:80]
     all_of_them = "from railrepro.simulation.scenarios import load_scenarios\nvalue = len(load_scenarios())\n"
     file.write_text(text)
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], all_of_them + CELLS[2]])
     runner.refresh("01_tiny")
-    assert manifest.is_fresh(notebook)
+    assert manifest.why_stale(notebook) == ""
     file.write_text(text.replace("speed_kmh = 280", "speed_kmh = 281"))
-    assert not manifest.is_fresh(notebook)
+    assert manifest.why_stale(notebook).startswith("data/scenarios.toml [curve_entry_T3]")
+    file.write_text(text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"))
+    assert "data/scenarios.toml" in manifest.why_stale(notebook)
 
 
 def test_the_estimate_of_time_is_that_of_the_last_runs_and_can_be_stored(tiny):
@@ -218,13 +224,33 @@ def test_a_chapter_is_had_as_a_script(tiny, monkeypatch):
     assert not (tiny / "data/results/out.csv").exists()
 
 
-def test_another_package_in_the_lock_makes_products_stale(tiny):
+def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
+    monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
+    monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
+    notebook, product = graph.find("01_tiny"), tiny / "data/results/out.csv"
+    assert manifest.why_stale(notebook) == "it has not run here"
+    runner.refresh("01_tiny")
+    content, cells = product.read_text(), notebook.path.read_text()
+    assert manifest.why_stale(notebook) == ""
+    product.write_text("other")
+    assert manifest.why_stale(notebook) == "data/results/out.csv was changed or is missing"
+    product.write_text(content)
+    notebook.path.write_text(cells.replace("value = 1", "value = 2"))
+    assert manifest.why_stale(notebook) == "its cells"
+    notebook.path.write_text(cells)
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem")
+    assert manifest.why_stale(notebook) == "environment OPENBLAS_CORETYPE"
+
+
+def test_the_machine_and_packages_that_only_check_change_no_manifest(tiny, monkeypatch):
     notebook = graph.find("01_tiny")
-    (tiny / "environment.lock").write_text("numpy==2.3.4\n")
-    manifest.record(notebook, manifest.Inputs(notebook))
-    assert manifest.is_fresh(notebook)
-    (tiny / "environment.lock").write_text("numpy==2.3.5\n")
-    assert not manifest.is_fresh(notebook)
+    found = manifest.digest(manifest.inputs(notebook, {}))
+    (tiny / "environment.lock").write_text("ruff==0.1\n")
+    monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0")
+    monkeypatch.setattr(sys, "version", "another one")
+    assert manifest.digest(manifest.inputs(notebook, {})) == found
+    monkeypatch.setattr(code, "packages", lambda: {"numpy": "another one"})
+    assert manifest.digest(manifest.inputs(notebook, {})) != found
 
 
 def test_the_lock_pins_each_package_once_by_hash_and_without_addresses():

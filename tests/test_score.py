@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from railrepro import __main__ as command
-from railrepro import paths
+from railrepro import code, paths
 from railrepro.control import lateral
 from railrepro.control.registry import REGISTERED
 from railrepro.errors import InputError
@@ -342,7 +342,7 @@ def test_names_of_no_run_are_refused():
 
 
 def test_a_stored_score_is_of_all_data_that_a_run_can_read():
-    reached = leaderboard.sources.closure(["import railrepro.evidence.score.run"])
+    reached = code.reached("from railrepro.evidence.score.run import score")
     named = (re.findall(r"data/(\w+)\.toml", (paths.ROOT / name).read_text()) for name in reached if name[-3:] == ".py")
     assert set().union(*named) == set(leaderboard._READ)
 
@@ -358,7 +358,7 @@ def board(monkeypatch, tmp_path):
     monkeypatch.setattr(leaderboard, "check", lambda entry: asked.append(entry.name))
     monkeypatch.setattr(leaderboard, "score", scored)
     monkeypatch.setenv("RAILREPRO_STORE", str(tmp_path / "store"))
-    monkeypatch.setattr(leaderboard.sources, "closure", lambda _: {"library": "this one"})
+    monkeypatch.setattr(code, "reached", lambda _: {"library": "this one"})
     (tmp_path / leaderboard.PAGE).parent.mkdir(parents=True)
     (tmp_path / leaderboard.PAGE).write_text(f"before\n\n{leaderboard.BEGIN}\nold\n{leaderboard.END}\n\nafter\n")
     (tmp_path / "mine.py").write_text(LAW.format("return 0, {}"))
@@ -378,7 +378,7 @@ def test_a_finished_controller_of_the_leaderboard_is_not_scored_again(board, tmp
         file.write_bytes(file.read_bytes()[:-40])
     leaderboard.main(["ndi"])
     assert board[3:] == ["ndi"]
-    monkeypatch.setattr(leaderboard.sources, "closure", lambda _: {"library": "another one"})
+    monkeypatch.setattr(code, "reached", lambda _: {"library": "another one"})
     leaderboard.main(["ndi"])
     assert board[4:] == ["ndi"]
     (tmp_path / "data/theses.toml").write_text("# a text of the report\n")

@@ -1,9 +1,8 @@
 """Graphs that were built once: CasADi functions beside the compiled objects, for processes that need them again.
 
-A stored graph belongs to the code that built it. Its key is the content of every module of the library (`evidence` is
-above it and cannot reach a graph) and of the C that generated texts begin with, the versions of Python and of what
-computes with symbols, and the arguments. A graph with another key, one that is broken, open to others or not the user's
-own is built again. It is data, never code.
+A stored graph belongs to the code that built it. Its key is the version of the library (`code.version`; `evidence` is
+above it and cannot reach a graph), those of Python and of the packages that compute, and the arguments. A graph with
+another key, one that is broken, open to others or not the user's own is built again. It is data, never code.
 """
 
 from __future__ import annotations
@@ -14,32 +13,16 @@ import sys
 import zlib
 from collections.abc import Callable
 from functools import lru_cache, wraps
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any, TypeVar
 
 import casadi as ca
 
-from railrepro import files
+from railrepro import code, files
 from railrepro.compile import cache
 from railrepro.errors import InputError
 
-_LIBRARY = Path(__file__).resolve().parent.parent
-_ABOVE = "evidence"
-_SYMBOLS = ("casadi", "numpy", "sympy")
 _KINDS = {"tuple": tuple, "list": list}
 Built = TypeVar("Built")
-
-
-@lru_cache(maxsize=1)
-def library_key() -> str:
-    """Hash of all modules of the library, of Python and of the packages that compute with symbols."""
-    content = hashlib.sha256(repr((sys.version, [version(name) for name in _SYMBOLS])).encode())
-    rooms = (folder for folder in _LIBRARY.iterdir() if folder.is_dir() and folder.name != _ABOVE)
-    generated = (_LIBRARY / "compile").glob("*.[ch]")  # what stored source texts begin with
-    for file in sorted([*_LIBRARY.glob("*.py"), *generated, *(file for room in rooms for file in room.rglob("*.py"))]):
-        content.update(f"\0{file.relative_to(_LIBRARY)}\0".encode() + file.read_bytes())
-    return content.hexdigest()
 
 
 def stored(build: Callable[..., Built]) -> Callable[..., Built]:
@@ -57,14 +40,18 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
         For a function of any other place than the library: the key would not know its code.
     """
     name = f"{build.__module__}.{build.__qualname__}"
-    if not name.startswith("railrepro.") or name.startswith(f"railrepro.{_ABOVE}"):
+    if not name.startswith("railrepro.") or name.startswith("railrepro.evidence"):
         raise ValueError(f"{name} is not of the library; what it builds cannot be stored")
 
     @lru_cache
     @wraps(build)
     def look(*arguments):
+        version = code.version()
+        if version is None or not code.unchanged():
+            return build(*arguments)
         asked = hashlib.sha256(f"{name}{arguments!r}".encode()).hexdigest()[:24]
-        key = hashlib.sha256(f"{library_key()}{name}{arguments!r}".encode()).hexdigest()
+        made_by = version, sys.version, code.packages()
+        key = hashlib.sha256(f"{made_by}{name}{arguments!r}".encode()).hexdigest()
         try:
             file = cache.cache_folder() / f"{asked}.graph"
         except InputError:  # nowhere to store
@@ -73,6 +60,8 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
         if content is not None and content[:128] == _head(key, content[128:]):
             return _plain(json.loads(zlib.decompress(content[128:])))
         built = build(*arguments)
+        if not code.unchanged():
+            return built
         packed = zlib.compress(json.dumps(_packed(built)).encode(), 1)
         try:
             files.write(file, _head(key, packed) + packed)

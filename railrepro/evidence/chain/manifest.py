@@ -12,10 +12,10 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-from railrepro import paths
+from railrepro import code, paths
 from railrepro.errors import InputError
 from railrepro.evidence.chain.graph import Notebook, chain
-from railrepro.evidence.runs import sources
+from railrepro.evidence.runs import store
 from railrepro.files import alone, write, written
 from railrepro.reads import ALL
 
@@ -45,41 +45,49 @@ def cells(notebook: Notebook) -> list[dict]:
         raise InputError(f"{notebook.path.name}: cannot be read as a notebook ({error!r})") from error
 
 
-class Inputs:
-    """All that a notebook's products depend on, as it is now: cells, parameters, reads, modules, environment.
+Inputs = dict[str, str]
+"""What a notebook's products depend on by its name, and the hash of each."""
+EDITED = "an input was edited while it ran"
+
+
+def inputs(notebook: Notebook, entries: dict[str, list[str]], parameters: dict | None = None) -> Inputs:
+    """All that a notebook's products depend on as it is now, the same on all machines.
 
     Parameters
     ----------
     notebook : Notebook
+    entries : dict
+        Entries of TOML files that the last run took (`entries_read`); of all others each counts.
     parameters : dict, optional
         Instead of those of the chain.
     """
-
-    def __init__(self, notebook: Notebook, parameters: dict | None = None):
-        content = cells(notebook)
-        code = [cell["source"] for cell in content if cell["cell_type"] == "code"]
-        self._rest: dict[str, object] = {"cells": [cell["source"] for cell in content]}
-        self._rest["parameters"] = notebook.parameters if parameters is None else parameters
-        self._rest["code"] = sources.closure(code, paths.ROOT / "railrepro")
-        self._rest["environment"] = file_hash(paths.ROOT / "environment.lock")
-        self._reads = {read: _content(paths.source(read)) for read in notebook.reads}
-
-    def hash(self, entries: dict[str, list[str]] | None = None) -> str:
-        """Hash of the inputs; of a TOML file with known entries only these count, by value."""
-        known = entries or {}
-        reads = {read: _entries(content, known.get(read, [ALL])) for read, content in self._reads.items()}
-        return _hash(json.dumps(self._rest | {"reads": reads}, sort_keys=True).encode())
+    content = cells(notebook)
+    found = {"its cells": _hash(json.dumps([cell["source"] for cell in content]).encode())}
+    given = notebook.parameters if parameters is None else parameters
+    found["its parameters"] = _hash(json.dumps(given, sort_keys=True).encode())
+    for read in notebook.reads:
+        found |= _entries(read, _content(paths.source(read)), entries.get(read, [ALL]))
+    found |= {f"package {name}": version for name, version in code.packages().items()}
+    reached = code.reached(*(cell["source"] for cell in content if cell["cell_type"] == "code"))
+    return found | ({EDITED: ""} if reached is None else reached)
 
 
-def _entries(content: bytes, names: list[str]) -> str:
-    """Hash of the named entries of a TOML file, of its bytes when all count or it cannot be read."""
-    if ALL not in names:
-        try:
-            table = tomllib.loads(content.decode())
-            return _hash(repr([(name, table.get(name)) for name in sorted(names)]).encode())
-        except (ValueError, RecursionError):
-            pass
-    return _hash(content)
+def _entries(file: str, content: bytes, names: list[str]) -> Inputs:
+    """Hashes of the named entries of a TOML file by value, or of each and their order; of another file its bytes."""
+    try:
+        table = tomllib.loads(content.decode()) if file.endswith(".toml") else None
+    except (ValueError, RecursionError):
+        table = None
+    if table is None:
+        return {file: _hash(content)}
+    found = {} if ALL not in names else {f"{file}, names of entries": _hash(repr(list(table)).encode())}
+    entries = table if ALL in names else names
+    return found | {f"{file} [{name}]": _hash(repr(table.get(name)).encode()) for name in entries}
+
+
+def digest(found: Inputs) -> str:
+    """One hash of all inputs."""
+    return _hash(json.dumps(found, sort_keys=True).encode())
 
 
 def entries_read(log: Path) -> dict[str, list[str]]:
@@ -106,29 +114,41 @@ def _stamped(notebook: Notebook) -> dict | None:
         known = json.loads(_stamp(notebook).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return known if isinstance(known, dict) else None
+    parts = ("entries", "inputs", "machine", "products")
+    whole = isinstance(known, dict) and all(isinstance(known.get(part), dict) for part in parts)
+    return known if whole else None
 
 
-def is_fresh(notebook: Notebook) -> bool:
-    """Whether inputs and products are those of the last successful run; without a readable stamp they are not."""
+def why_stale(notebook: Notebook) -> str:
+    """The input or product that is not that of the last successful run; "" when the notebook is fresh."""
     known = _stamped(notebook)
-    if known is None or not isinstance(known.get("entries"), dict):
-        return False
-    inputs = Inputs(notebook).hash(known["entries"])
-    return (known["inputs"], known["products"]) == (inputs, products_hash(notebook))
+    if known is None:
+        return "it has not run here"
+    if not code.unchanged():
+        return EDITED
+    for found, before, words in (
+        (store.machine(), known["machine"], ""),
+        (inputs(notebook, known["entries"]), known["inputs"], ""),
+        (products_hash(notebook), known["products"], " was changed or is missing"),
+    ):
+        changed = [name for name in {**found, **before} if found.get(name) != before.get(name)]
+        if changed:
+            more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+            return f"{changed[0]}{words}{more}"
+    return ""
 
 
 def is_entered(notebook: Notebook) -> bool:
     """Whether the manifests hold what the stamp of a fresh notebook says."""
-    known = _stamped(notebook) or {"products": {}, "inputs": ""}
-    return all(text is None for _, text in _manifests(notebook, known["products"], known["inputs"]))
+    known = _stamped(notebook)
+    return known is None or all(text is None for _, text in _manifests(notebook, known))
 
 
 def enter_again(notebook: Notebook) -> None:
     """Enter the products of a fresh notebook where a manifest was lost or broken."""
     known = _stamped(notebook)
     if known is not None and not is_entered(notebook):
-        _enter(notebook, known["products"], known["inputs"])
+        _enter(notebook, known)
 
 
 def minutes(notebook: Notebook) -> float:
@@ -138,23 +158,25 @@ def minutes(notebook: Notebook) -> float:
 
 
 def record(
-    notebook: Notebook, inputs: Inputs, entries: dict[str, list[str]] | None = None, seconds: float | None = None
+    notebook: Notebook, before: Inputs, entries: dict[str, list[str]] | None = None, seconds: float | None = None
 ) -> None:
-    """Enter the products of a run into the manifests and stamp it as fresh.
+    """Enter the products of a run into the manifests and stamp it, as stale where an input was edited meanwhile.
 
     Parameters
     ----------
     notebook : Notebook
-    inputs : Inputs
-        From before the run, so that an input edited meanwhile makes it stale.
+    before : dict
+        Its `inputs` before the run, with all entries.
     entries : dict, optional
         See `entries_read`; other files count as a whole.
     seconds : float, optional
         How long the run took.
     """
-    products, digest = products_hash(notebook), inputs.hash(entries)
-    _enter(notebook, products, digest)
-    stamp = {"inputs": digest, "entries": entries or {}, "products": products, "seconds": seconds}
+    same = code.unchanged() and before == inputs(notebook, {})
+    taken = inputs(notebook, entries or {}) if same else before | {EDITED: ""}
+    known = {"inputs": taken, "machine": store.machine(), "products": products_hash(notebook)}
+    _enter(notebook, known)
+    stamp = {"entries": entries or {}, **known, "seconds": seconds}
     write(_stamp(notebook), json.dumps(stamp, indent=1))
 
 
@@ -171,26 +193,27 @@ def _rows(file: Path) -> dict[str, dict]:
     return {row["path"]: row for row in rows if set(row) == set(_COLUMNS) and None not in row.values()}
 
 
-def _manifests(notebook: Notebook, products: dict[str, str], inputs: str) -> Iterator[tuple[Path, str | None]]:
+def _manifests(notebook: Notebook, known: dict) -> Iterator[tuple[Path, str | None]]:
     """Both manifests with what they should hold, or None where they do."""
     seed = "" if notebook.seed is None else str(notebook.seed)
     others = {other.name for other in chain()} - {notebook.name}
     for folder in ("data", "figures"):
         file = paths.ROOT / folder / "MANIFEST.csv"
         rows = {path: row for path, row in _rows(file).items() if row["made_by"] in others}
-        for product, digest in products.items():
+        for product, content in known["products"].items():
             if product.startswith(folder + "/"):
-                rows[product] = dict(zip(_COLUMNS, (product, digest, notebook.name, inputs, seed), strict=True))
+                row = product, content, notebook.name, digest(known["inputs"]), seed
+                rows[product] = dict(zip(_COLUMNS, row, strict=True))
         lines = [",".join(_COLUMNS)] + [",".join(rows[path][name] for name in _COLUMNS) for path in sorted(rows)]
         text = "\n".join(lines) + "\n"
         yield file, text if rows and file_hash(file) != _hash(text.encode()) else None
 
 
-def _enter(notebook: Notebook, products: dict[str, str], inputs: str) -> None:
+def _enter(notebook: Notebook, known: dict) -> None:
     """Enter products into data/MANIFEST.csv and figures/MANIFEST.csv under a lock."""
     with written():
         paths.BUILD.mkdir(exist_ok=True)
         with alone(paths.BUILD / "manifest.lock"):
-            for file, text in _manifests(notebook, products, inputs):
+            for file, text in _manifests(notebook, known):
                 if text is not None:
                     write(file, text)

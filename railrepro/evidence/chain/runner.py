@@ -19,19 +19,21 @@ from railrepro import paths, reads
 from railrepro.errors import InputError
 from railrepro.evidence.chain import manifest
 from railrepro.evidence.chain.graph import Notebook, chain, find
-from railrepro.evidence.chain.manifest import Inputs, cells, enter_again, entries_read, is_entered, is_fresh, record
+from railrepro.evidence.chain.manifest import cells, enter_again, entries_read, is_entered, record, why_stale
 from railrepro.files import move, scratch, write, written
 
 
 def fresh() -> int:
     """Print which notebooks are stale; 0 when none is and the manifests hold all of them."""
     notebooks = chain()
-    stale = [notebook for notebook in notebooks if not is_fresh(notebook)]
+    stale = {notebook: why for notebook in notebooks if (why := why_stale(notebook))}
     if stale:
-        minutes = max(1, round(estimate(stale)))
-        names = ", ".join(notebook.name for notebook in stale)
-        print(f"{len(stale)} of {len(notebooks)} notebooks are stale and run first, about {minutes} min: {names}",
-              file=sys.stderr)  # fmt: skip
+        minutes = max(1, round(estimate(list(stale))))
+        print(
+            f"{len(stale)} of {len(notebooks)} notebooks are stale and run first, about {minutes} min", file=sys.stderr
+        )
+        for notebook, why in stale.items():
+            print(f"  {notebook.name} is stale: {why}", file=sys.stderr)
     return int(bool(stale) or not all(map(is_entered, notebooks)))
 
 
@@ -61,18 +63,19 @@ def store_times() -> None:
 def refresh(name: str) -> None:
     """Run a notebook of the chain if it is stale, put its products in place and record where they come from."""
     notebook = find(name)
-    if is_fresh(notebook):
+    why = why_stale(notebook)
+    if not why:
         enter_again(notebook)
         return
-    print(f"{name}: running, about {manifest.minutes(notebook):.1f} min", file=sys.stderr, flush=True)
-    inputs, begin, log = Inputs(notebook), time.monotonic(), paths.BUILD / "stamps" / f"{name}.reads"
+    print(f"{name}: running, about {manifest.minutes(notebook):.1f} min ({why})", file=sys.stderr, flush=True)
+    before, begin, log = manifest.inputs(notebook, {}), time.monotonic(), paths.BUILD / "stamps" / f"{name}.reads"
     with written():
         log.parent.mkdir(parents=True, exist_ok=True)
         log.unlink(missing_ok=True)
     with _environment({reads.LOG: str(log)}):
         run_notebook(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
     seconds = round(time.monotonic() - begin, 1)
-    record(notebook, inputs, entries_read(log), seconds)
+    record(notebook, before, entries_read(log), seconds)
     log.unlink(missing_ok=True)
     print(f"{name}: done in {seconds:.0f} s", file=sys.stderr, flush=True)
 

@@ -16,11 +16,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NoReturn
 
 from tqdm import tqdm
 
+from railrepro import code
 from railrepro.errors import InputError
 from railrepro.evidence.runs import store
 
@@ -146,17 +147,17 @@ def ordered_map(
     Raises
     ------
     InputError
-        When a local process was killed, a script is not guarded against being read by the local processes, or the Dask
-        scheduler or all its workers are lost for `PATIENCE`.
+        When a local process was killed or runs other code, a script is not guarded against being read by the local
+        processes, or the Dask scheduler or all its workers are lost for `PATIENCE`.
     """
     known = _known(task, arguments) if stored else {}
     missing = [i for i in range(len(arguments)) if i not in known]
     local = isinstance(pool, ProcessPoolExecutor)
     size = 1 if local else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
     batches = [missing[i : i + size] for i in range(0, len(missing), size)]
-    work = _here if local else _elsewhere
+    work = partial(_here if local else _elsewhere, task, _code(task))
     try:
-        futures = {pool.submit(work, task, [arguments[i] for i in batch]): batch for batch in batches}
+        futures = {pool.submit(work, [arguments[i] for i in batch]): batch for batch in batches}
         waiting, seen = set(futures), time.monotonic()
         with tqdm(total=len(arguments), initial=len(known), desc=title, disable=quiet, leave=False) as bar:
             while waiting:
@@ -203,15 +204,27 @@ def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
     return known
 
 
-def _here(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
-    """Results of a batch; a local process stores by itself."""
+Code = tuple[str | None, dict[str, str] | None]
+
+
+def _code(task: Callable) -> Code:
+    """Code that this process imported, as far as a task can reach it."""
+    function = task.func if isinstance(task, partial) else task
+    module = getattr(function, "__module__", "")
+    return code.version(), code.reached(f"from {module} import {module}")
+
+
+def _here(task: Callable, asked: Code, batch: list) -> tuple[list, dict[str, bytes]]:
+    """Results of a batch; a local process stores by itself. InputError where it imported other code than was asked."""
+    if None in asked or _code(task) != asked:
+        raise InputError(_OTHER_CODE)
     return [task(argument) for argument in batch], {}
 
 
-def _elsewhere(task: Callable, batch: list) -> tuple[list, dict[str, bytes]]:
+def _elsewhere(task: Callable, asked: Code, batch: list) -> tuple[list, dict[str, bytes]]:
     """Results of a batch, and what the client is to store: the disk of another machine goes with it."""
     with store.collected() as new:
-        return _here(task, batch)[0], new
+        return _here(task, asked, batch)[0], new
 
 
 def _workers(pool: Executor) -> int:
@@ -223,6 +236,10 @@ def _workers(pool: Executor) -> int:
 
 
 _KILLED = "a process of the study was killed, by the system when memory ran out or by a user; run again to resume"
+_OTHER_CODE = (
+    "a process of the study imported other code of railrepro than the one that sends the runs: it was edited "
+    "meanwhile, or another machine has another version; restart both (in Jupyter the kernel) and run again to resume"
+)
 _READ_AGAIN = (
     "the processes of a study read the script that starts it: there, what calls the library must stand below "
     'if __name__ == "__main__":'

@@ -5,13 +5,10 @@ Notebooks and studies are lists of these; the executor decides where they run, a
 
 from __future__ import annotations
 
-import inspect
 import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,7 +18,7 @@ from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import REGISTERED, guidance
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
-from railrepro.evidence.runs import preview, ride, sources, store, tuning
+from railrepro.evidence.runs import preview, ride, store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.schema import require
 from railrepro.simulation import metrics, simulate
@@ -31,8 +28,6 @@ from railrepro.track.route import CELL
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-_WITHOUT_RESULTS = tuple(f"railrepro.evidence.runs.{name}" for name in ("executor", "sources", "store", "tuning"))
-"""Modules that start, name and store runs; what a run gives does not depend on them."""
 _SERIES = {
     **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
     **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
@@ -161,10 +156,8 @@ class Experiment:
         believed = load_vehicle(**self.vehicle)
         cars = believed, self.car() if self.plant else believed
         more = self.rails(), sensed, self.substeps, self.ride, self.stride, self.from_m
-        try:
-            return store.key(code(measure), self.controller, scenario, cars, plan, more)
-        except TypeError:
-            return None
+        name = measure.__qualname__
+        return store.key(measure.__module__, name, self.controller, scenario, cars, plan, more)
 
     def measured(self, measure: Measure) -> store.Entry:
         """What a function measures of this run, from the store where it is there.
@@ -175,8 +168,7 @@ class Experiment:
             (Run, Experiment) -> row of plain values and table of numbers or None; a function of a module, which uses
             of the experiment what `key` holds.
         """
-        name = self.key(measure)
-        return measure(self.run(), self) if name is None else store.entry(name, lambda: measure(self.run(), self))
+        return store.entry(self.key(measure), lambda: measure(self.run(), self))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
         """Row of metrics and the kept series, see `row`."""
@@ -254,25 +246,6 @@ Measure = Callable[[simulate.Run, Experiment], store.Entry]
 def _values(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """What the row of an experiment has, and the kept series."""
     return experiment.values(run), tidy(run.series, experiment.stride) if experiment.stride else None
-
-
-@lru_cache
-def _source(module: str) -> str:
-    return inspect.getsource(sys.modules[module])
-
-
-@lru_cache
-def code(measure: Measure) -> list:
-    """Name of a measuring function, content of its module, and of all that a run can reach."""
-    own = [sources.parsed(_source(module))[0] for module in (__name__, measure.__module__)]
-    return [f"{measure.__module__}.{measure.__qualname__}", own, _reached()]
-
-
-def _reached(package: Path = sources.PACKAGE) -> dict[str, str]:
-    """Content of the modules that a run can reach: those of the library that this module imports, and theirs."""
-    imported = sources.parsed((package / "evidence/runs/experiment.py").read_text())[1]
-    parts = [name.rpartition(".") for name in imported if "." in name and not name.startswith(_WITHOUT_RESULTS)]
-    return sources.closure([f"from {room} import {name}" for room, _, name in parts], package)
 
 
 def _call(experiment: Experiment) -> store.Entry:

@@ -1,8 +1,8 @@
 """The one store of results: what was computed once is read again while data and code are the same.
 
-An entry belongs to all that a computation reads and to the code that it can reach (`sources`), the compiler and the
-packages. It lies in build/store, or in the folder `RAILREPRO_STORE`; "off" there neither reads nor writes. Entries are
-numbers and text, never code: what is broken, cut off or of another user is computed anew.
+An entry belongs to all that a computation reads and to the code that it can reach (`railrepro.code`), the compiler and
+the packages. It lies in build/store, or in the folder `RAILREPRO_STORE`; "off" there neither reads nor writes. Entries
+are numbers and text, never code: what is broken, cut off or of another user is computed anew.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro import paths
+from railrepro import code, paths
 from railrepro.compile import cache
 from railrepro.errors import InputError
 from railrepro.files import write
 
 FOLDER = "RAILREPRO_STORE"
-_NUMERICS = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "GLIBC_TUNABLES")
-"""Environment variables that choose among kernels of NumPy, BLAS and the mathematical library."""
+_NUMERICS = ("RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "GLIBC_TUNABLES")
+"""Environment variables that choose flags of the compiler and kernels of NumPy, BLAS and the mathematical library."""
 Entry = tuple[dict, pd.DataFrame | None]
 """A row of plain values, and a table of numbers or None."""
 
@@ -60,20 +60,24 @@ def _plain(value) -> object:
     raise TypeError(f"{type(value).__qualname__} has no stored form")
 
 
-def key(*parts) -> str:
-    """Key of a computation on this machine.
+def key(module: str, *parts) -> str | None:
+    """Key of a computation on this machine; None when it cannot be stored.
 
     Parameters
     ----------
+    module : str
+        Where the computation stands; of another place than this package nothing is stored.
     parts : optional
-        All that it reads, code included: numbers, text, arrays, dataclasses, and lists and dictionaries of these.
-
-    Raises
-    ------
-    TypeError
-        When a part has no stored form, as a function of a user's file.
+        Its name and all that it reads: numbers, text, arrays, dataclasses, and lists and dictionaries of these. What
+        has another form, as a function of a user's file, cannot be stored.
     """
-    return digest(_machine(), *parts)
+    made_by = code.version(), code.reached(f"from {module} import {module}")
+    if not module.startswith("railrepro.") or None in made_by or not code.unchanged():
+        return None
+    try:
+        return digest(machine(), made_by, *parts)
+    except TypeError:
+        return None
 
 
 def digest(*parts) -> str:
@@ -82,13 +86,13 @@ def digest(*parts) -> str:
 
 
 @lru_cache(maxsize=1)
-def _machine() -> list[str]:
-    """Compiler, packages, processor and kernels: what decides the last digits."""
+def machine() -> dict[str, str]:
+    """What decides the last digits besides code: compiler with its flags, packages, processor and kernels, by name."""
     command = cache.compiler()
-    compiler = cache.identity(command) if command else "interpreted"
-    lock = paths.ROOT / "environment.lock"
-    packages = hashlib.sha256(lock.read_bytes()).hexdigest() if lock.is_file() else np.__version__
-    return [compiler, packages, sys.version, platform.machine(), *(os.environ.get(name, "") for name in _NUMERICS)]
+    found = {f"environment {name}": os.environ.get(name, "") for name in _NUMERICS}
+    found |= {"the compiler": cache.identity(command) if command else "interpreted"}
+    found |= {"Python": sys.version, "the processor": platform.machine()}
+    return found | {f"package {name}": version for name, version in code.packages().items()}
 
 
 def folder() -> Path | None:
@@ -167,12 +171,12 @@ def _content(name: str) -> bytes | None:
     return None if place is None else cache.own_file(place / name[:2] / f"{name[2:]}.npz")
 
 
-def entry(name: str, compute) -> Entry:
-    """What is stored under a key, else what `compute` gives, which is stored.
+def entry(name: str | None, compute) -> Entry:
+    """What is stored under a key, else what `compute` gives, which is stored while the code is that of the key.
 
     Parameters
     ----------
-    name : str
+    name : str or None
         See `key`.
     compute : callable
         () -> row and table or None. Values of the row are plain, columns of the table numbers.
@@ -187,7 +191,7 @@ def entry(name: str, compute) -> Entry:
     Missing
         Within `only_stored`, when there is no entry.
     """
-    content = _content(name)
+    content = None if name is None else _content(name)
     if content is not None:
         try:
             return _unpacked(content)
@@ -197,5 +201,6 @@ def entry(name: str, compute) -> Entry:
         raise Missing(name)
     row, table = compute()
     content = _packed(row, table)
-    put(name, content)
+    if name is not None and code.unchanged():
+        put(name, content)
     return _unpacked(content)

@@ -17,7 +17,7 @@ import pandas as pd
 from railrepro import paths
 from railrepro.control.registry import REGISTERED
 from railrepro.errors import InputError
-from railrepro.evidence.runs import sources, store, tuning
+from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry
 from railrepro.evidence.score.page import LEADERBOARD
@@ -69,8 +69,7 @@ def _scored(each: Entry, names: tuple[str, ...] | None) -> pd.DataFrame:
     data = [paths.source(f"data/{name}.toml").read_text() for name in _READ]
     data += [file.read_text() for file in sorted((paths.ROOT / tuning.TUNED).rglob("*.json"))]
     own = Path(each.file).read_text() if each.file else ""
-    reached = sources.closure(["import railrepro.evidence.score.run"])
-    row, _ = store.entry(store.key("score", each.name, own, data, reached, seeds, names), compute)
+    row, _ = store.entry(store.key(__name__, "score", each.name, own, data, seeds, names), compute)
     return pd.read_csv(io.StringIO(row["csv"]))
 
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from railrepro.estimation.sensors import Loop, readings
-from railrepro.evidence.runs import sources, store
+from railrepro.evidence.runs import store
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import NOTHING, Entry
@@ -70,6 +70,5 @@ def _errors(loop: Loop, speed: float) -> dict[float, float]:
         found = [bound.limit(load_vehicle(), loop, speed, WALKS, activity=a).error for a in _ACTIVITIES]
         return {"errors": found}, None
 
-    code = sources.closure(["from railrepro.evidence.uncertainty import limit"])
-    row, _ = store.entry(store.key("score limit", code, loop, speed, WALKS, _ACTIVITIES, load_vehicle()), compute)
+    row, _ = store.entry(store.key(__name__, "limit", loop, speed, WALKS, _ACTIVITIES, load_vehicle()), compute)
     return dict(zip(_ACTIVITIES, row["errors"], strict=True))

@@ -22,7 +22,7 @@ from railrepro.control.registry import REGISTERED
 from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.evidence.runs.experiment import Experiment, code
+from railrepro.evidence.runs.experiment import Experiment
 from railrepro.files import write
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -219,7 +219,7 @@ class Measured:
         parameters = tuning.load(self.controller, self.setting)["parameters"]
         around = load_loop() if self.setting == tuning.LOOP else None
         read = self.controller, self.speed_kmh, parameters, around, load_vehicle()
-        name = store.key(code(failed), "sensitivity", read)
+        name = store.key(__name__, "sensitivity", read)
         return row | store.entry(name, self._peaks)[0]
 
     def _peaks(self) -> store.Entry:

@@ -1,0 +1,189 @@
+"""The code that this process runs: one version of the library, the content of each module, and what they compute with.
+
+A process imports modules over minutes, and its files may be edited meanwhile. So their sizes and times are noted when
+the package is imported, and looked at again before anything is read from a cache or stored in one: what an edited
+checkout computes belongs to no version. The content of a module is its text without comments, docstrings and empty
+lines; it is cut out by one pattern and not by Python's parser, so that all versions of Python agree on it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import sys
+from collections.abc import Iterable
+from fnmatch import fnmatch
+from functools import cache
+from pathlib import Path
+
+PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow")
+"""Packages whose version may change a number or a figure; the others of the environment check, start or show."""
+_FOLDER = Path(__file__).parent
+_SUFFIXES = (".py", ".c", ".h", ".html", ".j2")
+_ABOVE = "railrepro/evidence/"
+"""Above the library, which cannot reach it."""
+_LONG = r'"""[^"\\]*(?:(?:\\.|"(?!""))[^"\\]*)*"""' + r"|'{3}[^'\\]*(?:(?:\\.|'(?!''))[^'\\]*)*'{3}"
+_TOKEN = re.compile(
+    rf"(?P<statement>(?<!\\\n)^[ \t]*[rR]?(?:{_LONG})[ \t]*(?=$|\#))"
+    rf"""|(?P<string>{_LONG}|"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')"""
+    r"|(?P<comment>#[^\n]*)|(?P<open>[(\[{])|(?P<close>[)\]}])",
+    re.DOTALL | re.MULTILINE,
+)
+_EMPTY = re.compile(r"[ \t]*\n(?:[ \t]*\n)*")
+_FROM = re.compile(r"^[ \t]*from[ \t]+(railrepro[\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
+_IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n]*)", re.MULTILINE)
+_OTHER_SOURCE = re.compile(r"""["']([\w{}\[\]]+\.(?:c|h|html|j2))["']""")
+
+
+def _signature(file: str) -> tuple[int, int] | None:
+    """Size and time of the last change (ns); None when there is no such file."""
+    try:
+        status = os.stat(file)
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns
+
+
+def _files(folder: str, name: str) -> dict[str, str]:
+    """Sources below a folder: name from the package on -> path."""
+    found: dict[str, str] = {}
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_dir() and entry.name != "__pycache__":
+                found |= _files(entry.path, f"{name}/{entry.name}")
+            elif entry.name.endswith(_SUFFIXES):
+                found[f"{name}/{entry.name}"] = entry.path
+    return found
+
+
+_FILES = _files(str(_FOLDER), "railrepro")
+_IMPORTED = {file: _signature(file) for file in _FILES.values()}
+_edited = False
+
+
+def unchanged() -> bool:
+    """Whether the files are those that this process imported; once they are not, it says so and stays with it."""
+    global _edited
+    if not _edited and any(_signature(file) != signature for file, signature in _IMPORTED.items()):
+        _edited = True
+        print(
+            "railrepro was edited after this process imported it: nothing is read from its caches or stored there; "
+            "restart (in Jupyter the kernel) to run the edited code",
+            file=sys.stderr,
+            flush=True,
+        )
+    return not _edited
+
+
+@cache
+def _bytes() -> dict[str, bytes] | None:
+    """Sources that were imported; None when they had been edited before they were read."""
+    read = {name: Path(file).read_bytes() for name, file in _FILES.items()} if unchanged() else {}
+    return read if unchanged() else None
+
+
+def content(text: str) -> str:
+    """Text of Python without comments, docstrings (all long strings that are statements), trailing blanks, empty lines.
+
+    Strings stay as they are.
+    """
+    text = text.replace("\r\n", "\n")
+    parts, code, depth, end = [], "", 0, 0
+    for match in _TOKEN.finditer(text):
+        code += text[end : match.start()]
+        end = match.end()
+        depth += bool(match["open"]) - bool(match["close"])
+        if match["string"] or (match["statement"] and depth):
+            parts += [_EMPTY.sub("\n", code), match[0]]
+            code = ""
+        elif not (match["comment"] or match["statement"]):
+            code += match[0]
+    return "".join([*parts, _EMPTY.sub("\n", code + text[end:])]).strip("\n")
+
+
+def imports(content: str) -> set[str]:
+    """Modules and names of this package that some Python imports, whatever it does with them."""
+    from railrepro import FACADE  # the package imports this module first
+
+    joined = content.replace("\\\n", " ")
+    found = {name for line in _IMPORT.findall(joined) for name in re.findall(r"railrepro[\w.]*", line)}
+    facade = {f"railrepro.{name}" for name in (FACADE if found else ())}  # any may follow
+    for module, names in _FROM.findall(joined):
+        found |= {module} | {f"{module}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+)", names)}
+        if module == "railrepro" and "*" in names:
+            facade |= {f"railrepro.{name}" for name in FACADE}
+    return found | {FACADE[name] for one in found | facade if (name := one[len("railrepro.") :]) in FACADE}
+
+
+@cache
+def _text(name: str) -> str:
+    """Content of a module, as this process imported it."""
+    return content((_bytes() or {})[name].decode())
+
+
+@cache
+def _source_hash(name: str) -> str:
+    return _hash(_text(name).encode() if name.endswith(".py") else (_bytes() or {})[name])
+
+
+@cache
+def _next(name: str) -> frozenset[str]:
+    """Sources that a module imports or names; what is filled into a name is any text."""
+    if not name.endswith(".py"):
+        return frozenset()
+    patterns = [re.sub(r"\{[^}]*\}", "*", other) for other in _OTHER_SOURCE.findall(_text(name))]
+    others = {file for file in _FILES for pattern in patterns if fnmatch(file.rpartition("/")[2], pattern)}
+    return frozenset(_modules(imports(_text(name))) | others)
+
+
+def _modules(names: Iterable[str]) -> set[str]:
+    """Sources of dotted names, with those of the packages that they are in; a name within a module is that module."""
+    parts = [name.split(".") for name in names]
+    bases = {"/".join(part[:n]) for part in parts for n in range(1, len(part) + 1)}
+    return {file for base in bases for file in (f"{base}.py", f"{base}/__init__.py") if file in _FILES}
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def reached(*texts: str) -> dict[str, str] | None:
+    """Sources of this package that some Python can reach, with their hashes; None when they are not known any more."""
+    if _bytes() is None:
+        return None
+    found: dict[str, str] = {}
+    pending = [file for text in texts for file in _modules(imports(content(text)))]
+    while pending:
+        file = pending.pop()
+        if file not in found:
+            found[file] = _source_hash(file)
+            pending += _next(file)
+    return dict(sorted(found.items()))
+
+
+@cache
+def version() -> str | None:
+    """Hash of the library that this process imported, the same on all machines; None when it is not known any more.
+
+    What stands above the library does not count. Whoever reads or stores under this key asks `unchanged` before.
+    """
+    if _bytes() is None:
+        return None
+    names = sorted(name for name in _FILES if not name.startswith(_ABOVE))
+    return _hash("\n".join(f"{name} {_source_hash(name)}" for name in names).encode())
+
+
+@cache
+def packages() -> dict[str, str]:
+    """Installed versions of `PACKAGES`; empty for one that is not there."""
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed
+
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = installed(name)
+        except PackageNotFoundError:
+            found[name] = ""
+    return found

@@ -1,0 +1,273 @@
+"""The code that a process runs: no cache serves old physics, and every Python has the same hashes."""
+
+import ast
+import hashlib
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+import tokenize
+from concurrent.futures import ThreadPoolExecutor
+from itertools import accumulate
+from pathlib import Path
+
+import pytest
+
+from railrepro import code, paths
+from railrepro.compile import cache, graphs
+from railrepro.errors import InputError
+from railrepro.evidence.runs import executor, experiment, store
+
+SNIPPETS = {
+    "x = 1\n": "x = 1",
+    'def f(a):\n    """Sine."""\n\n    return -a  # sign\n': "def f(a):\n    return -a",
+    "def f(a):\n    return -a": "def f(a):\n    return -a",
+    "x = f'{d[\"a # b\"]!r:>{n}}'  # c\n": "x = f'{d[\"a # b\"]!r:>{n}}'",
+    'x = f"{d["a"]}"  # nested quotes of 3.12\n': 'x = f"{d["a"]}"',
+    'y = f"""{x}\n# text\n\n   """\n': 'y = f"""{x}\n# text\n\n   """',
+    "@a  # b\n@c('#')\n\n\nclass D:\n    r'''Raw \\d.''' \n    e: int = 1\n    '''After.'''\n": (
+        "@a\n@c('#')\nclass D:\n    e: int = 1"
+    ),
+    "match x:\n    case {'#': [1, *_]}:  # first\n        pass\n": "match x:\n    case {'#': [1, *_]}:\n        pass",
+    'f(\n    """argument"""\n)\nx = \\\n"""value"""\n': 'f(\n    """argument"""\n)\nx = \\\n"""value"""',
+    "x = 'it''s \\' #' # it's\r\n": "x = 'it''s \\' #'",
+}
+
+
+def test_the_content_of_a_text_has_no_comment_docstring_or_empty_line():
+    assert {text: code.content(text) for text in SNIPPETS} == SNIPPETS
+    table = hashlib.sha256(json.dumps([code.content(text) for text in SNIPPETS]).encode()).hexdigest()
+    assert table == "aa80ec3bb67e5e622fe4050ae013add2102b73a9c8304db680cd4cbac00542e8", (
+        "the same on each version of Python"
+    )
+
+
+def as_python_sees_it(text):
+    """Text without what the parser of this Python takes for strings as statements, and its tokenizer for comments."""
+    lines = text.splitlines(keepends=True)
+    begins = [0, *accumulate(map(len, lines))]
+    cuts = [
+        tuple(begins[row - 1] + column for row, column in (token.start, token.end))
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type == tokenize.COMMENT
+    ]
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            ends = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
+            cuts.append(tuple(begins[row - 1] + len(lines[row - 1].encode()[:n].decode()) for row, n in ends))
+    for begin, end in sorted(cuts, reverse=True):
+        text = text[:begin] + text[end:]
+    return text.split()
+
+
+def test_the_content_of_each_module_is_what_this_python_sees_in_it():
+    for file in [*(paths.ROOT / "railrepro").rglob("*.py"), *(paths.ROOT / "tests").glob("*.py")]:
+        text = file.read_text()
+        assert code.content(text).split() == as_python_sees_it(text), file
+
+
+@pytest.mark.parametrize("text", ["from railrepro import simulate", "import railrepro", "from railrepro import (\n *)"])
+def test_a_name_of_the_package_leads_to_its_home(text):
+    assert "railrepro/simulation/simulate.py" in code.reached(text)
+    assert "railrepro/simulation/simulate.py" not in code.reached("from railrepro import paths, InputError")
+
+
+def test_imports_are_followed_in_all_forms_and_not_into_strings_of_documentation():
+    forms = [
+        "from railrepro.control import (\n    ndi,\n    nmpc as n,\n)",
+        "import os, railrepro.control.nmpc as n",
+        "if x:\n    from railrepro.control \\\n        import nmpc",
+        "from railrepro.control.nmpc import NMPC, STEPS",
+    ]
+    for text in forms:
+        assert {"railrepro/control/__init__.py", "railrepro/control/nmpc.py"} <= set(code.reached(text))
+    assert code.reached('"""from railrepro.control import nmpc"""\n# import railrepro\n') == {}
+    reached = code.reached("from railrepro.evidence.runs import experiment")
+    for name in ("car/car.c", "control/solvers/riccati.c", "contact/creep.py", "compile/lanes.h", "code.py"):
+        assert f"railrepro/{name}" in reached
+    assert not [name for name in reached if "/report/" in name or "fmi" in name]
+
+
+def test_every_source_of_the_library_is_in_its_version_and_no_evidence(monkeypatch):
+    before, own = code.version(), code._source_hash
+    changed = {}
+    for name in code._FILES:
+        monkeypatch.setattr(code, "_source_hash", lambda one, name=name: own(one) if one != name else "other")
+        changed[name] = code.version.__wrapped__() != before
+    assert changed == {name: "/evidence/" not in name for name in changed}
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A checkout with a copy of the package, to be edited."""
+    shutil.copytree(paths.ROOT / "railrepro", tmp_path / "railrepro", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("notebooks", "data", "build"):
+        (tmp_path / name).mkdir()
+    return tmp_path
+
+
+def environment(folder):
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("RAILREPRO")}
+    return ours | {"PYTHONPATH": str(folder)}
+
+
+def python(folder, program, *arguments):
+    """A process of the checkout."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, "-c", program, *arguments], cwd=folder, env=environment(folder), **pipes)
+
+
+def fade(folder, before, after):
+    """Edit the physics."""
+    file = folder / "railrepro/control/law.py"
+    text = file.read_text()
+    assert f"GUIDANCE_FADE = {before}" in text
+    file.write_text(text.replace(f"GUIDANCE_FADE = {before}", f"GUIDANCE_FADE = {after}"))
+
+
+EDITED = "railrepro was edited after this process imported it"
+PROGRAM = """
+import sys
+import casadi as ca
+from railrepro import code
+from railrepro.compile import graphs
+from railrepro.evidence.runs import store
+def wait(moment):
+    if moment == sys.argv[1]:
+        print("now", flush=True)
+        sys.stdin.readline()
+def fade():
+    wait("between key and import")
+    from railrepro.control.law import GUIDANCE_FADE
+    wait("between import and key")
+    return GUIDANCE_FADE
+def build():
+    return ca.Function("fade", [], [ca.DM(early or fade())])
+build.__module__ = "railrepro.anywhere"
+early = fade() if sys.argv[1] == "between import and key" else None
+print(float(graphs.stored(build)()()["o0"]))
+row, _ = store.entry(store.key("railrepro.control.law", "fade"), lambda: ({"fade": early or fade()}, None))
+print(row["fade"], code.version() is None)
+"""
+
+
+def test_a_process_that_imported_old_code_leaves_neither_graph_nor_result_to_the_next(copy):
+    old = python(copy, PROGRAM, "between import and key")
+    assert old.stdout.readline() == "now\n"
+    fade(copy, "1.0", "200.0")
+    said, told = old.communicate("\n", timeout=120)
+    assert said == "1.0\n1.0 True\n" and told.count(EDITED) == 1
+    assert python(copy, PROGRAM, "").communicate(timeout=120) == ("200.0\n200.0 False\n", "")
+
+
+def test_what_a_process_computed_of_edited_code_is_gone_with_the_edit(copy):
+    old = python(copy, PROGRAM, "between key and import")
+    assert old.stdout.readline() == "now\n"
+    fade(copy, "1.0", "200.0")
+    said, told = old.communicate("\n\n", timeout=120)
+    assert said == "200.0\nnow\n200.0 False\n" and told.count(EDITED) == 1
+    fade(copy, "200.0", "1.0")
+    assert python(copy, PROGRAM, "").communicate(timeout=120) == ("1.0\n1.0 False\n", "")
+
+
+CHAPTER = [
+    "import time\nfrom pathlib import Path\nfrom railrepro import paths\n",
+    "folder = '.'",
+    "Path('imported').touch()\nwhile not Path('go').exists():\n    time.sleep(0.05)\n"
+    "from railrepro.control.law import GUIDANCE_FADE\n"
+    "paths.product('data/fade.csv').write_text(f'fade\\n{GUIDANCE_FADE}\\n')",
+]
+RUN = "from railrepro.evidence.chain import runner; runner.refresh('01_fade')"
+
+
+def test_a_chapter_that_ran_while_the_code_was_edited_is_stale_and_a_stale_one_names_the_module(copy):
+    tags = [{}, {"tags": ["parameters"]}, {}]
+    cells = [
+        {"cell_type": "code", "id": f"c{i}", "metadata": tag, "source": text, "outputs": [], "execution_count": None}
+        for i, (text, tag) in enumerate(zip(CHAPTER, tags, strict=True))
+    ]
+    kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    book = {"cells": cells, "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}
+    (copy / "notebooks/01_fade.ipynb").write_text(json.dumps(book))
+    entry = '[[notebook]]\nname = "01_fade"\ntitle = "fade"\nwrites = ["data/fade.csv"]\n'
+    (copy / "notebooks/chain.toml").write_text(entry)
+    first = python(copy, RUN)
+    while first.poll() is None and not (copy / "imported").exists():
+        time.sleep(0.05)
+    fade(copy, "1.0", "200.0")
+    (copy / "go").touch()
+    assert "Traceback" not in first.communicate(timeout=120)[1]
+    assert (copy / "data/fade.csv").read_text() == "fade\n200.0\n"
+    fade(copy, "200.0", "1.0")
+    _, told = python(copy, RUN).communicate(timeout=120)
+    assert "(an input was edited while it ran)" in told
+    assert (copy / "data/fade.csv").read_text() == "fade\n1.0\n"
+    fade(copy, "1.0", "2.0")
+    look = "from railrepro.evidence.chain import graph, manifest; print(manifest.why_stale(graph.find('01_fade')))"
+    assert python(copy, look).communicate(timeout=120)[0] == "railrepro/control/law.py\n"
+
+
+def test_an_edited_process_looks_nothing_up_and_stores_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("RAILREPRO_STORE", str(tmp_path))
+    name = store.key("railrepro.simulation.metrics", "x")
+    store.entry(name, lambda: ({"x": 1}, None))
+    look = graphs.stored(type("build", (), {"__module__": "railrepro.any", "__new__": lambda cls: built.append(1)}))
+    built = []
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
+    look()
+    monkeypatch.setattr(code, "unchanged", lambda: False)
+    look.cache_clear()
+    look()
+    assert built == [1, 1]
+    assert store.key("railrepro.simulation.metrics", "x") is None
+    (file,) = tmp_path.rglob("*.npz")
+    file.unlink()
+    assert store.entry(name, lambda: ({"x": 2}, None))[0] == {"x": 2}
+    assert not list(tmp_path.rglob("*.npz"))
+
+
+def test_a_worker_with_other_code_is_refused(monkeypatch):
+    task, asked = experiment._call, executor._code(experiment._call)
+    assert executor._here(task, asked, []) == ([], {})
+    for other in (("another version", asked[1]), (asked[0], {}), (None, None)):
+        with pytest.raises(InputError, match="imported other code of railrepro"):
+            executor._elsewhere(task, other, [])
+    monkeypatch.setattr(code, "version", lambda: None)
+    with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="imported other code"):
+        executor.ordered_map(pool, task, ["anything"], "x", quiet=True)
+
+
+@pytest.mark.parametrize("name", ["RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"])
+def test_what_chooses_the_last_digits_is_in_the_key(name, monkeypatch):
+    keys = set()
+    monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
+    for value in ("", "other"):
+        monkeypatch.setenv(name, value)
+        keys.add(store.key("railrepro.simulation.metrics", "x"))
+    assert len(keys) == 2
+
+
+def test_only_packages_that_compute_are_in_the_key(monkeypatch):
+    assert {"numpy", "casadi"} <= set(code.packages()) and not {"ruff", "pytest"} & set(code.packages())
+    assert all(code.packages().values())
+    before = store.key("railrepro.simulation.metrics", "x")
+    monkeypatch.setattr(code, "packages", lambda: {"numpy": "another version"})
+    monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
+    assert store.key("railrepro.simulation.metrics", "x") != before
+    assert store.key("mine", "x") is None
+
+
+def test_the_package_is_noted_before_anything_is_imported_from_it():
+    done = subprocess.run(
+        [sys.executable, "-c", "import railrepro, sys; print(sorted(m for m in sys.modules if m[:9] == 'railrepro'))"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout == "['railrepro', 'railrepro.code']\n"
+    assert set(code._FILES) == {
+        str(file.relative_to(paths.ROOT))
+        for suffix in code._SUFFIXES
+        for file in Path(paths.ROOT / "railrepro").rglob(f"*{suffix}")
+    }
