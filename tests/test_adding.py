@@ -99,7 +99,7 @@ def copy(tmp_path):
     """What a clone holds, without the figures."""
     for name in ("railrepro", "data", "notebooks"):
         shutil.copytree(paths.ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(paths.ROOT / "figures", tmp_path / "figures", ignore=shutil.ignore_patterns("*.csv", "*.pdf"))
+    shutil.copytree(paths.ROOT / "figures", tmp_path / "figures", ignore=shutil.ignore_patterns("*.csv"))
     (tmp_path / "build").mkdir()
     return tmp_path
 

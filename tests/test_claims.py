@@ -14,7 +14,7 @@ from railrepro.evidence.report import claims, reasons, text, theses
 
 RESULTS = paths.ROOT / "data/results"
 needs_results = pytest.mark.skipif(
-    not (RESULTS / "braking_front.csv").exists(), reason="data/results is not made yet (make figures)"
+    not (RESULTS / "braking_dependence.csv").exists(), reason="data/results is not made yet (make figures)"
 )
 
 

@@ -18,13 +18,15 @@ TABLES |= {"Fig. 9": "fig09_braking"}
 
 def of_the_paper(figure):
     """RMSE (mm) of each run of a figure by car, for braking with the distance (m); the highest speed of several."""
-    table = pd.read_csv(paths.ROOT / f"data/results/{TABLES[figure]}.csv").query("setting == 'paper'")
+    table = pd.read_csv(paths.FIGURES / f"{TABLES[figure]}.csv").query("setting == 'paper'")
     if "speed_kmh" in table:
         table = table[table["speed_kmh"] == table["speed_kmh"].max()]
     found = {}
-    for (car, *_), rows in table.groupby(["car", "controller", "case"] if "case" in table else ["car", "controller"],
-                                         sort=False):  # fmt: skip
-        error = 1e3 * ((rows["y_m"] - rows["y_ref_m"]) ** 2).mean() ** 0.5
+    for (car, *_), rows in table.groupby([key for key in ("car", "controller", "case") if key in table], sort=False):
+        if "rmse_mm" in rows:
+            error = rows["rmse_mm"].iloc[0]
+        else:
+            error = 1e3 * ((rows["y_m"] - rows["y_ref_m"]) ** 2).mean() ** 0.5
         found.setdefault(car, []).extend([error, rows["p_m"].iloc[-1]] if figure == "Fig. 9" else [error])
     return found["uncalibrated"] + found["calibrated"]
 

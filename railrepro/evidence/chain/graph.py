@@ -14,7 +14,7 @@ from railrepro import paths, schema
 from railrepro.errors import InputError
 from railrepro.schema import Number, above, between
 
-SUFFIXES = ("pdf", "svg", "png", "csv")
+SUFFIXES = ("png", "csv")
 _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 

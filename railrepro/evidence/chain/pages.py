@@ -162,12 +162,10 @@ def captions() -> dict[str, str]:
 
 
 def _figure(name: str) -> str:
-    """A saved figure as a numbered one: drawn when that is a small file, else in pixels."""
-    drawn, caption = paths.FIGURES / f"{name}.svg", captions().get(name, name[6:].replace("_", " "))
-    suffix = "svg" if drawn.exists() and drawn.stat().st_size < 500_000 else "png"
-    files = ", ".join(f"{{download}}`{kind} <../figures/{name}.{kind}>`" for kind in ("pdf", "svg", "csv"))
-    head = f"```{{figure}} ../figures/{name}.{suffix}\n:name: {name}\n:alt: {caption}\n\n"
-    return f"{head}**Figure {int(name[3:5])}.** {caption} ({files})\n```"
+    """A saved figure as a numbered one, with its data."""
+    caption = captions().get(name, name[6:].replace("_", " "))
+    head = f"```{{figure}} ../figures/{name}.png\n:name: {name}\n:alt: {caption}\n\n"
+    return f"{head}**Figure {int(name[3:5])}.** {caption} ({_download(f'figures/{name}.csv')})\n```"
 
 
 def _download(path: str) -> str:
