@@ -33,6 +33,8 @@ _TOKEN = re.compile(
 _EMPTY = re.compile(r"[ \t]*\n(?:[ \t]*\n)*")
 _FROM = re.compile(r"^[ \t]*from[ \t]+(railrepro[\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n]*)", re.MULTILINE)
+_RESOLVED = re.compile(r"""["'](railrepro(?:\.\w+)+):\w+["']""")
+"""A module that `pkgutil.resolve_name` imports when it is used."""
 _OTHER_SOURCE = re.compile(r"""["']([\w{}\[\]]+\.(?:c|h|html|j2))["']""")
 
 
@@ -108,12 +110,13 @@ def imports(content: str) -> set[str]:
 
     joined = content.replace("\\\n", " ")
     found = {name for line in _IMPORT.findall(joined) for name in re.findall(r"railrepro[\w.]*", line)}
+    resolved = set(_RESOLVED.findall(joined))
     facade = {f"railrepro.{name}" for name in (FACADE if found else ())}  # any may follow
     for module, names in _FROM.findall(joined):
         found |= {module} | {f"{module}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+)", names)}
         if module == "railrepro" and "*" in names:
             facade |= {f"railrepro.{name}" for name in FACADE}
-    return found | {FACADE[name] for one in found | facade if (name := one[len("railrepro.") :]) in FACADE}
+    return found | resolved | {FACADE[name] for one in found | facade if (name := one[len("railrepro.") :]) in FACADE}
 
 
 @cache

@@ -271,3 +271,9 @@ def test_the_package_is_noted_before_anything_is_imported_from_it():
         for suffix in code._SUFFIXES
         for file in Path(paths.ROOT / "railrepro").rglob(f"*{suffix}")
     }
+
+
+def test_a_controller_that_the_registry_finds_by_its_name_is_reached():
+    found = code.reached("from railrepro.control.registry import guidance")
+    assert {"railrepro/own/creep_mpc.py", "railrepro/own/creep_model.py"} <= set(found)
+    assert not any(name.startswith("railrepro/own") for name in code.reached("from railrepro.car import equations"))
