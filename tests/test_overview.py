@@ -1,12 +1,10 @@
-"""The overviews: every verdict and every score is drawn where it belongs, statements by short names."""
+"""The overview: every verdict is drawn where it belongs, statements by short names."""
 
 import pandas as pd
-import pytest
 from matplotlib import pyplot as plt
 
 from railrepro.evidence.claims import statements
 from railrepro.evidence.report import overview
-from railrepro.evidence.score import card, picture, suite
 
 CLAIMS = pd.DataFrame(
     [("C03", "statement", "paper", "reproduced"), ("C03", "statement", "loop", "not reproduced"),
@@ -34,17 +32,4 @@ def test_verdicts_stand_in_the_row_of_the_statement_and_the_column_of_the_settin
     assert shown == ["reproduced", "fragile", "partly", "tie", "not reproduced"]
     hollow = [line.get_ydata()[0] for line in axes.lines if line.get_markerfacecolor() == "white"]
     assert hollow == [3]
-    plt.close(figure)
-
-
-def test_the_leaderboard_is_drawn_in_the_order_of_its_score():
-    scores = {"pid": (10.0, 20.0, 15.0), "ndi": (40.0, 30.0, 35.0)}
-    rows = [(card.ALL, name, "score", value, setting) for name, values in scores.items()
-            for setting, value in zip(("equal", "loop", card.ALL), values, strict=True)]  # fmt: skip
-    rows += [(card.ALL, name, "failures", 0.0, setting) for name in ("pid", "ndi") for setting in ("equal", "loop")]
-    table = pd.DataFrame(rows, columns=["scenario", "controller", "metric", "value", "setting"])
-    figure = picture.leaderboard(table.assign(seed=suite.draws().published))
-    axes = figure.axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["NDI", "pid (example)"]
-    assert [bar.get_width() for bar in axes.patches] == pytest.approx([35.0, 15.0])
     plt.close(figure)

@@ -85,9 +85,9 @@ def _leaderboard() -> str:
     """Table of the leaderboard in Markdown; empty where there is none."""
     import pandas as pd
 
-    from railrepro.evidence.score import leaderboard, page
+    from railrepro.evidence.score import leaderboard
 
-    file = paths.source(page.LEADERBOARD)
+    file = paths.source(leaderboard.LEADERBOARD)
     return leaderboard.markdown(pd.read_csv(file)) if file.exists() else ""
 
 

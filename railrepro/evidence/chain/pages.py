@@ -233,7 +233,7 @@ def leaderboard(table: str) -> str:
         "",
         table or "There is no table yet: `make leaderboard` makes it, and the next book shows it.",
         "",
-        "Every line of every run, with its unit: [leaderboard.csv](data/results/leaderboard.csv)." if table else "",
+        "Sums of each draw and setting, with units: [leaderboard.csv](data/results/leaderboard.csv)." if table else "",
     ]
     return "\n".join(lines) + "\n"
 

@@ -196,16 +196,6 @@ class Experiment:
         return row | {"fallbacks": sum(solve.fallback for solve in solves)}
 
 
-def sample_times(run: simulate.Run, experiment: Experiment, again: int) -> np.ndarray:
-    """Time of each sample of the slower controllers (s), the least of a run and of some more that go like it.
-
-    What a machine does besides lengthens one drive or the other, what a controller needs all of them.
-    """
-    runs = [run, *(experiment.run() for _ in range(again))]
-    found = [[solve.seconds for controller in each.controllers for solve in controller.stats] for each in runs]
-    return np.min([seconds for seconds in found if len(seconds) == len(found[0])], axis=0)
-
-
 @lru_cache(maxsize=8)
 def _laid_rough(end: float, irregular: str) -> pd.DataFrame:
     """Irregularities up to a coordinate (m); tuning drives the same ones very often."""

@@ -12,8 +12,7 @@ shifting force over its limit; e, T, A of the front gear. With q = 1 / (1 + J), 
 
 q_0 of a car without guidance in the same case (0 where that derails), q_l of the limit (`limit`). A case that
 fails has no points. The runs with more delay and lag count as one case, with the mean of their points, which falls
-steadily before anything derails. The score is the mean over cases, and then over settings. Times are shown and do not
-count, as they depend on the machine; each is the least of three drives (`trial.DRIVES`).
+steadily before anything derails. The score is the mean over cases, and then over settings.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ ALL = "all"
 ROW_UNITS = {
     **{"points": "-", "error": "m", "limit": "m", "effort_du": "N m", "activity_du": "N m", "utilisation": "-"},
     **{"stopping_distance": "m", "y_over_q": "-", "sum_y_over_limit": "-", "wheel_unloading": "-", "comfort": "-"},
-    **{"sample_median": "s", "sample_p99": "s", "sample_max": "s", "failed_at_m": "m"},
+    "failed_at_m": "m",
 }
 CARD = {
     **{"score": ("score of 100", 1.0, "-"), "margins": ("points with more delay and lag", 1.0, "-")},
@@ -50,13 +49,10 @@ CARD = {
     "sum_y_over_limit": ("track shifting force over its limit, largest", 1.0, "-"),
     "wheel_unloading": ("wheel unloading, largest", 1.0, "-"),
     "comfort": ("mean comfort N_MV, mean", 1.0, "-"),
-    "sample_median": ("time per sample, median", 1e6, "us"),
-    "sample_p99": ("time per sample, 99 % below", 1e6, "us"),
-    "sample_max": ("time per sample, longest", 1e6, "us"),
 }
 """Lines of the card: metric -> words, factor from SI, unit on the card."""
-_MEANS = ("error", "limit", "effort_du", "activity_du", "utilisation", "stopping_distance", "comfort", "sample_median")
-_LARGEST = ("y_over_q", "sum_y_over_limit", "wheel_unloading", "sample_p99", "sample_max")
+_MEANS = ("error", "limit", "effort_du", "activity_du", "utilisation", "stopping_distance", "comfort")
+_LARGEST = ("y_over_q", "sum_y_over_limit", "wheel_unloading")
 
 
 def cost(row: dict) -> float:

@@ -1,42 +1,35 @@
-"""`python -m railrepro score path/to/mine.py` (or a registered name): suite, score cards and pages."""
+"""`python -m railrepro score path/to/mine.py` (or a registered name): suite and score card."""
 
 from __future__ import annotations
 
 from railrepro import paths
 from railrepro.control import lateral
 from railrepro.errors import InputError
-from railrepro.evidence.score import card, page, run, suite
+from railrepro.evidence.score import card, run, suite
 from railrepro.evidence.score.entry import entry
 from railrepro.files import write
 
 
 def main(controller: str | None = None, seed: int | None = None, small: bool = False, describe: bool = False) -> None:
-    """Score one controller and print its cards: the published and the ranked draws, or that of a seed.
+    """Score one controller on the published draw, or on that of a seed, and print its card.
 
-    `small` takes the quick runs of the published draw only, and no margins; `describe` prints what a law may use.
+    `small` takes the quick runs only, and no margins; `describe` prints what a law may use.
     """
     if describe:
         print(description())
         return
     if controller is None:
         raise InputError("score: a Python file with one controller class, or a registered name, is needed")
-    chosen, published = entry(controller), suite.draws().published
+    chosen, draw = entry(controller), suite.draws().published if seed is None else seed
     print(f"checking controller {chosen.name}", flush=True)
     run.check(chosen)
-    seeds = (published, *(() if small else suite.ranked_seeds(chosen))) if seed is None else (seed,)
-    table = run.score(chosen, seeds, suite.QUICK if small else None)
-    cards = {draw: card.tidy(rows, draw) for draw, rows in table.groupby("seed", sort=False)}
-    for draw, long in cards.items():
-        words = "published" if draw == published else "ranked" if seed is None else "of your choice"
-        rows, folder, stem = table[table["seed"] == draw], paths.BUILD / "score", f"{chosen.name}-{draw}"
-        write(folder / f"{stem}.csv", long.to_csv(index=False, float_format="%.6g"))
-        text = page.html(chosen.name, rows, long, f"{words}, seed {draw}", ranked=words == "ranked")
-        write(folder / f"{stem}.html", text)
-        print(f"\ndraw {words}, seed {draw}")
-        for _, row in rows[rows["failure"] != ""].iterrows():
-            print(f"failed: {row['scenario']} in the setting {row['setting']}: {row['failure']}")
-        print(card.text(long))
-        print(f"written: {folder / stem}.csv and .html")
+    table = run.score(chosen, draw, suite.QUICK if small else None)
+    long, file = card.tidy(table, draw), paths.BUILD / "score" / f"{chosen.name}-{draw}.csv"
+    write(file, long.to_csv(index=False, float_format="%.6g"))
+    for _, row in table[table["failure"] != ""].iterrows():
+        print(f"failed: {row['scenario']} in the setting {row['setting']}: {row['failure']}")
+    print(card.text(long))
+    print(f"seed {draw}; written: {file}")
 
 
 def description() -> str:

@@ -15,11 +15,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from railrepro.control import lateral
 from railrepro.control.registry import REGISTERED, Controller
 from railrepro.errors import InputError
 from railrepro.evidence.runs import tuning
 from railrepro.schema import location
+from railrepro.track.irregularity import CHANNELS
+from railrepro.track.route import INDEX, Route
 
 NOTHING = "nothing"
 """Name of the controller that gives no torque."""
@@ -44,8 +48,6 @@ class Entry:
 
     def enter(self, setting: str) -> tuple[str, dict]:
         """Name in the registry of this process, and parameters in some setting.
-
-        The code of a file then runs in this process: for tuning one's own, not for scoring.
 
         Raises
         ------
@@ -88,8 +90,17 @@ def made(own: type, setting: str) -> lateral.Guidance:
 
 def _guidance(own: type, settings: dict) -> lateral.Guidance:
     if hasattr(own, "plan"):
-        return lambda vehicle, route, gear: own(vehicle, route, gear, **settings)
+        return lambda vehicle, route, gear: own(vehicle, known(route), gear, **settings)
     return own(**settings)
+
+
+def known(route: Route) -> Route:
+    """What a controller of a file may know of a route: neither irregularities nor friction nor side forces."""
+    cells = np.array(route.cells)
+    hidden = (*CHANNELS, "poor_le", "poor_ri", "second_profile", "side_force")
+    names = [name for name in INDEX if name.lstrip("d") in hidden or name in hidden]
+    cells[:, [INDEX[name] for name in names]] = 0.0
+    return Route(cells, route.length)
 
 
 def _settings(own: type, setting: str) -> dict:
@@ -140,6 +151,7 @@ def fault(error: BaseException, file: Path, own: type | None = None) -> str:
     ]
     if isinstance(error, SyntaxError) and error.filename == str(file):
         places.append((error.lineno or 1, "<module>"))
+    inside = bool(places)
     method = getattr(own, "torque", getattr(own, "plan", None))
     if not places and hasattr(method, "__code__"):
         places.append((method.__code__.co_firstlineno, method.__qualname__))
@@ -149,7 +161,6 @@ def fault(error: BaseException, file: Path, own: type | None = None) -> str:
         where = f"{file.name}, line {line}{'' if name == '<module>' else f' ({name})'}: "
     text = " ".join(str(error).partition("Possible prototypes")[0].split())
     text = re.sub(r"^\S+\.[ch]pp:\d+: ", "", text)
-    if "truth value" in text and "symbolic" in text:
-        text += " In torque(), use casadi.if_else, fmin and fmax for if, min and max."
-    kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+    told = isinstance(error, InputError) or (isinstance(error, ArithmeticError) and not inside)
+    kind = "" if told else f"{type(error).__name__}: "
     return f"{where}{kind}{text}"[:300]

@@ -1,9 +1,8 @@
 """`python -m railrepro leaderboard [controller …]` scores all controllers, those of examples/ too.
 
-Writes data/results/leaderboard.csv (the whole card of the published draw and the sums of the ranked ones), without
-times, which depend on the machine, and the table of PAGE. Named controllers are entered beside those that are
-there. A finished controller is in the store, so that an interrupted run goes on where it was; a change of library, data
-or file begins anew.
+Writes data/results/leaderboard.csv, the sums of the card of each draw, and the table of PAGE. Named controllers are
+entered beside those that are there. A finished controller is in the store, so that an interrupted run goes on where it
+was; a change of library, data or file begins anew.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from railrepro.errors import InputError
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry
-from railrepro.evidence.score.page import LEADERBOARD
 from railrepro.evidence.score.run import check, score
 from railrepro.files import write
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- end of leaderboard -->"
+LEADERBOARD = "data/results/leaderboard.csv"
 PAGE = "notebooks/book/benchmark.md"
 """Page with the table, and its lines between which the table stands."""
 _COLUMNS = {
@@ -54,16 +53,15 @@ def table(chosen: list[Entry], names: tuple[str, ...] | None = None) -> pd.DataF
 
 
 def _scored(each: Entry, names: tuple[str, ...] | None) -> pd.DataFrame:
-    """Score cards of a controller without times, which depend on the machine."""
-    published, seeds = suite.draws().published, suite.ranked_seeds(each)
+    """Sums of the score cards of a controller."""
+    seeds = (suite.draws().published, *suite.draws().ranked)
 
     def compute() -> store.Entry:
         check(each)
-        rows = score(each, (published, *seeds), names)
+        rows = score(each, seeds, names)
         cards = [card.tidy(draw, seed) for seed, draw in rows.groupby("seed", sort=False)]
-        cards[1:] = [each[each["scenario"] == card.ALL] for each in cards[1:]]
         found = pd.concat(cards)
-        found = found[~found["metric"].str.startswith("sample")]
+        found = found[found["scenario"] == card.ALL]
         return {"csv": found.to_csv(index=False, float_format="%.6g")}, None
 
     data = [paths.source(f"data/{name}.toml").read_text() for name in _READ]

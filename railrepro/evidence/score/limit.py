@@ -39,7 +39,7 @@ def anchors(case: suite.Case) -> dict:
 def nothing(case: suite.Case) -> float:
     """Cost J of a case without guidance, inf where a running gear derails."""
     undelayed = replace(case, delay=0.0)
-    row, _ = Trial(Entry(NOTHING), undelayed).experiment([]).measured(_cost)
+    row, _ = Trial(Entry(NOTHING), undelayed).experiment().measured(_cost)
     return row["cost"]
 
 

@@ -29,7 +29,7 @@ def check(entry: Entry) -> None:
     scenario = load_scenario("curve_entry_T3").but(end_m=FIRST_LOOK)
     for setting in suite.JUDGED_ON:
         sensors = {"seed": suite.draws().published} if setting == suite.LOOP else {}
-        row = Trial(entry, suite.Case("check", setting, scenario, sensors=sensors, timed=False))()
+        row = Trial(entry, suite.Case("check", setting, scenario, sensors=sensors))()
         if "way" not in row:
             raise InputError(row["failure"])
 

@@ -1,17 +1,15 @@
 """The runs of the benchmark: scenario, setting, and the random numbers of a seed.
 
 A seed draws noise and biases of the sensors, irregularities, and the car that differs from the one the controller
-believes in. For development there is the published seed; a file is ranked by a draw that its own bytes decide, so that
-nothing can be fitted to it, and a registered controller by the mean of several draws of the season.
+believes in. For development there is the published seed; the leaderboard ranks by the mean of several others.
 """
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from pathlib import Path
 from types import SimpleNamespace
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -19,10 +17,9 @@ import numpy as np
 from railrepro import paths, schema
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
-from railrepro.control.tuned import COUNT, SEED
+from railrepro.control.tuned import SEED
 from railrepro.estimation.sensors import late
 from railrepro.evidence.runs.tuning import EQUAL, LOOP
-from railrepro.evidence.score.entry import Entry
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.vehicle.parameters import sample_ranges
 
@@ -35,13 +32,15 @@ _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
 _CURVES = {"T1": 200.0, "T2": 600.0, "T3": 600.0, "T4": 700.0}
 _SINE = {100: 400.0, 250: 600.0, 400: 800.0}
 QUICK = ("curve_T3", "braking_patch")
-"""Runs of a small suite, and those in which samples are timed."""
+"""Runs of a small suite."""
 MARGINS = "margins"
 """Group of the runs with more delay or a slower drive, which count as one case together."""
 _DELAYS, _LAGS = (3, 6, 9, 12), (20, 30, 40, 50)
 """Delay on top of that of the loop and time constant of the drive (ms)."""
 _RAILS = {"dry": "sine_tracking", "poor": "adhesion_loss"}
 _MARGINS_END = 400.0
+LOST, _LARGEST = "lost_cycles", 1e12
+"""Memory of `CountedLaw`, and the torque (N m) from which one counts as not finite."""
 
 
 @schema.table
@@ -49,28 +48,13 @@ class Draws:
     """Content of data/score.toml."""
 
     published: SEED
-    season: str
-    draws: COUNT
+    ranked: Annotated[tuple[SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
 
 
 @lru_cache
 def draws() -> Draws:
-    """The published seed, the word of the season, and the number of draws of a registered controller."""
+    """The published seed, and those that the leaderboard ranks by."""
     return schema.build(Draws, schema.read(paths.source("data/score.toml")), "score.toml")
-
-
-def ranked_seeds(entry: Entry) -> tuple[int, ...]:
-    """Seeds that rank a controller: one from the bytes of a file, several of the season for a registered one."""
-    here = draws()
-    if entry.file:
-        return (_hashed(Path(entry.file).read_bytes()),)
-    return tuple(_hashed(str(k).encode()) for k in range(here.draws))
-
-
-def _hashed(content: bytes) -> int:
-    """31 bits of the SHA-256 of some content and the season."""
-    digest = hashlib.sha256(content + b"\n" + draws().season.encode()).digest()
-    return int.from_bytes(digest[:4], "big") >> 1
 
 
 @dataclass(frozen=True)
@@ -87,8 +71,6 @@ class Case:
         Cases of a group count as one.
     delay : float
         Delay of the differential torque where no sensors are, whose inverter has it otherwise (s).
-    timed : bool
-        Whether the controller's samples are timed, which takes several drives.
     """
 
     name: str
@@ -99,7 +81,6 @@ class Case:
     sensors: dict = field(default_factory=dict)
     group: str = ""
     delay: float = 0.0
-    timed: bool = True
 
 
 def cases(seed: int, names: tuple[str, ...] | None = None) -> list[Case]:
@@ -108,7 +89,7 @@ def cases(seed: int, names: tuple[str, ...] | None = None) -> list[Case]:
     for setting in JUDGED_ON:
         sensors = {"seed": seed} if setting == LOOP else {}
         found += [
-            Case(name, setting, *run, sensors, name, timed=name in QUICK)
+            Case(name, setting, *run, sensors, name)
             for name, run in _runs(seed).items()
             if names is None or name in names
         ]
@@ -136,7 +117,7 @@ def _margins(setting: str, seed: int) -> list[Case]:
         changes = [(f"lag_{ms}ms", {"drive.lag": 1e-3 * ms}, 0.0) for ms in _LAGS]
         changes += [(f"delay_{ms}ms", {}, 1e-3 * ms) for ms in _DELAYS]
         found += [
-            Case(f"{name}_{rail}", setting, short, plant=plant, group=MARGINS, delay=delay, timed=False)
+            Case(f"{name}_{rail}", setting, short, plant=plant, group=MARGINS, delay=delay)
             for name, plant, delay in changes
         ]
     if setting == EQUAL:
@@ -171,21 +152,47 @@ class DelayedLaw:
         return late(line, q.delay_ticks), following | dict(zip(self._line, line[:-1], strict=True))
 
 
-class DelayedController(DelayedLaw):
-    """The same for a guidance with a slower controller."""
+class CountedLaw:
+    """A 1 kHz law that counts in `LOST` how often its torque was not finite, which the torque limit would hide."""
 
-    def __init__(self, law: lateral.LateralLaw, factory: lateral.Factory, delay: float):
-        super().__init__(law, delay)
-        self._factory = factory
+    def __init__(self, law: lateral.LateralLaw):
+        self._law = law
+        self.memory = (*getattr(law, "memory", ()), LOST)
+
+    def gains(self) -> dict[str, float]:
+        """See `LateralLaw.gains`."""
+        return lateral.gains_of(self._law)
+
+    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
+        """See `LateralLaw.torque`."""
+        du, following = lateral.answer(self._law, q)
+        return du, following | {LOST: getattr(q, LOST) + 1 - (ca.fabs(du) < _LARGEST)}
+
+
+class LawAndControllers:
+    """A 1 kHz law together with the factory of the slower controllers whose torque it holds."""
+
+    def __init__(self, law: lateral.LateralLaw, factory: lateral.Factory):
+        self.memory, self.gains, self.torque, self._factory = law.memory, law.gains, law.torque, factory
 
     def __call__(self, vehicle, route, gear: int) -> lateral.SlowController:
         return self._factory(vehicle, route, gear)
 
 
-def delayed(guidance: lateral.Guidance, delay: float) -> DelayedLaw:
+def delayed(guidance: lateral.Guidance, delay: float) -> lateral.Guidance:
     """A guidance whose torque acts later (s), see `DelayedLaw`."""
     law, factory = lateral.split(guidance)
-    return DelayedLaw(law, delay) if factory is None else DelayedController(law, factory, delay)
+    later = DelayedLaw(law, delay)
+    return later if factory is None else LawAndControllers(later, factory)
+
+
+def counted(guidance: lateral.Guidance) -> lateral.Guidance:
+    """A guidance whose 1 kHz law counts torques that are not finite; InputError when it is no guidance."""
+    law, factory = lateral.split(guidance)
+    lateral.kind(law)
+    if isinstance(law, lateral.Held):
+        return guidance
+    return CountedLaw(law) if factory is None else LawAndControllers(CountedLaw(law), factory)
 
 
 def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:
