@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
+from railrepro.contact.points import STANDARD, Pair
 from railrepro.contact.table import section
 
 
@@ -78,49 +79,39 @@ def _slide(p_x, p_y, bound, flexible_x, flexible_y):
     return p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)
 
 
-def rigid_contact(shifts, radius: float) -> pd.DataFrame:
-    """Point contact of rigid S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
+def rigid_contact(shifts, radius: float, pair: Pair = STANDARD) -> pd.DataFrame:
+    """Point contact of rigid profiles, by default S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
 
     At shifts towards the flange (m), shape (n,), for a nominal rolling radius (m): columns shift_m, position_m (from
     the track centre), tan_angle (-), rolling_radius_m.
     """
     rows = []
     for shift in shifts:
-        cut = section(shift)
+        cut = section(shift, pair=pair)
         i = cut.first_contact
         rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
     return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
 
 
-def equivalent_conicity(frame: pd.DataFrame, amplitude: float, base: float) -> float:
-    """Conicity (-) of the cone whose wheelset would run with the same wavelength.
+def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
+    """Conicity (-) of the cone on which a wheelset would oscillate with the same wavelength at an amplitude (m).
 
-    The wheelset rolls as it moves to the side, because one wheel climbs and the other sinks. Its wheels, a radius below
-    the axle, then shift further than the axle does.
+    The wheelset follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll: both wheels shift by y. From the
+    energy integral comes the time of a quarter of a wave. 0 where the radii do not bring the wheelset back.
 
     Parameters
     ----------
     frame : DataFrame
-        Of a `ContactTable`, covering both signs of the amplitude.
-    amplitude, base : float
-        Amplitude of the lateral motion of the axle, lateral distance of the contacts (m).
+        With shift_m, of both signs of the amplitude, and rolling_radius_m, as of `rigid_contact` or a `ContactTable`.
 
-    Source: EN 15302; the wavelength comes from the energy integral of y'' = -(r_ri - r_le)/(b r_0).
+    Source: EN 15302, by integration of the equation of motion.
     """
-    shift = np.linspace(0.0, 1.5 * amplitude, 6001)
-    right, left = (
-        {
-            name: np.interp(side * shift, frame["shift_m"], frame[f"{name}_m"])
-            for name in ("effective_radius", "rolling_radius")
-        }
-        for side in (1, -1)
-    )
-    roll = (left["effective_radius"] - right["effective_radius"]) / base
-    lateral = shift + roll * left["effective_radius"][0]
     y = np.linspace(0.0, amplitude, 4001)
-    difference = np.interp(y, lateral, right["rolling_radius"] - left["rolling_radius"])
-    potential = CubicSpline(y, difference).antiderivative()
+    right, left = (np.interp(side * y, frame["shift_m"], frame["rolling_radius_m"]) for side in (1, -1))
+    potential = CubicSpline(y, right - left).antiderivative()
     phase = (np.arange(4000) + 0.5) * np.pi / 8000
-    speed = np.sqrt(2 * (potential(amplitude) - potential(amplitude * np.sin(phase))))
-    quarter = np.mean(amplitude * np.cos(phase) / speed) * np.pi / 2
+    energy = potential(amplitude) - potential(amplitude * np.sin(phase))
+    if energy.min() <= 0:
+        return 0.0
+    quarter = np.mean(amplitude * np.cos(phase) / np.sqrt(2 * energy)) * np.pi / 2
     return float((np.pi / 2 / quarter) ** 2 / 2)
