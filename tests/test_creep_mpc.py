@@ -378,7 +378,7 @@ def test_the_gear_stays_near_its_set_point_on_a_patch_where_both_wheels_slide_ap
     ice = ((0, 0), (200, 0), (201, 1), (400, 1), (401, 0))
     scenario = load_scenario("adhesion_loss").but(end_m=450.0, good="dry", poor="very_poor", poor_share=ice)
     plant = load_vehicle(**{"adhesion.very_poor.mu0": 0.05})
-    run = simulate.run(scenario, tuned("creep_mpc"), plant_vehicle=plant)
+    run = simulate.run(scenario, tuned("creep_mpc", setting="equal"), plant_vehicle=plant)
     assert np.abs(metrics.lateral_error(run.series)).max() < 3e-3
     assert np.abs(run.controllers[0]._offset).max() < 1.5e-3
 
@@ -426,11 +426,11 @@ def test_the_bend_of_the_profile_is_known_ahead_and_where_the_gear_is(monkeypatc
             return at
 
         monkeypatch.setattr(creep_mpc, "shifts", found)
-        return metrics.rmse(simulate.run(scenario, tuned("creep_mpc")).series)
+        return metrics.rmse(simulate.run(scenario, tuned("creep_mpc", setting="equal")).series)
 
     both, neither, one, other, against = (error(*uses) for uses in ((1, 1), (0, 0), (1, 0), (0, 1), (-1, -1)))
     assert both < 0.5 * neither and both < 0.3 * min(one, other) and against > 1.5 * neither
-    knowing = tuned("creep_mpc")
+    knowing = tuned("creep_mpc", setting="equal")
     off = replace(knowing, settings=replace(knowing.settings, uses_bend=False))
     monkeypatch.setattr(creep_mpc, "shifts", bent)
     assert metrics.rmse(simulate.run(scenario, off).series) == neither

@@ -40,10 +40,10 @@ def test_a_track_without_design_speed_is_refused():
 
 
 def test_bandwidth_moves_all_poles_of_an_inversion_by_one_factor():
-    tuned, moved = tuning.load("ndi")["parameters"], built("bandwidth", 2.0).parameters
+    tuned, moved = tuning.load("ndi", "equal")["parameters"], built("bandwidth", 2.0).parameters
     assert moved["pole"] == 2 * tuned["pole"] and moved["frequency"] == 2 * tuned["frequency"]
     assert moved["damping"] == tuned["damping"]
-    assert built("bandwidth", 2.0, "nmpc").parameters == tuning.load("nmpc")["parameters"]
+    assert built("bandwidth", 2.0, "nmpc").parameters == tuning.load("nmpc", "equal")["parameters"]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_bandwidth_moves_all_poles_of_an_inversion_by_one_factor():
 def test_a_nominal_value_moves_nothing(axis, value):
     assert value in order.AXES[axis].values
     one = built(axis, value)
-    assert one.parameters == tuning.load("ndi")["parameters"]
+    assert one.parameters == tuning.load("ndi", "equal")["parameters"]
     assert one.car() == load_vehicle() and not one.sensors and not one.vehicle and one.scenario is SCENARIO
 
 

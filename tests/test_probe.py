@@ -134,13 +134,39 @@ def test_what_a_probe_measures_of_a_run_made_by_hand():
 
 def test_a_probe_answers_statements():
     parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
-    rows = probe.probe(probe.ProbeSetup(parameters), ["curve"])
+    rows = probe.probe(probe.ProbeSetup(parameters), ["curve", "causes"])
     evidence = statements.Evidence({row[:3]: row[3] for row in rows})
+    assert statements.find("C13", evidence).value == pytest.approx(0.28, abs=0.05)  # nearly rolling wheels drift less
+    assert 0.9 < statements.find("C35", evidence).value < 1.05  # and S1002 wheels follow worse than cones
     for identity in ("C04", "C05", "C08", "C09", "C10", "C11", "C12", "C42"):
         assert np.isfinite(statements.find(identity, evidence).value), identity
     assert statements.load()["C10"].judge(statements.find("C10", evidence)) == "reproduced"
     with pytest.raises(statements.MissingEvidence):
         statements.find("C30", evidence)
+
+
+SCALED = {"r", "pole", "frequency", "damping"}
+"""What sweeps change of a tuned set."""
+
+
+@pytest.mark.parametrize("setting", tuning.SETTINGS)
+def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting, monkeypatch):
+    made = []
+    values = dict.fromkeys(("rmse_y", "stopping_distance", "regular_end_deviation", "largest_slip"), 1.0)
+
+    def measured(experiment, measure):
+        made.append(experiment)
+        return values | ({} if measure is probe.braked else {"failed": 0.0}), None
+
+    monkeypatch.setattr(probe.Experiment, "measured", measured)
+    rows = probe.Nominal(setting, 0, probe.SEEDS[0])()
+    assert {row[5] for row in rows} == {setting}
+    assert {e.controller for e in made} == set(PAPER_TRIO) and len(made) > 70
+    for experiment in made:
+        own = tuning.load(experiment.controller, setting)["parameters"]
+        swept = {key for key, value in experiment.parameters.items() if own[key] != value}
+        assert experiment.setting == setting and swept <= SCALED
+        assert bool(experiment.sensors) == (setting == tuning.LOOP)
 
 
 def test_a_failed_run_tells_only_that_it_failed():

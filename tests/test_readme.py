@@ -51,6 +51,15 @@ def test_results_of_the_paper_stand_beside_ours(figure):
     assert said == pytest.approx(of_the_paper(figure), abs=tolerance)
 
 
+def test_the_first_program_prints_the_number_of_the_table(capsys):
+    program = re.search(r"^```python\n(from railrepro import .*?)^```", README, re.M | re.S).group(1)
+    exec(program, {})
+    printed = float(capsys.readouterr().out.split()[-1])
+    row = re.search(r"^\| \[Fig\. 6\].*?\|.*?\|(.*)\|$", README, re.M).group(1)
+    uncalibrated = float(re.search(r"(\d+\.\d+) mm", row).group(1))
+    assert 1e3 * printed == pytest.approx(uncalibrated, abs=5.1e-3)
+
+
 def test_the_verdicts_are_counted():
     claims = pd.read_csv(paths.ROOT / "data/results/claims.csv").query("kind == 'statement'")
     found = claims[claims["setting"].isna() | (claims["setting"] == "paper")]["judged"]

@@ -31,7 +31,7 @@ READERS = {
     "data/tuning.toml": tuning.load_task,
     "data/claims.toml": statements.load,
     "notebooks/chain.toml": lambda file: (graph.chain(file), graph.verify_tolerance(file)),
-    "data/tuned/equal/ndi.json": lambda file: tuning.load("ndi", folder=file.parent),
+    "data/tuned/equal/ndi.json": lambda file: tuning.load("ndi", "equal", folder=file.parent),
     "data/tracks/T3.csv": read_table,
 }
 VALUES = (

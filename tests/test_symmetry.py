@@ -34,7 +34,7 @@ def mirrored(route):
 
 
 def drive(name, change, monkeypatch):
-    return drive_with(tuned(name, CONTROLLERS[name].quick), change, monkeypatch)
+    return drive_with(tuned(name, CONTROLLERS[name].quick, "equal"), change, monkeypatch)
 
 
 def drive_with(guidance, change, monkeypatch):

@@ -73,8 +73,8 @@ def test_tuned_sets_belong_to_the_model_and_carry_their_origin(setting):
 
 def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
     shutil.copy(paths.source(tuning.TUNED) / "equal" / "ndi.json", tmp_path)
-    with pytest.raises(InputError, match="make tune"):
-        tuning.load("nmpc", folder=tmp_path)
+    with pytest.raises(InputError, match="no tuned set for 'nmpc'"):
+        tuning.load("nmpc", "equal", tmp_path)
     with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'equal'"):
         tuning.load("ndi", "loop", folder=tmp_path)
 

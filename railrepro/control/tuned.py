@@ -18,7 +18,7 @@ from railrepro.schema import Number, between
 TUNED = "data/tuned"
 SETTINGS = ("paper", "equal", "loop")
 """Settings of comparison, see data/tuning.toml."""
-EQUAL, LOOP = "equal", "loop"
+PAPER, EQUAL, LOOP = SETTINGS
 COUNT = Annotated[int, between(1, 10**6)]
 SEED = Annotated[int, between(0, 2**63)]
 
@@ -58,7 +58,7 @@ class TunedSet:
     origin: Origin
 
 
-def read(controller: str, setting: str = EQUAL, folder: Path | None = None) -> dict:
+def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
     """Tuned set of a controller in some setting, as its file has it.
 
     Raises
@@ -68,7 +68,8 @@ def read(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     """
     file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
     if not file.exists():
-        raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
+        where = _elsewhere(controller, setting)
+        raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}{where}")
     content = schema.read(file)
     found = schema.build(TunedSet, content, file.name)
     if (found.controller, found.setting) != (controller, setting):
@@ -79,7 +80,14 @@ def read(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     return content
 
 
-def parameters(controller: str, setting: str = EQUAL) -> dict:
+def _elsewhere(controller: str, setting: str) -> str:
+    """Where else there is a tuned set of a controller, as the end of a sentence."""
+    known = [name for name in SETTINGS if paths.source(f"{TUNED}/{name}/{controller}.json").exists()]
+    others = [name for name in known if name != setting]
+    return f", but in the setting {' and '.join(others)}" if others else "; `make tune` makes it"
+
+
+def parameters(controller: str, setting: str = PAPER) -> dict:
     """Tuned parameters of a controller in some setting, or those that a designer gave it in data/tuning.toml.
 
     Raises
@@ -104,6 +112,6 @@ def _designed() -> dict[tuple[str, str], dict]:
         raise InputError(f"{file.name}: the tables [setting.paper] and so on are needed ({error})") from error
 
 
-def tuned(controller: str, options: dict | None = None, setting: str = EQUAL, **changes):
+def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
     """Guidance of a controller with its tuned parameters; `options` and `changes` as in `registry.guidance`."""
     return guidance(controller, parameters(controller, setting), options, **changes)

@@ -427,13 +427,20 @@ def machine() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
+def _of(setting: str) -> MPCSettings:
+    """NMPC as it is tuned in a setting."""
+    return mpc_settings(tuning.load("nmpc", setting)["parameters"])
+
+
 def main(names: list[str]) -> None:
     """Measure the named tables, or all, and write them."""
     if codegen.compiler() is None:
         raise InputError("the bench compares compiled code and needs a C compiler")
     measures = {
         "plant_speed": lambda: pd.concat([plant_speed(vehicle), phases(vehicle, settings)], ignore_index=True),
-        "solve_times": lambda: solve_times(vehicle, settings),
+        "solve_times": lambda: pd.concat(
+            [solve_times(vehicle, _of(setting)).assign(setting=setting) for setting in tuning.SETTINGS]
+        ),
         "horizon_times": lambda: horizon_times(vehicle, settings),
         "executor_speed": executor_speed,
         "peer_times": lambda: peer_times(vehicle, settings),
@@ -445,7 +452,7 @@ def main(names: list[str]) -> None:
     unknown = set(names) - set(measures)
     if unknown:
         raise InputError(f"table {min(unknown)!r} is not known; there are {sorted(measures)}")
-    vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc")["parameters"])
+    vehicle, settings = load_vehicle(), _of(tuning.EQUAL)
     for name in names or measures:
         table = measures[name]()
         table["machine"] = machine()
@@ -454,4 +461,9 @@ def main(names: list[str]) -> None:
         if name == "solve_times":
             plain = table[~table["scenario"].str.contains("bounds")]
             print("\nmedian over scenarios, relative to Ipopt:")
-            print(plain.groupby("solver")["ratio_to_ipopt"].median().map(lambda x: f"1/{1 / x:.0f}").to_string())
+            print(
+                plain.groupby(["setting", "solver"])["ratio_to_ipopt"]
+                .median()
+                .map(lambda x: f"1/{1 / x:.0f}")
+                .to_string()
+            )

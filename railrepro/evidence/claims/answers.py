@@ -120,7 +120,7 @@ def setup(answered: Mapping[str, Question]) -> probe.ProbeSetup:
     for target, value in given.items():
         kind, _, key = target.partition(":")
         (parameters[kind] if kind in parameters else changes[kind])[key] = value
-    world = probe.ProbeSetup(parameters, vehicle=changes["vehicle"], brake_sweep=changes["brake_sweep"])
+    world = probe.ProbeSetup(parameters, tuned_in, vehicle=changes["vehicle"], brake_sweep=changes["brake_sweep"])
     world.car()  # so that a value which the car refuses stops it before anything runs
     return replace(world, **changes["setup"])
 
@@ -150,7 +150,7 @@ def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) ->
     """
     world, needed = setup(answered), parts(answered)
     rows = probe.probe(world, needed) if driven is None else driven
-    nominal = Nominal().evidence(SETTING, tables=False)
+    nominal = Nominal().evidence(SETTING)
     scenarios = {scenario for scenario, *_ in rows}
     metrics = {key: value for key, value in dict(nominal.metrics).items() if key[0] not in scenarios}
     # seeds of a swarm leave nothing open where the authors say what theirs found

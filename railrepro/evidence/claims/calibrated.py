@@ -34,7 +34,7 @@ PARTS = ("curve", "sine", "loss", "brake")
 SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
 _LTV_R, _POLE = "ltv_mpc_printed.r", "ndi.pole"
-_SETUP = {field.name for field in fields(ProbeSetup)} - {"parameters", "vehicle", "sensors"}
+_SETUP = {field.name for field in fields(ProbeSetup)} - {"parameters", "setting", "vehicle", "sensors"}
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
@@ -110,7 +110,7 @@ def setup(values: Mapping[str, Any]) -> ProbeSetup:
         parameters[NDI] = {"pole": values[_POLE], "frequency": values[_POLE], "damping": 1.0}
     own = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items() if name in _SETUP}
     car = {name: value for name, value in values.items() if name not in _SETUP | {_LTV_R, _POLE}}
-    return ProbeSetup(parameters, car, **own)
+    return ProbeSetup(parameters, vehicle=car, **own)
 
 
 def cars() -> dict[str, ProbeSetup]:

@@ -17,14 +17,19 @@ from railrepro.control.registry import PAPER_TRIO
 from railrepro.evidence.claims.statements import (
     BETWEEN,
     BRAKE,
+    CONES,
     FIXED,
     LOSS,
     NDI,
+    NO_CREEP,
+    NO_LAW,
     NOTHING,
+    PREVIEW,
     REGULAR,
     SOFT,
     SOFTEST,
     T3,
+    UNINFORMED,
     Evidence,
 )
 
@@ -102,31 +107,14 @@ def _thrice(e: Evidence) -> Evidence:
 
 @control("no slip control")
 def _slips(e: Evidence) -> Evidence:
-    """The base torque follows the demand and nothing else."""
-    lost = {key[2]: value for key, value in e.metrics.items() if key[:2] == (LOSS, "no slip control")}
-
-    def change(scenario, controller, metric, value):
-        return lost.get(metric, 1.0 if metric == "failed" else value) if (scenario == LOSS) else value
-
-    def sudden(table: pd.DataFrame) -> pd.DataFrame:
-        without = table[table["slip_control"] == False]  # noqa: E712, read from CSV as objects
-        keys = ["place", "drive"]
-        slip = without.set_index(keys)["largest_slip"]
-        table["largest_slip"] = [
-            slip.get((row["place"], row["drive"]), row["largest_slip"]) for _, row in table.iterrows()
-        ]
-        return table
-
-    met = {k: (change(*k, v) if k[1] in _DRIVEN else v) for k, v in e.metrics.items()}
-    return replace(_tables(e, adhesion_metrics=sudden), metrics=met)
+    """The base torque follows the demand and nothing else, with the same R."""
+    return _changed(e, lambda s, c, m, v: e.metrics.get((s, NO_LAW[c], m), v) if c in NO_LAW else v)
 
 
 @control("set point ignored")
 def _no_traction(e: Evidence) -> Evidence:
     """The wheels roll, whatever adhesion is demanded."""
-    changed = _changed(
-        e, lambda s, c, m, v: 1.0 if (s, c) == (LOSS, REGULAR) else 0.0 if m == "utilisation_late" else v
-    )
+    changed = _changed(e, lambda s, c, m, v: 1.0 if c in REGULAR.values() else 0.0 if m == "utilisation_late" else v)
     return _tables(changed, adhesion_map=lambda t: t.assign(utilisation=0.0))
 
 
@@ -209,24 +197,13 @@ def _hard(e: Evidence) -> Evidence:
 
 @control("cause without effect")
 def _no_cause(e: Evidence) -> Evidence:
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        tuned = table[table["cause"] == "as tuned"].set_index("case")
-        return table.assign(**{m: table["case"].map(tuned[m]) for m in ("rmse_y", "mean_error_last_third")})
-
-    return _tables(e, sine_causes=change)
+    return _changed(e, lambda s, c, m, v: e.metrics[s, "nmpc", m] if c == NO_CREEP else v)
 
 
 @control("cause decides")
 def _all_cause(e: Evidence) -> Evidence:
-    """Without creep no error is left, and profiles triple it."""
-    factor = {"no creep": 0.0, "cones": 1 / 3}
-
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        tuned = table[table["cause"] == "as tuned"].set_index("case")["rmse_y"]
-        new = table["case"].map(tuned) * table["cause"].map(factor)
-        return table.assign(rmse_y=new.fillna(table["rmse_y"]))
-
-    return _tables(e, sine_causes=change)
+    """Profiles triple the error."""
+    return _changed(e, lambda s, c, m, v: e.metrics[s, "nmpc", m] / 3 if c == CONES else v)
 
 
 @control("step without effect")
@@ -241,14 +218,9 @@ def _free_share(e: Evidence) -> Evidence:
 
 @control("base torque without effect")
 def _uninformed(e: Evidence) -> Evidence:
-    return _tables(e, braking_dependence=lambda t: t.assign(rmse_y=1.0))
+    return _changed(e, lambda s, c, m, v: e.metrics[s, "nmpc", m] if c == UNINFORMED else v)
 
 
 @control("preview without effect")
 def _blind(e: Evidence) -> Evidence:
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        return pd.concat(
-            [table[table["preview"] != "exact"], table[table["preview"] == "none"].assign(preview="exact")]
-        )
-
-    return _tables(e, ride_metrics=change)
+    return _changed(e, lambda s, c, m, v: e.metrics[s, "nmpc", m] if c == PREVIEW else v)

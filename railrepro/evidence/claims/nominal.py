@@ -99,8 +99,8 @@ class Nominal:
         known = {setting for table in self._shared.values() for setting in table["setting"]}
         return [setting for setting in tuning.SETTINGS if setting in known]
 
-    def evidence(self, setting: str, tables: bool = True) -> Evidence:
-        """Evidence in some setting, its metrics `Asked`."""
+    def evidence(self, setting: str) -> Evidence:
+        """Evidence in a setting, its metrics `Asked`; without a setting only tables that no controller enters."""
         if setting not in self._known:
             metrics: dict[Key, float] = {}
             spread: dict[Key, float] = {}
@@ -110,7 +110,7 @@ class Nominal:
                 spread |= seeds_spread(rows)
             self._known[setting] = metrics, spread
         metrics, spread = self._known[setting]
-        return Evidence(Asked(metrics, setting, self._asked), spread, self.results if tables else None)
+        return Evidence(Asked(metrics, setting, self._asked), spread, self.results, setting)
 
     def traced(self, found: Callable[[], Found]) -> tuple[Found, list[str]]:
         """What a function finds, and the files that it comes from, relative to the checkout."""

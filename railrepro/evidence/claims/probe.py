@@ -28,15 +28,23 @@ from railrepro.errors import InputError
 from railrepro.evidence.claims.statements import (
     BETWEEN,
     BRAKE,
+    CASES,
+    CONES,
     FIXED,
     GUIDES_AS_WELL,
     LOSS,
     NDI,
+    NO_CREEP,
+    NO_LAW,
     NOTHING,
+    PREVIEW,
+    RAILS,
     REGULAR,
     SOFT,
     SOFTEST,
+    SUDDEN,
     T3,
+    UNINFORMED,
 )
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -50,8 +58,9 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
 """Curve entry on T3, those on T1, T2, T4, sine at several speeds, poor rail, braking; the same for all who judge."""
-ALLOCATED = "share"
-"""Part of the nominal case alone: the smallest fixed allocation that guides as accurately as the variable one."""
+ONCE = ("causes", "sudden", "share", "rails")
+"""Parts of the nominal case alone, once per setting: creep and cones, sudden losses of adhesion, allocation and base
+torque, irregular rails with and without preview."""
 SPEEDS = (80, 160, 240, 320, 400)
 """Speeds of the sine (km/h)."""
 PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
@@ -62,11 +71,17 @@ SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 """Fixed shares of the torque that are tried from below; too large a share lengthens the way and with it the error."""
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
 """Fig. 8: the climb of the law is over, the demand exceeds the maximum, the maximum is reached (m)."""
+STIFF = 12.0
+"""Factor on the shear modulus of a contact in which wheels nearly roll."""
+PATCH, SUDDEN_KMH, SUDDEN_KN = (300.0, 500.0), 280.0, 17.0
+"""Sudden loss: where the rail is very poor (m), speed, force per gear, in traction and in braking."""
+ROUGH_SEEDS, ROUGH_KMH, ROUGH_END, LINE = (1, 2, 3), 300.0, 1000.0, {"share": 1.0, "smoothing_m": 3.0}
+"""Irregular straight: realisations, speed, length (m), and the line that is planned with exact preview."""
 RECOVERY = 0.3
 """Time within which a wheel must be back from macro slip (s): a fifth of the way between step and maximum in Fig. 8."""
 UNITS = {
     **dict.fromkeys(("rmse_y", "largest_error", "delay", "mean_error_last_third", "shortest_wave"), "m"),
-    **dict.fromkeys(("torque_later", "stopping_distance"), "m"),
+    **dict.fromkeys(("torque_later", "stopping_distance", "rail_rmse_y"), "m"),
     "effort_du": "N m",
 }
 
@@ -79,6 +94,8 @@ class ProbeSetup:
     ----------
     parameters : dict
         Controller -> tuning parameters.
+    setting : str
+        Setting of comparison that these belong to.
     vehicle : dict
         Changed parameters of car and controllers.
     profile, good : str
@@ -104,6 +121,7 @@ class ProbeSetup:
     """
 
     parameters: dict[str, dict]
+    setting: str = tuning.PAPER
     vehicle: dict = field(default_factory=dict)
     profile: str = ""
     good: str = "dry"
@@ -124,12 +142,12 @@ class ProbeSetup:
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
         """A run of one of the controllers, with its own parameters unless others are given."""
-        changes = {"variant": self.variant} if CONTROLLERS[controller].preview else {}
+        changes = ({"variant": self.variant} if CONTROLLERS[controller].preview else {}) | more.pop("changes", {})
         driver = self.ltv if controller == "ltv_mpc_printed" else controller
         return Experiment(
-            scenario, driver, parameters=parameters or self.parameters[controller],
+            scenario, driver, parameters=parameters or self.parameters[controller], setting=self.setting,
             options=CONTROLLERS[controller].quick, changes=changes, vehicle=self.vehicle,
-            plant=self._plant(), sensors=self.sensors, **more,
+            plant=self._plant() | more.pop("plant", {}), sensors=self.sensors, **more,
         )  # fmt: skip
 
     def car(self) -> Vehicle:
@@ -178,7 +196,10 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int]
                 "sine": lambda: [row for speed in speeds for row in _sine(world, speed)],
                 "loss": lambda: _loss(world),
                 "brake": lambda: _brake(world),
-                ALLOCATED: lambda: _allocated(world),
+                "causes": lambda: _causes(world),
+                "sudden": lambda: _sudden(world),
+                "share": lambda: _allocated(world) + _uninformed(world),
+                "rails": lambda: _rails(world),
             }[part]()
     return rows
 
@@ -218,6 +239,19 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
         values |= {"largest_slip": whole["largest_slip"][0], "utilisation_late": late["utilisation"][0]}
         values |= {"recovered_share": recovered_share(series)} | oscillation(series)
     return values | {"regular_end_deviation": regular_end_deviation(series)}, None
+
+
+def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """Largest slip of a run."""
+    slip = metrics.longitudinal(run.series, experiment.scenario, experiment.car())["largest_slip"][0]
+    return {"largest_slip": slip, "failed": float(run.failed)}, None
+
+
+def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """Error against irregular rails, largest track shifting force over its limit, and comfort."""
+    row = experiment.values(run)
+    names = () if run.failed else ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")
+    return {name: row[name] for name in names} | {"failed": float(run.failed)}, None
 
 
 def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
@@ -281,7 +315,7 @@ def _sine(world: ProbeSetup, speed: int) -> Rows:
 
 
 def _loss(world: ProbeSetup) -> Rows:
-    """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED`; NDI; NMPC without slip control."""
+    """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED` and once without slip control; NDI."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
     rows = _rows(LOSS, NOTHING, nothing(scenario) | {"slip_at_maximum": slip_at_maximum(scenario, car)})
     nmpc = with_r_times(world.parameters["nmpc"], world.r_loss)
@@ -291,15 +325,63 @@ def _loss(world: ProbeSetup) -> Rows:
         "nmpc": [("nmpc", with_r_times(nmpc, factor), {}) for factor in PERTURBED],
         SOFT: [("nmpc", with_r_times(soft, factor), {}) for factor in PERTURBED],
         NDI: [(NDI, world.parameters[NDI], {})],
-        "no slip control": [("nmpc", soft, off)],
+        NO_LAW["nmpc"]: [("nmpc", nmpc, off)],
+        NO_LAW[SOFT]: [("nmpc", soft, off)],
     }
     for label, runs in cases.items():
         found = [world.experiment(scenario, name, tuned, **more).measured(losing)[0] for name, tuned, more in runs]
         values = _mean(found)
         regular = {"regular_end_deviation": values.pop("regular_end_deviation")}
         rows += _rows(LOSS, label, values)
-        if label == SOFT:
-            rows += _rows(LOSS, REGULAR, regular)
+        if label in REGULAR:
+            rows += _rows(LOSS, REGULAR[label], regular)
+    return rows
+
+
+def _causes(world: ProbeSetup) -> Rows:
+    """NMPC in the curve (as it is: `_curve`) and on sines, on cones, and in the curve nearly without creep."""
+    sine, curve = load_scenario("sine_tracking"), load_scenario(T3)
+    driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
+    cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": STIFF * world.car().contact.shear_modulus}
+    rows: Rows = []
+    for case, scenario in zip(CASES, driven, strict=True):
+        plants = {CONES: cones} | ({NO_CREEP: stiff} if case == T3 else {"nmpc": {}})
+        for label, plant in plants.items():
+            rows += _rows(case, label, world.experiment(scenario, "nmpc", plant=plant).measured(following)[0])
+    return rows
+
+
+def _sudden(world: ProbeSetup) -> Rows:
+    """NMPC with R x 10 over a patch of very poor rail, with and without slip control."""
+    begin, end = PATCH
+    points = ((0.0, 0.0), (begin - 0.5, 0.0), (begin + 0.5, 1.0), (end - 0.5, 1.0), (end + 0.5, 0.0))
+    base = load_scenario(LOSS).but(speed_kmh=SUDDEN_KMH, end_m=end + 300, poor="very_poor", poor_share=())
+    soft, rows = with_r_times(world.parameters["nmpc"], EMPHASIS), []
+    for case in SUDDEN:
+        place, _, drive = case.partition(", ")
+        share = {"poor_share" if place == "both rails" else "poor_share_left": points}
+        force = SUDDEN_KN if drive == "traction" else -SUDDEN_KN
+        scenario = base.but(force_kN=((0.0, force),), **share)
+        for label, law in ((SOFT, None), (NO_LAW[SOFT], AdhesionSettings(active=False))):
+            run = world.experiment(scenario, "nmpc", soft, adhesion=law)
+            rows += _rows(case, label, run.measured(slipping)[0])
+    return rows
+
+
+def _rails(world: ProbeSetup) -> Rows:
+    """NMPC on an irregular straight with and without exact preview, means over the realisations."""
+    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=ROUGH_KMH, end_m=ROUGH_END)
+    defects = [
+        {"kind": "dip", "start": 0.3 * ROUGH_END, "length": 8.0, "depth": 3e-3, "rail": "ri"},
+        {"kind": "alignment_fault", "start": 0.5 * ROUGH_END, "length": 20.0, "amplitude": 4e-3},
+        {"kind": "lateral_offset", "start": 0.7 * ROUGH_END, "length": 0.15 * ROUGH_END, "offset": 3e-3,
+         "transition": 15.0},
+    ]  # fmt: skip
+    rows: Rows = []
+    for label, known in (("nmpc", {}), (PREVIEW, LINE)):
+        rough = [{"spectrum": "en_B_300", "seed": seed, "defects": defects} for seed in ROUGH_SEEDS]
+        runs = [world.experiment(scenario, "nmpc", irregular=each, preview=known, ride=True) for each in rough]
+        rows += _rows(RAILS, label, _mean([run.measured(riding)[0] for run in runs]))
     return rows
 
 
@@ -350,6 +432,12 @@ def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: 
         values = _braked(world, scenario, "nmpc", nmpc, fixed_share=middle)
         low, high, found = (low, middle, values) if values["rmse_y"] <= enough else (middle, high, found)
     return _rows(BRAKE, FIXED, found | {"share": high})
+
+
+def _uninformed(world: ProbeSetup) -> Rows:
+    """Fig. 9 with an NMPC that does not know the base torque."""
+    nmpc = with_r_times(world.parameters["nmpc"], world.r_brake)
+    return _rows(BRAKE, UNINFORMED, _braked(world, world.braking(), "nmpc", nmpc, changes={"informed": False}))
 
 
 def gyroscopic_torque(vehicle: Vehicle, scenario: Scenario) -> float:
@@ -465,9 +553,9 @@ class Nominal:
             swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
             parameters[name] = swarms[self.rank]["parameters"] if self.rank < len(swarms) else tuned["parameters"]
         sensors = {"seed": self.seed} if self.setting == tuning.LOOP else {}
-        world = ProbeSetup(parameters, sensors=sensors)
+        world = ProbeSetup(parameters, self.setting, sensors=sensors)
         # braking takes most of the time: once per setting
-        parts = (*PARTS, ALLOCATED) if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
+        parts = (*PARTS, *ONCE) if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
         return [(*row, UNITS.get(row[2], "-"), self.setting, self.rank, self.seed) for row in probe(world, parts)]
 
 

@@ -31,11 +31,20 @@ SOFTEST, BETWEEN = "nmpc, second R", "nmpc, R between"
 """NMPC in the second setting of Fig. 9, and with an R between both."""
 FIXED, GUIDES_AS_WELL = "nmpc, fixed share", 1.1
 """NMPC with the smallest fixed allocation whose error is at most so many times that of the variable one."""
-REGULAR = "regular operation"
-NO_LAW = "no slip control"
-"""Name under which evidence has how the longitudinal law does below the maximum, whatever comes after."""
+REGULAR = {name: f"{name}, regular operation" for name in ("nmpc", SOFT)}
+"""Names under which evidence has how the longitudinal law does below the maximum, whatever comes after, by R."""
+NO_LAW = {name: f"{name}, no slip control" for name in ("nmpc", SOFT)}
+"""Names of the runs without slip control, by R."""
+SUDDEN = ("both rails, traction", "both rails, braking", "left rail, traction", "left rail, braking")
+"""Sudden losses of adhesion."""
+UNINFORMED = "nmpc, base torque unknown"
+RAILS, PREVIEW = "irregular straight", "nmpc, preview"
+"""The irregular rails, and NMPC that knows them."""
 MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
 T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
+CASES = (T3, f"{T3} on T5", "sine of 1000 m 160", "sine of 1000 m 400")
+CONES, NO_CREEP = "nmpc on cones", "nmpc, nearly rolling"
+"""Runs that show the effect of cones and of creep, and names of NMPC on such a car."""
 VALUES: dict[str, Callable[[Evidence], Finding | float]] = {}
 _WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "largest_slip")
 
@@ -75,11 +84,14 @@ class Evidence:
         The same keys -> logarithm of largest over smallest value among the seeds of swarm and noise.
     tables : callable or None
         Name of a table of data/results -> DataFrame; None when there are none.
+    setting : str
+        Setting of comparison that all of it comes from; empty where no controller takes part.
     """
 
     metrics: Mapping[tuple[str, str, str], float]
     spread: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
     tables: Callable[[str], pd.DataFrame] | None = None
+    setting: str = ""
 
     def __call__(self, scenario: str, controller: str, metric: str) -> float:
         """A metric; of a failed run infinity where less is better, else nan."""
@@ -91,10 +103,14 @@ class Evidence:
             raise MissingEvidence(f"{scenario}, {controller}, {metric}") from None
 
     def table(self, name: str) -> pd.DataFrame:
-        """A table of data/results."""
+        """A table of data/results: its rows of the own setting, or one without settings where there is none."""
         if self.tables is None:
             raise MissingEvidence(name)
-        return self.tables(name)
+        table = self.tables(name)
+        own = table[table["setting"] == self.setting] if "setting" in table else table
+        if ("setting" in table) != bool(self.setting) or own.empty:
+            raise MissingEvidence(f"{name}, {self.setting or 'no setting'}")
+        return own
 
     def tie(self, scenario: str, controllers: Iterable[str], metric: str = "rmse_y") -> float:
         """Largest spread between seeds among some controllers; zero when no seeds are known."""
@@ -262,34 +278,27 @@ def _large_values(e: Evidence) -> float:
     return e(T3, "nmpc", "error_at_opposed_crests")
 
 
-def _cause(e: Evidence, metric: str, cause: str) -> pd.Series:
-    """A metric with a cause changed over that as tuned, by case."""
-    table = e.table("sine_causes").pivot(index="case", columns="cause", values=metric)
-    return (table[cause] / table["as tuned"]).abs()
-
-
-_CURVE_CASE = "T3, 280 km/h"
-
-
 @value("C13")
 def _drift_from_creep(e: Evidence) -> float:
-    return _cause(e, "mean_error_last_third", "no creep")[_CURVE_CASE]
+    drift = "mean_error_last_third"
+    return abs(e(T3, NO_CREEP, drift) / e(T3, "nmpc", drift))
 
 
-def _usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
+def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
+    """A column of solve_times.csv by scenario, without those with tightened bounds."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
 
 @value("C14")
 def _ratio_of_times(e: Evidence) -> float:
-    return _usual_times(e, "gauss_newton", "median_ms").median() / _usual_times(e, "ltv_mpc", "median_ms").median()
+    return usual_times(e, "gauss_newton", "median_ms").median() / usual_times(e, "ltv_mpc", "median_ms").median()
 
 
 @value("C15")
 def _feasible(e: Evidence) -> Finding:
     worst = e.table("solve_times").query("solver == 'ltv_mpc'")["max_ms"].max()
-    return Finding(worst, _usual_times(e, "ltv_mpc", "max_ms").max())
+    return Finding(worst, usual_times(e, "ltv_mpc", "max_ms").max())
 
 
 def _ranked(e: Evidence, scenario: str) -> bool:
@@ -338,36 +347,29 @@ def _wide_range(e: Evidence) -> Finding:
 
 def _as_tuned_or_soft(e: Evidence, metric: str) -> Finding:
     """A metric of NMPC in Fig. 8 as tuned; with R x 10 it is the weaker finding."""
-    try:
-        soft = e(LOSS, SOFT, metric)
-    except MissingEvidence:
-        soft = None
-    return Finding(e(LOSS, "nmpc", metric), soft)
+    return Finding(*(e(LOSS, name, metric) for name in ("nmpc", SOFT)))
 
 
 def _due_to_the_law(e: Evidence, metric: str, smaller: bool) -> Finding:
-    """As `_as_tuned_or_soft`; not a number where the run without slip control is not worse by a tenth."""
-    found = _as_tuned_or_soft(e, metric)
-    try:
-        without = e(LOSS, NO_LAW, metric)
-    except MissingEvidence:
-        without = float("nan")
-    if not np.isfinite(without):  # it derails
-        return found
-    own = found.value if np.isfinite(found.value) or found.weaker is None else found.weaker
-    worse = own < 0.9 * without if smaller else without < 0.9 * own
-    return found if worse else Finding(float("nan"))
+    """As `_as_tuned_or_soft`; not a number where the same run without slip control is not worse by a tenth."""
+
+    def counts(name: str) -> float:
+        own, without = e(LOSS, name, metric), e(LOSS, NO_LAW[name], metric)
+        worse = not np.isfinite(without) or (own < 0.9 * without if smaller else without < 0.9 * own)
+        return own if worse else float("nan")
+
+    return Finding(*map(counts, NO_LAW))
 
 
 @value("C21")
-def _regular(e: Evidence) -> float:
-    return e(LOSS, REGULAR, "regular_end_deviation")
+def _regular(e: Evidence) -> Finding:
+    return Finding(*(e(LOSS, name, "regular_end_deviation") for name in REGULAR.values()))
 
 
 @value("C23")
 def _no_macro_slip(e: Evidence) -> Finding:
     found, limit = _due_to_the_law(e, "largest_slip", True), e(LOSS, NOTHING, "slip_at_maximum")
-    return Finding(found.value / limit, None if found.weaker is None else found.weaker / limit)
+    return Finding(found.value / limit, found.weaker / limit)
 
 
 @value("C24")
@@ -382,10 +384,8 @@ def _uses_the_maximum(e: Evidence) -> Finding:
 
 @value("C25")
 def _both_directions(e: Evidence) -> float:
-    table = e.table("adhesion_metrics").query("experiment == 'sudden'")
-    slip = table.pivot(index=["place", "drive"], columns="slip_control", values="largest_slip")
-    slip.columns = [str(name) for name in slip.columns]
-    return float((slip["True"] < 0.5 * slip["False"]).mean())
+    slips = [[e(case, name, "largest_slip") for name in (SOFT, NO_LAW[SOFT])] for case in SUDDEN]
+    return float(np.mean([with_law < 0.5 * without for with_law, without in slips]))
 
 
 @value("C26")
@@ -405,9 +405,11 @@ def _step_bound(e: Evidence) -> float:
 def _stable_on_poor_rail(e: Evidence) -> Finding:
     """Slope of y over the set point where the oscillation does not grow; else not a number."""
     gain, growth = (_as_tuned_or_soft(e, name) for name in ("set_point_gain", "error_growth"))
-    bounded = [g is not None and g < BOUNDED for g in (growth.value, growth.weaker)]
-    value = gain.value if bounded[0] else float("nan")
-    return Finding(value, gain.weaker if bounded[1] else None)
+    value, weaker = (
+        g if grown < BOUNDED else float("nan")
+        for g, grown in ((gain.value, growth.value), (gain.weaker, growth.weaker))
+    )
+    return Finding(value, weaker)
 
 
 BOUNDED = 1.5
@@ -488,10 +490,12 @@ def _variable_allocation(e: Evidence) -> float:
 @value("C35")
 def _cones(e: Evidence) -> Finding:
     """Largest change of the error from cones to S1002, over the acceptable one: a fifth, a tenth of the amplitude."""
-    table = e.table("sine_causes").pivot(index="case", columns="cause", values="rmse_y")
-    change = (table["as tuned"] - table["cones"]).abs()
-    found = np.minimum(change / table["cones"] / 0.2, change / (0.1 * AMPLITUDE))
-    return Finding(float(found.max()), float(found[_CURVE_CASE]))
+    found = []
+    for case in CASES:
+        own, cones = (e(case, name, "rmse_y") for name in ("nmpc", CONES))
+        change = abs(own - cones)
+        found.append(min(change / cones / 0.2, change / (0.1 * AMPLITUDE)))
+    return Finding(max(found), found[CASES.index(T3)])
 
 
 AMPLITUDE = 3e-3
@@ -507,18 +511,12 @@ def _rolling(e: Evidence) -> float:
 
 @value("C37")
 def _base_torque_helps(e: Evidence) -> float:
-    table = e.table("braking_dependence").query("factor == 1 and amplitude_mm == 3 and wavelength == 1.0")
-    limit = table["limit_Nm"].max() if table["limit_Nm"].max() <= 4000 else 4000.0
-    informed, blind = (table[table["limit_Nm"] == which]["rmse_y"].iloc[0] for which in (limit, 0.0))
-    return blind / informed
+    return e(BRAKE, UNINFORMED, "rmse_y") / e(BRAKE, "nmpc", "rmse_y")
 
 
 def _with_preview(e: Evidence, metric: str) -> float:
-    """A metric of NMPC on the irregular straight with exact preview over without, mean over the realisations."""
-    table = e.table("ride_metrics")
-    rows = table.query("controller == 'nmpc' and track == 'straight' and car == 'S1002' and metric == @metric")
-    mean = rows.groupby("preview")["value"].mean()
-    return mean["exact"] / mean["none"]
+    """A metric of NMPC on the irregular straight with exact preview over without."""
+    return e(RAILS, PREVIEW, metric) / e(RAILS, "nmpc", metric)
 
 
 @value("C39")
@@ -540,6 +538,6 @@ def _less_delay(e: Evidence) -> Finding:
 
 @value("C44")
 def _similar_times(e: Evidence) -> float:
-    times = _usual_times(e, "ipopt", "median_ms")
+    times = usual_times(e, "ipopt", "median_ms")
     tracks = times[times.index.str.startswith(("curve", "sine"))]
     return tracks.max() / tracks.min()

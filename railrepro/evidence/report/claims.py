@@ -20,7 +20,7 @@ from railrepro.evidence.uncertainty.robustness import shares
 from railrepro.files import write
 
 STORED = "data/verdicts.csv"
-HEADLINE = "paper"
+HEADLINE = tuning.PAPER
 """Setting whose verdict counts; the others stand beside it."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
 ORDER = (REPRODUCED, FRAGILE, PARTLY, TIE, NOT, UNTESTABLE)
@@ -58,7 +58,7 @@ def judged_on(identity: str, statement: statements.Statement, nominal: Nominal) 
     found = []
     for setting in nominal.settings() if statement.kind == "statement" else ():
         try:
-            statements.find(identity, nominal.evidence(setting, tables=False))
+            statements.find(identity, nominal.evidence(setting))
             found.append(setting)
         except MissingEvidence:
             continue
@@ -96,7 +96,7 @@ def _found(
     if statement.kind != "statement":
         return None, []
     try:
-        return nominal.traced(lambda: statements.find(identity, nominal.evidence(setting or tuning.EQUAL, not setting)))
+        return nominal.traced(lambda: statements.find(identity, nominal.evidence(setting)))
     except MissingEvidence:
         return None, []
 
@@ -115,12 +115,12 @@ def verdicts(table: pd.DataFrame) -> dict[str, str]:
 
 
 def counted(table: pd.DataFrame) -> str:
-    """How many statements have which verdict: those that depend on the setting, and those that need none."""
+    """How many statements have which verdict: those that depend on the setting, and those that do not."""
     found, parts = verdicts(table), []
     judged = table[table["kind"] == "statement"]
     for needed, where in (
         (judged["setting"] != "", "are compared in the setting `paper`"),
-        (judged["setting"] == "", "need no setting"),
+        (judged["setting"] == "", "do not depend on the setting"),
     ):
         ids = [str(identity) for identity in judged[needed]["id"].unique()]
         kinds = {verdict: sum(found[i] == verdict for i in ids) for verdict in ORDER}

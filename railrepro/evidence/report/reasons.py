@@ -6,7 +6,6 @@ data/paper_numbers.csv, {name} an entry of `NAMED`.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from functools import lru_cache, partial
@@ -134,9 +133,14 @@ def _saved_paper(nominal: Nominal) -> str:
 
 
 @named
-def _no_creep_share(nominal: Nominal) -> str:
-    table = nominal.results("sine_causes").query("case == 'T3, 280 km/h'").set_index("cause")["rmse_y"]
-    return quantity(table["no creep"] / table["as tuned"], "%")
+def _drift_left(nominal: Nominal) -> str:
+    """Share of the drift that NMPC of the setting `paper` keeps when its wheels nearly roll."""
+    return quantity(statements.find("C13", nominal.evidence("paper")).value, "%")
+
+
+@named
+def _drift_left_equal(nominal: Nominal) -> str:
+    return quantity(statements.find("C13", nominal.evidence("equal")).value, "%")
 
 
 def _table_one(nominal: Nominal, track: str) -> str:
@@ -151,21 +155,35 @@ def _error_at_opposed_crests(nominal: Nominal) -> str:
     return quantity(nominal.evidence("paper")("curve_entry_T3", "nmpc", "error_at_opposed_crests"))
 
 
-def _median_ms(nominal: Nominal, solver: str) -> float:
-    times = nominal.results("solve_times").query("solver == @solver")
-    return float(times[~times["scenario"].str.contains("bounds")]["median_ms"].median())
+def _median(nominal: Nominal, solver: str, column: str = "median_ms") -> float:
+    """Median over the scenarios of what a solver needs with NMPC of the setting `paper`."""
+    return float(statements.usual_times(nominal.evidence("paper"), solver, column).median())
 
 
 NAMED |= {
-    "ipopt_ms": lambda nominal: quantity(_median_ms(nominal, "ipopt")),
-    "nmpc_ms": lambda nominal: quantity(_median_ms(nominal, "gauss_newton")),
-    "ltv_ms": lambda nominal: quantity(_median_ms(nominal, "ltv_mpc")),
+    "ipopt_ms": lambda nominal: quantity(_median(nominal, "ipopt")),
+    "nmpc_ms": lambda nominal: quantity(_median(nominal, "gauss_newton")),
+    "ltv_ms": lambda nominal: quantity(_median(nominal, "ltv_mpc")),
 }
 
 
 @named
 def _time_ratio(nominal: Nominal) -> str:
-    return quantity(_median_ms(nominal, "gauss_newton") / _median_ms(nominal, "ltv_mpc"))
+    return quantity(_median(nominal, "gauss_newton") / _median(nominal, "ltv_mpc"))
+
+
+@named
+def _iterations(nominal: Nominal) -> str:
+    """Iterations of one nonlinear problem over those of a linear one."""
+    return quantity(
+        _median(nominal, "gauss_newton", "iterations_median") / _median(nominal, "ltv_mpc", "iterations_median")
+    )
+
+
+@named
+def _cones_left(nominal: Nominal) -> str:
+    """How far below its limit C35 lies in the setting `paper` (%)."""
+    return quantity(100 * (1 - statements.find("C35", nominal.evidence("paper")).value))
 
 
 @named
@@ -190,28 +208,11 @@ NAMED |= {
 }
 
 
-def _tuned_nmpc(nominal: Nominal) -> dict[str, float]:
-    """Parameters of NMPC of the setting `equal`."""
-    file = nominal.results.file(f"{tuning.TUNED}/{tuning.EQUAL}/nmpc.json")
-    return json.loads(file.read_text(encoding="utf-8"))["parameters"]
-
-
-def _cause(nominal: Nominal, cause: str) -> str:
-    table = nominal.results("sine_causes").query("case == 'straight, 160 km/h'").set_index("cause")["rmse_y"]
-    return quantity(table[cause], "mm") if cause in table else UNKNOWN
-
-
-NAMED |= {
-    "cone_straight": lambda nominal: _cause(nominal, "cones"),
-    "s1002_straight": lambda nominal: _cause(nominal, "as tuned"),
-}
-
-
 @named
 def _forecast_shift(nominal: Nominal) -> str:
-    """What the mean braking of Fig. 9 moves the forecast over the horizon of NMPC of the setting `equal` (cm)."""
-    horizon = _tuned_nmpc(nominal)["horizon_s"]
-    way = nominal.evidence(tuning.EQUAL)("braking", "nmpc", "stopping_distance")
+    """What the mean braking of Fig. 9 moves the forecast over the horizon of NMPC of the setting `paper` (cm)."""
+    horizon = tuning.load("nmpc", tuning.PAPER)["parameters"]["horizon_s"]
+    way = nominal.evidence(tuning.PAPER)("braking", "nmpc", "stopping_distance")
     return quantity(100 * load_scenario("braking").speed ** 2 / (2 * way) * horizon**2 / 2, "cm")
 
 

@@ -24,6 +24,8 @@ from railrepro.files import write
 MARKS = {"reproduced": "✓", "fragile": "✓?", "partly": "◐", "tie": "=", "not reproduced": "✗", "not testable": "–"}
 PROBES = "data/results/nominal_metrics.csv"
 """Metrics on which statements that depend on the setting are judged."""
+FAVOURS, KNOWN = {"paper": "+", "against": "-", "neither": "0"}, {"old": "", "both": "*"}
+"""Marks of a change of a rule: whom it favours, and whether the new verdict was known, too."""
 CALIBRATED = {"yes": "✓", "no": "✗", "": ""}
 
 
@@ -220,8 +222,10 @@ def _reasons(table: pd.DataFrame, nominal: Nominal) -> list[str]:
 def robust(nominal: Nominal) -> str:
     """Result of the robustness study; the command to run when it does not have the form of these rules."""
     found, samples = (nominal.results.optional(f"robustness_{name}") for name in ("claims", "samples"))
-    if found is None or claims.shares(samples).empty:
+    answered = claims.shares(samples)
+    if found is None or answered.empty:
         return "There are no shares: the robustness study (`make study`) has not run with these rules and this car yet."
+    found = found.merge(answered[["id", "setting"]])
     decided = found[found["decided_by"].notna() & (found["decided_by"] != "")]
     counts, causes, table = [], [], "data/results/robustness_claims.csv"
     for setting in tuning.SETTINGS:
@@ -234,10 +238,12 @@ def robust(nominal: Nominal) -> str:
         named = "; ".join(f"{parameter} for {ids}" for parameter, ids in alike.items())
         causes += [f"Decisive on `{setting}`: {named}."] if named else []
     size = link(str(int(found["samples"].max())), [table])
+    asked = [identity for identity, rule in statements.load().items() if rule.kind == "statement"]
+    unsampled = ", ".join(identity for identity in asked if identity not in set(answered["id"]))
     return (
         f"Cars and experiments were drawn {size} times from the ranges of the unpublished parameters, with controllers "
         f"tuned again. Statements that hold in more than half of the samples: {', '.join(counts)}. {' '.join(causes)} "
-        "What is decisive is confirmed by a run with this change alone."
+        f"What is decisive is confirmed by a run with this change alone. Not sampled, so never fragile: {unsampled}."
     )
 
 
@@ -296,8 +302,15 @@ def _rules(table: pd.DataFrame) -> list[str]:
     log = pd.read_csv(paths.source("data/rule_changes.csv"), dtype=str)
     last = log.drop_duplicates("id", keep="last")
     rows = [
-        [r.id, r.old, _mark(r.old_verdict), r.new, _mark(found.get(r.id, "none")), r.why] for r in last.itertuples()
-    ]
-    heads = ["id", "old rule", "then", "new rule", "now", "why"]
-    said = f"{len(log)} changes; the table shows the last one of each rule, {file_link('data/rule_changes.csv')} all."
+        [r.id, r.old, _mark(r.old_verdict), r.new, _mark(found.get(r.id, "none")), FAVOURS[r.favours] + KNOWN[r.known],
+         r.why]
+        for r in last.itertuples()
+    ]  # fmt: skip
+    heads = ["id", "old rule", "then", "new rule", "now", "favours", "why"]
+    paper = (log["favours"] == "paper").sum()
+    said = (
+        f"{len(log)} changes, each made when the verdict under the old rule was known, where marked * also that under "
+        f"the new one. {paper} favour the paper (+), {(log['favours'] == 'against').sum()} go against it (-). The "
+        f"table shows the last change of each rule, {file_link('data/rule_changes.csv')} all."
+    )
     return [said, "", *rows_of(rows, heads)]

@@ -88,7 +88,7 @@ class Experiment:
     irregular: dict = field(default_factory=dict)
     preview: dict = field(default_factory=dict)
     sensors: dict = field(default_factory=dict)
-    setting: str = tuning.EQUAL
+    setting: str = tuning.PAPER
     substeps: int | None = None
     ride: bool = False
     stride: int = 0

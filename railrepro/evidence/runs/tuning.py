@@ -21,7 +21,7 @@ from pydantic import AfterValidator
 
 from railrepro import paths, schema
 from railrepro.control.registry import REGISTERED, guidance
-from railrepro.control.tuned import COUNT, EQUAL, SEED, TUNED, read
+from railrepro.control.tuned import COUNT, EQUAL, PAPER, SEED, TUNED, read
 from railrepro.control.tuned import LOOP as LOOP  # for those who take the settings from here
 from railrepro.control.tuned import SETTINGS as SETTINGS
 from railrepro.errors import InputError
@@ -259,7 +259,7 @@ def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
 
 
-def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> dict:
+def load(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
     """Tuned set of a controller in some setting; a designed set has only `controller`, `setting` and `parameters`.
 
     Raises
@@ -280,6 +280,6 @@ def load(controller: str, setting: str = EQUAL, folder: Path | None = None) -> d
     return content
 
 
-def tuned(controller: str, options: dict | None = None, setting: str = EQUAL, **changes):
+def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
     """Guidance of a controller with its tuned parameters, see `registry.guidance`."""
     return guidance(controller, load(controller, setting)["parameters"], options, **changes)

@@ -70,7 +70,7 @@ def stability(
 
     Columns speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, …, failed, failed_at_m.
     """
-    tuned = tuning.load("nmpc")["parameters"]
+    tuned = tuning.load("nmpc", tuning.EQUAL)["parameters"]
     experiments = []
     for speed, name, drive in product(speeds_kmh, sets, ("rolling", "at the maximum")):
         force = 0.0 if drive == "rolling" else 30.0
@@ -87,7 +87,9 @@ def stability(
             experiments.append(Experiment(scenario, "ndi", label | {"controller": "ndi", "pole": pole}, parameters))
         for slip in (None, SlipSettings()):
             own = label | {"controller": OURS if slip is None else f"{OURS}_slip"}
-            experiments.append(Experiment(scenario, OURS, own, tuning.load(OURS)["parameters"], adhesion=slip))
+            experiments.append(
+                Experiment(scenario, OURS, own, tuning.load(OURS, tuning.EQUAL)["parameters"], adhesion=slip)
+            )
     return pd.DataFrame(rows(_row, experiments, "stability", quiet))
 
 
@@ -136,7 +138,7 @@ class Sample:
         if ratio is not None:
             nominal = load_vehicle().adhesion["poor"].k_a
             v["adhesion.poor.k_s"] = ratio * v.get("adhesion.poor.k_a", nominal)
-        return ProbeSetup({}, vehicle=v, profile=profile, ltv=ltv, **own)
+        return ProbeSetup({}, self.setting, v, profile=profile, ltv=ltv, **own)
 
 
 def draw(count: int = SAMPLES, seed: int = SEED, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
@@ -196,7 +198,7 @@ def evidence(row: dict, spread: Mapping | None = None) -> statements.Evidence:
 def ties(settings: Iterable[str]) -> dict[str, Mapping]:
     """Spread between seeds of the nominal case, by setting: what counts as a tie is the same in all samples."""
     nominal = Nominal()
-    return {setting: nominal.evidence(setting, tables=False).spread for setting in settings}
+    return {setting: nominal.evidence(setting).spread for setting in settings}
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
