@@ -39,10 +39,11 @@ from railrepro.control.registry import guidance
 from railrepro.estimation.sensors import readings
 from railrepro.evidence.chain import graph
 from railrepro.evidence.claims import answers, statements
-from railrepro.evidence.runs import experiment, preview, pso, ride, tuning
+from railrepro.evidence.runs import experiment, preview, pso, tuning
 from railrepro.evidence.score.entry import entry, load_class, made
 from railrepro.evidence.uncertainty import robustness
 from railrepro.own.slip import SlipSettings
+from railrepro.simulation import ride
 from railrepro.track import irregularity, measured
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities

@@ -10,9 +10,8 @@ from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import EstimateSettings
-from railrepro.evidence.bench import bare_wheel
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import scenarios
+from railrepro.simulation import bare_wheel, scenarios
 from railrepro.vehicle.parameters import load_vehicle
 
 LAW = AdhesionSettings()

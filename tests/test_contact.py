@@ -8,6 +8,7 @@ import pytest
 from rolling import Rolling
 
 from railrepro.contact import creep, normal, profiles
+from railrepro.contact.fastsim import equivalent_conicity, rigid_contact
 from railrepro.contact.points import read_pair
 from railrepro.contact.table import (
     CELL_COLUMNS,
@@ -18,7 +19,6 @@ from railrepro.contact.table import (
     middle_patch,
     section,
 )
-from railrepro.evidence.bench.contact import equivalent_conicity, rigid_contact
 from railrepro.vehicle.parameters import load_vehicle
 
 EN_15302 = Path(__file__).parent / "reference/en15302"

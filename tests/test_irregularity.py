@@ -9,7 +9,7 @@ from spoiling import set_cell
 
 from railrepro.errors import InputError
 from railrepro.evidence.runs.preview import known, planned_line
-from railrepro.evidence.runs.ride import D2, band_standard_deviation
+from railrepro.simulation.ride import D2, band_standard_deviation
 from railrepro.track import defects
 from railrepro.track.irregularity import (
     CHANNELS,

@@ -7,9 +7,8 @@ import pytest
 
 from railrepro.car import stepper
 from railrepro.control.ndi import NDI
-from railrepro.evidence.runs import ride
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import simulate
+from railrepro.simulation import ride, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS, irregularities

@@ -9,7 +9,7 @@ from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.contact.table import contact_table
 from railrepro.errors import InputError
-from railrepro.evidence.runs import ride
+from railrepro.simulation import ride
 from railrepro.track import route
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle

@@ -18,10 +18,10 @@ from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import REGISTERED, guidance
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
-from railrepro.evidence.runs import preview, ride, store, tuning
+from railrepro.evidence.runs import preview, store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.schema import require
-from railrepro.simulation import metrics, simulate
+from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.rough import fit, rough_track
 from railrepro.track.route import CELL

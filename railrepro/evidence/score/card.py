@@ -20,9 +20,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from railrepro.evidence.runs.ride import Y_OVER_Q_LIMIT
 from railrepro.evidence.runs.tuning import LOOP
 from railrepro.evidence.score.suite import MARGINS
+from railrepro.simulation.ride import Y_OVER_Q_LIMIT
 
 COST = "J = e / 1 mm + T / 4 kN m + max(0, A / 0.5 kN m - 1) + 2 (1 - u) + 10 max(0, s - 1)"
 FORMULA = f"100 (q - q_0) / (q_l - q_0), q = 1 / (1 + J), {COST}"

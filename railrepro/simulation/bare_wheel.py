@@ -126,7 +126,8 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     factor = np.asarray(factor, dtype=float)
     factor = np.ascontiguousarray(np.broadcast_to(factor.reshape(-1, 1) if factor.ndim == 1 else factor, demand.shape))
     a, b, kalker = middle_patch(vehicle)
-    body = (vehicle.wheel.radius, vehicle.wheel.spin_inertia, vehicle.wheel_load, vehicle.gravity, 1e5)
+    wheel = vehicle.wheel
+    body: tuple[float, ...] = (wheel.radius, wheel.spin_inertia, vehicle.wheel_load, vehicle.gravity, 1e5)
     body += (a, b, *kalker, vehicle.contact.shear_modulus)
     columns = [[*c.law.gains().values(), *c.estimate.gains().values(), *astuple(c.adhesion), *body] for c in cases]
     call = codegen.compiled(_exchange().map("bare_wheels", "serial", len(cases), [], []))
@@ -134,7 +135,7 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     start = np.zeros((len(cases), len(_STATE)))
     spin, running = _STATE.index("w"), _STATE.index("v")
     start[:, running] = speed
-    start[:, spin] = start[:, running] / vehicle.wheel.radius
+    start[:, spin] = start[:, running] / wheel.radius
     state[:], case[:] = start.ravel(), np.array(columns).ravel()
     log = np.empty((len(demand), len(cases), len(_OUTPUT)))
     for k in range(len(demand)):

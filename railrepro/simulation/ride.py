@@ -263,7 +263,7 @@ def weighting_filter(name: str, rate: float) -> np.ndarray:
         raise InputError(f"weighting {name!r} is not known; there are {sorted(WEIGHTINGS)}")
     transition, quality, step, gain = WEIGHTINGS[name]
     low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in _BAND)
-    factors = [([low[0], 0, 0], low), ([1], high)]
+    factors: list[tuple] = [([low[0], 0, 0], low), ([1], high)]
     factors.append(([gain / (2 * np.pi * transition), gain], _quadratic(transition, quality)))
     if step is not None:
         f5, q5, f6, q6 = step

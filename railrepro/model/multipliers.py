@@ -63,18 +63,13 @@ def accelerations(state: np.ndarray, torque: np.ndarray, theta: np.ndarray, vehi
     vehicle : Vehicle
     """
     wheel, s = vehicle.wheel, vehicle.suspension
-    key = (vehicle.gear.mass, vehicle.gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia)
-    key += (
-        wheel.spin_inertia,
-        wheel.diametral_inertia,
-        wheel.radius,
-        vehicle.gear.contact_base,
-        wheel.cone_angle,
-    )
+    gear = vehicle.gear
+    key: tuple[float, ...] = (gear.mass, gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia)
+    key += (wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, gear.contact_base, wheel.cone_angle)
     key += (s.yaw_stiffness, s.yaw_damping, s.roll_stiffness, s.roll_damping, vehicle.gravity)
     _, psi, v, psid, y, relative = state
     slope = np.tan(wheel.cone_angle)
-    right, left, half = wheel.radius + slope * y, wheel.radius - slope * y, vehicle.gear.contact_base / 2
+    right, left, half = wheel.radius + slope * y, wheel.radius - slope * y, gear.contact_base / 2
     spins = -(v - (half - y) * psid) / right, -(v + (half + y) * psid) / left
     q, qd = np.array([0.0, psi, y, 0.0, 0.0]), np.array([v, psid, v * np.sin(relative), *spins])
     mass, rest, jacobian, drift = (np.array(part) for part in _residuals(key)(q, qd, torque, theta))
