@@ -49,38 +49,22 @@ BENCH := .venv/ready-bench-$(LOCK_HASH)
 COMPILER := .venv/ready-compiler-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 == "$(1)"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-NOT_BUILDING := help clean distclean lock
-RULES := build/chain.mk
-# With -n nothing may change on disk, neither the environment nor the rules of the chain.
-ONLY_SHOW := $(if $(findstring n,$(filter-out --%,$(firstword $(MAKEFLAGS)))),yes)
-# The rules end with their own hash; others, broken, cut off or somebody else's, are made again.
-INTACT := $(shell test -f $(RULES) && test -O $(RULES) && test -z "$$(find $(RULES) -perm /022)" && test "$$(tail -n 1 $(RULES))" = "RULES_HASH := $$(sed '$$d' $(RULES) | sha256sum | cut -c1-64)" && echo yes)
-
-ifneq ($(filter-out $(NOT_BUILDING),$(MAKECMDGOALS)),)
-  ifeq ($(INTACT),yes)
-    include $(RULES)
-  else ifdef MAKE_RESTARTS
-    $(error $(RULES) cannot be written)
-  else ifneq ($(ONLY_SHOW),yes)
-    $(shell rm -rf $(RULES))
-    include $(RULES)
-  endif
-endif
-
-.PHONY: help figures chain check test test-slow test-all test-extras faults lab score leaderboard tune report answers verify variants bench study html script lock strip clean distclean FORCE
+.PHONY: help figures check test test-slow test-all test-extras faults lab score leaderboard tune report answers verify variants bench study html script lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
 	@echo "figNN       one figure with what it needs, for example make fig06"
 
-# One look at all of them first; then several at a time, unless the caller says how many with -j.
-figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
-	@+test -z "$(ONLY_SHOW)" || exec echo "$(PY) -m railrepro chain run NAME, for each notebook that is stale"; \
-	  $(PY) -m railrepro chain fresh || { jobs=$(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(AT_ONCE)); share=$$(( $(CORES) / jobs )); \
-	  export RAILREPRO_WORKERS=$${RAILREPRO_WORKERS:-$$(( share > 1 ? share : 1 ))}; \
-	  $(MAKE) --no-print-directory $(if $(filter -j% --jobserver%,$(MAKEFLAGS)),,-j$(AT_ONCE)) chain; }
+# As many notebooks at a time as the caller says with -j.
+CHAIN = @$(PY) -m railrepro chain run $(patsubst -j%,--jobs %,$(filter-out -j,$(filter -j%,$(MAKEFLAGS))))
 
-chain: $(STAMPS)
+figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
+	$(CHAIN)
+
+fig%: $(VENV) FORCE
+	$(CHAIN) $@
+
+FORCE:
 
 check: $(VENV)  ## lint, format, types, order of imports
 	$(PY) -m ruff check
@@ -154,7 +138,7 @@ lock:  ## renew environment.lock from pyproject.toml; pins stay, but for those o
 	@.ci/lock $(NEWER)
 
 clean:  ## remove executed notebooks, stamps and reports of runs
-	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify build/chain.mk
+	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify
 
 distclean: clean  ## also remove the environment, compiled code and stored results
 	rm -rf build .venv
@@ -177,7 +161,3 @@ $(VENV): environment.lock pyproject.toml
 $(BOOK) $(BENCH) $(COMPILER): .venv/ready-%-$(LOCK_HASH): | $(VENV)
 	@$(call INSTALL,$*)
 	@touch $@
-
-$(RULES): notebooks/chain.toml railrepro/evidence/chain/graph.py | $(VENV)
-	@mkdir -p build
-	@$(PY) -m railrepro chain rules > $@.part && mv $@.part $@

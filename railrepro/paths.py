@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from railrepro import tried
+from railrepro import reads, tried
 
 _PACKAGE = Path(__file__).resolve().parent
 _GIVEN = os.environ.get("RAILREPRO_ROOT")
@@ -22,6 +22,7 @@ INSTALLED = not _GIVEN and (_PACKAGE / "data").is_dir()
 ROOT = Path.cwd() if INSTALLED else Path(_GIVEN or _PACKAGE.parent)
 """The checkout, or the working folder where there is none."""
 DATA, FIGURES, NOTEBOOKS, BUILD = (ROOT / name for name in ("data", "figures", "notebooks", "build"))
+reads.follow(ROOT)
 
 
 def product(relative: str) -> Path:

@@ -1,9 +1,11 @@
-"""Which entries of a data file are read: noted on request, so that an entry that is not read changes nothing."""
+"""What a notebook reads: files below data/ and figures/, and entries of some; noted on request, for the chain."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TypeVar
 
 LOG = "RAILREPRO_READS"
@@ -20,6 +22,25 @@ def _note(file: str, entry: str) -> None:
         _noted.add((log, file, entry))
         with open(log, "a", encoding="utf-8") as stream:
             stream.write(f"{file}\t{entry}\n")
+
+
+def follow(root: Path) -> None:
+    """From now on note each file below data/ and figures/ of a checkout that this process opens to read it."""
+
+    def opened(event: str, arguments: tuple) -> None:
+        if event != "open" or not isinstance(arguments[0], str | os.PathLike):
+            return
+        _, mode, flags = arguments
+        if set(mode or "") & set("wax+") or (not mode and flags & (os.O_WRONLY | os.O_RDWR)):
+            return
+        file = os.path.abspath(arguments[0])
+        for base in (os.environ.get("RAILREPRO_OUTPUT"), str(root)):
+            name = os.path.relpath(file, base) if base and file.startswith(base + os.sep) else ""
+            if name.startswith(("data/", "figures/")):
+                _note(name, "")
+
+    if os.environ.get(LOG):
+        sys.addaudithook(opened)
 
 
 class Entries(dict[str, Value]):

@@ -37,7 +37,7 @@ from railrepro.control.law import EstimateSettings, LawSettings
 from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import guidance
 from railrepro.estimation.sensors import readings
-from railrepro.evidence.chain import graph
+from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import answers, statements
 from railrepro.evidence.runs import experiment, preview, pso, tuning
 from railrepro.evidence.score.entry import entry, load_class, made
@@ -230,4 +230,4 @@ def tuned_file(text):
 
 
 def chain_file(text):
-    return file(text, graph.chain, "chain.toml")
+    return file(text, chain.chain, "chain.toml")

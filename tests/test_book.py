@@ -9,8 +9,8 @@ import pytest
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.evidence.chain import book, folding, graph, pages, weblinks
-from railrepro.evidence.chain.manifest import cells
+from railrepro.evidence.chain import book, chain, folding, pages, weblinks
+from railrepro.evidence.chain.chain import cells
 
 LAST = 42
 """Number of the last equation of the PDF."""
@@ -66,21 +66,21 @@ def test_every_label_that_is_used_has_a_number():
         numbers = [int(number) for row in csv.DictReader(stream) for number in re.findall(r"\((\d+)", row["number"])]
     assert numbers and max(numbers) <= LAST
     texts = [file.read_text() for file in (paths.ROOT / "railrepro").rglob("*.py")]
-    texts += [pages.prose({"cells": cells(notebook)}) for notebook in graph.chain()]
+    texts += [pages.prose({"cells": cells(notebook)}) for notebook in chain.chain().values()]
     with paths.source("data/notation.csv").open(newline="") as stream:
         texts += [f"eq. {row['equation']}" for row in csv.DictReader(stream)]
     left = {label for text in texts for label in re.findall(r"\beqs?\. \((\w+)\)", pages.numbered(text))}
     assert {label for label in left if not label[0].isdigit()} == set()
 
 
-@pytest.mark.parametrize("notebook", graph.chain(), ids=lambda notebook: notebook.name)
+@pytest.mark.parametrize("notebook", chain.chain().values(), ids=lambda notebook: notebook.name)
 def test_formulas_carry_numbers_that_the_pdf_has(notebook):
     numbers = [int(number.rstrip("abcdef")) for number in pages.tags(pages.prose({"cells": cells(notebook)}))]
     assert all(0 < number <= LAST for number in numbers)
 
 
 def test_a_chapter_links_equations_and_names_source_data_and_claims():
-    notebook = graph.Notebook("01_one", "one", writes=("data/results/table1.csv",), figures=("fig10_tracks",))
+    notebook = chain.Notebook("01_one", "one", writes=("data/results/table1.csv",), figures=("fig10_tracks",))
     image = {"output_type": "display_data", "data": {"image/png": "AA=="}, "metadata": {}}
     content = {
         "cells": [
@@ -114,7 +114,7 @@ def test_a_chapter_links_equations_and_names_source_data_and_claims():
 
 
 def test_claims_rest_on_the_notebook_that_they_name_or_whose_product_they_judge():
-    notebook = graph.Notebook("01_one", "one", writes=("data/a.csv",), figures=("fig10_tracks",))
+    notebook = chain.Notebook("01_one", "one", writes=("data/a.csv",), figures=("fig10_tracks",))
     homes = {"C01": "01_one", "C04": "02"}
     evidence = {"C01": "data/b.csv", "C02": "figures/fig10_tracks.png", "C03": "data/a.csv", "C04": "data/b.csv"}
     table = [{"id": name, "evidence": file} for name, file in evidence.items()]
@@ -128,21 +128,21 @@ def test_the_report_leads_to_cells_of_the_book():
 
 def test_chapters_are_numbered_and_in_the_order_of_the_chain(monkeypatch, tmp_path):
     places = re.findall(r"^notebooks/(\w+)$", (paths.NOTEBOOKS / "book/index.md").read_text(), re.MULTILINE)
-    assert places == [notebook.name for notebook in graph.chain()]
+    assert places == [notebook.name for notebook in chain.chain().values()]
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     (tmp_path / "notebooks").mkdir()
     for title in ("[Re] Tracks", "Beyond the paper: tracks", "Tracks"):
         content = {"cells": [{"cell_type": "markdown", "source": [f"# {title}\n", "text"]}]}
         (tmp_path / "notebooks/01_tracks.ipynb").write_text(json.dumps(content))
-        assert pages.executed(graph.find("01_tracks"))["cells"][0]["source"] == "# 01 Tracks\ntext"
+        assert pages.executed(chain.find("01_tracks"))["cells"][0]["source"] == "# 01 Tracks\ntext"
 
 
 def test_every_figure_has_a_caption():
-    drawn = {figure for notebook in graph.chain() for figure in notebook.figures}
+    drawn = {figure for notebook in chain.chain().values() for figure in notebook.figures}
     assert drawn - set(pages.captions()) == set(), "notebooks/book/captions.toml"
 
 
-@pytest.mark.parametrize("notebook", graph.chain(), ids=lambda notebook: notebook.name)
+@pytest.mark.parametrize("notebook", chain.chain().values(), ids=lambda notebook: notebook.name)
 def test_cells_that_the_book_folds_are_tagged(notebook):
     """`make strip` sets the tag."""
     code = [cell for cell in cells(notebook) if cell["cell_type"] == "code"]
@@ -161,7 +161,7 @@ def test_asserts_are_parted_from_what_a_cell_computes():
 def test_checks_follow_a_cell_folded_and_its_output_stays_with_the_code():
     code = {"cell_type": "code", "id": "c01", "source": "a = 1\nassert a\na", "metadata": {}, "outputs": [{"x": 1}]}
     plot = {"cell_type": "code", "id": "c02", "source": "plt.plot(a)\nassert a", "metadata": {}}
-    made = pages.chapter(graph.Notebook("01_one", "one"), {"cells": [code, plot]}, {}, [])["cells"]
+    made = pages.chapter(chain.Notebook("01_one", "one"), {"cells": [code, plot]}, {}, [])["cells"]
     shown = [cell for cell in made if cell["cell_type"] == "code"]
     assert [cell["source"] for cell in shown] == ["a = 1\na", "assert a", plot["source"]]
     assert shown[0]["outputs"] == [{"x": 1}] and shown[1]["outputs"] == []
@@ -173,7 +173,7 @@ def test_a_statement_has_one_row_with_its_verdict_in_each_setting():
         {"id": "C01", "statement": "it holds", "verdict": verdict, "setting": setting}
         for setting, verdict in (("paper", "reproduced"), ("loop", "not reproduced"))
     ] + [{"id": "C02", "statement": "so does it", "verdict": "partly", "setting": ""}]
-    made = pages.chapter(graph.Notebook("01_one", "one"), {"cells": []}, {}, rows)["cells"][-1]["source"]
+    made = pages.chapter(chain.Notebook("01_one", "one"), {"cells": []}, {}, rows)["cells"][-1]["source"]
     assert (
         "| it holds | reproduced |  | not reproduced |" in made and "| so does it | partly | partly | partly |" in made
     )
@@ -190,7 +190,7 @@ def test_the_whole_book_is_made_without_a_warning_and_without_a_network(monkeypa
     pytest.importorskip("sphinx", reason="the packages of the book are installed by `make html`")
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     (tmp_path / "notebooks").mkdir()
-    for notebook in graph.chain():
+    for notebook in chain.chain().values():
         shutil.copy(notebook.path, tmp_path / "notebooks")
     assert weblinks.faults(book.html().parent) == []
 
@@ -199,11 +199,11 @@ def test_several_numbered_lines_are_not_counted_again():
     content = {
         "cells": [{"cell_type": "markdown", "source": "$$\\begin{align} a \\tag{3a, b} \\end{align}$$", "metadata": {}}]
     }
-    made = pages.chapter(graph.Notebook("01_one", "one"), content, {"3": "01_one", "3b": "01_one"}, [])["cells"][0]
+    made = pages.chapter(chain.Notebook("01_one", "one"), content, {"3": "01_one", "3b": "01_one"}, [])["cells"][0]
     assert made["source"].strip() == "(eq-3b)=\n(eq-3)=\n\\begin{align*} a \\tag{3a, b} \\end{align*}"
 
 
 def test_lines_aligned_under_one_number_stay_a_formula():
     content = {"cells": [{"cell_type": "markdown", "source": "$$\\begin{aligned} a \\end{aligned}$$", "metadata": {}}]}
-    made = pages.chapter(graph.Notebook("01_one", "one"), content, {}, [])["cells"][0]["source"]
+    made = pages.chapter(chain.Notebook("01_one", "one"), content, {}, [])["cells"][0]["source"]
     assert made.strip() == "\\begin{equation*}\n\\begin{aligned} a \\end{aligned}\n\\end{equation*}"

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from railrepro.evidence.chain import compare, graph
+from railrepro.evidence.chain import compare
 from railrepro.evidence.report import figures
 
 
@@ -56,7 +56,7 @@ def test_a_moved_curve_is_found(tmp_path, monkeypatch, shift, outcome):
         axis.plot([0, 1], [0.2 + moved, 0.7 + moved])
         axis.set(ylim=(0, 1))
         figures.save_figure(fig, "fig99_test", pd.DataFrame({"x": [0.0, 1.0], "y": [0.2 + moved, 0.7 + moved]}))
-    tolerance = graph.verify_tolerance()
+    tolerance = compare.verify_tolerance()
     old, new = tmp_path / "old" / "figures", tmp_path / "new" / "figures"
     table = compare.compare(old / "fig99_test.csv", new / "fig99_test.csv", tolerance)
     image = compare.compare(old / "fig99_test.png", new / "fig99_test.png", tolerance)
@@ -65,7 +65,7 @@ def test_a_moved_curve_is_found(tmp_path, monkeypatch, shift, outcome):
 
 
 def test_tables_of_other_shape_and_missing_files_differ(tmp_path):
-    tolerance = graph.verify_tolerance()
+    tolerance = compare.verify_tolerance()
     old, new = tmp_path / "old.csv", tmp_path / "new.csv"
     new.write_text("a\n1\n")
     assert compare.compare(old, new, tolerance).different

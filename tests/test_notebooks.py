@@ -3,14 +3,14 @@
 import pytest
 
 from railrepro import paths
-from railrepro.evidence.chain import compare, graph, runner
+from railrepro.evidence.chain import chain, compare
 
 
-@pytest.mark.parametrize("notebook", graph.chain(), ids=lambda notebook: notebook.name)
+@pytest.mark.parametrize("notebook", chain.chain().values(), ids=lambda notebook: notebook.name)
 def test_notebook(notebook, tmp_path):
     """In a folder of its own: what a chapter reads is committed, not what another one wrote with small parameters."""
     parameters = notebook.parameters | notebook.test_parameters
-    runner.run_notebook(notebook, parameters, tmp_path, tmp_path / "executed")
+    chain.run(notebook, parameters, tmp_path, tmp_path / "executed")
     assert all((tmp_path / product).stat().st_size > 0 for product in notebook.products)
     if not notebook.test_parameters:  # the real run, so numbers and images must be the committed ones
         different = differing(notebook, tmp_path)
@@ -27,7 +27,7 @@ in the commit message does `make figures` write them in place of the committed o
 
 def differing(notebook, root):
     """A line for every product that is not that of the checkout: which, its largest difference, and in which column."""
-    tolerance, lines = graph.verify_tolerance(), []
+    tolerance, lines = compare.verify_tolerance(), []
     for product in notebook.products:
         if product.endswith(compare.SUFFIXES):
             found = compare.compare(paths.ROOT / product, root / product, tolerance)
@@ -42,7 +42,7 @@ def test_a_different_product_is_told_with_its_column_before_any_advice_to_renew(
     for folder, value in (("checkout", 2.0), ("rerun", 2.5)):
         (tmp_path / folder / "data").mkdir(parents=True)
         (tmp_path / folder / "data" / "one.csv").write_text(f"a,b\n1,{value}\n")
-    monkeypatch.setattr(graph, "verify_tolerance", lambda: {"relative": 1e-5, "not_compared": []})
-    (line,) = differing(graph.Notebook("01_one", "one", writes=("data/one.csv",)), tmp_path / "rerun")
+    monkeypatch.setattr(compare, "verify_tolerance", lambda: {"relative": 1e-5, "not_compared": []})
+    (line,) = differing(chain.Notebook("01_one", "one", writes=("data/one.csv",)), tmp_path / "rerun")
     assert "data/one.csv: 1 same, 0 within tolerance, 1 different; largest difference 2.5e-01 in b" in line
     assert LOOK.index("Look at the difference") < LOOK.index("make figures")

@@ -14,7 +14,7 @@ import pytest
 
 from railrepro import code, paths
 from railrepro.errors import InputError
-from railrepro.evidence.chain import book, cleaning, graph, kernel, manifest, runner
+from railrepro.evidence.chain import book, chain, cleaning
 from railrepro.evidence.runs import store
 
 CELLS = [
@@ -53,27 +53,30 @@ def tiny(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capsys):
+def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     product = tiny / "data/results/out.csv"
-    runner.refresh("01_tiny")
+    assert chain.figures() == 0
     assert product.read_text() == "a\n1\n"
-    assert "01_tiny" in (tiny / "data/MANIFEST.csv").read_text()
-    capsys.readouterr()
-    runner.refresh("01_tiny")
-    assert capsys.readouterr().err == ""
+    manifest = (tiny / "data/MANIFEST.csv").read_text()
+    assert "data/results/out.csv" in manifest and "01_tiny" in manifest
+    assert "01_tiny: done; 0 left" in capfd.readouterr().err
+    (tiny / "data/MANIFEST.csv").write_bytes(b"\xff\x00,\n\x00")
+    assert chain.figures() == 0
+    assert capfd.readouterr().err == "nothing is stale of 1 notebooks\n"
+    assert (tiny / "data/MANIFEST.csv").read_text() == manifest
     product.unlink()
-    runner.refresh("01_tiny")
+    chain.figures(["01"])
     assert product.exists()
     write_notebook(tiny / "notebooks", [CELLS[0], "value = 2", CELLS[2]])
-    runner.refresh("01_tiny")
+    chain.refresh("01_tiny")
     assert product.read_text() == "a\n2\n"
 
 
 def test_executed_notebooks_are_identical_bytes(tiny):
     executed = []
     for _ in range(2):
-        result = runner.run_notebook(graph.find("01_tiny"), {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb")
-        executed.append(result.read_bytes())
+        chain.run(chain.find("01_tiny"), {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb")
+        executed.append((tiny / "build/nb/01_tiny.ipynb").read_bytes())
     assert executed[0] == executed[1]
     assert not (tiny / "data/results/out.csv").exists()
 
@@ -85,19 +88,13 @@ def test_a_kernel_starts_where_another_program_holds_its_ports(tiny, monkeypatch
         other.listen()
         taken = other.getsockname()[1]
         monkeypatch.setattr("jupyter_client.connect.LocalPortCache.find_available_port", lambda *_: taken)
-        runner.run_notebook(graph.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
-    assert kernel.Kernel.folders == []
-
-
-def test_a_kernel_that_does_not_start_tells_its_last_words(tiny, monkeypatch):
-    monkeypatch.setattr(kernel, "_SETTINGS", "import os\nos.write(2, b'first\\nno room left\\n')\nos._exit(1)\n")
-    with pytest.raises(InputError, match=r"01_tiny: the kernel did not start .*no room left\)$"):
-        runner.run_notebook(graph.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
+        chain.run(chain.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
+    assert (tiny / "data/results/out.csv").exists()
 
 
 def test_unknown_parameter_is_refused_before_running(tiny):
     with pytest.raises(InputError, match=r"unknown parameter 'valeu'; the notebook has \['value'\]"):
-        runner.run_notebook(graph.find("01_tiny"), {"valeu": 3}, tiny, tiny / "build")
+        chain.run(chain.find("01_tiny"), {"valeu": 3}, tiny, tiny / "build")
 
 
 @pytest.mark.parametrize(
@@ -109,10 +106,10 @@ def test_unknown_parameter_is_refused_before_running(tiny):
     ],
 )
 def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
-    runner.refresh("01_tiny")
+    chain.refresh("01_tiny")
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
     with pytest.raises(InputError, match=sentence) as failed:
-        runner.refresh("01_tiny")
+        chain.refresh("01_tiny")
     assert "\n" not in str(failed.value)
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
     assert not list((tiny / "build").glob("staging/*/*"))
@@ -124,40 +121,84 @@ def test_a_read_only_checkout_is_told_in_one_sentence(tiny, monkeypatch):
 
     monkeypatch.setattr("pathlib.Path.mkdir", refuse)
     with pytest.raises(InputError, match="build/x: cannot be written"):
-        runner.run_notebook(graph.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
+        chain.run(chain.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
+
+
+ENTRY = '[[notebook]]\nname = "{}"\ntitle = "x"\nwrites = ["{}"]\nafter = {}\n'
 
 
 def test_chain_refuses_double_products_and_wrong_order(tiny):
     file = tiny / "notebooks" / "chain.toml"
-    entry = '[[notebook]]\nname = "{}"\ntitle = "x"\nwrites = ["{}"]\nreads = ["{}"]\n'
-    file.write_text(entry.format("01_a", "data/x.csv", "") + entry.format("02_b", "data/x.csv", ""))
+    file.write_text(ENTRY.format("01_a", "data/x.csv", []) + ENTRY.format("02_b", "data/x.csv", []))
     with pytest.raises(InputError, match="written by 01_a and by 02_b"):
-        graph.chain()
-    file.write_text(entry.format("01_a", "data/x.csv", "data/y.csv") + entry.format("02_b", "data/y.csv", ""))
-    with pytest.raises(InputError, match="reads data/y.csv before"):
-        graph.chain()
+        chain.chain()
+    file.write_text(ENTRY.format("01_a", "data/x.csv", ["02_b"]) + ENTRY.format("02_b", "data/y.csv", []))
+    with pytest.raises(InputError, match="01_a is after '02_b', which is not above it"):
+        chain.chain()
 
 
-def test_a_broken_stamp_means_stale(tiny):
-    notebook = graph.find("01_tiny")
-    (tiny / "data/results").mkdir()
-    (tiny / "data/results/out.csv").write_text("a\n1\n")
-    manifest.record(notebook, manifest.inputs(notebook, {}))
-    assert manifest.why_stale(notebook) == ""
-    (tiny / "build/stamps/01_tiny.json").write_text("{")
-    assert manifest.why_stale(notebook)
+READING = """import pandas as pd
+from railrepro import paths
+pd.read_csv(paths.source('data/a.csv'))
+paths.product('data/b.csv').write_text('a\\n2\\n')
+open(paths.product('data/b.csv')).read()
+"""
+
+
+def test_a_notebook_that_reads_a_product_of_another_is_after_it(tiny):
+    file, (first, second) = tiny / "notebooks" / "chain.toml", ("01_a", "02_b")
+    write_notebook(tiny / "notebooks", [CELLS[0], "v = 1", "paths.product('data/a.csv').write_text('a\\n1\\n')"], first)
+    write_notebook(tiny / "notebooks", [CELLS[0], "v = 1", READING], second)
+    (tiny / "data/a.csv").write_text("a\n0\n")
+    file.write_text(ENTRY.format(first, "data/a.csv", []) + ENTRY.format(second, "data/b.csv", []))
+    with pytest.raises(InputError, match="02_b: reads data/a.csv of 01_a, which chain.toml does not name in `after`"):
+        chain.refresh(second)
+    assert not (tiny / "data/b.csv").exists()
+    file.write_text(ENTRY.format(first, "data/a.csv", []) + ENTRY.format(second, "data/b.csv", [first]))
+    assert chain.figures(["02"]) == 0
+    assert chain.find(second).reads == ("data/a.csv",)
+    (tiny / "data/a.csv").write_text("a\n5\n")
+    assert chain.why_stale(chain.find(second)) == "data/a.csv"
+    assert chain.why_stale(chain.find(first)) == "data/a.csv was changed or is missing"
+    assert [row.split(",")[0] for row in (tiny / "data/MANIFEST.csv").read_text().split()[1:]] == [
+        "data/a.csv",
+        "data/b.csv",
+    ]
+
+
+def test_a_failing_notebook_stops_those_after_it_and_no_other(tiny, capfd):
+    file, own = tiny / "notebooks" / "chain.toml", [CELLS[0], "v = 1"]
+    write_notebook(tiny / "notebooks", [*own, "1 / 0"], "01_a")
+    for name in ("02_b", "03_c"):
+        write_notebook(tiny / "notebooks", [*own, f"paths.product('data/{name}').write_text('x')"], name)
+    entries = [("01_a", "data/01_a", []), ("02_b", "data/02_b", ["01_a"]), ("03_c", "data/03_c", [])]
+    file.write_text("".join(ENTRY.format(*entry) for entry in entries))
+    assert chain.figures(jobs=2) == 1
+    told = capfd.readouterr().err
+    assert "3 of 3 notebooks are stale" in told and "02_b: running" not in told and "Traceback" not in told
+    assert "error: 01_a: cell 3 failed with ZeroDivisionError: division by zero (kept build/notebooks/01_a.f" in told
+    assert (tiny / "data/03_c").exists() and "03_c" in (tiny / "data/MANIFEST.csv").read_text()
+    with pytest.raises(InputError, match="'fig99' is the begin of no notebook or figure"):
+        chain.figures(["fig99"])
+
+
+@pytest.mark.parametrize("content", ["{", "[1, 2]", "{}", '{"inputs": {}, "products": {}}'])
+def test_a_broken_stamp_means_stale(tiny, content):
+    notebook = chain.find("01_tiny")
+    chain.refresh("01_tiny")
+    assert chain.why_stale(notebook) == ""
+    notebook.stamp.write_text(content)
+    assert chain.why_stale(notebook) == "it has not run here"
 
 
 def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     shutil.copy(SCENARIOS, tiny / "data")
     file = tiny / "data/scenarios.toml"
-    with (tiny / "notebooks/chain.toml").open("a") as chain:
-        chain.write('reads = ["data/scenarios.toml"]\n')
     loads = "from railrepro.simulation.scenarios import load_scenario\nvalue = load_scenario('curve_entry_T1').end_m\n"
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], loads + CELLS[2]])
-    runner.refresh("01_tiny")
-    notebook, text = graph.find("01_tiny"), file.read_text()
-    assert manifest.why_stale(notebook) == ""
+    chain.refresh("01_tiny")
+    notebook, text = chain.find("01_tiny"), file.read_text()
+    assert chain.why_stale(notebook) == ""
     used = text.index("[curve_entry_T1]")
     for changed, why in (
         (text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"), ""),
@@ -171,39 +212,21 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     ):
         assert changed != text
         file.write_text(changed)
-        assert manifest.why_stale(notebook) == why, changed[:80]
+        assert chain.why_stale(notebook) == why, changed[:80]
     all_of_them = "from railrepro.simulation.scenarios import load_scenarios\nvalue = len(load_scenarios())\n"
     file.write_text(text)
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], all_of_them + CELLS[2]])
-    runner.refresh("01_tiny")
-    assert manifest.why_stale(notebook) == ""
+    chain.refresh("01_tiny")
+    assert chain.why_stale(notebook) == ""
     file.write_text(text.replace("speed_kmh = 280", "speed_kmh = 281"))
-    assert manifest.why_stale(notebook).startswith("data/scenarios.toml [curve_entry_T3]")
+    assert chain.why_stale(notebook).startswith("data/scenarios.toml [curve_entry_T3]")
     file.write_text(text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"))
-    assert "data/scenarios.toml" in manifest.why_stale(notebook)
+    assert "data/scenarios.toml" in chain.why_stale(notebook)
 
 
-def test_the_estimate_of_time_is_that_of_the_last_runs_and_can_be_stored(tiny):
-    notebook = graph.find("01_tiny")
-    assert runner.estimate([notebook] * 4, at_once=2) == 2.0
-    runner.refresh("01_tiny")
-    stamp = tiny / "build/stamps/01_tiny.json"
-    known = json.loads(stamp.read_text())
-    assert 0 < known["seconds"] < 120
-    stamp.write_text(json.dumps(known | {"seconds": 30.0}))
-    assert runner.estimate([notebook] * 4, at_once=2) == 1.0
-    assert runner.estimate([notebook] * 2, at_once=4) == 0.5
-    file = tiny / "notebooks/chain.toml"
-    other = '[[notebook]]\nname = "02_other"\ntitle = "other"\nminutes = 3.0\n'
-    file.write_text(file.read_text() + "minutes = 7.0\n" + other)
-    runner.store_times()
-    assert [n.minutes for n in graph.chain()] == [0.5, 3.0]
-
-
-def test_readme_and_console_say_the_same_time(monkeypatch):
-    """In a fresh clone; here runs that the store had may have made the last ones quick."""
-    monkeypatch.setattr(manifest, "minutes", lambda notebook: notebook.minutes)
-    estimate = runner.estimate(graph.chain(), at_once=2)
+def test_readme_says_how_long_the_chain_takes():
+    """In a fresh clone with two processors; here runs that the store had may have made the last ones quick."""
+    estimate = sum(notebook.minutes for notebook in chain.chain().values()) / 2
     lines = [line for line in (paths.ROOT / "README.md").read_text().splitlines() if "make figures" in line]
     said = [re.search(r"(\d+) min|\| (\d+),? [^|]*\|$", line) for line in lines]
     stated = [float(match[1] or match[2]) for match in said if match]
@@ -227,30 +250,30 @@ def test_a_chapter_is_had_as_a_script(tiny, monkeypatch):
 def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
     monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
-    notebook, product = graph.find("01_tiny"), tiny / "data/results/out.csv"
-    assert manifest.why_stale(notebook) == "it has not run here"
-    runner.refresh("01_tiny")
+    notebook, product = chain.find("01_tiny"), tiny / "data/results/out.csv"
+    assert chain.why_stale(notebook) == "it has not run here"
+    chain.refresh("01_tiny")
     content, cells = product.read_text(), notebook.path.read_text()
-    assert manifest.why_stale(notebook) == ""
+    assert chain.why_stale(notebook) == ""
     product.write_text("other")
-    assert manifest.why_stale(notebook) == "data/results/out.csv was changed or is missing"
+    assert chain.why_stale(notebook) == "data/results/out.csv was changed or is missing"
     product.write_text(content)
     notebook.path.write_text(cells.replace("value = 1", "value = 2"))
-    assert manifest.why_stale(notebook) == "its cells"
+    assert chain.why_stale(notebook) == "its cells"
     notebook.path.write_text(cells)
     monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem")
-    assert manifest.why_stale(notebook) == "environment OPENBLAS_CORETYPE"
+    assert chain.why_stale(notebook) == "environment OPENBLAS_CORETYPE"
 
 
 def test_the_machine_and_packages_that_only_check_change_no_manifest(tiny, monkeypatch):
-    notebook = graph.find("01_tiny")
-    found = manifest.digest(manifest.inputs(notebook, {}))
+    notebook = chain.find("01_tiny")
+    found = chain.inputs(notebook, {})
     (tiny / "environment.lock").write_text("ruff==0.1\n")
     monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0")
     monkeypatch.setattr(sys, "version", "another one")
-    assert manifest.digest(manifest.inputs(notebook, {})) == found
+    assert chain.inputs(notebook, {}) == found
     monkeypatch.setattr(code, "packages", lambda: {"numpy": "another one"})
-    assert manifest.digest(manifest.inputs(notebook, {})) != found
+    assert chain.inputs(notebook, {}) != found
 
 
 def test_the_lock_pins_each_package_once_by_hash_and_without_addresses():
@@ -312,7 +335,7 @@ def test_scripts_and_runs_of_the_chain_write_where_they_should(tiny, monkeypatch
 
 
 def test_every_notebook_is_in_the_chain():
-    assert [n.name for n in graph.chain()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))
+    assert [n.name for n in chain.chain().values()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))
 
 
 SORTS = ("sort_values", "argsort")
@@ -343,8 +366,8 @@ def test_an_unstable_sort_is_found(code, found):
 
 def test_equal_values_keep_their_order_on_every_processor():
     code = {path.name: path.read_text() for path in sorted((paths.ROOT / "railrepro").rglob("*.py"))}
-    for chapter in graph.chain():
-        code[chapter.name] = "\n".join(c["source"] for c in manifest.cells(chapter) if c["cell_type"] == "code")
+    for chapter in chain.chain().values():
+        code[chapter.name] = "\n".join(c["source"] for c in chain.cells(chapter) if c["cell_type"] == "code")
     found = {name: list(unstable_sorts(text)) for name, text in code.items()}
     assert {name: calls for name, calls in found.items() if calls} == {}
 

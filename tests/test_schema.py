@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from railrepro import paths, schema
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
-from railrepro.evidence.chain import graph
+from railrepro.evidence.chain import chain, compare
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import tuning
 from railrepro.simulation import simulate
@@ -30,7 +30,7 @@ READERS = {
     "data/scenarios.toml": load_scenarios,
     "data/tuning.toml": tuning.load_task,
     "data/claims.toml": statements.load,
-    "notebooks/chain.toml": lambda file: (graph.chain(file), graph.verify_tolerance(file)),
+    "notebooks/chain.toml": lambda file: (chain.chain(file), compare.verify_tolerance(file)),
     "data/tuned/equal/ndi.json": lambda file: tuning.load("ndi", "equal", folder=file.parent),
     "data/tracks/T3.csv": read_table,
 }

@@ -11,7 +11,7 @@ import pytest
 from railrepro import paths
 from railrepro.compile import codegen
 from railrepro.errors import InputError
-from railrepro.evidence.chain import compare, graph, verify
+from railrepro.evidence.chain import chain, compare, verify
 from railrepro.evidence.chain.compare import Comparison
 
 CHAIN = """
@@ -68,7 +68,7 @@ def checkout(tmp_path, monkeypatch):
 
 
 def test_one_failing_notebook_hides_nothing(checkout):
-    total, findings = verify.rerun(graph.chain(), paths.BUILD / "verify")
+    total, findings = verify.rerun(chain.chain().values(), paths.BUILD / "verify")
     assert any("01_one" in line and "odd" in line for line in findings)
     assert any(line.startswith("data/two.csv") and "2.0e-01 in a" not in line and " in a" in line for line in findings)
     assert not any(line.startswith(("data/one.csv", "data/late.csv")) for line in findings)
@@ -95,11 +95,13 @@ def test_a_column_is_as_large_as_its_largest_number_of_either_sign(tmp_path):
     assert (found.same, found.near, found.different) == (1, 1, 0) and found.largest == pytest.approx(5e-4)
 
 
-@pytest.mark.parametrize("own", graph.verify_tolerance()["own"], ids=lambda own: f"{own['table']} {own['column']}")
+@pytest.mark.parametrize("own", compare.verify_tolerance()["own"], ids=lambda own: f"{own['table']} {own['column']}")
 def test_an_own_tolerance_is_for_some_rows_of_a_product(own):
-    tables = [paths.ROOT / name for notebook in graph.chain() for name in notebook.products if name.endswith(".csv")]
+    tables = [
+        paths.ROOT / name for notebook in chain.chain().values() for name in notebook.products if name.endswith(".csv")
+    ]
     file = next(file for file in tables if file.name == own["table"])
-    table, tolerance = pd.read_csv(file), graph.verify_tolerance()
+    table, tolerance = pd.read_csv(file), compare.verify_tolerance()
     limits = compare.limits(table, file.name, own["column"], tolerance)
     wide = limits == own["relative"]
     assert own["relative"] > tolerance["relative"] and wide.any() and ("rows" not in own) == wide.all()

@@ -86,11 +86,11 @@ def _tools(command: Callable) -> None:
 
 
 def _chain(command: Callable) -> None:
-    command("rules", "chain.graph:rules", "print the make rules of notebooks/chain.toml")
-    command("fresh", "chain.runner:fresh", "succeed if no notebook is stale, else list the stale ones")
-    added = command("run", "chain.runner:refresh", "run one notebook if it is stale")
+    added = command("run", "chain.chain:figures", "run what is stale")
+    added.add_argument("names", nargs="*", metavar="NAME", help="notebooks or figures, as fig06; default all")
+    added.add_argument("--jobs", type=_whole(1, 64), default=0, help="notebooks at a time; default one per processor")
+    added = command("one", "chain.chain:refresh", "run one notebook if it is stale, alone")
     added.add_argument("name")
-    command("times", "chain.runner:store_times", "enter the durations of the last runs into notebooks/chain.toml")
     added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts")
     added.add_argument("name", help="its name or two digits")
     command("html", "chain.book:html", "executed notebooks as a book in build/html")

@@ -10,7 +10,7 @@ from pathlib import Path
 from railrepro import paths
 from railrepro.errors import InputError
 from railrepro.evidence.chain import pages, weblinks
-from railrepro.evidence.chain.graph import chain, find
+from railrepro.evidence.chain.chain import chain, find
 from railrepro.files import write, written
 
 
@@ -44,7 +44,7 @@ def script(name: str) -> Path:
     """
     from nbconvert import PythonExporter
 
-    notebook = find(next((known.name for known in chain() if known.name[:2] == name), name))
+    notebook = find(next((known.name for known in chain().values() if known.name[:2] == name), name))
     text, _ = PythonExporter(exclude_input_prompt=True).from_filename(str(notebook.path))
     head = f"import os\n\nos.environ.setdefault('RAILREPRO_OUTPUT', {str(paths.BUILD / 'tried' / notebook.name)!r})\n"
     file = paths.BUILD / "scripts" / f"{notebook.name}.py"
@@ -57,7 +57,7 @@ def _source(folder: Path) -> Path:
     from railrepro.evidence.claims import statements
     from railrepro.evidence.report import notation
 
-    notebooks = chain()
+    notebooks = list(chain().values())
     contents = {notebook.name: pages.executed(notebook) for notebook in notebooks}
     home: dict[str, str] = {}
     for name, content in contents.items():

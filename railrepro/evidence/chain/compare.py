@@ -4,15 +4,54 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, cast
 
 import matplotlib.image
 import numpy as np
 import pandas as pd
 
+from railrepro import paths, schema
+from railrepro.errors import InputError
+from railrepro.schema import Number, between
+
 SUFFIXES = (".csv", ".png")
 """Kinds of products that are compared; the other formats of a figure hold the same."""
 VALUE, KINDS = "value", ("metric", "quantity")
 """The column of a tidy table that holds metrics of different size, and the columns that may name them."""
+
+
+_SHARE = Annotated[Number, between(0.0, 1.0)]
+
+
+@schema.table
+class Own:
+    """Entry [[verify.own]] of notebooks/chain.toml: tolerance of a column of a table, in the rows of a query or all."""
+
+    table: str
+    column: str
+    relative: _SHARE
+    why: str
+    rows: str = ""
+
+
+@schema.table
+class Tolerance:
+    """Table [verify] of notebooks/chain.toml, see there."""
+
+    relative: _SHARE
+    image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")]
+    not_compared: tuple[str, ...]
+    own: tuple[Own, ...] = ()
+
+
+def verify_tolerance(path: Path | None = None) -> dict:
+    """Tolerances of a comparison of two runs, the table [verify] of chain.toml."""
+    file = path or paths.NOTEBOOKS / "chain.toml"
+    content = schema.read(file)
+    if "verify" not in content:
+        raise InputError(f"{file.name}: the group [verify] is missing")
+    known = schema.build(dict[str, Annotated[Tolerance, schema.AS_GIVEN]], {"verify": content["verify"]}, file.name)
+    return cast(dict, known["verify"])
 
 
 @dataclass(frozen=True)

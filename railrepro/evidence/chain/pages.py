@@ -15,7 +15,7 @@ import pandas as pd
 from railrepro import paths
 from railrepro.errors import InputError
 from railrepro.evidence.chain import folding
-from railrepro.evidence.chain.graph import Notebook
+from railrepro.evidence.chain.chain import Notebook
 from railrepro.evidence.runs.tuning import SETTINGS
 
 _EQUATION = re.compile(r"\beqs?\. (\([^()\s]+\)(?:(?:, | and | to )\([^()\s]+\))*)")

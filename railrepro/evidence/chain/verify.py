@@ -13,7 +13,8 @@ from pathlib import Path
 from railrepro import paths
 from railrepro.compile import cache
 from railrepro.errors import InputError
-from railrepro.evidence.chain import compare, graph, runner
+from railrepro.evidence.chain import compare
+from railrepro.evidence.chain.chain import Notebook, chain, run
 from railrepro.evidence.runs import store
 from railrepro.files import written
 
@@ -45,7 +46,7 @@ MARK = ".railrepro-output"
 """File in a folder that this library made for output and may therefore empty."""
 
 
-def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comparison, list[str]]:
+def rerun(notebooks: Sequence[Notebook], root: Path) -> tuple[compare.Comparison, list[str]]:
     """Run notebooks beside the checkout and compare all their products with the committed ones.
 
     Parameters
@@ -62,11 +63,11 @@ def rerun(notebooks: Sequence[graph.Notebook], root: Path) -> tuple[compare.Comp
     """
     os.environ[store.FOLDER] = "off"  # a rerun computes
     emptied(root)
-    tolerance, total, findings = graph.verify_tolerance(), compare.Comparison(), []
+    tolerance, total, findings = compare.verify_tolerance(), compare.Comparison(), []
     for notebook in notebooks:
         print(f"{notebook.name}: running, about {notebook.minutes:g} min", file=sys.stderr, flush=True)
         try:
-            runner.run_notebook(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
+            run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
         except InputError as error:
             findings.append(str(error))
         for product in notebook.products:
@@ -112,7 +113,7 @@ def verify(quick: bool = False, into: Path | None = None) -> int:
     int
         1 when a notebook fails or a product differs by more than the tolerance, else 0.
     """
-    notebooks = [notebook for notebook in graph.chain() if not quick or notebook.minutes <= QUICK_MINUTES]
+    notebooks = [notebook for notebook in chain().values() if not quick or notebook.minutes <= QUICK_MINUTES]
     total, findings = rerun(notebooks, into or paths.BUILD / "verify")
     print(f"all: {total}")
     for line in findings:
@@ -154,8 +155,8 @@ def variants(names: Sequence[str]) -> int:
             log.parent.mkdir(parents=True, exist_ok=True)
             stream = log.open("w")
         with stream:
-            chain = [sys.executable, "-m", "railrepro", "chain"]
-            command = [*chain, "verify", "--quick", "--into", str(log.with_suffix(""))]
+            command = [sys.executable, "-m", "railrepro", "chain", "verify", "--quick"]
+            command += ["--into", str(log.with_suffix(""))]
             code = subprocess.run(command, env=os.environ | VARIANTS[name], stdout=stream, stderr=subprocess.STDOUT)
         lines = [line for line in log.read_text().splitlines() if line.startswith(("all: ", "not reproduced: "))]
         failed += code.returncode != 0

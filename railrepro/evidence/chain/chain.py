@@ -1,0 +1,463 @@
+"""The chain of notebooks: which are stale and why, how one runs, and where each product comes from.
+
+notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.reads`). Staleness
+is decided by content, never by time. Each notebook runs in a process of its own, with papermill and a staging folder:
+its products are moved in place when all is well.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import field
+from graphlib import TopologicalSorter
+from pathlib import Path
+from typing import Annotated
+
+from railrepro import code, parent_death, paths, reads, schema
+from railrepro.errors import InputError
+from railrepro.evidence.runs import store
+from railrepro.files import alone, move, scratch, write, written
+from railrepro.schema import Number, above, between
+
+SUFFIXES = ("png", "csv")
+Reads = dict[str, list[str]]
+"""Files that a notebook read, and which of their entries; `reads.ALL` for a whole file."""
+Inputs = dict[str, str]
+"""What the products of a notebook depend on by its name, and the hash of each."""
+EDITED = "an input was edited while it ran"
+_COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
+
+
+@schema.table
+class Notebook:
+    """One entry of the chain; see the head of notebooks/chain.toml."""
+
+    name: str
+    title: str
+    after: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()
+    parameters: dict[str, schema.Free] = field(default_factory=dict)
+    test_parameters: dict[str, schema.Free] = field(default_factory=dict)
+    minutes: Annotated[Number, above(0.0, 1e4, "min")] = 1.0
+    seed: Annotated[int, between(0, 2**63)] | None = None
+
+    @property
+    def path(self) -> Path:
+        """The notebook file."""
+        return paths.NOTEBOOKS / f"{self.name}.ipynb"
+
+    @property
+    def products(self) -> tuple[str, ...]:
+        """All files that it writes, relative to the checkout."""
+        return self.writes + tuple(f"figures/{figure}.{suffix}" for figure in self.figures for suffix in SUFFIXES)
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What its last run here read below data/ and figures/."""
+        return tuple((_stamped(self) or {"reads": ()})["reads"])
+
+    @property
+    def stamp(self) -> Path:
+        """File with what its last successful run read, depended on and made."""
+        return paths.BUILD / "stamps" / f"{self.name}.json"
+
+
+@schema.table
+class _File:
+    """Content of notebooks/chain.toml."""
+
+    notebook: tuple[Notebook, ...] = ()
+    verify: dict[str, schema.Free] = field(default_factory=dict)
+    """See `compare`."""
+
+
+def chain(file: Path | None = None) -> dict[str, Notebook]:
+    """Notebooks by name, in order; InputError for wrong entries, double products and a wrong order."""
+    file = file or paths.NOTEBOOKS / "chain.toml"
+    found: dict[str, Notebook] = {}
+    maker: dict[str, str] = {}
+    for one in schema.build(_File, schema.read(file), file.name).notebook:
+        for other in one.after:
+            if other not in found:
+                raise InputError(f"{file.name}: {one.name} is after {other!r}, which is not above it")
+        if one.name in found:
+            raise InputError(f"{file.name}: {one.name} is there twice")
+        for product in one.products:
+            if product in maker:
+                raise InputError(f"{file.name}: {product} is written by {maker[product]} and by {one.name}")
+            maker[product] = one.name
+        found[one.name] = one
+    return found
+
+
+def find(name: str) -> Notebook:
+    """A notebook by name."""
+    notebooks = chain()
+    if name not in notebooks:
+        raise InputError(f"notebook {name!r} is not in chain.toml; there are {list(notebooks)}")
+    return notebooks[name]
+
+
+def before(notebooks: dict[str, Notebook], names: Sequence[str]) -> set[str]:
+    """Notebooks that must have run before some others."""
+    first = {other for name in names for other in notebooks[name].after}
+    return first | before(notebooks, list(first)) if first else first
+
+
+def cells(notebook: Notebook) -> list[dict]:
+    """Cells of a notebook file; InputError when it cannot be read."""
+    try:
+        found = json.loads(notebook.path.read_text(encoding="utf-8"))["cells"]
+        return [cell | {"source": "".join(cell["source"]), "cell_type": cell["cell_type"]} for cell in found]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(f"{notebook.path.name}: cannot be read as a notebook ({error!r})") from error
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _content(file: Path) -> bytes:
+    return file.read_bytes() if file.is_file() else b"missing"
+
+
+def inputs(notebook: Notebook, taken: Reads) -> Inputs:
+    """All that the products of a notebook depend on as it is now, the same on all machines."""
+    content = cells(notebook)
+    found = {"its cells": _hash(json.dumps([cell["source"] for cell in content]).encode())}
+    found["its parameters"] = _hash(json.dumps(notebook.parameters, sort_keys=True).encode())
+    for file, entries in taken.items():
+        found |= _parts(file, _content(paths.ROOT / file), entries)
+    found |= {f"package {name}": version for name, version in code.packages().items()}
+    reached = code.reached(*(cell["source"] for cell in content if cell["cell_type"] == "code"))
+    return found | ({EDITED: ""} if reached is None else reached)
+
+
+def _parts(file: str, content: bytes, entries: list[str]) -> Inputs:
+    """Hashes of some entries of a TOML file by value, or of all and their order; of another file that of its bytes."""
+    try:
+        table = tomllib.loads(content.decode()) if file.endswith(".toml") else None
+    except (ValueError, RecursionError):
+        table = None
+    if table is None:
+        return {file: _hash(content)}
+    found = {} if reads.ALL not in entries else {f"{file}, names of entries": _hash(repr(list(table)).encode())}
+    names = table if reads.ALL in entries else entries
+    return found | {f"{file} [{name}]": _hash(repr(table.get(name)).encode()) for name in names}
+
+
+def _products(notebook: Notebook) -> dict[str, str]:
+    return {product: _hash(_content(paths.ROOT / product)) for product in notebook.products}
+
+
+def _stamped(notebook: Notebook) -> dict | None:
+    """Stamp of the last successful run; None without a readable one."""
+    try:
+        known = json.loads(notebook.stamp.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    whole = isinstance(known, dict) and isinstance(known.get("seconds"), int | float)
+    return known if whole and all(isinstance(known.get(part), dict) for part in _PARTS) else None
+
+
+_PARTS = ("reads", "inputs", "machine", "products")
+
+
+def why_stale(notebook: Notebook) -> str:
+    """The input or product that is not that of the last successful run; "" when the notebook is fresh."""
+    known = _stamped(notebook)
+    if known is None:
+        return "it has not run here"
+    for now, last, words in (
+        (store.machine(), known["machine"], ""),
+        (inputs(notebook, known["reads"]), known["inputs"], ""),
+        (_products(notebook), known["products"], " was changed or is missing"),
+    ):
+        changed = [name for name in {**now, **last} if now.get(name) != last.get(name)]
+        if changed:
+            return f"{changed[0]}{words}" + (f" and {len(changed) - 1} more" if len(changed) > 1 else "")
+    return "" if code.unchanged() else EDITED
+
+
+def minutes(notebook: Notebook) -> float:
+    """How long its last run here took, else what chain.toml says (minutes)."""
+    known = _stamped(notebook)
+    return known["seconds"] / 60 if known else notebook.minutes
+
+
+@contextmanager
+def _environment(staging: Path) -> Iterator[None]:
+    """Environment variables of a kernel, for a block: nothing of the user's own settings, products go to staging."""
+    last = dict(os.environ)
+    os.environ |= {f"JUPYTER_{k}_DIR": str(paths.BUILD / "jupyter" / k.lower()) for k in ("CONFIG", "DATA", "RUNTIME")}
+    os.environ |= {"IPYTHONDIR": str(paths.BUILD / "ipython"), "MPLCONFIGDIR": str(paths.BUILD / "matplotlib")}
+    os.environ |= {"JUPYTER_PATH": "", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+    os.environ |= {"PYDEVD_DISABLE_FILE_VALIDATION": "1", reads.LOG: str(staging / "reads")}
+    os.environ |= {"RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT)}
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(last)
+
+
+def _execute(notebook: Notebook, parameters: dict, output: Path, keep_going: bool) -> str:
+    """Run papermill into `output`; what failed, or ""."""
+    import papermill
+    from nbformat import read
+    from traitlets.config import Config
+
+    from railrepro.evidence.chain.cleaning import deterministic
+
+    options: dict = {"kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": False}
+    # a busy machine may let a kernel wait: without these nbclient gives up after 4 s and loses outputs
+    options |= {"start_timeout": 300, "iopub_timeout": 300, "allow_errors": keep_going}
+    with tempfile.TemporaryDirectory(prefix="railrepro-") as folder:
+        # kernels side by side may be given one TCP port, so that sockets are files, where their names are not too long
+        if len(folder) < 90:
+            options |= {"config": Config(AsyncKernelManager={"transport": "ipc", "ip": f"{folder}/k"})}
+        try:
+            papermill.execute_notebook(
+                str(notebook.path), str(output), parameters, extra_arguments=["--log-level=50"], **options
+            )
+        except papermill.PapermillExecutionError as error:
+            deterministic(output)
+            return f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
+        except (RuntimeError, TimeoutError) as error:
+            return f"the kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
+    deterministic(output)
+    for i, cell in enumerate(read(output, 4).cells):
+        if cell.cell_type == "code" and cell.source.strip() and cell.execution_count is None:
+            return f"cell {i + 1} was not executed"
+    return ""
+
+
+def _check_parameters(notebook: Notebook, parameters: dict) -> None:
+    import papermill
+
+    cells(notebook)
+    known = papermill.inspect_notebook(str(notebook.path))
+    for name in parameters:
+        if name not in known:
+            raise InputError(f"{notebook.name}: unknown parameter {name!r}; the notebook has {sorted(known)}")
+
+
+def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Reads:
+    """Execute a notebook and move its products below `root`.
+
+    Parameters
+    ----------
+    notebook : Notebook
+    parameters : dict
+        Values for its parameters cell.
+    root : Path
+        Products land in root/data and root/figures; those of notebooks before this one are read there, where they are.
+    executed : Path
+        Folder of the executed notebook; a failed one is kept there as NAME.failed.ipynb.
+    keep_going : bool
+        A failing cell does not stop the rest; the products that there are land below `root` before the error is raised.
+
+    Returns
+    -------
+    dict
+        What it read below data/ and figures/.
+
+    Raises
+    ------
+    InputError
+        One line: unknown parameter, failing cell, cell not executed, product that is missing or was read too early, no
+        write permission.
+    """
+    _check_parameters(notebook, parameters)
+    notebooks = chain() | {notebook.name: notebook}
+    first = before(notebooks, [notebook.name])
+    with written():
+        executed.mkdir(parents=True, exist_ok=True)
+        with scratch(paths.BUILD / "staging", f"{notebook.name}-{os.getpid()}") as staging:
+            for product in [product for name in first for product in notebooks[name].products]:
+                if root != paths.ROOT and (root / product).exists():
+                    (staging / product).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copy2(root / product, staging / product)
+            output = staging / "executed.ipynb"
+            with _environment(staging):
+                failure = _execute(notebook, parameters, output, keep_going)
+            taken = _taken(staging / "reads", notebook)
+            missing = [product for product in notebook.products if not (staging / product).exists()]
+            failure = failure or (f"did not write {missing[0]}, which chain.toml declares" if missing else "")
+            for other in notebooks.values():
+                early = set(other.products) & set(taken) if other.name not in first else set()
+                if early and not failure:
+                    failure = f"reads {min(early)} of {other.name}, which chain.toml does not name in `after`"
+            if output.exists():
+                kept = executed / f"{notebook.name}.failed.ipynb"
+                kept.unlink(missing_ok=True)
+                move(output, kept if failure else executed / f"{notebook.name}.ipynb")
+                failure += f" (kept {_short(kept)})" if failure else ""
+            for product in notebook.products if keep_going or not failure else ():
+                if product not in missing:
+                    move(staging / product, root / product)
+    if failure:
+        raise InputError(f"{notebook.name}: {failure}")
+    return taken
+
+
+def _short(path: Path) -> str:
+    return str(path.relative_to(paths.ROOT)) if path.is_relative_to(paths.ROOT) else str(path)
+
+
+def _taken(log: Path, notebook: Notebook) -> Reads:
+    """What a run noted (`railrepro.reads`), but for the products of the notebook itself."""
+    found: dict[str, set[str]] = {}
+    for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
+        file, _, entry = line.partition("\t")
+        found.setdefault(file, set()).add(entry)
+    known = {file: sorted(entries - {""}) or [reads.ALL] for file, entries in sorted(found.items())}
+    return {file: entries for file, entries in known.items() if file not in notebook.products}
+
+
+def _times() -> dict[str, int]:
+    """Time of the last change of each file that a notebook may read (ns)."""
+    files = [file for folder in (paths.DATA, paths.FIGURES) for file in folder.rglob("*") if file.is_file()]
+    return {str(file.relative_to(paths.ROOT)): file.stat().st_mtime_ns for file in files}
+
+
+def refresh(name: str) -> None:
+    """Run a notebook if it is stale, and stamp it: as stale where an input was edited meanwhile."""
+    notebook = find(name)
+    if not why_stale(notebook):
+        return
+    begin, times, own = time.monotonic(), _times(), inputs(notebook, {})
+    taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
+    now = _times()
+    same = all(times.get(file) == now.get(file) for file in taken) and own == inputs(find(name), {})
+    found = inputs(notebook, taken) | ({} if same and code.unchanged() else {EDITED: ""})
+    stamp = {"reads": taken, "inputs": found, "machine": store.machine(), "products": _products(notebook)}
+    write(notebook.stamp, json.dumps(stamp | {"seconds": time.monotonic() - begin}, indent=1))
+
+
+def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
+    """Run what is stale of some notebooks and of those before them, several at a time.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of notebooks or figures, or how these begin, as "fig06"; empty takes all.
+    jobs : int
+        How many at a time; 0 takes one per processor, at most four.
+
+    Returns
+    -------
+    int
+        1 when one of them failed, else 0.
+    """
+    notebooks = chain()
+    wanted = set() if names else set(notebooks)
+    for name in names:
+        found = {n.name for n in notebooks.values() if any(one.startswith(name) for one in (n.name, *n.figures))}
+        if not found:
+            raise InputError(f"{name!r} is the begin of no notebook or figure of chain.toml")
+        wanted |= found | before(notebooks, list(found))
+    with written():
+        paths.BUILD.mkdir(exist_ok=True)
+        with alone(paths.BUILD / "chain.lock"):
+            try:
+                return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs or _AT_ONCE)
+            finally:
+                _write_manifests(notebooks)
+
+
+_AT_ONCE = min(os.cpu_count() or 1, 4)
+
+
+def _run_stale(wanted: list[Notebook], jobs: int) -> int:
+    stale = {notebook.name: why for notebook in wanted if (why := why_stale(notebook))}
+    left = {n.name: minutes(n) for n in wanted if n.name in stale or before(chain(), [n.name]) & set(stale)}
+    if not left:
+        _say(f"nothing is stale of {len(wanted)} notebooks")
+        return 0
+    jobs = min(jobs, len(left))
+    _say(f"{len(stale)} of {len(wanted)} notebooks are stale, {_duration(left, jobs)}")
+    for name, why in stale.items():
+        _say(f"{name} is stale: {why}")
+    graph = TopologicalSorter({n.name: set(n.after) & set(left) for n in wanted if n.name in left})
+    graph.prepare()
+    ready: list[str] = []
+    running: dict[str, subprocess.Popen] = {}
+    failed = False
+    try:
+        while graph.is_active() and not (failed and not running):
+            ready = sorted([*ready, *graph.get_ready()], key=lambda name: -left[name])
+            while ready and len(running) < jobs and not failed:
+                name = ready.pop(0)
+                running[name] = _start(name, jobs)
+                _say(f"{name}: running, about {left[name]:.1f} min")
+            time.sleep(0.05)
+            for name in [name for name, process in running.items() if process.poll() is not None]:
+                failed |= running.pop(name).returncode != 0
+                del left[name]
+                graph.done(name)
+                if not failed:
+                    _say(f"{name}: done; {len(left)} left" + (f", {_duration(left, jobs)}" if left else ""))
+    finally:
+        for process in running.values():  # they were interrupted as this one was, and look after themselves
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(5.0)
+    return int(failed)
+
+
+def _start(name: str, jobs: int) -> subprocess.Popen:
+    """A process for a notebook, with the code as it is now; it ends with this one."""
+    workers = os.environ.get("RAILREPRO_WORKERS") or str(max(1, (os.cpu_count() or 1) // jobs))
+    own = {"RAILREPRO_WORKERS": workers, "RAILREPRO_ROOT": str(paths.ROOT), parent_death.LEADER: str(os.getpid())}
+    return subprocess.Popen([sys.executable, "-m", "railrepro", "chain", "one", name], env=os.environ | own)
+
+
+def _duration(left: dict[str, float], jobs: int) -> str:
+    return f"about {max(1, round(max(max(left.values()), sum(left.values()) / jobs)))} min"
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)
+
+
+def _write_manifests(notebooks: dict[str, Notebook]) -> None:
+    """Enter the products of all fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
+    maker = {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
+    rows: dict[str, dict] = {}
+    for folder in ("data", "figures"):
+        text = _content(paths.ROOT / folder / "MANIFEST.csv").decode(errors="replace")
+        found = [row for row in csv.DictReader(text.replace("\0", "").splitlines()) if set(row) == set(_COLUMNS)]
+        rows |= {
+            row["path"]: row for row in found if maker.get(row["path"]) == row["made_by"] and None not in row.values()
+        }
+    for notebook in notebooks.values():
+        known = _stamped(notebook)
+        if known is None or why_stale(notebook):
+            continue
+        rest = (
+            notebook.name,
+            _hash(json.dumps(known["inputs"], sort_keys=True).encode()),
+            "" if notebook.seed is None else str(notebook.seed),
+        )
+        for path, content in known["products"].items():
+            rows[path] = dict(zip(_COLUMNS, (path, content, *rest), strict=True))
+    for folder in ("data", "figures"):
+        own = [
+            ",".join(rows[path][name] for name in _COLUMNS) for path in sorted(rows) if path.startswith(f"{folder}/")
+        ]
+        text = "\n".join([",".join(_COLUMNS), *own]) + "\n"
+        if own and text.encode() != _content(paths.ROOT / folder / "MANIFEST.csv"):
+            write(paths.ROOT / folder / "MANIFEST.csv", text)
