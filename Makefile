@@ -82,8 +82,8 @@ test-all: $(VENV)  ## run the tests that take minutes, too
 	@$(MAKE) --no-print-directory test
 	@$(MAKE) --no-print-directory test-slow
 
-test-extras: $(BENCH)  ## install the group `bench` and run its tests: Exudyn, do-mpc, Gymnasium
-	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/test_second_opinion.py tests/test_gym_env.py tests/test_bench.py
+test-extras: $(BENCH)  ## install the group `bench` and run its tests: Exudyn, Gymnasium
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/test_gym_env.py
 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files; SHORT=1 fewer
 	$(PY) tests/faults.py $(if $(SHORT),--short)
@@ -114,7 +114,9 @@ variants: $(VENV) $(if $(filter packaged,$(VARIANTS)),$(COMPILER))  ## rerun the
 
 bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also a second opinion on the car
 	$(PY) -m railrepro bench
-	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) -m railrepro second-opinion; \
+	$(PY) tests/validation/peers.py
+	$(PY) tests/validation/published.py
+	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) tests/validation/second_opinion.py; \
 	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
 
 study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (long, resumes)

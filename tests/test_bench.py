@@ -9,7 +9,7 @@ import pytest
 from railrepro.compile import codegen
 from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import mpc_settings
-from railrepro.evidence.bench import peers, speed
+from railrepro.evidence.bench import speed
 from railrepro.evidence.runs import tuning
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -66,34 +66,6 @@ def short():
     vehicle, settings = load_vehicle(), MPCSettings(r=1e-9, steps=5, discretisation="euler")
     plain = speed.record("curve_entry_T3", settings, vehicle, 2)
     return vehicle, [plain, speed.tightened(plain)]
-
-
-@needs_compiler
-@pytest.mark.parametrize("which", [0, 1])
-def test_compiled_peers_and_our_recursion_find_the_same_optimum(short, which):
-    vehicle, recordings = short
-    table = peers.compare(recordings[which], vehicle, rounds=1).set_index("solver")
-    assert list(table.index) == [peers.OURS, *peers.installed()]
-    assert (table["missed"] == 0).all() and table["error_du"].max() < peers.SAME
-    assert table["ratio_to_ours"][peers.OURS] == 1 and (table["ratio_to_ours"] > 0).all()
-    plan, _ = peers.Peer("sqp_qrqp", recordings[which].problems[0].settings).solve(recordings[which].problems[0])
-    bound = recordings[which].problems[0].bound
-    assert np.abs(plan).max() > 10 and (np.abs(plan).max() > 0.999 * bound) == bool(which)
-
-
-@needs_compiler
-def test_a_peer_that_solves_another_problem_is_found_out(short, monkeypatch):
-    vehicle, (recording, _) = short
-    honest = peers.Peer._prepare
-
-    def lazy(peer, problem):
-        honest(peer, problem)
-        peer._argument("x0")[:] = peer._argument("p")[:1] * 0
-        peer._argument("lbx")[peer._stated.torques] = peer._argument("ubx")[peer._stated.torques] = 0.0
-
-    monkeypatch.setattr(peers.Peer, "_prepare", lazy)
-    table = peers.compare(recording, vehicle, ("sqp_qrqp",), rounds=1).set_index("solver")
-    assert table["missed"]["sqp_qrqp"] == 2 and table["error_du"]["sqp_qrqp"] > 1e-3
 
 
 @needs_compiler

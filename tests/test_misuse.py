@@ -166,7 +166,7 @@ def test_nothing_that_the_project_holds_is_unusual():
         load_vehicle(), load_loop(), load_scenarios(), irregularity.track_quality(), tuning.load_task()
 
 
-COMMANDS = ["tune", "probe", "robustness", "margins", "order", "bench", "second-opinion", "report",
+COMMANDS = ["tune", "probe", "robustness", "margins", "order", "bench", "report",
             "answers", "score", "leaderboard", "chain"]  # fmt: skip
 
 

@@ -6,12 +6,13 @@ on both sides of its limits. The limits are those of data/claims.toml.
 
 from dataclasses import replace
 
+import negative_controls
 import numpy as np
 import pandas as pd
 import pytest
 
 from railrepro.errors import InputError
-from railrepro.evidence.claims import negative, statements
+from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, Evidence, Finding, MissingEvidence
 
 KNOWN = {i: s for i, s in statements.load().items() if s.kind == "statement"}
@@ -118,11 +119,11 @@ def test_every_statement_holds_where_the_paper_is_right(identity):
 @pytest.mark.parametrize("identity", KNOWN)
 def test_every_rule_fails_its_negative_control(identity):
     for name in KNOWN[identity].controls:
-        assert judged(identity, negative.CONTROLS[name](ideal(identity))) != REPRODUCED, name
+        assert judged(identity, negative_controls.CONTROLS[name](ideal(identity))) != REPRODUCED, name
 
 
 def test_every_negative_control_is_used():
-    assert set(negative.CONTROLS) == {name for statement in KNOWN.values() for name in statement.controls}
+    assert set(negative_controls.CONTROLS) == {name for statement in KNOWN.values() for name in statement.controls}
 
 
 @pytest.mark.parametrize("identity", KNOWN)

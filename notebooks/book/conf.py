@@ -66,7 +66,7 @@ apidoc_modules = [
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
-autodoc_mock_imports = ["exudyn", "do_mpc", "distributed"]
+autodoc_mock_imports = ["distributed"]
 napoleon_google_docstring = False
 # Attributes as fields: one that is also a property is described once.
 napoleon_use_ivar = True

@@ -67,8 +67,6 @@ def _studies(command: Callable) -> None:
     command("order", "uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)")
     added = command("bench", "bench.speed:main", "measure speed, write data/results")
     added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")
-    added = command("second-opinion", "bench.second_opinion:main", "compare the car with one in Exudyn (group `bench`)")
-    added.add_argument("names", nargs="*", metavar="CASE", help="cases, which are only printed; default all, written")
     added = command("report", "report.text:main", "judge the statements, write REPLICATION.md")
     added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/verdicts.csv")
     added = command("answers", "report.answers:main", "verdicts that flip with the authors' answers")

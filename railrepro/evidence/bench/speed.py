@@ -1,7 +1,7 @@
 """Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
 
 `python -m railrepro bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv,
-executor_speed.csv, sample_times.csv, peer_times.csv and solver_operations.csv of data/results and prints them. Times of
+executor_speed.csv, sample_times.csv and solver_operations.csv of data/results and prints them. Times of
 different machines are never compared; the machine's name stands in each table. Serves the paper's section Evaluation of
 Lateral Control (computation times).
 """
@@ -9,7 +9,6 @@ Lateral Control (computation times).
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import itertools
 import os
 import platform
@@ -32,12 +31,11 @@ from railrepro.control import problem as ocp
 from railrepro.control.ltv_mpc import LTVMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.nmpc import NMPC
-from railrepro.control.problem import MPCSettings, Problem, Tuning
+from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.registry import WITH_OBSERVER, mpc_settings
 from railrepro.control.solvers import condensed, riccati
 from railrepro.control.solvers.riccati import PlainHorizon
 from railrepro.errors import InputError
-from railrepro.evidence.bench import peers
 from railrepro.evidence.runs import pso, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
@@ -166,59 +164,6 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
     return pd.DataFrame(rows)
 
 
-def peer(vehicle: Vehicle, settings: MPCSettings, count: int = 4) -> pd.DataFrame:
-    """Cross-check of optimum and time with do-mpc, an independent MPC tool (group `bench`).
-
-    Time, first torque and largest difference of the plan for the first `count` problems of the curve entry on T3.
-    """
-    import do_mpc
-
-    recording = record("curve_entry_T3", settings, vehicle, count)
-    ours, seconds, *_ = solve_all("gauss_newton", recording, vehicle)
-    step = ocp.dynamics(settings.variant, settings.discretisation)
-    rows = []
-    for problem, plan, own in zip(recording.problems, ours, seconds, strict=True):
-        s, scale = problem.settings, 1e3
-        model = do_mpc.model.Model("discrete", "SX")
-        x, du = model.set_variable("_x", "x", (6, 1)), model.set_variable("_u", "du")
-        theta, x_d = model.set_variable("_tvp", "theta", (9, 1)), model.set_variable("_tvp", "x_d", (6, 1))
-        x_next, *_ = step(x, scale * du, problem.u_d, theta, problem.parameters, s.period, 1.0)
-        model.set_rhs("x", x_next)
-        model.setup()
-        controller = do_mpc.controller.MPC(model)
-        controller.settings.n_horizon, controller.settings.t_step = s.steps, s.period
-        controller.settings.store_full_solution = False
-        controller.settings.supress_ipopt_output()
-        controller.settings.nlpsol_opts |= {"ipopt.tol": 1e-10}
-        tuning, big = Tuning.of(ca.DM(s.tuning())), 1e6
-        stage = ocp.stage_cost(x, x_d, 0, tuning) + ocp.effort_cost(scale * du, tuning)
-        controller.set_objective(mterm=big * ocp.terminal_cost(x, x_d, 0, tuning), lterm=big * stage)
-        controller.set_rterm(du=0.0)
-        controller.bounds["lower", "_u", "du"] = -problem.bound / scale
-        controller.bounds["upper", "_u", "du"] = problem.bound / scale
-        ahead = controller.get_tvp_template()
-        for k in range(s.steps + 1):
-            ahead["_tvp", k, "theta"], ahead["_tvp", k, "x_d"] = problem.ahead.theta[k], problem.ahead.x_d[k]
-        controller.set_tvp_fun(lambda now, ahead=ahead: ahead)
-        controller.setup()
-        controller.x0 = problem.x_hat
-        controller.set_initial_guess()
-        begin = time.perf_counter()
-        controller.make_step(problem.x_hat.reshape(-1, 1))
-        spent = time.perf_counter() - begin
-        theirs = scale * np.array([float(controller.opt_x_num["_u", k, 0][0]) for k in range(s.steps)])
-        rows.append(
-            {
-                "do_mpc_ms": 1e3 * spent,
-                "ours_ms": 1e3 * own,
-                "ratio": own / spent,
-                "first_torque_Nm": plan[0],
-                "largest_difference_Nm": np.abs(theirs - plan).max(),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     """Time per sample over the length of the horizon: recursion, dense elimination, Ipopt."""
     rows = []
@@ -262,18 +207,6 @@ def _seconds(call: Callable[[], object], least: float = 0.2) -> float:
             call()
         best = min(best, (time.thread_time() - begin) / count)
     return best
-
-
-def peer_times(vehicle: Vehicle, settings: MPCSettings, names=("curve_entry_T3",), count: int = 6):
-    """Our recursion against compiled peers (contract of data/results/peer_times.csv).
-
-    Our tuned set, and the one tuned on the paper's setting with the paper's discretisation, with bounds far and near.
-    """
-    paper = replace(mpc_settings(tuning.load("nmpc", "paper")["parameters"]), discretisation="euler")
-    plain = [record(name, each, vehicle, count) for each in (settings, paper) for name in names]
-    recordings = [recording for one in plain for recording in (one, tightened(one))]
-    tables = [peers.compare(recording, vehicle) for recording in tqdm(recordings, desc="peers", unit="scenario")]
-    return pd.concat(tables, ignore_index=True)
 
 
 def sample_times(settings=tuning.SETTINGS, names=SCENARIOS, drives: int = 3, end_m: float = 500.0) -> pd.DataFrame:
@@ -452,12 +385,9 @@ def main(names: list[str]) -> None:
         ),
         "horizon_times": lambda: horizon_times(vehicle, settings),
         "executor_speed": executor_speed,
-        "peer_times": lambda: peer_times(vehicle, settings),
         "sample_times": sample_times,
         "solver_operations": lambda: solver_operations(vehicle, settings),
     }
-    if importlib.util.find_spec("do_mpc"):
-        measures["peer"] = lambda: peer(vehicle, settings)
     unknown = set(names) - set(measures)
     if unknown:
         raise InputError(f"table {min(unknown)!r} is not known; there are {sorted(measures)}")

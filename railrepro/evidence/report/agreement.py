@@ -8,12 +8,14 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from railrepro.evidence.bench.second_opinion import AGREEMENT
 from railrepro.evidence.report import figures
+
+AGREEMENT = 0.01
+"""Difference relative to the largest value of a signal that counts as agreement (-)."""
 
 
 def draw(table: pd.DataFrame) -> Figure:
-    """Relative differences of a table of `second_opinion.compare` by case and quantity, hollow at the car's usual step
+    """Relative differences of data/results/second_opinion.csv by case and quantity, hollow at the car's usual step
     of 1 ms, filled at the short step.
     """
     figure, axes = figures.new_figure(height=3.0)

@@ -1,32 +1,40 @@
-"""The peers of our recursion: Ipopt, fatrop, SQP with HPIPM, DAQP, OSQP and qrqp, and acados, on the same problem.
+"""The peers of our recursion: Ipopt, fatrop, SQP with HPIPM, DAQP, OSQP and qrqp, on the same problem.
 
 All get the optimal control problem stage by stage with its functions as compiled C, the Hessian of the costs, the same
-start (the solution before, one sample later) and tolerances that lead to the same optimum, which `compare`
-measures. What is timed is one call without Python objects in between, of the processor, each problem several times in
-turn with the others; the least counts. Serves the paper's section Evaluation of Lateral Control (computation times).
+start (the solution before, one sample later) and tolerances that lead to the same optimum, which `compare` measures.
+What is timed is one call without Python objects in between, of the processor, each problem several times in turn with
+the others; the least counts. `python tests/validation/peers.py` writes data/results/peer_times.csv. Serves the paper's
+section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
+from railrepro import paths
 from railrepro.compile import codegen
 from railrepro.control import problem as ocp
 from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import TUNING, MPCSettings, Problem, Tuning
+from railrepro.control.registry import mpc_settings
 from railrepro.control.solvers.condensed import COST, UNIT
 from railrepro.control.solvers.ipopt import SCALE, SLACK
-from railrepro.evidence.bench import acados
+from railrepro.errors import report_errors
+from railrepro.evidence.bench import speed
+from railrepro.evidence.runs import tuning
+from railrepro.files import write
 from railrepro.model.control_model import STATES, THETA
 from railrepro.model.parameters import PARAMETERS
-from railrepro.vehicle.parameters import Vehicle
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 OURS = "recursion"
 SAME = 1e-5
@@ -243,24 +251,15 @@ class Own:
         return self._plan, time.thread_time() - begin
 
 
-def installed() -> tuple[str, ...]:
-    """Names of the peers that can be compared here: those inside CasADi, and acados where it is installed."""
-    return (*PEERS, acados.NAME) if acados.available() else tuple(PEERS)
-
-
-def _peer(name: str, settings: MPCSettings) -> Peer | acados.Acados:
-    return acados.Acados(settings) if name == acados.NAME else Peer(name, settings)
-
-
-def compare(recording, vehicle: Vehicle, names: Sequence[str] | None = None, rounds: int = 3) -> pd.DataFrame:
+def compare(recording, vehicle: Vehicle, names: Sequence[str] = tuple(PEERS), rounds: int = 3) -> pd.DataFrame:
     """All solvers on one recording, in turn at each problem (contract of data/results/peer_times.csv).
 
     Parameters
     ----------
-    recording : bench.Recording
+    recording : speed.Recording
     vehicle : Vehicle
-    names : sequence of str, optional
-        See `installed`, the default.
+    names : sequence of str
+        Keys of `PEERS`.
     rounds : int
         Times that each problem is solved by each solver; the least time counts.
 
@@ -270,12 +269,12 @@ def compare(recording, vehicle: Vehicle, names: Sequence[str] | None = None, rou
         Times, ratio of the medians to ours, and `error_du`, the largest difference from the torques of Ipopt or,
         without it, from ours, relative to the torque limit; `missed` counts problems where it is above `SAME`.
     """
-    settings, names = recording.problems[0].settings, installed() if names is None else names
+    settings = recording.problems[0].settings
     everybody = (OURS, *names)
     seconds = np.empty((len(everybody), rounds, len(recording.problems)))
     plans: dict[str, list[np.ndarray]] = {}
     for turn in range(rounds):
-        solvers = [Own(vehicle, recording.route, settings), *(_peer(name, settings) for name in names)]
+        solvers = [Own(vehicle, recording.route, settings), *(Peer(name, settings) for name in names)]
         plans = {name: [] for name in everybody}
         for i, problem in enumerate(recording.problems):
             for j in np.roll(np.arange(len(everybody)), i + turn):
@@ -292,3 +291,26 @@ def compare(recording, vehicle: Vehicle, names: Sequence[str] | None = None, rou
         row |= {"max_ms": 1e3 * times.max(), "ratio_to_ours": np.median(times) / np.median(least[0])}
         rows.append(row | {"error_du": error.max(), "missed": int((error > SAME).sum())})
     return pd.DataFrame(rows)
+
+
+def main(_names: list[str], count: int = 6) -> None:
+    """Compare on the curve entry, print the table and write it.
+
+    The problems are those of our tuned set, and of the paper's setting with the paper's discretisation, each with
+    bounds far and near.
+    """
+    vehicle = load_vehicle()
+    tuned = [mpc_settings(tuning.load("nmpc", name)["parameters"]) for name in ("equal", "paper")]
+    plain = [
+        speed.record("curve_entry_T3", settings, vehicle, count)
+        for settings in (tuned[0], replace(tuned[1], discretisation="euler"))
+    ]
+    recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
+    table = pd.concat([compare(recording, vehicle) for recording in tqdm(recordings, desc="peers")], ignore_index=True)
+    table["machine"] = speed.machine()
+    write(paths.product("data/results/peer_times.csv"), table.to_csv(index=False, float_format="%.4g"))
+    print(table.drop(columns="machine").to_string(index=False))
+
+
+if __name__ == "__main__":
+    sys.exit(report_errors(lambda: main(sys.argv[1:])))

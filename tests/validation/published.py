@@ -1,20 +1,26 @@
 """Vehicles whose critical speeds other people published, built from our car: a lab wheelset and Cooperrider's bogie.
 
 Each is the car with data and a contact table of its own, of which some bodies are held or stand on further springs.
-Serves the paper's section Simulation Environment.
+`python tests/validation/published.py` writes data/results/published_vehicles.csv, the table of chapter 04. Serves the
+paper's section Simulation Environment.
 """
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
+from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.car.equations import INDEX, WHEELS
 from railrepro.contact.table import ContactTable, contact_table
+from railrepro.errors import report_errors
+from railrepro.files import write
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 BUMP_STOP_MM = (25.0, 30.0, 60.0, 65.0)
@@ -200,3 +206,35 @@ def bump_stop_force() -> np.ndarray:
             pushes.append(vehicle.body.mass * rate[INDEX["body.vy"]] / 2e3)
         forces.append(pushes[1] - pushes[0])
     return np.array(forces)
+
+
+def comparison() -> pd.DataFrame:
+    """Published quantity, ours, and the limit of their relative difference, which was fixed before the runs."""
+    roll = 1 + LAB["r0"] * LAB["delta0"] / LAB["d"]
+    printed, rolling = (
+        critical_speed(lambda speed, roll=each: lab_equations(speed, roll), 30.0, 80.0) for each in (1.0, roll)
+    )
+    ours, bogie = critical_speed(lab_wheelset, 45.0, 55.0), critical_speed(cooperrider_bogie, 60.0, 75.0)
+    stop, hopf = bump_stop_force(), 68.66  # bifurcation.de
+    rows = [
+        ("lab wheelset, with roll", "critical speed (m/s)", rolling[0], ours[0], 2e-3),
+        ("lab wheelset, with roll", "frequency (rad/s)", rolling[1], ours[1], 2e-3),
+        ("lab wheelset, as published", "critical speed (m/s)", printed[0], ours[0], 1.5e-2),
+        ("lab wheelset, as published", "frequency (rad/s)", printed[1], ours[1], 1.5e-2),
+        ("Cooperrider's bogie", "Hopf speed (m/s)", hopf, bogie[0], 5e-3),
+        ("Manchester bump stop", "force at 30 mm (kN)", BUMP_STOP_KN[1], stop[1], 1e-2),
+        ("Manchester bump stop", "force at 60 mm (kN)", BUMP_STOP_KN[2], stop[2], 1e-2),
+    ]
+    return pd.DataFrame(rows, columns=["vehicle", "quantity", "published", "ours", "limit"])
+
+
+def main(_names: list[str]) -> None:
+    """Compare all of them, print the table and write it."""
+    warnings.simplefilter("ignore", UserWarning)  # vehicles of others have bodies that ours never has
+    table = comparison()
+    write(paths.product("data/results/published_vehicles.csv"), table.to_csv(index=False, float_format="%.17g"))
+    print(table.to_string(index=False))
+
+
+if __name__ == "__main__":
+    sys.exit(report_errors(lambda: main(sys.argv[1:])))

@@ -3,15 +3,15 @@
 from functools import partial
 
 import numpy as np
+import published
 import pytest
+from exudyn_car import patch
+from published import BOGIE, critical_speed, lateral
 
 from railrepro.car.component import SteppedCar
 from railrepro.car.equations import indices
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.errors import InputError
-from railrepro.evidence.bench import published
-from railrepro.evidence.bench.exudyn_car import patch
-from railrepro.evidence.bench.published import BOGIE, critical_speed, lateral
 from railrepro.vehicle.parameters import load_vehicle
 
 RIGID = {"contact.profile": "cone", "gear.axle_damping": 1e8}

@@ -1,26 +1,28 @@
 """A second opinion on the car: the same runs in our equations and in the public multibody code Exudyn.
 
-`python -m railrepro second-opinion [case ...]` writes data/results/second_opinion.csv; needs the extra
+`python tests/validation/second_opinion.py [case ...]` writes data/results/second_opinion.csv; it needs the group
 `bench`. Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import exudyn_car
 import numpy as np
 import pandas as pd
+from exudyn_car import GEARS, MEASURED, STEP, ExudynCar, Rails
 from tqdm import tqdm
 
 from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError
-from railrepro.evidence.bench import exudyn_car
-from railrepro.evidence.bench.exudyn_car import GEARS, MEASURED, STEP, ExudynCar, Rails
+from railrepro.errors import InputError, report_errors
+from railrepro.evidence.report.agreement import AGREEMENT
 from railrepro.files import write
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -74,10 +76,6 @@ CASES = (
     *(Case(track, f"curve_entry_{track}", s) for track, s in (("T1", 17.5), ("T2", 13), ("T3", 7.5), ("T4", 6.2))),
     Case("irregular rails", "sine_tracking", 5.0, _STRAIGHT, irregular=True, step=1e-4),
 )
-
-
-AGREEMENT = 0.01
-"""Difference relative to the largest value of a signal that counts as agreement (-)."""
 
 
 class _Pulses:
@@ -193,3 +191,7 @@ def main(names: list[str]) -> None:
     if not names:
         write(paths.product("data/results/second_opinion.csv"), table.to_csv(index=False, float_format="%.4g"))
     print(table.to_string(index=False, float_format="{:.3g}".format))
+
+
+if __name__ == "__main__":
+    sys.exit(report_errors(lambda: main(sys.argv[1:])))
