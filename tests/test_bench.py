@@ -15,7 +15,7 @@ from railrepro.vehicle.parameters import load_vehicle
 
 FEW, MANY = 3, 15
 """Successive problems per scenario: Ipopt takes a second for one whose bounds are active."""
-needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="peers are compiled")
+needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="the kernel is compiled")
 
 
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])

@@ -1,1 +1,1 @@
-"""Speed of the library and of its peers, and the same car in an independent multibody program."""
+"""Speed of solvers, car and closed loop."""
