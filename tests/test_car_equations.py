@@ -8,8 +8,6 @@ from railrepro.contact.table import contact_table
 from railrepro.track.route import COLUMNS
 from railrepro.vehicle.parameters import load_vehicle
 
-LIMITED = {"drive.power_limited": True}
-
 
 @pytest.fixture(scope="module")
 def vehicle():
@@ -40,28 +38,21 @@ def energies(*arguments, **values):
 
 
 @pytest.mark.parametrize(
-    ("command", "rim_speed", "overrides", "given"),
+    ("command", "rim_speed", "given"),
     [
-        (1000.0, 20.0, {}, 1000.0),
-        (5000.0, 20.0, {}, 4000.0),
-        (-5000.0, 20.0, {}, -4000.0),
-        (4000.0, 92.0, LIMITED, 450e3 / 200),
-        (-4000.0, 92.0, LIMITED, -450e3 / 200),
-        (4000.0, -92.0, LIMITED, 450e3 / 200),
-        (4000.0, 92.0, {}, 4000.0),
-        (4000.0, 20.0, LIMITED, 4000.0),
-        (3000.0, 0.0, LIMITED, 3000.0),
-        (-3000.0, 0.2, {}, -3000.0),
-        (-3000.0, -0.2, {}, 3000.0),
-        (-5000.0, -20.0, {}, 4000.0),
-        (-4000.0, -92.0, LIMITED, 450e3 / 200),
-        (3000.0, 0.1, {}, 3000.0),
-        (3000.0, -0.1, {}, 3000.0),
+        (1000.0, 20.0, 1000.0),
+        (5000.0, 20.0, 4000.0),
+        (-5000.0, 20.0, -4000.0),
+        (4000.0, 92.0, 4000.0),
+        (-3000.0, 0.2, -3000.0),
+        (-3000.0, -0.2, 3000.0),
+        (-5000.0, -20.0, 4000.0),
+        (3000.0, 0.1, 3000.0),
+        (3000.0, -0.1, 3000.0),
     ],
 )
-def test_the_drive_gives_what_torque_power_and_standstill_allow(command, rim_speed, overrides, given):
-    """4 kN m; 450 kW are 2250 N m at 200 rad/s; a braking torque is against the rotation, a driving one forward."""
-    vehicle = load_vehicle(**overrides)
+def test_the_drive_gives_what_its_limit_and_standstill_allow(vehicle, command, rim_speed, given):
+    """4 kN m; a braking torque is against the rotation, a driving one forward."""
     arguments = case(vehicle, commands={"rear_le": command}, w__rear_le=rim_speed / 0.46, tau__rear_le=200.0)
     rate = np.array(equations.car().rate(*arguments)).ravel()
     assert rate[equations.INDEX["tau.rear_le"]] == pytest.approx((given - 200.0) / 0.005)
@@ -175,18 +166,13 @@ def test_creep_loss_is_force_times_sliding(vehicle):
     assert 0 < loss - found["front_le.Fx"] * 0.01 * 20.0 < 3e-3 * loss
 
 
-def test_parameters_name_good_and_poor_sets_and_lift_the_power_limit():
+def test_parameters_name_good_and_poor_sets():
     vehicle = load_vehicle()
     values = dict(zip(equations.PARAMETERS, equations.parameter_vector(vehicle, "wet", "very_poor"), strict=True))
     assert (values["adhesion.good.mu0"], values["adhesion.poor.mu0"]) == (0.3, 0.08)
     assert (values["adhesion.good.k_a"], values["gravity"], values["wheel.radius"]) == (0.3, 9.81, 0.46)
-    assert values["drive.power_limit"] == 1e12
-    limited = dict(zip(equations.PARAMETERS, equations.parameter_vector(load_vehicle(**LIMITED)), strict=True))
-    assert (limited["drive.power_limit"], limited["adhesion.good.mu0"], limited["adhesion.poor.mu0"]) == (
-        450e3,
-        0.55,
-        0.15,
-    )
+    usual = dict(zip(equations.PARAMETERS, equations.parameter_vector(vehicle), strict=True))
+    assert (usual["adhesion.good.mu0"], usual["adhesion.poor.mu0"]) == (0.55, 0.15)
 
 
 def test_the_car_starts_where_it_is_put(vehicle):

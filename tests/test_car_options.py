@@ -1,4 +1,4 @@
-"""What the car has on request: frames, pitch rods, wheelsets, gauge, profiles along the track, substeps, the floor."""
+"""What the car has on request: wheelsets, gauge, substeps, the floor; its pitch rods."""
 
 import numpy as np
 import pandas as pd
@@ -7,8 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.car.stepper import CarStepper
-from railrepro.contact.table import CELL_COLUMNS, contact_table, in_cell, on_one_grid
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.evidence.runs.experiment import Experiment
@@ -21,8 +19,6 @@ from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
 CONE = {"contact.profile": "cone"}
-TWO_STAGE = {"primary.two_stage": True}
-STIFF = {f"primary.{name}": 1e9 for name in ("k_x", "k_y", "k_z", "pitch_stiffness")}
 
 
 def lay(**channels):
@@ -44,86 +40,21 @@ def balance(car, exchanges):
     return table["mechanical_J"].iloc[-1] - table["mechanical_J"].iloc[0], work
 
 
-def curve(**plant):
-    scenario = load_scenario("curve_entry_T3").but(end_m=300)
-    return simulate.run(scenario, NDI(pole=60.0), vehicle=load_vehicle(), plant_vehicle=load_vehicle(**plant))
-
-
-@pytest.fixture(scope="module")
-def usual():
-    return curve().series
-
-
-def test_a_stiff_primary_stage_gives_the_car_without_frames(usual):
-    found = curve(**TWO_STAGE, **STIFF).series
-    for name in ("front.y", "rear.psi_TrAx", "body.phi"):
-        assert np.abs(found[name] - usual[name]).max() < 2e-3 * np.abs(usual[name]).max(), name
-    assert np.abs(found["front.y"] - usual["front.y"]).max() > 0
-
-
-def test_frames_bounce_and_roll_on_their_springs():
-    """Modes of a frame between held carriers and body: vertical, and roll, from the springs on both of its sides."""
-    vehicle = load_vehicle(**TWO_STAGE)
-    car = SteppedCar("T5", 30.0, vehicle)
-    car.step(exchanges=200)
-    matrix = car.linearise().a
-    first, second = vehicle.primary, vehicle.suspension
-    for rate, mass, stiffness in (
-        ("vz", first.frame_mass, 2 * first.k_z + 2 * second.k_z),
-        ("wx", first.frame_inertia_x, 2 * first.k_z * first.half_spacing**2 + second.roll_stiffness),
-    ):
-        place = {"vz": "z", "wx": "phi"}[rate]
-        found = -matrix.loc[f"front_frame.{rate}", f"front_frame.{place}"]
-        assert found == pytest.approx(stiffness / mass, rel=0.03), rate
-        assert matrix.loc[f"front.{rate}", f"front_frame.{place}"] > 0
-
-
-def test_two_stage_car_starts_in_balance_and_keeps_its_energy_on_irregular_rails():
-    vehicle = load_vehicle(**TWO_STAGE)
-    rough = irregularities(np.arange(0.0, 400.0, route.CELL), shortest=10.0)
-    car = SteppedCar(route.lay(load_track("T5"), irregularities=rough), 30.0, vehicle)
-    assert car.state.size == len(equations.TWO_STAGE_STATES)
-    weight = (vehicle.body.mass + 2 * vehicle.gear.mass) * vehicle.gravity / 4
-    assert car.outputs["rear_ri.N"] * np.cos(car.outputs["rear_ri.angle"]) == pytest.approx(weight, rel=1e-6)
-    change, work = balance(car, 4000)
-    assert change == pytest.approx(work, rel=0.05)
-    assert np.abs(car.state[equations.indices("front_frame.z", "front_frame.phi")]).max() > 0
-
-
-def test_a_frame_takes_load_variation_from_the_wheels():
-    loads = {}
-    for name, change in (("one", {}), ("two", TWO_STAGE)):
-        experiment = Experiment(
-            load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300, end_m=200),
-            "ndi",
-            parameters={"pole": 30.0, "frequency": 30.0, "damping": 1.0},
-            plant=change,
-            irregular={"spectrum": "en_B_300", "seed": 1},
-        )
-        loads[name] = experiment.run().series["front_le.N"].std()
-    assert loads["two"] < 0.8 * loads["one"]
-
-
-def test_a_frame_is_lighter_than_its_gear():
-    with pytest.raises(InputError, match="frame_mass"):
-        load_vehicle(**TWO_STAGE, **{"primary.frame_mass": 2990.0})
-
-
-def test_pitch_rods_on_the_body_turn_a_rolled_carrier_in_yaw():
+def test_pitch_rods_turn_a_rolled_carrier_in_yaw():
     """About z_body x x_carrier the reaction has the part (reaction x relative roll) about the carrier's yaw axis."""
     pitch, roll, turning = 2e-3, 5e-3, {}
-    for share in (0.0, 1.0):
-        vehicle = load_vehicle(**{"suspension.pitch_rods_on_carrier": share})
+    for factor in (1.0, 2.0):
+        usual = load_vehicle().suspension.pitch_stiffness
+        vehicle = load_vehicle(**{"suspension.pitch_stiffness": factor * usual})
         car = SteppedCar("T5", 20.0, vehicle)
         car.state[equations.indices("body.phi", "body.pitch")] = roll, pitch
-        turning[share] = np.array(car.model.rate(*car.inputs())).ravel()[equations.INDEX["front.wz"]]
-    part = (turning[0.0] - turning[1.0]) * vehicle.gear.inertia_z
-    assert part == pytest.approx(vehicle.suspension.pitch_stiffness * pitch * roll, rel=1e-3)
+        turning[factor] = np.array(car.model.rate(*car.inputs())).ravel()[equations.INDEX["front.wz"]]
+    part = (turning[2.0] - turning[1.0]) * vehicle.gear.inertia_z
+    assert part == pytest.approx(usual * pitch * roll, rel=1e-3)
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0])
-def test_energy_of_braking_in_a_curve_with_either_pitch_rods(share):
-    car = SteppedCar("T3", 30.0, load_vehicle(**{"suspension.pitch_rods_on_carrier": share}))
+def test_energy_of_braking_in_a_curve():
+    car = SteppedCar("T3", 30.0, load_vehicle())
     car.torque[:] = -2000.0
     change, work = balance(car, 2000)
     assert change == pytest.approx(work, rel=1e-3)
@@ -164,50 +95,6 @@ def test_rails_that_move_do_no_work_of_their_own(channel, size):
     car = SteppedCar(lay(**{channel: size}), 30.0, load_vehicle())
     change, work = balance(car, 2500)
     assert change == pytest.approx(work, rel=0.03, abs=1.0)
-
-
-def test_profiles_change_along_the_track():
-    vehicle = load_vehicle()
-    cone, s1002 = (contact_table(name, vehicle) for name in ("cone", "s1002"))
-    state = equations.rest_state(vehicle, cone, 20.0)
-    state[equations.indices("front.y", "rear.y")] = 2.03e-3, -1.04e-3
-    way = {share: route.lay(load_track("T5"), second_profile=lambda p, s=share: 0 * p + s) for share in (0.0, 0.5, 1.0)}
-    parameters = equations.parameter_vector(vehicle)
-
-    def touch(tables, share, compiled=True):
-        """Contact of the four wheels, in the middle of their cells; shape (wheels, quantities)."""
-        rows = CarStepper(parameters, tables, way[share], state, compiled).contacts
-        return np.array([list(in_cell(dict(zip(CELL_COLUMNS, row, strict=True)), 5e-5).values()) for row in rows])
-
-    touches = {share: touch((cone, s1002), share) for share in way}
-    alone = [touch(table, 0.0) for table in (cone, s1002)]
-    assert np.allclose(touches[0.0], alone[0], rtol=1e-9)
-    assert np.allclose(touches[1.0], alone[1], rtol=1e-9)
-    assert np.allclose(touches[0.5], (alone[0] + alone[1]) / 2, rtol=1e-9)
-    assert np.allclose(touches[0.5], touch((cone, s1002), 0.5, compiled=False), rtol=1e-9)
-    assert not np.allclose(alone[0], alone[1], rtol=1e-3)
-
-
-def test_a_scenario_names_the_second_profile():
-    base = load_scenario("curve_entry_T3").but(end_m=60)
-    changed = base.but(second_profile="cone", second_profile_share=[[20, 0], [30, 1]])
-    angles = [
-        simulate.run(scenario, NDI()).series["front_ri.angle"].iloc[[100, -1]].to_numpy()
-        for scenario in (base, changed)
-    ]
-    assert angles[0][0] == angles[1][0] and abs(angles[0][1] - angles[1][1]) > 1e-3
-    with pytest.raises(InputError, match="second_profile and second_profile_share"):
-        base.but(second_profile="cone")
-
-
-def test_tables_of_different_grids_are_refused():
-    vehicle = load_vehicle()
-    cone, s1002 = (contact_table(name, vehicle) for name in ("cone", "s1002"))
-    cut = on_one_grid((cone, s1002))
-    assert len(cut[0].frame) == len(cut[1].frame) == len(s1002.frame)
-    other = type(cone)("coarse", cone.frame.iloc[::3].reset_index(drop=True))
-    with pytest.raises(InputError, match="different grids"):
-        on_one_grid((cone, other))
 
 
 def test_substeps_sharpen_the_loads_and_leave_the_exchange_alone():

@@ -13,7 +13,6 @@ from units import Instance, fmpy
 from railrepro.car import fmu
 from railrepro.car.fmu import export_fmu
 from railrepro.compile import codegen
-from railrepro.compile.unit import VERSIONS
 from railrepro.errors import InputError
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -22,12 +21,12 @@ TORQUE, Y = ["tau_front_le"], ["front.y"]
 CONE = {"contact.profile": "cone"}
 
 
-@pytest.fixture(scope="module", params=VERSIONS)
-def unit(tmp_path_factory, request):
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory):
     """A unit on T5, on cones, which have no flange, compiled without optimisation."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
-        return export_fmu(tmp_path_factory.mktemp("unit") / "car.fmu", "T5", 60.0, load_vehicle(**CONE), request.param)
+        return export_fmu(tmp_path_factory.mktemp("unit") / "car.fmu", "T5", 60.0, load_vehicle(**CONE))
 
 
 def description(unit):
@@ -36,7 +35,7 @@ def description(unit):
 
 def token(unit):
     """What an importer must give to get an instance."""
-    return description(unit).get("guid") or description(unit).get("instantiationToken")
+    return description(unit).get("guid")
 
 
 def test_the_unit_is_valid(unit):
@@ -46,13 +45,13 @@ def test_the_unit_is_valid(unit):
 
 
 def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):
-    guids, version = set(), description(unit).get("fmiVersion")
+    guids = set()
     monkeypatch.setattr(codegen, "build", lambda text, portable: unit)
     softer = {"suspension.c_y": 30001.0}
     for route, speed, changes in (
         *(("T5", 60.0, {}), ("T5", 60.0, {}), ("T3", 60.0, {}), ("T5", 61.0, {}), ("T5", 60.0, softer)),
     ):
-        file = export_fmu(tmp_path / "car.fmu", route, speed, load_vehicle(**CONE | changes), version)
+        file = export_fmu(tmp_path / "car.fmu", route, speed, load_vehicle(**CONE | changes))
         guids.add(token(file))
     assert len(guids) == 4
     assert token(unit) in guids
@@ -121,26 +120,6 @@ def test_it_runs_from_another_directory_in_another_process(unit, tmp_path):
     script = "import fmpy, sys; print(fmpy.simulate_fmu(sys.argv[1], stop_time=0.1, output_interval=0.05)[-1][0])"
     done = subprocess.run([sys.executable, "-c", script, str(unit)], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0 and float(done.stdout) == pytest.approx(0.1), done.stderr
-
-
-def test_a_unit_of_fmi_3_has_every_function_of_the_standard_and_tells_the_time(unit):
-    car = Instance(unit)
-    if car.version == "2.0":
-        pytest.skip("FMI 2.0 has no time among the variables")
-    functions = {name for name in dir(car.slave) if name.startswith("fmi3")}
-    assert len(functions) > 70 and not [name for name in functions if not hasattr(car.slave.dll, name)]
-    car.step(0.02)
-    assert car.get(["time"]) == [0.02]
-    with pytest.raises(fmpy.fmi1.FMICallException):
-        car.set(["time"], [0.0])
-    car.slave.reset()
-    assert car.get(["time"]) == [0.0]
-
-
-@pytest.mark.parametrize("fmi", ["1.0", "3", 3.0, None])
-def test_another_version_is_refused(fmi, tmp_path):
-    with pytest.raises(InputError, match=r"FMI .* is not known; there are \['2.0', '3.0'\]"):
-        export_fmu(tmp_path / "car.fmu", "T5", 60.0, fmi=fmi)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, 1e3, True, "fast"])

@@ -20,7 +20,7 @@ def test_seeds_and_held_out_kinds_are_none_of_tuning():
     for case in loop.cases():
         one = case.experiment(OURS, loop.SEEDS[0])
         known = (one.scenario.track, one.scenario.good, one.plant, one.irregular) in tuned
-        changed = {"poor_share_left", "poor_share", "force_kN", "side_force_kN"} & set(case.change)
+        changed = {"poor_share_left", "poor_share", "force_kN"} & set(case.change)
         assert (case.kind == "held out") <= (not known or bool(changed) or "gyro.dropout" in one.sensors)
 
 

@@ -256,12 +256,11 @@ def test_step_converges_with_order_three_on_a_smooth_stretch(vehicle):
     assert (orders > 2.4).all()
 
 
-@pytest.mark.parametrize("two_stage", [False, True])
-def test_jacobian_of_the_step_is_the_derivative_of_the_rate(two_stage):
+def test_jacobian_of_the_step_is_the_derivative_of_the_rate():
     """A wrong chain rule would cost the order silently; a linear test problem would not see it."""
-    coupled = start(load_vehicle(**{"primary.two_stage": two_stage}), "T3", 280 * KMH, NDI())
+    coupled = start(load_vehicle(), "T3", 280 * KMH, NDI())
     coupled.run(700)
-    car = equations.car(two_stage)
+    car = equations.car()
     x = ca.SX.sym("x", len(car.states))
     inputs = coupled.inputs()[1:]
     jacobian = np.array(ca.Function("J", [x], [ca.jacobian(car.rate(x, *inputs), x)])(coupled.state))

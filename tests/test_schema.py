@@ -259,7 +259,6 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
         ("notebooks/chain.toml", "seconds = 2.0", "seconds = nan", "04_car: test_parameters.energy_seconds has nan"),
         ("notebooks/chain.toml", "[verify]", "[verfy]", r"unknown group \[verfy\]"),
         ("data/vehicle.toml", 'symbol = "m_CB", ', "", "lacks the key body.mass.symbol"),
-        ("data/vehicle.toml", "value = false", "value = 1", "primary.two_stage is 1, true or false"),
     ],
 )
 def test_what_is_wrong_is_named(folder, name, old, new, sentence):

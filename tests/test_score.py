@@ -111,7 +111,7 @@ def test_a_slow_controller_is_told_what_it_wants(tmp_path):
 def test_a_controller_knows_neither_friction_nor_irregularities():
     route = load_scenario("braking").but(poor_share=suite._PATCH, end_m=700.0).route()
     rough = Route(np.ones_like(route.cells), route.length)
-    hidden = ["lateral", "ddvertical", "gauge", "poor_le", "poor_ri", "side_force"]
+    hidden = ["lateral", "ddvertical", "gauge", "poor_le", "poor_ri"]
     for name in (*hidden, "force", "y_ref", "kappa"):
         assert known(rough).cells[:, INDEX[name]].any() == (name not in hidden), name
 

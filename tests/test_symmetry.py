@@ -10,7 +10,7 @@ from railrepro.evidence.runs.tuning import tuned
 from railrepro.simulation import metrics, scenarios, simulate
 from railrepro.track.route import INDEX
 
-ODD = ("psi", "kappa", "dkappa", "phi", "dphi", "y", "side_force")
+ODD = ("psi", "kappa", "dkappa", "phi", "dphi", "y")
 ODD += tuple(f"{order}{name}" for name in ("lateral", "crosslevel", "y_ref") for order in ("", "d", "dd", "ddd"))
 
 

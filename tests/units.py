@@ -1,9 +1,9 @@
-"""A unit of FMI 2.0 or 3.0 in FMPy, for the tests of what is exported."""
+"""A unit of FMI 2.0 in FMPy, for the tests of what is exported."""
 
 import pytest
 
 fmpy = pytest.importorskip("fmpy")
-fmi2, fmi3 = (pytest.importorskip(f"fmpy.fmi{version}") for version in (2, 3))
+fmi2 = pytest.importorskip("fmpy.fmi2")
 
 
 class Instance:
@@ -12,17 +12,12 @@ class Instance:
     def __init__(self, file, name="unit", guid=None):
         description = fmpy.read_model_description(str(file))
         self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.said, self.time, self.version = [], 0.0, description.fmiVersion
+        self.said, self.time = [], 0.0
         own = {"instanceName": name, "modelIdentifier": description.coSimulation.modelIdentifier}
         own |= {"guid": guid or description.guid, "unzipDirectory": fmpy.extract(str(file))}
-        if self.version == "2.0":
-            self.slave, logging = fmi2.FMU2Slave(**own), {"callbacks": self._callbacks()}
-            self._get, self._set = self.slave.getReal, self.slave.setReal
-        else:
-            self.slave = fmi3.FMU3Slave(**own)
-            logging = {"logMessage": lambda environment, status, category, text: self.said.append(text.decode())}
-            self._get, self._set = self.slave.getFloat64, self.slave.setFloat64
-        self.slave.instantiate(**logging)
+        self.slave = fmi2.FMU2Slave(**own)
+        self._get, self._set = self.slave.getReal, self.slave.setReal
+        self.slave.instantiate(callbacks=self._callbacks())
         self.slave.enterInitializationMode()
         self.slave.exitInitializationMode()
 

@@ -22,9 +22,6 @@ int car_look_up(const car_t *car) {
     const lookup_t *t = car->lookups + i;
     const double *row = row_at(t->cells, car->places[i], t->start, t->step, t->n, t->width);
     memcpy(t->row, row, (size_t)t->width * sizeof(double));
-    if (!t->other || *t->share == 0) continue;
-    row = row_at(t->other, car->places[i], t->start, t->step, t->n, t->width);
-    for (casadi_int j = 0; j < t->width; ++j) t->row[j] += *t->share * (row[j] - t->row[j]);
   }
   return 0;
 }

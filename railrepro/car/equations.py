@@ -1,9 +1,8 @@
 """The multibody car in place of SIMPACK: 22 degrees of freedom on independently rotating wheels.
 
-Bodies are the car body, two wheel carriers (6 degrees of freedom each) and four wheels (spin); with a two-stage
-suspension also two frames between them, 34 degrees of freedom, their states after all others. Velocities are absolute,
-in track-frame components; angular velocities are absolute, in body axes. With these quasi-velocities centrifugal,
-Coriolis, cant, inclination and gyroscopic terms are exact and no second derivative of the track is needed.
+Bodies are the car body, two wheel carriers (6 degrees of freedom each) and four wheels (spin). Velocities are
+absolute, in track-frame components; angular velocities are absolute, in body axes. With these quasi-velocities
+centrifugal, Coriolis, cant, inclination and gyroscopic terms are exact and no second derivative of the track is needed.
 
 State: per body the coordinates of `kinematics.COORDINATES`, wheel speeds `w` (traction-positive, rad/s), motor torques
 `tau` (traction-positive, N m); `INDEX` has the place of each. Input: torque commands of `WHEELS` (N m). Output: named
@@ -24,7 +23,7 @@ import numpy as np
 
 from railrepro.car.integrator import Stages, rodas3
 from railrepro.car.kinematics import COORDINATES, Body, named
-from railrepro.car.suspension import PrimaryStage, Suspension
+from railrepro.car.suspension import Suspension
 from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
 from railrepro.compile.codegen import share_reciprocals, stored
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
@@ -41,10 +40,7 @@ STATES = (
     *(f"w.{wheel}" for wheel in WHEELS),
     *(f"tau.{wheel}" for wheel in WHEELS),
 )
-FRAMES = {gear: f"{gear}_frame" for gear in GEARS}
-TWO_STAGE_STATES = (*STATES, *(f"{frame}.{name}" for frame in FRAMES.values() for name in COORDINATES))
-"""States with frames, those without them first."""
-INDEX = {name: i for i, name in enumerate(TWO_STAGE_STATES)}
+INDEX = {name: i for i, name in enumerate(STATES)}
 """Place of each state in the state vector."""
 FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
 """Points of the car body floor and their places along the body over the distance of the gears."""
@@ -53,7 +49,6 @@ _GROUPS = {
     "body": ("mass", "inertia_x", "inertia_y", "inertia_z", "cg_height", "gear_spacing", "floor_height"),
     "gear": ("mass", "inertia_x", "inertia_y", "inertia_z", "contact_base", "axle_damping"),
     "wheel": ("radius", "spin_inertia"),
-    "wear": ("front_le", "front_ri", "rear_le", "rear_ri"),
     "suspension": (
         *(
             "half_spacing",
@@ -67,14 +62,10 @@ _GROUPS = {
             "link_stiffness",
             "link_damping",
         ),
-        *("antiroll_stiffness", "antiroll_damping", "pitch_stiffness", "pitch_damping", "pitch_rods_on_carrier"),
+        *("antiroll_stiffness", "antiroll_damping", "pitch_stiffness", "pitch_damping"),
         *("yaw_stop_angle", "yaw_stop_stiffness", "bump_clearance", "bump_stiffness"),
     ),
-    "primary": (
-        *("frame_mass", "frame_inertia_x", "frame_inertia_y", "frame_inertia_z", "half_spacing"),
-        *("k_x", "c_x", "k_y", "c_y", "k_z", "c_z", "pitch_stiffness", "pitch_damping"),
-    ),
-    "drive": ("torque_limit", "power_limit", "lag"),
+    "drive": ("torque_limit", "lag"),
     "contact": ("shear_modulus", "nominal_load", "normal_damping", "rest_speed"),
 }
 PARAMETERS = (
@@ -109,12 +100,9 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
         head, *rest = key.split(".")
         if head == "adhesion":
             return getattr(vehicle.adhesion[good if rest[0] == "good" else poor], rest[1])
-        if key == "drive.power_limit" and not vehicle.drive.power_limited:
-            return np.inf
         return reduce(getattr, key.split("."), vehicle)
 
-    values = np.array([value(key) for key in PARAMETERS], dtype=float)
-    return np.where(np.isinf(values), 1e12, values)
+    return np.array([value(key) for key in PARAMETERS], dtype=float)
 
 
 @dataclass(frozen=True)
@@ -124,7 +112,7 @@ class Car:
     Attributes
     ----------
     states : tuple of str
-        `STATES`, or `TWO_STAGE_STATES`.
+        `STATES`.
     rate : Function
         (x, u[4], rows[ncol, 3], contacts[ncell, 4], par) -> dx/dt.
     step : Function
@@ -152,65 +140,52 @@ class Car:
     operations: dict[str, int]
 
 
-@lru_cache(maxsize=2)
-def car(two_stage: bool = False) -> Car:
-    """The equations of motion of the car as CasADi functions; derived once (about a second), then stored.
-
-    With `two_stage` a frame stands on a primary suspension between each carrier and the car body.
-    """
-    return Car(**_derived(bool(two_stage)))
+@lru_cache(maxsize=1)
+def car() -> Car:
+    """The equations of motion of the car as CasADi functions; derived once (about a second), then stored."""
+    return Car(**_derived())
 
 
 @dataclass(frozen=True)
 class _Elements:
-    """Bodies of a car and what acts between them, each by name; `frames` and `primaries` belong to two stages."""
+    """Bodies of a car and what acts between them, each by name."""
 
     bodies: dict[str, Body]
-    frames: dict[str, Body]
     suspensions: dict[str, Suspension]
-    primaries: dict[str, PrimaryStage]
     wheels: dict[str, Contact]
     speeds: dict[str, ca.SX]
     torques: dict[str, ca.SX]
 
     @property
-    def moving(self) -> dict[str, Body]:
-        """All bodies by the names of their states."""
-        return self.bodies | {FRAMES[name]: frame for name, frame in self.frames.items()}
-
-    @property
     def forces(self) -> tuple:
         """All elements that store energy."""
-        return (*self.suspensions.values(), *self.primaries.values(), *self.wheels.values())
+        return (*self.suspensions.values(), *self.wheels.values())
 
 
-def _elements(state: dict, row: dict, cell: dict, par: dict, stages: Stages, two_stage: bool) -> _Elements:
+def _elements(state: dict, row: dict, cell: dict, par: dict, stages: Stages) -> _Elements:
     bodies = {name: Body(name, state, row[name]) for name in BODIES}
-    frames = {gear: Body(frame, state, row[gear]) for gear, frame in FRAMES.items()} if two_stage else {}
     suspensions = {
-        gear: Suspension(bodies["body"], frames.get(gear, bodies[gear]), end, par, stages)
+        gear: Suspension(bodies["body"], bodies[gear], end, par, stages)
         for gear, end in zip(GEARS, (1, -1), strict=True)
     }
-    primaries = {gear: PrimaryStage(frame, bodies[gear], par, stages) for gear, frame in frames.items()}
     speeds, torques = ({wheel: state[f"{name}.{wheel}"] for wheel in WHEELS} for name in ("w", "tau"))
     wheels = {
-        wheel: Contact(bodies[gear], side, speeds[wheel], cell[wheel], par, stages, par[f"wear.{wheel}"])
+        wheel: Contact(bodies[gear], side, speeds[wheel], cell[wheel], par, stages)
         for wheel, gear, side in ((f"{gear}_{side}", gear, side) for gear in GEARS for side in SIDES)
     }
-    return _Elements(bodies, frames, suspensions, primaries, wheels, speeds, torques)
+    return _Elements(bodies, suspensions, wheels, speeds, torques)
 
 
 @stored
-def _derived(two_stage: bool) -> dict:
+def _derived() -> dict:
     """Attributes of a `Car`."""
-    states = TWO_STAGE_STATES if two_stage else STATES
-    x, u = ca.SX.sym("x", len(states)), ca.SX.sym("u", len(WHEELS))
+    x, u = ca.SX.sym("x", len(STATES)), ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
     par_, h = ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("h")
-    state, commands, par, stages = named(states, x), named(WHEELS, u), named(PARAMETERS, par_), Stages()
+    state, commands, par, stages = named(STATES, x), named(WHEELS, u), named(PARAMETERS, par_), Stages()
     row, cell = (dict(zip(names, ca.horzsplit(m), strict=True)) for names, m in ((BODIES, rows), (WHEELS, contacts)))
-    elements, inertias = _elements(state, row, cell, par, stages, two_stage), _inertias(par, two_stage)
+    elements, inertias = _elements(state, row, cell, par, stages), _inertias(par)
     staged, feels = _motion(elements, inertias, commands, par)
     rate = ca.cse(stages.resolve(staged))
 
@@ -226,17 +201,16 @@ def _derived(two_stage: bool) -> dict:
         "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.moment) for w in wheels.values()))),
         "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in elements.suspensions.values()))),
     }
-    kind = "two_stage_car" if two_stage else "car"
     inputs, names, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
-    step = ca.Function(f"{kind}_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], cse)
+    step = ca.Function("car_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], cse)
     y, energy = stages.resolve(ca.vertcat(*outputs.values())), stages.resolve(ca.vertcat(*energies))
     return dict(
-        states=states,
-        rate=ca.Function(f"{kind}_rate", inputs, [rate], names, ["dx"]),
+        states=STATES,
+        rate=ca.Function("car_rate", inputs, [rate], names, ["dx"]),
         step=share_reciprocals(step),
-        coordinates=ca.Function(f"{kind}_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
-        output=ca.Function(f"{kind}_output", inputs, [y], names, ["y"], cse),
-        energy=ca.Function(f"{kind}_energy", inputs, [energy], names, ["energies"], cse),
+        coordinates=ca.Function("car_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
+        output=ca.Function("car_output", inputs, [y], names, ["y"], cse),
+        energy=ca.Function("car_energy", inputs, [energy], names, ["energies"], cse),
         outputs=tuple(outputs),
         operations={name: ca.Function(name, inputs, [f], cse).n_instructions() for name, f in forces.items()},
     )
@@ -244,14 +218,12 @@ def _derived(two_stage: bool) -> dict:
 
 def _motion(elements: _Elements, inertias: dict, commands: dict, par: dict) -> tuple[ca.SX, dict]:
     """Derivatives of the states, and force per mass and angular acceleration that the car body feels."""
-    bodies, frames, speeds, torques = elements.bodies, elements.frames, elements.speeds, elements.torques
+    bodies, speeds, torques = elements.bodies, elements.speeds, elements.torques
     body, gravity = bodies["body"], ca.vertcat(0, 0, par["gravity"])
     carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
     for gear, suspension in elements.suspensions.items():
-        carrying = frames.get(gear, bodies[gear])
-        carried += body.section.rotation.T @ carrying.attitude @ suspension.force_on_upper
+        carried += body.section.rotation.T @ bodies[gear].attitude @ suspension.force_on_upper
         moment += suspension.moment_on_upper
-    carried += ca.vertcat(0, body.section.side_force, 0)
     force = carried + par["body.mass"] * body.section.rotation.T @ gravity
     derivatives = [body.derivatives(force, moment, *inertias["body"])]
     feels = {"force": body.rotation.T @ carried / par["body.mass"], "turning": derivatives[0][-3:]}
@@ -262,23 +234,15 @@ def _motion(elements: _Elements, inertias: dict, commands: dict, par: dict) -> t
         for wheel in WHEELS
     ]
     lag = [_torque_rate(commands[wheel], speeds[wheel], torques[wheel], par) for wheel in WHEELS]
-    framed = []
-    for name, frame in frames.items():
-        above, below = elements.suspensions[name], elements.primaries[name]
-        pushed = frame.section.rotation.T @ bodies[name].attitude @ below.force_on_upper
-        force = inertias[FRAMES[name]][0] * frame.section.rotation.T @ gravity + pushed
-        force += frame.rotation @ above.force_on_lower
-        moment = below.moment_on_upper + above.moment_on_lower
-        framed.append(frame.derivatives(force, moment, *inertias[FRAMES[name]]))
-    return ca.vertcat(*derivatives, *spin_up, *lag, *framed), feels
+    return ca.vertcat(*derivatives, *spin_up, *lag), feels
 
 
 def _gear_motion(name: str, elements: _Elements, inertia: tuple, gravity: ca.SX, par: dict) -> ca.SX:
     """Derivatives of the states of a running gear's carrier."""
     gear, wheels = elements.bodies[name], [f"{name}_{side}" for side in SIDES]
-    stage = elements.primaries.get(name, elements.suspensions[name])
-    force = inertia[0] * gear.section.rotation.T @ gravity + gear.rotation @ stage.force_on_lower
-    moment = stage.moment_on_lower
+    suspension = elements.suspensions[name]
+    force = inertia[0] * gear.section.rotation.T @ gravity + gear.rotation @ suspension.force_on_lower
+    moment = suspension.moment_on_lower
     for wheel in wheels:
         force += elements.wheels[wheel].force
         moment += elements.wheels[wheel].moment * ca.vertcat(1, 0, 1) + ca.vertcat(0, elements.torques[wheel], 0)
@@ -292,22 +256,17 @@ def _opposite(wheel: str) -> str:
     return f"{gear}_{SIDES[1 - SIDES.index(side)]}"
 
 
-def _inertias(par: dict[str, ca.SX], two_stage: bool) -> dict[str, tuple[ca.SX, ca.SX]]:
-    """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) by body; a gear's contain those of its frame."""
+def _inertias(par: dict[str, ca.SX]) -> dict[str, tuple[ca.SX, ca.SX]]:
+    """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) by body."""
 
     def stated(prefix: str) -> tuple[ca.SX, ca.SX]:
         return par[f"{prefix}mass"], ca.vertcat(*(par[f"{prefix}inertia_{axis}"] for axis in "xyz"))
 
-    gear, found = stated("gear."), {"body": stated("body.")}
-    if not two_stage:
-        return found | dict.fromkeys(GEARS, gear)
-    frame = stated("primary.frame_")
-    carrier = gear[0] - frame[0], gear[1] - frame[1]
-    return found | dict.fromkeys(GEARS, carrier) | dict.fromkeys(FRAMES.values(), frame)
+    return {"body": stated("body.")} | dict.fromkeys(GEARS, stated("gear."))
 
 
 def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
-    """Time derivative of a motor torque (N m/s): lag behind the command within the limits of torque and power.
+    """Time derivative of a motor torque (N m/s): lag behind the command within the torque limit.
 
     A negative command brakes: its torque acts against the rotation, whatever its direction. Near standstill the lag
     slows down with the wheel, so that the torque is a function of the angle turned, stays at rest what it was, and so
@@ -315,8 +274,9 @@ def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: dict[str, ca.
 
     Source: Dahl 1968, A Solid Friction Model (torque over angle near rest).
     """
-    limit = ca.fmin(par["drive.torque_limit"], par["drive.power_limit"] / ca.fmax(ca.fabs(speed), 1e-3))
-    limited = ca.fmin(ca.fmax(command, -limit), limit)
+    limit = par["drive.torque_limit"]
+    # by comparison, as fmin and fmax would make a limit of a command that is no number
+    limited = ca.if_else(command > limit, limit, ca.if_else(command < -limit, -limit, command))
     turning = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par["wheel.radius"] / HOLDING_SPEED, 1), 1)
     wanted = ca.if_else(speed < 0, ca.fabs(limited), limited)  # a positive command drives forward at any speed
     return turning * (wanted - torque) / par["drive.lag"]
@@ -383,7 +343,7 @@ def _energies(elements: _Elements, inertias: dict, par: dict) -> list[ca.SX]:
     """Mechanical energy, motor power and losses, for the energy balance."""
     speeds, torques, wheels = elements.speeds, elements.torques, elements.wheels
     energy = sum(force.energy for force in elements.forces)
-    for name, body in elements.moving.items():
+    for name, body in elements.bodies.items():
         mass, inertia = inertias[name]
         energy += mass * (ca.sumsqr(body.v) / 2 - par["gravity"] * body.position[2])
         energy += ca.dot(inertia, body.w**2) / 2
@@ -398,8 +358,7 @@ def _energies(elements: _Elements, inertias: dict, par: dict) -> list[ca.SX]:
 def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0.0) -> np.ndarray:
     """State of steady rolling at a speed (m/s) on straight level track with the front gear at `p` (m), SI.
 
-    All four wheels have the contact of the table. Worn wheels stand on their rails: the gears sink and roll, the car
-    body sinks and pitches. By `STATES` or, with a two-stage suspension, `TWO_STAGE_STATES`.
+    All four wheels have the contact of the table. By `STATES`.
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
@@ -408,23 +367,11 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
     cos_angle = 1 / np.hypot(1, contact["slope"])
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle
     drop = (load / contact["normal_stiffness"]) ** (2 / 3) / cos_angle
-    two_stage = vehicle.primary.two_stage
-    state = dict.fromkeys(TWO_STAGE_STATES if two_stage else STATES, 0.0)
+    state = dict.fromkeys(STATES, 0.0)
     half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
-    worn = {gear: [getattr(vehicle.wear, f"{gear}_{side}") for side in SIDES] for gear in GEARS}
-    front, rear = (sum(worn[gear]) / 2 for gear in GEARS)
-    sink, axle = vehicle.wheel.radius - radius + drop + (front + rear) / 2, drop - radius
-    places = {"body": (p - half, sink - vehicle.body.cg_height)}
-    places |= {"front": (p, axle + front), "rear": (p - 2 * half, axle + rear)}
-    if two_stage:
-        places |= {FRAMES[gear]: places[gear] for gear in GEARS}
+    sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
+    places = {"body": (p - half, sink - vehicle.body.cg_height), "front": (p, axle), "rear": (p - 2 * half, axle)}
     for name, (s, z) in places.items():
         state |= {f"{name}.s": s, f"{name}.z": z, f"{name}.vx": speed}
-    base = vehicle.gear.contact_base - 2 * radius * abs(contact["slope"])  # a roll moves the contacts aside, too
-    for gear, (le, ri) in worn.items():
-        for name in (gear, FRAMES[gear]) if two_stage else (gear,):
-            state[f"{name}.phi"] = (ri - le) / base
-        for side, lost in zip(SIDES, (le, ri), strict=True):
-            state[f"w.{gear}_{side}"] = speed / (contact["rolling_radius"] - lost - drop)
-    state["body.pitch"] = (rear - front) / vehicle.body.gear_spacing
+    state |= {f"w.{wheel}": speed / (contact["rolling_radius"] - drop) for wheel in WHEELS}
     return np.array(list(state.values()))

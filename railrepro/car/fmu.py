@@ -1,4 +1,4 @@
-"""The car as a co-simulation unit of FMI 2.0 or 3.0. Serves the paper's section Simulation Environment."""
+"""The car as a co-simulation unit of FMI 2.0. Serves the paper's section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ _LARGEST_STATE = 1e7
 """Beyond it no state is meaningful (SI)."""
 
 
-def export_fmu(
-    path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None, fmi: str = "2.0"
-) -> Path:
+def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
     """Write the car on a route as a co-simulation unit of FMI for this platform.
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
@@ -36,13 +34,11 @@ def export_fmu(
     speed : float
         Initial speed (m/s).
     vehicle : Vehicle, optional
-    fmi : str
-        Version of FMI, "2.0" or "3.0".
 
     Raises
     ------
     InputError
-        Without C compiler, with an impossible speed or another version, or where the file cannot be written.
+        Without C compiler, with an impossible speed, or where the file cannot be written.
     """
     path = unit_file(path)  # refused before the car is built
     car = SteppedCar(route, speed, vehicle)
@@ -50,7 +46,7 @@ def export_fmu(
     unit = Unit(
         "car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE
     )
-    return write_unit(path, unit, text, Path(__file__).with_name("fmu.c").read_text(), fmi)
+    return write_unit(path, unit, text, Path(__file__).with_name("fmu.c").read_text())
 
 
 def _constants(car: SteppedCar) -> str:

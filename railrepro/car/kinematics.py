@@ -58,7 +58,6 @@ class Section:
         self.lateral, self.vertical, self.crosslevel, self.gauge = (value for value, _ in irregularity.values())
         self.irregularity_rates = {name: slope for name, (_, slope) in irregularity.items()}
         self.poor = {"le": cell["poor_le"], "ri": cell["poor_ri"]}
-        self.side_force = cell["side_force"]
         sin, cos = ca.sin, ca.cos
         self.turn_rate = ca.vertcat(
             self.dphi - sin(self.eps) * self.kappa,

@@ -18,7 +18,7 @@ import numpy as np
 from railrepro.car import equations
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.contact.table import on_one_grid
+from railrepro.contact.table import ContactTable
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 
 
@@ -29,7 +29,7 @@ class _Lookup(ctypes.Structure):
         ("step", ctypes.c_double),
         ("n", ctypes.c_longlong),
         ("width", ctypes.c_longlong),
-        *((name, ctypes.c_void_p) for name in ("row", "other", "share")),
+        ("row", ctypes.c_void_p),
     ]
 
 
@@ -45,16 +45,16 @@ class _Car(ctypes.Structure):
     ]
 
 
-def functions(two_stage: bool = False) -> tuple[ca.Function, ca.Function, ca.Function]:
+def functions() -> tuple[ca.Function, ca.Function, ca.Function]:
     """The functions behind a step: coordinates, output, step."""
-    car = equations.car(two_stage)
+    car = equations.car()
     return car.coordinates, car.output, car.step
 
 
 @codegen.stored
-def _generated(two_stage: bool) -> str:
+def _generated() -> str:
     """C source of the functions."""
-    return codegen.source_text(functions(two_stage))
+    return codegen.source_text(functions())
 
 
 def c_text() -> str:
@@ -62,10 +62,10 @@ def c_text() -> str:
     return Path(codegen.__file__).with_name("call.h").read_text() + Path(__file__).with_name("car.c").read_text()
 
 
-@lru_cache(maxsize=2)
-def library(two_stage: bool = False) -> ctypes.CDLL | None:
+@lru_cache(maxsize=1)
+def library() -> ctypes.CDLL | None:
     """The car as a shared object; None without a C compiler."""
-    loaded = codegen.library(_generated(two_stage), c_text())
+    loaded = codegen.library(_generated(), c_text())
     if loaded is not None:
         loaded.car_run.restype = ctypes.c_longlong
     return loaded
@@ -78,11 +78,11 @@ class CarStepper:
     ----------
     parameters : array_like
         See `equations.parameter_vector`.
-    table : ContactTable or pair of them
-        Wheel-rail contact; of a pair the second comes in where the route says so (`second_profile`).
+    table : ContactTable
+        Wheel-rail contact.
     route : Route
     state : array_like
-        Initial state; its length says whether the car has frames.
+        Initial state.
     compiled : bool
         False evaluates in CasADi's virtual machine.
     substeps : int
@@ -111,10 +111,9 @@ class CarStepper:
         The car for the functions of `car.c`; None without compiled code.
     """
 
-    def __init__(self, parameters, table, route: Route, state, compiled: bool = True, substeps: int = 1):
+    def __init__(self, parameters, table: ContactTable, route: Route, state, compiled: bool = True, substeps: int = 1):
         self.state, self.torque = np.array(state, dtype=float), np.zeros(len(equations.WHEELS))
-        two_stage = self.state.size == len(equations.TWO_STAGE_STATES)
-        self.model, self.substeps = equations.car(two_stage), substeps
+        self.model, self.substeps = equations.car(), substeps
         self.next_state, self.period = np.zeros_like(self.state), np.array([EXCHANGE_PERIOD / substeps])
         self.rows = np.zeros((len(equations.BODIES), len(COLUMNS)))
         self.contacts = np.zeros((len(equations.WHEELS), equations.CONTACT_COLUMNS))
@@ -122,15 +121,14 @@ class CarStepper:
         self._places = np.zeros(len(self.rows) + len(self.contacts))
         self.outputs = np.zeros(len(self.model.outputs))
         self._cells = np.ascontiguousarray(route.cells)
-        tables = on_one_grid(table if isinstance(table, tuple) else (table,))
-        self._contact_cells, self._contact_grid = [t.cells() for t in tables], (tables[0].start, tables[0].step)
+        self._contact_cells, self._contact_grid = table.cells(), (table.start, table.step)
         common = [self.state, self.torque, self.rows.reshape(-1), self.contacts.reshape(-1), self.parameters]
         bindings = {
             "coordinates": ([self.state, self.rows.reshape(-1), self.parameters], [self._places]),
             "output": (common, [self.outputs]),
             "step": ([*common, self.period], [self.next_state, np.zeros_like(self.state)]),
         }
-        self._library: Any = library(two_stage) if compiled else None
+        self._library: Any = library() if compiled else None
         form: Callable = codegen.InterpretedFunction
         if self._library is not None:
             form = partial(codegen.CompiledFunction, self._library)
@@ -140,20 +138,16 @@ class CarStepper:
             self.look_up()
 
     def _tables(self) -> Iterator[tuple]:
-        """Cells, start and step (m) of their grid, the buffer of the cell, second cells and their share, by look-up."""
+        """Cells, start and step (m) of their grid, and the buffer of the cell, by look-up."""
         for row in self.rows:
-            yield self._cells, self._cells[0, INDEX["p"]], CELL, row, None, None
-        first, *second = self._contact_cells
-        for wheel, row in zip(equations.WHEELS, self.contacts, strict=True):
-            section = self.rows[equations.BODIES.index(wheel.split("_")[0])]
-            share = section[INDEX["second_profile"] :][:1]
-            yield first, *self._contact_grid, row, second[0] if second else None, share
+            yield self._cells, self._cells[0, INDEX["p"]], CELL, row
+        for row in self.contacts:
+            yield self._contact_cells, *self._contact_grid, row
 
     def _structure(self) -> _Car:
         tables = []
-        for cells, start, step, row, other, share in self._tables():
-            blend = (None, None) if other is None else (other.ctypes.data, share.ctypes.data)
-            tables.append(_Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data, *blend))
+        for cells, start, step, row in self._tables():
+            tables.append(_Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data))
         self._lookups = (_Lookup * len(tables))(*tables)
         calls = (function.call for function in self.functions.values())
         places, lookups = self._places.ctypes.data, ctypes.addressof(self._lookups)
@@ -170,12 +164,10 @@ class CarStepper:
             self._library.car_look_up(self.pointer)
             return
         self.functions["coordinates"]()
-        for place, (cells, start, step, row, other, share) in zip(self._places, self._tables(), strict=True):
+        for place, (cells, start, step, row) in zip(self._places, self._tables(), strict=True):
             cell = (place - start) / step
             index = int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0
             row[:] = cells[index]
-            if other is not None:
-                row += share * (other[index] - row)
 
     def measure(self) -> np.ndarray:
         """Outputs at the present state, in the order of `model.outputs`."""

@@ -1,4 +1,4 @@
-"""Forces between car body, frame and wheel carrier: springs, dampers, traction link, stops.
+"""Forces between car body and wheel carrier: springs, dampers, traction link, stops.
 
 Serves the paper's section Simulation Environment; the control model keeps only k_sz, k_dz, k_sx and k_dx of it.
 """
@@ -10,7 +10,7 @@ import casadi as ca
 from railrepro.car.integrator import Stages
 from railrepro.car.kinematics import Body
 
-_SINE = {"roll": (2, 1), "pitch": (0, 2), "yaw": (1, 0), "carrier_pitch": (2, 0)}
+_SINE = {"roll": (2, 1), "pitch": (0, 2), "yaw": (1, 0)}
 """Row and column of a rotation matrix where the sine of an angle stands, the other angles being small."""
 
 
@@ -107,12 +107,11 @@ class Stage:
 
 
 class Suspension(Stage):
-    """Secondary stage between the car body and one carrier, or its frame: springs, traction link, torsion bars, stops.
+    """Stage between the car body and one carrier: springs, traction link, torsion bars, stops.
 
     `end` is +1 for the front carrier, -1 for the rear one. The pitch reaction of a carrier to its motors is carried by
-    rods whose lever stands on the car body (they act about z_body x x_carrier, so that with relative roll they also
-    turn the carrier in yaw) or on the carrier (about x_body x z_carrier, without a part in yaw), or by both:
-    `pitch_rods_on_carrier` is the share of the latter.
+    rods whose lever stands on the car body: they act about z_body x x_carrier, so that with relative roll they also
+    turn the carrier in yaw.
 
     Source: eqs. (Lagrangeb) and (Lagrangec) are its yaw and roll terms for small angles.
     """
@@ -130,11 +129,7 @@ class Suspension(Stage):
         self.energy += own("bump_stiffness") * over**2 / 2
         self._link(half)
         self._torsion_spring("roll", own("antiroll_stiffness"), own("antiroll_damping"))
-        for angle, share in (
-            ("pitch", 1 - own("pitch_rods_on_carrier")),
-            ("carrier_pitch", own("pitch_rods_on_carrier")),
-        ):
-            self._torsion_spring(angle, share * own("pitch_stiffness"), share * own("pitch_damping"))
+        self._torsion_spring("pitch", own("pitch_stiffness"), own("pitch_damping"))
         self._torsion_spring("yaw", own("yaw_stop_stiffness"), 0, own("yaw_stop_angle"))
         self.yaw_sine = -self._relative[_SINE["yaw"]]
         self.sway = mean[1]
@@ -149,16 +144,3 @@ class Suspension(Stage):
         self._act(arm, ca.vertcat(force, 0, 0))
         self.energy += own("link_stiffness") * deflection[0] ** 2 / 2
         self.dissipation += own("link_damping") * rate[0] ** 2
-
-
-class PrimaryStage(Stage):
-    """Stage between the frame, which carries the secondary suspension, and the wheel carrier, both at axle height."""
-
-    _group = "primary"
-
-    def __init__(self, frame: Body, carrier: Body, par: dict[str, ca.SX], stages: Stages):
-        super().__init__(frame, carrier, par, stages)
-        weight = (par["body.mass"] / 2 + self._own("frame_mass")) * par["gravity"]
-        self._spring_pair(ca.SX.zeros(3), ca.SX.zeros(3), weight)
-        self._torsion_spring("carrier_pitch", self._own("pitch_stiffness"), self._own("pitch_damping"))
-        self._hold(stages)

@@ -47,21 +47,17 @@ class Contact:
 
     Creepages are sliding speeds of the wheel over the running speed, along and across the rail and about its normal.
 
-    What a wheel has lost of its radius by wear (m) brings its profile as a whole nearer to its axis.
-
     Source: eq. (kalker); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
     """
 
-    def __init__(
-        self, gear: Body, side: str, speed: ca.SX, row: ca.SX, par: dict[str, ca.SX], stages: Stages, worn: ca.SX
-    ):
+    def __init__(self, gear: Body, side: str, speed: ca.SX, row: ca.SX, par: dict[str, ca.SX], stages: Stages):
         sign, cell = _SIGN[side], named(CELL_COLUMNS, row)
         self.gear, section = gear, gear.section
         offset = shift_to_flange(gear, side, par) - cell["shift"]
         at = in_cell(cell, offset)
         cos_angle = 1 / ca.sqrt(1 + at["slope"] ** 2)
         rail_y, rail_z = _rail_in_axle(gear, sign, par)
-        self.penetration = (at["effective_radius"] - worn - rail_z) * cos_angle
+        self.penetration = (at["effective_radius"] - rail_z) * cos_angle
         self.angle = ca.atan(at["slope"])
 
         # Axes of the unpitched axle serve below: what rail and profile give in them does not depend on the pitch.
@@ -79,7 +75,7 @@ class Contact:
         # A wheel is a body of revolution, so the normal meets its axis: on a rail that climbs against the axle (cant
         # ramp) the contact sits ahead of or behind the lowest point.
         ahead = normal[0] / normal[2]
-        depth = at["rolling_radius"] - worn - self.penetration / cos_angle
+        depth = at["rolling_radius"] - self.penetration / cos_angle
         at_normal = ca.vertcat(ahead * rail_z, rail_y, rail_z)
         at_contact = ca.vertcat(ahead * depth, rail_y + sign * at["rail_contact"], depth)
 

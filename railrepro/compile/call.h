@@ -8,13 +8,11 @@
 #endif
 typedef int (*casadi_fn)(const double **, double **, casadi_int *, double *, int);
 typedef struct { casadi_fn evaluate; const double **arg; double **res; casadi_int *iw; double *w; } call_t;
-/* `other` is a second table on the same grid, blended in by *share; NULL without one. */
 typedef struct {
   const double *cells;
   double start, step;
   casadi_int n, width;
   double *row;
-  const double *other, *share;
 } lookup_t;
 typedef struct { double *to; const double *from; casadi_int n; } copy_t;
 

@@ -1,29 +1,26 @@
 /* What all units share after their own C: unit_t with `inputs`, outputs `y` and `host`; connect, reset, begin and advance.
-   fmi2.c or fmi3.c follows and only translates. Value references: outputs, inputs, then the time. */
+   fmi2.c follows and only translates. Value references: outputs, then inputs. */
 
 typedef struct {
   host_t host;
   unit_t unit;
-  double time;
 } instance_t;
 
 static status_t complain(instance_t *i, const char *text) { return report(&i->host, STATUS_ERROR, text); }
-
-static void restart(instance_t *i) { i->time = 0, reset(&i->unit); }
 
 /* NULL, and a sentence, where the token is not that of the unit. */
 static instance_t *instantiate(const char *token, host_t host) {
   if (!token || strcmp(token, GUID)) return report(&host, STATUS_ERROR, "the GUID is not that of this unit"), NULL;
   instance_t *i = calloc(1, sizeof(instance_t));
-  if (i) i->host = host, i->unit.host = &i->host, connect(&i->unit), restart(i);
+  if (i) i->host = host, i->unit.host = &i->host, connect(&i->unit), reset(&i->unit);
   return i;
 }
 
 static status_t get_numbers(instance_t *i, const unsigned references[], size_t n, double values[]) {
   for (size_t k = 0; k < n; ++k) {
     const unsigned r = references[k];
-    if (r > N_OUTPUT + N_INPUT) return complain(i, "unknown value reference");
-    values[k] = r < N_OUTPUT ? i->unit.y[r] : r < N_OUTPUT + N_INPUT ? i->unit.inputs[r - N_OUTPUT] : i->time;
+    if (r >= N_OUTPUT + N_INPUT) return complain(i, "unknown value reference");
+    values[k] = r < N_OUTPUT ? i->unit.y[r] : i->unit.inputs[r - N_OUTPUT];
   }
   return STATUS_OK;
 }
@@ -38,11 +35,9 @@ static status_t set_numbers(instance_t *i, const unsigned references[], size_t n
   return STATUS_OK;
 }
 
-static status_t do_step(instance_t *i, double time, double step) {
+static status_t do_step(instance_t *i, double step) {
   const double count = step / PERIOD, steps = floor(count + 0.5);
   if (!(steps >= 1 && steps <= 1e9 && fabs(count - steps) <= 1e-6))
     return complain(i, "the communication step must be a whole number of ms");
-  const status_t status = advance(&i->unit, (casadi_int)steps);
-  if (status <= STATUS_WARNING) i->time = time + step;
-  return status;
+  return advance(&i->unit, (casadi_int)steps);
 }

@@ -1,11 +1,11 @@
-/* What all units share before their own C: where a unit speaks to its importer, whatever the version of FMI. Starts after
+/* What all units share before their own C: where a unit speaks to its importer. Starts after
    call.h and the constants of a unit, UNIT its name. */
 
 #include <stdlib.h>
 
-typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } status_t;  /* the same numbers in FMI 2.0 and 3.0 */
+typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } status_t;  /* the numbers of FMI 2.0 */
 
-/* The importer: `tell` is that of the version and knows what its logger takes. */
+/* The importer: `tell` knows what its logger takes. */
 typedef struct host_t {
   void (*tell)(const struct host_t *, status_t, const char *category, const char *text);
   void (*logger)(void);

@@ -32,12 +32,12 @@ fmi2Component fmi2Instantiate(fmi2String name, int type, fmi2String guid, fmi2St
 }
 void fmi2FreeInstance(fmi2Component c) { free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean t, fmi2Real tol, fmi2Real start, fmi2Boolean s, fmi2Real stop) {
-  return ((instance_t *)c)->time = start, fmi2OK;
+  return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return begin(&((instance_t *)c)->unit), fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { return restart(c), fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) { return reset(&((instance_t *)c)->unit), fmi2OK; }
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]) {
   return (fmi2Status)get_numbers(c, r, n, v);
 }
@@ -45,7 +45,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
   return (fmi2Status)set_numbers(c, r, n, v);
 }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean keep) {
-  return (fmi2Status)do_step(c, time, step);
+  return (fmi2Status)do_step(c, step);
 }
 
 #define UNUSED_GET(name, type) \

@@ -96,27 +96,6 @@ class ContactTable:
         return np.ascontiguousarray(np.array([columns[name] for name in CELL_COLUMNS]).T)
 
 
-def on_one_grid(tables: tuple[ContactTable, ...]) -> tuple[ContactTable, ...]:
-    """Tables cut to the shifts that all of them have.
-
-    Raises
-    ------
-    InputError
-        When their grids do not coincide there.
-    """
-    if len(tables) == 1:
-        return tables
-    step = tables[0].step
-    start = max(table.start for table in tables) - step / 2
-    end = min(table.frame["shift_m"].iloc[-1] for table in tables) + step / 2
-    frames = (table.frame for table in tables)
-    cut = [frame[frame["shift_m"].between(start, end)].reset_index(drop=True) for frame in frames]
-    for table, frame in zip(tables, cut, strict=True):
-        if len(frame) != len(cut[0]) or np.abs(frame["shift_m"] - cut[0]["shift_m"]).max() > 1e-9:
-            raise InputError(f"contact tables {tables[0].name} and {table.name} have different grids, one is needed")
-    return tuple(ContactTable(table.name, frame) for table, frame in zip(tables, cut, strict=True))
-
-
 def in_cell(cell: dict, offset) -> dict:
     """Contact at an offset (m) from the start of a cell given by its `CELL_COLUMNS` (numbers, arrays or symbols).
 

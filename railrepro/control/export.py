@@ -1,4 +1,4 @@
-"""Export of controllers: as C that needs nothing else, and as units of FMI 2.0 or 3.0 for co-simulation.
+"""Export of controllers: as C that needs nothing else, and as units of FMI 2.0 for co-simulation.
 
 What is exported is the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also their filter)
 with the road, and before it the predictive controllers at their own period. It measures what the car's unit puts out
@@ -90,14 +90,14 @@ class Export:
         write(file, self.source())
         return file
 
-    def write_fmu(self, path: Path | str, fmi: str = "2.0") -> Path:
-        """Write a unit of FMI (version "2.0" or "3.0") for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
+    def write_fmu(self, path: Path | str) -> Path:
+        """Write a unit of FMI 2.0 for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
         path = unit_file(path)
         description = "Controller of two running gears with independently rotating wheels"
         unit = Unit("controller", description, TORQUES, law.MEASURED, _LARGEST)
         sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}
         sizes |= {"INPUT_TEXT": f'"what is measured must be a number of at most {_LARGEST:g}"'}
-        return write_unit(path, unit, self.source() + _defines(sizes), (_HERE / "unit.c").read_text(), fmi)
+        return write_unit(path, unit, self.source() + _defines(sizes), (_HERE / "unit.c").read_text())
 
     def _constants(self, control: law.ControlLaw) -> str:
         """Sizes, road and gains of the law."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
@@ -20,7 +20,7 @@ from railrepro.schema import Number, above, between, steps
 from railrepro.track import route
 from railrepro.track.alignment import CANT_BASE
 from railrepro.track.table import Track, load_track
-from railrepro.vehicle.parameters import Vehicle, profile_name
+from railrepro.vehicle.parameters import Vehicle
 
 _AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm", usual=(0.05, 20.0))]
 """Beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm); a cone has no flange, but derails at 30 mm."""
@@ -98,15 +98,10 @@ class Scenario:
     poor_share_left: _SHARES = ()
     poor_share_right: _SHARES = ()
     force_kN: Annotated[tuple, steps("force", -500.0, 500.0)] = ()
-    side_force_kN: Annotated[tuple, steps("side force", -500.0, 500.0)] = ()
     set_point: _SET_POINT = field(default_factory=lambda: {"kind": "none"})
-    second_profile: Annotated[str, AfterValidator(profile_name)] | None = None
-    second_profile_share: _SHARES = ()
     stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
     def __post_init__(self) -> None:
-        if (self.second_profile is None) != (not self.second_profile_share):
-            raise ValueError("second_profile and second_profile_share are needed together")
         if self.poor_share and self.poor_share_left and self.poor_share_right:
             raise ValueError("has poor_share beside that of both rails, which hides it")
         if self.stop_kmh is not None and not self.stop_kmh < self.speed_kmh:
@@ -150,7 +145,7 @@ class Scenario:
             )
 
     def route(self, irregularities=None, line=None) -> route.Route:
-        """Lay set point, adhesion, profiles and demand along the track, see `railrepro.track.route.lay`."""
+        """Lay set point, adhesion and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
         track = load_track(self.track_file())
         self._check_ramps(track)
@@ -161,8 +156,6 @@ class Scenario:
             force=_steps(self.force_kN),
             irregularities=irregularities,
             line=line,
-            second_profile=_ramps(self.second_profile_share) if self.second_profile else None,
-            side_force=_steps(self.side_force_kN) if self.side_force_kN else None,
         )
         if self.end_m > way.length:
             raise InputError(

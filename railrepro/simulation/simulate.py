@@ -173,12 +173,12 @@ def start(
     body : Vehicle
         The car itself.
     """
-    tables = tuple(contact_table(name, body) for name in filter(None, (body.contact.profile, scenario.second_profile)))
+    table = contact_table(body.contact.profile, body)
     limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, settings, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
-    state = equations.rest_state(body, tables[0], scenario.speed)
-    return Exchange(parameters, tables, route, control, state, compiled, substeps)
+    state = equations.rest_state(body, table, scenario.speed)
+    return Exchange(parameters, table, route, control, state, compiled, substeps)
 
 
 def _longest(route: Route, scenario: Scenario, columns: int) -> int:

@@ -40,7 +40,7 @@ COLUMNS = (
     *("p", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps", "x", "y", "z"),
     *(column for channel in CHANNELS for column in _orders(channel)),
     *_SET_POINT,
-    *("poor_le", "poor_ri", "second_profile", "force", "side_force"),
+    *("poor_le", "poor_ri", "force"),
 )
 INDEX = {name: i for i, name in enumerate(COLUMNS)}
 Profile = Callable[[np.ndarray], np.ndarray]
@@ -120,8 +120,6 @@ def lay(
     force: Profile | None = None,
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
-    second_profile: Profile | None = None,
-    side_force: Profile | None = None,
 ) -> Route:
     """Lay set point, adhesion, force demand and irregularities along a track.
 
@@ -139,11 +137,6 @@ def lay(
     line : pair of ndarray, shapes (m,) and (4, m), optional
         Coordinates, and a set point with its first three derivatives there, which hold from one coordinate to the next
         and are zero outside; added to the reference. See `railrepro.evidence.runs.preview`.
-    second_profile : callable, optional
-        Share of the second pair of profiles in [0, 1] over p (m), see `railrepro.contact.table`; changes within metres
-        at least, because its slope makes no force of its own.
-    side_force : callable, optional
-        Force on the car body over p of its centre of gravity (N), lateral in the track frame, to the right positive.
 
     Raises
     ------
@@ -154,7 +147,6 @@ def lay(
     if reference is not None:
         require("reference", reference, ca.Function)
     left, right = poor if isinstance(poor, tuple) and len(poor) == 2 else (poor, poor)
-    profiles = {"poor_le": left, "poor_ri": right, "force": force, "second_profile": second_profile}
     columns = dict(_geometry(track))
     p = columns["p"]
     cells = np.zeros((p.size, len(COLUMNS)))
@@ -164,7 +156,7 @@ def lay(
         columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
         columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
-    for name, profile in (profiles | {"side_force": side_force}).items():
+    for name, profile in {"poor_le": left, "poor_ri": right, "force": force}.items():
         if profile is not None:
             columns[name] = _along(name, profile, p)
     for name, value in columns.items():
@@ -182,7 +174,7 @@ def _along(name: str, profile: Profile, p: np.ndarray) -> np.ndarray:
     values = np.asarray(profile(p))
     if values.dtype.kind not in "iuf" or values.shape not in ((), p.shape):
         raise InputError(f"route: {name} gives {reprlib.repr(values)}, one number for each p is needed")
-    if "force" not in name and (np.abs(values - 0.5) > 0.5 + 1e-9).any():
+    if name != "force" and (np.abs(values - 0.5) > 0.5 + 1e-9).any():
         raise InputError(f"route: {name} goes from {values.min():g} to {values.max():g}, a share of 0 to 1 is needed")
     return values
 

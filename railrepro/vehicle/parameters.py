@@ -126,16 +126,6 @@ class Wheel:
 
 
 @schema.table
-class Wear:
-    """What each wheel has lost of its radius; controllers do not know it where the car alone has it."""
-
-    front_le: Annotated[float, _from_zero(0.05, "m")]
-    front_ri: Annotated[float, _from_zero(0.05, "m")]
-    rear_le: Annotated[float, _from_zero(0.05, "m")]
-    rear_ri: Annotated[float, _from_zero(0.05, "m")]
-
-
-@schema.table
 class Suspension:
     """Stage between car body and one carrier; k and c belong to each of the two springs."""
 
@@ -153,7 +143,6 @@ class Suspension:
     antiroll_damping: AngularDamping
     pitch_stiffness: Annotated[float, _above(0.0, 1e9, "N m/rad", _STIFF)]
     pitch_damping: AngularDamping
-    pitch_rods_on_carrier: Annotated[float, Parameter(0.0, 1.0, "-", closed=True)]
     yaw_stop_angle: Annotated[float, _above(0.0, 0.5, "rad")]
     yaw_stop_stiffness: Annotated[float, _from_zero(1e10, "N m/rad")]
     bump_clearance: Annotated[float, _above(0.0, 1.0, "m")]
@@ -181,35 +170,10 @@ class Suspension:
 
 
 @schema.table
-class Primary:
-    """Stage between the wheel carrier and a frame that carries the secondary suspension; used when `two_stage`.
-
-    k and c belong to each side. Mass and inertia of the frame are part of the gear's.
-    """
-
-    two_stage: Annotated[schema.Flag, _PLAIN]
-    frame_mass: Mass
-    frame_inertia_x: Inertia
-    frame_inertia_y: Inertia
-    frame_inertia_z: Inertia
-    half_spacing: Annotated[float, _above(0.1, 2.0, "m")]
-    k_x: Annotated[float, _above(0.0, 1e9, "N/m", _STIFF)]
-    c_x: Damping
-    k_y: Annotated[float, _above(0.0, 1e9, "N/m", _STIFF)]
-    c_y: Damping
-    k_z: Annotated[float, _above(0.0, 1e9, "N/m", _STIFF)]
-    c_z: Damping
-    pitch_stiffness: Annotated[float, _above(0.0, 1e9, "N m/rad", _STIFF)]
-    pitch_damping: AngularDamping
-
-
-@schema.table
 class Drive:
     """Wheel motor."""
 
     torque_limit: Annotated[float, _above(0.0, 1e5, "N m", (50.0, 1e5))]
-    power_limit: Annotated[float, _above(0.0, 1e8, "W", (5e3, 1e8))]
-    power_limited: Annotated[schema.Flag, _PLAIN]
     lag: Annotated[float, _above(0.0, 1.0, "s")]
 
 
@@ -255,28 +219,18 @@ class Vehicle:
     body: CarBody
     gear: Gear
     wheel: Wheel
-    wear: Wear
     suspension: Suspension
-    primary: Primary
     drive: Drive
     contact: WheelRail
     adhesion: Annotated[dict[str, AdhesionSet], AfterValidator(lambda sets: dict(sorted(sets.items())))]
     environment: Environment
 
     def __post_init__(self) -> None:
-        for name in ("mass", "inertia_x", "inertia_y", "inertia_z"):
-            whole, frame = getattr(self.gear, name), getattr(self.primary, f"frame_{name}")
-            if self.primary.two_stage and frame > 0.9 * whole:
-                raise ValueError(
-                    f"primary.frame_{name} = {frame:g} of gear.{name} = {whole:g}, at most 90 % is allowed"
-                )
         for name in ("inertia_x", "inertia_z"):
             whole, wheels = getattr(self.gear, name), 2 * self.wheel.diametral_inertia
-            frame = getattr(self.primary, f"frame_{name}") if self.primary.two_stage else 0.0
-            if whole <= wheels + frame:
+            if whole <= wheels:
                 raise ValueError(
-                    f"gear.{name} = {whole:g} kg m2 contains those of the wheels{' and the frame' if frame else ''}, "
-                    f"more than {wheels + frame:g} kg m2 is needed"
+                    f"gear.{name} = {whole:g} kg m2 contains those of the wheels, more than {wheels:g} kg m2 is needed"
                 )
 
     @property

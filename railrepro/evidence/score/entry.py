@@ -95,9 +95,9 @@ def _guidance(own: type, settings: dict) -> lateral.Guidance:
 
 
 def known(route: Route) -> Route:
-    """What a controller of a file may know of a route: neither irregularities nor friction nor side forces."""
+    """What a controller of a file may know of a route: neither irregularities nor friction."""
     cells = np.array(route.cells)
-    hidden = (*CHANNELS, "poor_le", "poor_ri", "second_profile", "side_force")
+    hidden = (*CHANNELS, "poor_le", "poor_ri")
     names = [name for name in INDEX if name.lstrip("d") in hidden or name in hidden]
     cells[:, [INDEX[name] for name in names]] = 0.0
     return Route(cells, route.length)
