@@ -178,7 +178,7 @@ def test_a_failing_notebook_stops_those_after_it_and_no_other(tiny, capfd):
     assert "3 of 3 notebooks are stale" in told and "02_b: running" not in told and "Traceback" not in told
     assert "error: 01_a: cell 3 failed with ZeroDivisionError: division by zero (kept build/notebooks/01_a.f" in told
     assert (tiny / "data/03_c").exists() and "03_c" in (tiny / "data/MANIFEST.csv").read_text()
-    with pytest.raises(InputError, match="'fig99' is the begin of no notebook or figure"):
+    with pytest.raises(InputError, match="no notebook or figure of chain.toml begins with 'fig99'"):
         chain.figures(["fig99"])
 
 

@@ -368,7 +368,7 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
     for name in names:
         found = {n.name for n in notebooks.values() if any(one.startswith(name) for one in (n.name, *n.figures))}
         if not found:
-            raise InputError(f"{name!r} is the begin of no notebook or figure of chain.toml")
+            raise InputError(f"no notebook or figure of chain.toml begins with {name!r}")
         wanted |= found | before(notebooks, list(found))
     with written():
         paths.BUILD.mkdir(exist_ok=True)
