@@ -111,7 +111,7 @@ def copy(tmp_path):
 
 def environment(folder):
     ours = {name: value for name, value in os.environ.items() if not name.startswith("RAILREPRO")}
-    return ours | {"PYTHONPATH": str(folder)}
+    return ours | {"PYTHONPATH": str(folder), "RAILREPRO_WORKERS": "1"}
 
 
 def python(folder, program, *arguments):
@@ -228,6 +228,32 @@ def test_an_edited_process_looks_nothing_up_and_stores_nothing(tmp_path, monkeyp
     file.unlink()
     assert store.entry(name, lambda: ({"x": 2}, None))[0] == {"x": 2}
     assert not list(tmp_path.rglob("*.npz"))
+
+
+STUDY = """
+import sys
+from railrepro import code
+from railrepro.errors import InputError
+from railrepro.evidence.runs import store
+from railrepro.evidence.runs.executor import executor, ordered_map
+code.version()
+print("now", flush=True)
+sys.stdin.readline()
+try:
+    with executor() as pool:
+        print(len(ordered_map(pool, store.digest, [1, 2], "x", quiet=True)))
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(("edited", "said"), [(False, "2\n"), (True, "a process of the study imported other code")])
+def test_workers_that_start_after_an_edit_are_refused(copy, edited, said):
+    client = python(copy, STUDY)
+    assert client.stdout.readline() == "now\n"
+    if edited:
+        fade(copy, "1.0", "200.0")
+    assert client.communicate("\n", timeout=120)[0].startswith(said)
 
 
 def test_a_worker_with_other_code_is_refused(monkeypatch):
