@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from railrepro.errors import InputError
 from railrepro.evidence.claims import probe
 from railrepro.evidence.runs import experiment, store, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -76,6 +77,20 @@ def test_whatever_a_run_reads_is_in_its_key():
     keys = {name: change(SHORT).key(probe.following) for name, change in CHANGES.items()}
     assert len({*keys.values(), SHORT.key(probe.following), SHORT.key(probe.braked)}) == len(CHANGES) + 2
     assert None not in keys.values()
+
+
+def test_the_points_of_a_wheel_profile_are_in_the_key(tmp_path):
+    across, file = np.linspace(-45.0, 45.0, 400), tmp_path / "wheel.csv"
+    table = pd.DataFrame({"part": "wheel", "lateral_mm": across, "height_mm": across / 40})
+    table.to_csv(file, index=False)
+    one = replace(SHORT, plant={"contact.profile": str(file)})
+    before = one.key(probe.following)
+    assert before is not None
+    table.assign(height_mm=across / 20).to_csv(file, index=False)
+    assert one.key(probe.following) != before
+    file.unlink()
+    with pytest.raises(InputError, match="wheel.csv"):
+        one.key(probe.following)
 
 
 @pytest.mark.parametrize("name", sorted(experiment.REGISTERED))

@@ -13,6 +13,8 @@ from functools import lru_cache, partial
 import numpy as np
 import pandas as pd
 
+from railrepro import paths
+from railrepro.contact.points import read_pair
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import REGISTERED, guidance
@@ -143,8 +145,8 @@ class Experiment:
     def key(self, measure: Measure) -> str | None:
         """Key of what a function measures of this run (`store.key`); None when it cannot be stored.
 
-        It holds the resolved values, not the names of vehicle, parameters, track and sensors, and the code that the run
-        and the function can reach.
+        It holds the resolved values, not the names of vehicle, wheel profile, parameters, track and sensors, and the
+        code that the run and the function can reach.
         """
         if self.controller not in REGISTERED or not _is_ours(REGISTERED[self.controller].build):
             return None  # of a user's file
@@ -155,9 +157,11 @@ class Experiment:
         sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
         believed = load_vehicle(**self.vehicle)
         cars = believed, self.car() if self.plant else believed
+        files = [name for car in cars if (name := car.contact.profile).endswith(".csv")]
+        wheels = [read_pair(paths.source(name)).digest for name in files]
         more = self.rails(), sensed, self.substeps, self.ride, self.stride, self.from_m
         name = measure.__qualname__
-        return store.key(measure.__module__, name, self.controller, scenario, cars, plan, more)
+        return store.key(measure.__module__, name, self.controller, scenario, cars, wheels, plan, more)
 
     def measured(self, measure: Measure) -> store.Entry:
         """What a function measures of this run, from the store where it is there.
