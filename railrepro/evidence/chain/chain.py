@@ -7,7 +7,6 @@ its products are moved in place when all is well.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import os
@@ -374,12 +373,9 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
         paths.BUILD.mkdir(exist_ok=True)
         with alone(paths.BUILD / "chain.lock"):
             try:
-                return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs or _AT_ONCE)
+                return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs)
             finally:
                 _write_manifests(notebooks)
-
-
-_AT_ONCE = min(os.cpu_count() or 1, 4)
 
 
 def _run_stale(wanted: list[Notebook], jobs: int) -> int:
@@ -388,7 +384,7 @@ def _run_stale(wanted: list[Notebook], jobs: int) -> int:
     if not left:
         _say(f"nothing is stale of {len(wanted)} notebooks")
         return 0
-    jobs = min(jobs, len(left))
+    jobs = min(jobs or min(os.cpu_count() or 1, 4), len(left))
     _say(f"{len(stale)} of {len(wanted)} notebooks are stale, {_duration(left, jobs)}")
     for name, why in stale.items():
         _say(f"{name} is stale: {why}")
@@ -406,11 +402,12 @@ def _run_stale(wanted: list[Notebook], jobs: int) -> int:
                 _say(f"{name}: running, about {left[name]:.1f} min")
             time.sleep(0.05)
             for name in [name for name, process in running.items() if process.poll() is not None]:
-                failed |= running.pop(name).returncode != 0
                 del left[name]
+                if running.pop(name).returncode:
+                    failed = True  # it has said why; those that run go on, no other one starts
+                    continue
                 graph.done(name)
-                if not failed:
-                    _say(f"{name}: done; {len(left)} left" + (f", {_duration(left, jobs)}" if left else ""))
+                _say(f"{name}: done; {len(left)} left" + (f", {_duration(left, jobs)}" if left else ""))
     finally:
         for process in running.values():  # they were interrupted as this one was, and look after themselves
             with suppress(subprocess.TimeoutExpired):
@@ -436,28 +433,17 @@ def _say(words: str) -> None:
 def _write_manifests(notebooks: dict[str, Notebook]) -> None:
     """Enter the products of all fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
     maker = {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
-    rows: dict[str, dict] = {}
+    fresh = [(n, known) for n in notebooks.values() if (known := _stamped(n)) and not why_stale(n)]
     for folder in ("data", "figures"):
-        text = _content(paths.ROOT / folder / "MANIFEST.csv").decode(errors="replace")
-        found = [row for row in csv.DictReader(text.replace("\0", "").splitlines()) if set(row) == set(_COLUMNS)]
-        rows |= {
-            row["path"]: row for row in found if maker.get(row["path"]) == row["made_by"] and None not in row.values()
-        }
-    for notebook in notebooks.values():
-        known = _stamped(notebook)
-        if known is None or why_stale(notebook):
-            continue
-        rest = (
-            notebook.name,
-            _hash(json.dumps(known["inputs"], sort_keys=True).encode()),
-            "" if notebook.seed is None else str(notebook.seed),
-        )
-        for path, content in known["products"].items():
-            rows[path] = dict(zip(_COLUMNS, (path, content, *rest), strict=True))
-    for folder in ("data", "figures"):
-        own = [
-            ",".join(rows[path][name] for name in _COLUMNS) for path in sorted(rows) if path.startswith(f"{folder}/")
-        ]
-        text = "\n".join([",".join(_COLUMNS), *own]) + "\n"
-        if own and text.encode() != _content(paths.ROOT / folder / "MANIFEST.csv"):
-            write(paths.ROOT / folder / "MANIFEST.csv", text)
+        file = paths.ROOT / folder / "MANIFEST.csv"
+        text = _content(file).decode(errors="replace")
+        lines = [line.split(",") for line in text.splitlines()]
+        rows = {row[0]: row for row in lines if len(row) == len(_COLUMNS) and maker.get(row[0]) == row[2]}
+        for notebook, known in fresh:
+            digest = _hash(json.dumps(known["inputs"], sort_keys=True).encode())
+            rest = [notebook.name, digest, "" if notebook.seed is None else str(notebook.seed)]
+            own = {path: content for path, content in known["products"].items() if path.startswith(f"{folder}/")}
+            rows |= {path: [path, content, *rest] for path, content in own.items()}
+        new = "\n".join([",".join(_COLUMNS), *(",".join(rows[path]) for path in sorted(rows))]) + "\n"
+        if rows and new != text:
+            write(file, new)
