@@ -88,6 +88,19 @@ def test_a_step_that_is_no_whole_number_of_ms_is_refused_with_a_sentence(length,
     assert car.said == ["the communication step must be a whole number of ms"]
 
 
+def test_a_reset_unit_begins_anew_and_an_unknown_variable_is_refused(unit):
+    car = Instance(unit, "car")
+    before = car.get(["front.p", *Y])
+    car.step(0.05)
+    assert car.get(["front.p"])[0] > before[0] + 2
+    car.slave.reset()
+    assert car.get(["front.p", *Y]) == before
+    car.references["beyond"] = max(car.references.values()) + 1
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        car.get(["beyond"])
+    assert car.said == ["unknown value reference"]
+
+
 def test_a_unit_with_another_guid_is_refused(unit):
     with pytest.raises(Exception, match="instantiate"):
         Instance(unit, "car", guid="{other}")
