@@ -49,7 +49,7 @@ BENCH := .venv/ready-bench-$(LOCK_HASH)
 COMPILER := .venv/ready-compiler-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 == "$(1)"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help figures check test test-slow test-all test-extras faults lab score leaderboard tune report answers verify variants bench study html script lock strip clean distclean FORCE
+.PHONY: help figures check test test-slow test-all test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -102,9 +102,6 @@ tune: $(VENV)  ## tune all controllers in all settings by particle swarm (long, 
 
 report: figures  ## write REPLICATION.md from the measured results
 	$(PY) -m railrepro report
-
-answers: $(VENV)  ## verdicts that flip with the answers in data/answers.toml; SHEET=FILE takes another sheet
-	$(PY) -m railrepro answers $(SHEET)
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro chain verify

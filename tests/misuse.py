@@ -38,7 +38,8 @@ from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import guidance
 from railrepro.estimation.sensors import readings
 from railrepro.evidence.chain import chain
-from railrepro.evidence.claims import answers, statements
+from railrepro.evidence.claims import statements
+from railrepro.evidence.report import flips
 from railrepro.evidence.runs import experiment, preview, pso, tuning
 from railrepro.evidence.score.entry import entry, load_class, made
 from railrepro.evidence.uncertainty import robustness

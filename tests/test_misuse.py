@@ -167,7 +167,7 @@ def test_nothing_that_the_project_holds_is_unusual():
 
 
 COMMANDS = ["tune", "probe", "robustness", "margins", "order", "bench", "report",
-            "answers", "score", "leaderboard", "chain"]  # fmt: skip
+            "score", "leaderboard", "chain"]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -53,8 +53,13 @@ def parser() -> argparse.ArgumentParser:
 def _studies(command: Callable) -> None:
     added = command("tune", "runs.swarm:main", "tune controllers by particle swarm, write data/tuned (long, resumes)")
     added.add_argument("names", nargs="*", metavar="NAME", help="settings and controllers; default all")
-    added = command("probe", "claims.probe:main", "metrics of the nominal car, for the statements (long)")
-    added.add_argument("settings", nargs="*", metavar="SETTING", help="paper, equal, loop; default all")
+    added = command("probe", "report.flips:main", "metrics of the nominal car (long), or verdicts that answers flip")
+    added.add_argument(
+        "settings",
+        nargs="*",
+        metavar="SETTING",
+        help="paper, equal, loop; default all; or FILE.toml, a filled data/answers.toml",
+    )
     added = command("calibrated", "claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)")
     added.add_argument("--draws", type=_whole(0, 1000), help="perturbations of each size, default 20")
     added = command("robustness", "uncertainty.robustness:main", "stability map and robustness (long, resumes)")
@@ -69,8 +74,6 @@ def _studies(command: Callable) -> None:
     added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")
     added = command("report", "report.text:main", "judge the statements, write REPLICATION.md")
     added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/verdicts.csv")
-    added = command("answers", "report.answers:main", "verdicts that flip with the authors' answers")
-    added.add_argument("sheet", nargs="?", help="a filled sheet; default data/answers.toml")
 
 
 def _tools(command: Callable) -> None:

@@ -65,11 +65,16 @@ def judged_on(identity: str, statement: statements.Statement, nominal: Nominal) 
     return found or [""]
 
 
+def graded(verdict: str, share: pd.Series | None) -> str:
+    """A verdict, fragile where it is reproduced in no clear majority of the samples; without samples as it is."""
+    return FRAGILE if verdict == REPRODUCED and share is not None and share["low"] <= 0.5 else verdict
+
+
 def _row(identity: str, statement: statements.Statement, setting: str, nominal: Nominal, robust: pd.DataFrame) -> dict:
     share = robust.loc[(identity, setting)] if (identity, setting) in robust.index else None
     finding, used = _found(identity, statement, setting, nominal)
     verdict = UNTESTABLE if finding is None else statement.judge(finding)
-    judged = FRAGILE if verdict == REPRODUCED and share is not None and share["low"] <= 0.5 else verdict
+    judged = graded(verdict, share)
     settled = verdict == judged == REPRODUCED or finding is None
     return {
         "id": identity,

@@ -14,9 +14,9 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.errors import InputError
-from railrepro.evidence.claims import answers, statements
+from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
-from railrepro.evidence.report import claims, theses
+from railrepro.evidence.report import claims, flips, theses
 from railrepro.evidence.report.reasons import filled, link
 from railrepro.evidence.runs import tuning
 from railrepro.files import write
@@ -141,7 +141,7 @@ def file_link(name: str) -> str:
 
 def questions() -> list[str]:
     """Open questions to the authors, in the order of their effect on the verdicts."""
-    return [f"{i}. {question.asks}" for i, question in enumerate(answers.load().values(), 1)]
+    return [f"{i}. {question.asks}" for i, question in enumerate(flips.load().values(), 1)]
 
 
 def _evidence(statement: statements.Statement, data: str) -> str:

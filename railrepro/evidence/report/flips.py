@@ -1,0 +1,111 @@
+"""Verdicts that flip with answers to open questions: `python -m railrepro probe FILE.toml`, a filled data/answers.toml.
+
+Answers change the set-up of the probe of the setting `paper`; only the parts that depend on them are driven again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from itertools import cycle
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+
+from railrepro import paths, schema
+from railrepro.control.registry import PAPER_TRIO
+from railrepro.errors import InputError
+from railrepro.evidence.claims import probe, statements
+from railrepro.evidence.claims.nominal import Nominal
+from railrepro.evidence.claims.statements import Evidence, MissingEvidence
+from railrepro.evidence.report.claims import graded
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.uncertainty.robustness import shares
+
+
+@schema.table
+class Question:
+    """Entry of data/answers.toml, see its head."""
+
+    asks: str
+    sets: Annotated[tuple[str, ...], schema.NOT_EMPTY]
+    parts: Annotated[tuple[str, ...], schema.NOT_EMPTY]
+    answer: tuple[schema.Free, ...] = ()
+    unit: str = ""
+
+    def __post_init__(self):
+        if self.answer and len(self.sets) % len(self.answer):
+            raise ValueError(f"has {len(self.answer)} answers, 1 or {len(self.sets)} are needed")
+        unknown = set(self.parts) - set(probe.PARTS)
+        if unknown:
+            raise ValueError(f"has the part {min(unknown)!r}, allowed are {', '.join(probe.PARTS)}")
+
+
+def load(path: Path | str | None = None) -> dict[str, Question]:
+    """The questions of a file (default data/answers.toml) by name; InputError with one sentence on what is wrong."""
+    file = schema.location(path, paths.source("data/answers.toml"))
+    return schema.build(dict[str, Question], schema.read(file), file.name)
+
+
+def setup(given: Mapping[str, object]) -> probe.ProbeSetup:
+    """Car, controllers and experiments with some answers by what they set; the rest stays nominal."""
+    left = dict(given)
+    tuned_in = str(left.pop("setting", tuning.PAPER))
+    parameters = {name: dict(tuning.load(name, tuned_in)["parameters"]) for name in PAPER_TRIO}
+    changes: dict[str, dict] = {"vehicle": {}, "setup": {}, "brake_sweep": {}} | parameters
+    for target, value in left.items():
+        kind, _, key = target.partition(":")
+        if kind not in changes or (kind == "setup" and key not in {field.name for field in fields(probe.ProbeSetup)}):
+            raise InputError(f"an answer sets {target!r}, which nothing has")
+        changes[kind][key] = value
+    world = probe.ProbeSetup(parameters, tuned_in, vehicle=changes["vehicle"], brake_sweep=changes["brake_sweep"])
+    world.car()  # so that a value which the car refuses stops it before anything runs
+    return replace(world, **changes["setup"])
+
+
+def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) -> pd.DataFrame:
+    """Verdicts on `paper` before and after some answers: id, statement, before, after.
+
+    The probe is driven unless its rows (scenario, controller, metric, value) are given.
+    """
+    given = {
+        key: value for each in answered.values() for key, value in zip(each.sets, cycle(each.answer), strict=False)
+    }
+    world = setup(given)
+    needed = {part for question in answered.values() for part in question.parts}
+    rows = probe.probe(world, [part for part in probe.PARTS if part in needed]) if driven is None else driven
+    nominal = Nominal()
+    robust = shares(nominal.results.optional("robustness_samples")).set_index(["id", "setting"])
+    before = nominal.evidence(tuning.PAPER)
+    scenarios, told = {scenario for scenario, *_ in rows}, {key.partition(":")[0] for key in given}
+    metrics = {key: value for key, value in dict(before.metrics).items() if key[0] not in scenarios}
+    # seeds of a swarm leave nothing open where the authors say what theirs found
+    spread = {key: value for key, value in before.spread.items() if key[1] not in told}
+    after = Evidence(metrics | {row[:3]: row[3] for row in rows}, spread)
+    found = []
+    for identity, statement in statements.load().items():
+        try:
+            verdicts = [statement.judge(statements.find(identity, evidence)) for evidence in (before, after)]
+        except (KeyError, MissingEvidence):
+            continue
+        share = robust.loc[(identity, tuning.PAPER)] if (identity, tuning.PAPER) in robust.index else None
+        found.append((identity, statement.statement, *(graded(verdict, share) for verdict in verdicts)))
+    return pd.DataFrame(found, columns=["id", "statement", "before", "after"])
+
+
+def main(settings: Sequence[str] = ()) -> None:
+    """Drive the nominal probes of some settings and write their table, or print what the answers of a file flip."""
+    if not any(name.endswith(".toml") for name in settings):
+        return probe.main(settings)
+    if len(settings) > 1:
+        raise InputError(f"probe: one file or some settings are needed, found {list(settings)}")
+    answered = {name: question for name, question in load(settings[0]).items() if question.answer}
+    if not answered:
+        raise InputError(f"{Path(settings[0]).name}: has no answer")
+    found = flips(answered)
+    turned = found[found["before"] != found["after"]]
+    print(f"{len(answered)} answers, {len(found)} statements judged again, {len(turned)} verdicts flip:")
+    for row in turned.itertuples():
+        print(f"  {row.id}: {row.before} -> {row.after} ({row.statement})")
+    return None

@@ -1,0 +1,126 @@
+"""Answers to open questions: slots reach the probe, only what depends on them is driven, wrong ones get a sentence."""
+
+from dataclasses import fields, replace
+
+import pytest
+
+from railrepro import __main__ as command
+from railrepro import paths
+from railrepro.control.registry import PAPER_TRIO
+from railrepro.errors import InputError
+from railrepro.evidence.claims import calibrated, probe
+from railrepro.evidence.claims.nominal import Nominal
+from railrepro.evidence.report import flips
+from railrepro.evidence.runs import tuning
+
+T3 = "curve_entry_T3"
+
+
+def answered(**given):
+    """Questions of data/answers.toml with some answers."""
+    questions = flips.load()
+    return {name: replace(questions[name], answer=tuple(values)) for name, values in given.items()}
+
+
+def given(**answers):
+    return {
+        key: value for each in answered(**answers).values() for key, value in zip(each.sets, each.answer, strict=True)
+    }
+
+
+def test_the_committed_questions_are_open():
+    questions = flips.load()
+    assert len(questions) > 10 and not any(question.answer for question in questions.values())
+    assert all(question.asks.endswith(("?", ":")) for question in questions.values())
+
+
+def test_answers_reach_the_car_the_controllers_and_the_experiments():
+    world = flips.setup(
+        given(friction=[0.11], poles=[42.0, 42.0], sweep=[4.0, 160.0, 70.0], profile=["s1002"], r_brake=[5.0, 4.0])
+        | given(brake_sweep=[3.0, 100.0, 20.0])
+    )
+    assert world.car().adhesion["poor"].mu0 == 0.11 and world.car().contact.profile == "s1002"
+    assert world.parameters["ndi"]["pole"] == world.parameters["ndi"]["frequency"] == 42.0
+    assert (world.amplitude_mm, world.period_start_m, world.period_end_m) == (4.0, 160.0, 70.0)
+    assert (world.r_brake, world.r_second) == (5.0, 4.0) and world.braking().set_point["period_end_m"] == 20.0
+    assert world.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"], "what is not answered stays"
+    equal = flips.setup(given(tuning_runs=["equal"]))
+    assert equal.parameters == {name: tuning.load(name, "equal")["parameters"] for name in PAPER_TRIO}
+    assert flips.setup({}) == calibrated.uncalibrated()
+
+
+def test_each_question_sets_what_there_is():
+    of_probe = {field.name: field.default for field in fields(probe.ProbeSetup)}
+    for question in flips.load().values():
+        for target in question.sets:
+            kind, _, key = target.partition(":")
+            nominal = {"vehicle": None, "setup": of_probe.get(key), "brake_sweep": 3.0, "setting": "paper"}
+            value = nominal.get(kind, tuning.load(kind, "paper")["parameters"].get(key) if kind in PAPER_TRIO else None)
+            if value is not None:
+                flips.setup({target: value}).car()
+
+
+def test_only_what_depends_on_an_answer_is_driven(monkeypatch):
+    driven = []
+    monkeypatch.setattr(probe, "probe", lambda world, parts: driven.append((world, parts)) or [])
+    flips.flips(answered(sweep=[3.0, 150.0, 40.0]))
+    flips.flips(answered(r_loss=[10.0], torque=[4000.0]))
+    assert [parts for _, parts in driven] == [["curve"], ["loss", "brake"]]
+    assert driven[1][0].r_loss == 10.0 and driven[1][0].car().drive.torque_limit == 4000.0
+
+
+def test_which_verdicts_flip():
+    """NDI is driven to the front on T3 by hand; what was not driven keeps its verdict, fragile ones too."""
+    nominal = Nominal().evidence("paper").metrics
+    driven = [(*key, value) for key, value in dict(nominal).items() if key[0] == T3]
+    same = flips.flips(answered(sweep=[3.0, 150.0, 40.0]), driven).set_index("id")
+    assert (same["before"] == same["after"]).all() and {"C05", "C20", "C31"} <= set(same.index)
+    assert "fragile" in set(same["before"])
+    ahead = [(*row[:3], 1e-5) if row[1:3] == ("ndi", "rmse_y") else row for row in driven]
+    found = flips.flips(answered(sweep=[3.0, 150.0, 40.0]), ahead).set_index("id")
+    assert found.loc["C05", ["before", "after"]].tolist() == ["reproduced", "not reproduced"]
+    assert found.loc["C20", "before"] == found.loc["C20", "after"] == "reproduced"
+
+
+def test_weights_that_are_known_have_no_spread_of_seeds():
+    nominal = dict(Nominal().evidence("paper").metrics)
+    near = {"nmpc": 1.0e-3, "ltv_mpc_printed": 1.001e-3, "ndi": 1.002e-3}
+    driven = [(*k, near[k[1]] if k[2] == "rmse_y" and k[1] in near else v) for k, v in nominal.items() if k[0] == T3]
+    some = answered(sweep=[3.0, 150.0, 40.0], poles=[30.0])
+    assert flips.flips(some, driven).set_index("id").loc["C06", "after"] == "tie"
+    some |= answered(r=[1e-12], ltv_weight=[1e-12])
+    assert flips.flips(some, driven).set_index("id").loc["C06", "after"] == "fragile"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("answer = []", "answer = [1.0, 2.0]", r"\[tuning_runs\] has 2 answers, 1 or 1 are needed"),
+        ('parts = ["loss"]', 'parts = ["lost"]', r"\[r_loss\] has the part 'lost', allowed are curve"),
+        ("asks = ", "ask = ", r"\[tuning_runs\] has the unknown key 'ask'"),
+    ],
+)
+def test_a_wrong_file_is_told_in_a_sentence(old, new, sentence, tmp_path):
+    text = (paths.ROOT / "data/answers.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=f"^mine.toml: {sentence}"):
+        flips.load(tmp_path / "mine.toml")
+
+
+def test_an_answer_that_nothing_has_or_the_car_refuses_is_told_before_anything_runs():
+    for wrong in ("setup:colour", "colour", "pid:gain"):
+        with pytest.raises(InputError, match="which nothing has"):
+            flips.setup({wrong: 1.0})
+    with pytest.raises(InputError, match=r"drive\.torque"):
+        flips.setup({"vehicle:drive.torque": 1.0})
+
+
+def test_the_command_prints_what_flips(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(probe, "probe", lambda world, parts: [])
+    text = (paths.ROOT / "data/answers.toml").read_text()
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    assert command.main(["probe", str(file)]) == 1 and "mine.toml: has no answer" in capsys.readouterr().err
+    file.write_text(text.replace("answer = []", 'answer = ["paper"]', 1))
+    assert command.main(["probe", str(file)]) == 0 and "1 answers, " in capsys.readouterr().out
+    assert command.main(["probe", str(file), "paper"]) == 1
