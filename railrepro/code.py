@@ -65,7 +65,10 @@ _edited = False
 
 
 def unchanged() -> bool:
-    """Whether the files are those that this process imported; once they are not, it says so and stays with it."""
+    """Whether the files are those that this process imported; once they are not, it says so and stays with it.
+
+    A file that was edited and put back counts as edited, whatever it holds: a module may have been imported in between.
+    """
     global _edited
     if not _edited and any(_signature(file) != signature for file, signature in _IMPORTED.items()):
         _edited = True
