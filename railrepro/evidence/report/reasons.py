@@ -21,7 +21,7 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import MissingEvidence
 from railrepro.evidence.runs import tuning
-from railrepro.evidence.uncertainty.robustness import LABELS, draw, holds
+from railrepro.evidence.uncertainty.robustness import LABELS, holds
 from railrepro.simulation.scenarios import load_scenario
 
 UNKNOWN = "n/a"
@@ -262,8 +262,8 @@ def _sampled(file: Path, _changed: int) -> pd.DataFrame:
     if not set(LABELS) <= set(table):
         raise MissingEvidence("robustness")
     table = table[table["setting"] == "paper"].reset_index(drop=True)
-    drawn = pd.DataFrame([dict(sample.values) for sample in draw(settings=("paper",))])
-    return holds(table).join(drawn.loc[table["number"]].reset_index(drop=True))
+    drawn = [name for name in table if "/" not in name and name not in LABELS]
+    return holds(table).join(table[drawn])
 
 
 def _share(nominal: Nominal, identity: str, chosen: Callable[[pd.DataFrame], pd.Series]) -> str:

@@ -152,13 +152,14 @@ def draw(count: int = SAMPLES, seed: int = SEED, settings: Sequence[str] = tunin
 def evaluate(sample: Sample) -> dict:
     """A small retuning of each controller on its setting, then the probe with other seeds of the noise; values in SI.
 
-    The sample's number, setting, profile and reading of LTV-MPC, and "scenario/controller/metric" -> value.
+    The sample's number, setting, profile and reading of LTV-MPC, the values drawn by dimension, and
+    "scenario/controller/metric" -> value.
     """
     world = sample.world()
     tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
     judged = replace(world, parameters=tuned, sensors=_sensors(sample.setting, JUDGING))
     labels = {"number": sample.number, "setting": sample.setting, "profile": world.profile, "ltv": world.ltv}
-    return labels | {"/".join(key): _plain(value) for *key, value in probe(judged, PARTS)}
+    return labels | dict(sample.values) | {"/".join(key): _plain(value) for *key, value in probe(judged, PARTS)}
 
 
 LABELS = ("number", "setting", "profile", "ltv")
