@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from railrepro.car.component import SteppedCar
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
@@ -64,15 +63,6 @@ def test_a_bare_wheel_carries_its_share_of_the_car(vehicle):
     run = bare_wheel.simulate(vehicle, [bare_wheel.Case(LAW, vehicle.adhesion["dry"])], 20.0, demand)
     gained = 1e-3 * 9.81 * np.cumsum(run.adhesion[:, 0])
     assert run.speed[1:, 0] - 20.0 == pytest.approx(gained[:-1], abs=2e-3) and gained.max() > 0.2
-
-
-def test_braking_reaches_standstill_and_stays():
-    car = SteppedCar("T5", 10 / 3.6)
-    car.step(np.full(4, -4000.0), 6000)
-    stopped = car.outputs["front.p"]
-    car.step(np.full(4, -4000.0), 4000)
-    assert abs(car.outputs["front.v"]) < 1e-3
-    assert car.outputs["front.p"] == pytest.approx(stopped, abs=5e-3)
 
 
 def test_slip_control_prevents_what_the_baseline_suffers(vehicle):

@@ -1,4 +1,4 @@
-"""Bad inputs that are no row of misuse.toml: what happens in runs, interrupts, and the environment of a command."""
+"""Bad inputs that are no row of inputs.toml: what happens in runs, interrupts, and the environment of a command."""
 
 import os
 import signal

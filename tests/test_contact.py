@@ -8,6 +8,7 @@ import pytest
 from rolling import Rolling
 
 from railrepro.contact import creep, normal, profiles
+from railrepro.contact import table as contact
 from railrepro.contact.fastsim import equivalent_conicity, rigid_contact
 from railrepro.contact.points import read_pair
 from railrepro.contact.table import (
@@ -212,3 +213,18 @@ def test_half_space_agrees_with_hertz():
     a, b, exact = normal.hertz(2.0, 1.5, 8e4, modulus)
     assert approach == pytest.approx(exact, rel=0.02)
     assert pressure.max() == pytest.approx(1.5 * 8e4 / (np.pi * a * b), rel=0.05)
+
+
+def test_points_of_standard_profiles_give_the_contact_of_the_standard_ones(tmp_path, monkeypatch):
+    """Points every 0.3 mm on the wheel and 0.2 mm on the rail, to 10 nm; a rail has any origin."""
+    lateral_, (position, depth) = np.arange(-0.06, 0.058, 3e-4), profiles.inclined_rail(401)
+    parts = {"wheel": (lateral_, profiles.s1002(lateral_)[0]), "rail": (position - 0.8, 0.1 - depth)}
+    rows = [pd.DataFrame({"part": part, "lateral_mm": 1e3 * s, "height_mm": 1e3 * z}) for part, (s, z) in parts.items()]
+    pd.concat(rows).to_csv(tmp_path / "pair.csv", index=False, float_format="%.5f")
+    monkeypatch.setattr(contact, "SHIFTS", np.array([-4e-3, -2e-3, 0.0, 2e-3, 4e-3]))
+    material = 0.4601, 78480.0, 1.14e11, 9.2e10  # a radius of no other test: tables are cached
+    mine = contact.pair_table(*material, read_pair(tmp_path / "pair.csv")).frame
+    theirs = contact.pair_table(*material).frame
+    assert np.allclose(mine["rolling_radius_m"], theirs["rolling_radius_m"], rtol=0, atol=5e-6)
+    assert np.allclose(mine["angle_rad"], theirs["angle_rad"], rtol=0, atol=1e-3)
+    assert np.allclose(mine["semi_axis_y_m"], theirs["semi_axis_y_m"], rtol=0.03)

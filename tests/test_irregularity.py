@@ -17,10 +17,12 @@ from railrepro.track.irregularity import (
     irregularities,
     irregularity_spectrum,
     rails,
+    smooth_step,
     track_centre,
     track_quality,
 )
 from railrepro.track.measured import read_irregularities
+from railrepro.track.rough import rough_track
 
 COLUMNS = ["p_m", *CHANNELS.values()]
 
@@ -381,3 +383,13 @@ def test_planned_line_bends_before_a_fault_that_it_foresees():
 def test_wrong_plans_are_refused(rough, change, arguments, sentence):
     with pytest.raises(InputError, match=sentence):
         planned_line(rough.assign(**change), *arguments)
+
+
+def test_measured_irregularities_begin_at_a_chainage(tmp_path):
+    rows = pd.DataFrame({"p_m": 12000.0 + np.arange(101), "lateral_m": 1e-3 * np.sin(np.arange(101) / 5)})
+    rows = rows.assign(vertical_m=0.0, crosslevel_rad=0.0, gauge_m=0.0)
+    rows.to_csv(tmp_path / "mine.csv", index=False)
+    found = rough_track(np.arange(0.0, 50.0), str(tmp_path / "mine.csv"), chainage=12040.0)
+    assert found["lateral_m"].iloc[25] == pytest.approx(
+        rows["lateral_m"].iloc[65] * smooth_step(np.array(24 / 30)).item()
+    )

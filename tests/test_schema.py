@@ -12,13 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from railrepro import paths, schema
-from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.evidence.chain import chain, compare
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import tuning
-from railrepro.simulation import simulate
-from railrepro.simulation.scenarios import load_scenario, load_scenarios
+from railrepro.simulation.scenarios import load_scenarios
 from railrepro.track.alignment import alignments
 from railrepro.track.table import COLUMNS, load_track, read_table
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
@@ -190,18 +188,10 @@ set_point = {kind = "sine", amplitude_mm = 3, period_m = 150, start_m = 0}"""
 @pytest.mark.parametrize(
     ("reader", "text", "old", "new", "sentence"),
     [
-        ("tracks", CURVE, "straight_m = 25", "straight_m = -25", "straight_m = -25, a number from 0 to 100000 m"),
         ("tracks", CURVE, "= 60", "= 85", r"cant angle of 0.33. rad, up to 0.3 rad"),
-        ("tracks", CURVE, "= 60", "= true", "design_speed_kmh is True, a number in km/h"),
-        ("tracks", CURVE, "= 0.0", "= nan", "unbalanced_acceleration_mps2 = nan"),
-        ("tracks", CURVE, "= 43", "= inf", "clothoid_m is inf"),
         ("tracks", "segments = [{length_m = 3, superelevation_m = 0.5}]", "", "", "segment 1: superelevation_m = 0.5"),
         ("tracks", "segments = []", "", "", "segments is empty, at least one"),
         ("tracks", "segments = 3", "", "", "segments is 3, a list is needed"),
-        ("scenarios", SINE, "= 100", "= true", "speed_kmh is True"),
-        ("scenarios", SINE, "= 100", "= nan", "speed_kmh = nan"),
-        ("scenarios", SINE, "= 150", "= -150", "set_point.period_m = -150, a number from 1 to"),
-        ("scenarios", SINE, "mm = 3", "mm = 21", "set_point.amplitude_mm = 21, a number from -20 to 20 mm"),
         ("scenarios", SINE, "start_m = 0", "start_m = 9, end_m = 5", "ends at 5 m, an end after its start at 9 m"),
         ("scenarios", SINE, 'kind = "sine", ', "", "set_point lacks the key 'kind'"),
         (
@@ -211,7 +201,6 @@ set_point = {kind = "sine", amplitude_mm = 3, period_m = 150, start_m = 0}"""
             "end_m = 90\nforce_kN = [[5, 1], [2, 3]]",
             r"increasing p_m, found \[\[5, 1\], \[2, 3\]\]",
         ),
-        ("scenarios", SINE, "end_m = 90", "end_m = 90\nforce_kN = [[0, -30000]]", "force outside -500 to 500"),
         ("scenarios", SINE, "end_m = 90", "end_m = 90\nforce_kN = [[0, nan]]", "pairs of numbers"),
         ("scenarios", SINE, "end_m = 90", 'end_m = 90\nname = "b"', "its own key is its name"),
     ],
@@ -230,10 +219,7 @@ def test_what_a_run_would_not_survive_is_refused(tmp_path, reader, text, old, ne
 @pytest.mark.parametrize(
     ("name", "old", "new", "sentence"),
     [
-        ("data/tuning.toml", "particles = 14", "particles = 0", "budget.particles = 0, a number from 1"),
-        ("data/tuning.toml", "iterations = 10", "iterations = 2.5", "budget.iterations is 2.5, a whole number"),
         ("data/tuning.toml", '"curve_entry_T1"', '"curve_entry_T9"', r"\[run.T1\] has the scenario 'curve_entry_T9'"),
-        ("data/tuning.toml", "end_m = 50", "end_m = nan", "run.T1.end_m = nan"),
         ("data/tuning.toml", "[controller.ndi]", "[controller.pid]", r"\[controller.pid\] is not known"),
         ("data/tuning.toml", 'same_as = "nmpc"', 'same_as = "pid"', "has no bounds"),
         ("data/tuning.toml", "pole = [3, 200,", "pole = [3, inf,", r"pole = \[3, inf, 'log'\], \[low, high, scale\]"),
@@ -271,17 +257,10 @@ def test_what_is_wrong_is_named(folder, name, old, new, sentence):
     assert str(refused.value).startswith(f"{file.name}: ")
 
 
-def test_an_adhesion_set_that_the_vehicle_lacks_is_named():
-    with pytest.raises(InputError, match="scenario braking: the adhesion set 'ice' is not known; there are .*'dry'"):
-        simulate.run(load_scenario("braking").but(good="ice"), NDI())
-
-
 @pytest.mark.parametrize(
     ("row", "column", "value", "sentence"),
     [
-        (100, "dpsi_dp_1pm", 0.04, "row 102, dpsi_dp_1pm = 0.04 is a spike"),
         (100, "dphi_dp_1pm", -0.05, "row 102, dphi_dp_1pm = -0.05 is a spike"),
-        (100, "x_m", 3.0, "row 102, x_m, y_m, z_m lie 47 m from where"),
         (slice(None), "y_m", 0.0, "x_m, y_m, z_m lie"),
         (slice(None), "psi_rad", True, "row 2, psi_rad is 'True'"),
     ],

@@ -51,43 +51,10 @@ def unguided():
     return simulate.run(scenarios.load_scenario("curve_entry_T2"), NDI(pole=1e-3, frequency=1e-3), vehicle=vehicle)
 
 
-def test_an_unguided_car_leaves_the_rail_and_the_run_says_so():
-    run = unguided()
-    assert run.failed
-    assert "derailed" in run.ended
-
-
 def test_delay_of_a_shifted_signal_is_found():
     p = np.arange(0, 600, 0.1)
     series = pd.DataFrame({"front.p": p, "front.y_ref": np.sin(p / 15), "front.y": np.sin((p - 4.0) / 15)})
     assert metrics.delay(series) == pytest.approx(4.0, abs=0.3)
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ('[a]\ntrack = "T5"\nspeed_kmh = 100\n', "lacks the key 'end_m'"),
-        ('[a]\ntrack = "T5"\nspeed_kmh = -1\nend_m = 10\n', "speed_kmh = -1"),
-        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\nspede = 1\n', "unknown key 'spede'"),
-        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\npoor_share = [[0, 2]]\n', "outside 0 to 1"),
-        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\nset_point = { kind = "saw" }\n', "kind 'saw'"),
-        ('[a]\ntrack = "T5"\nspeed_kmh = 100\nend_m = 10\nset_point = { kind = "sine" }\n', "lacks"),
-    ],
-)
-def test_wrong_scenarios_are_refused(tmp_path, text, sentence):
-    file = tmp_path / "own.toml"
-    file.write_text(text)
-    with pytest.raises(InputError, match=sentence):
-        scenarios.load_scenarios(file)
-
-
-def test_names_that_do_not_exist_are_refused():
-    with pytest.raises(InputError, match="there are"):
-        scenarios.load_scenario("curve_entry_T9")
-    with pytest.raises(InputError, match="T9"):
-        scenarios.load_scenario("sine_tracking").but(track="T9").route()
-    with pytest.raises(InputError, match="beyond track"):
-        scenarios.load_scenario("sine_tracking").but(end_m=9000).route()
 
 
 def test_offset_observer_removes_the_drift_in_the_curve():
@@ -111,18 +78,6 @@ def test_a_wrong_controller_is_refused_before_the_car_is_compiled(period, solver
     monkeypatch.setattr(simulate, "start", lambda *_: pytest.fail("the car is compiled"))
     with pytest.raises(InputError, match=sentence):
         simulate.run(scenarios.load_scenario("sine_tracking"), lambda v, w, g: Own(v, w, g, solver=solver))
-
-
-def test_a_controller_that_returns_nan_is_named():
-    class Broken:
-        period = 0.01
-
-        def plan(self, x_hat, u_d):
-            return np.nan if x_hat[0] > 5 else 0.0
-
-    scenario = scenarios.load_scenario("sine_tracking").but(end_m=50.0)
-    with pytest.raises(ArithmeticError, match=r"controller of the front gear returned nan at t = 0\.0\d0 s, p = "):
-        simulate.run(scenario, lambda vehicle, way, gear: Broken())
 
 
 def test_no_number_that_is_not_finite_leaves_a_run():

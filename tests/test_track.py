@@ -120,3 +120,20 @@ def test_wrong_alignments_are_refused(tmp_path, text, sentence):
     file.write_text(text)
     with pytest.raises(InputError, match=sentence):
         alignments(file)
+
+
+def test_a_track_of_chainage_and_radius_is_that_of_its_segments(tmp_path):
+    """Against 10^5 steps of the integrals of curvature and heading, and the cant by its definition."""
+    text = (
+        "chainage_m,radius_m,cant_mm\n12000,,0\n12100,0,0\n12300,-1500,-120\n14800,-1500,-120\n15000,inf,0\n15100,,0\n"
+    )
+    (tmp_path / "mine.csv").write_text(text)
+    table = load_track(tmp_path / "mine.csv").table
+    s = np.linspace(0.0, 3100.0, 100_001)
+    kappa = np.interp(s, [0, 100, 300, 2800, 3000, 3100], [0, 0, -1 / 1500, -1 / 1500, 0, 0])
+    heading = np.concatenate([[0.0], np.cumsum((kappa[1:] + kappa[:-1]) / 2 * np.diff(s))])
+    ends = [np.trapezoid(np.cos(heading), s), np.trapezoid(np.sin(heading), s)]
+    assert table["psi_rad"].iloc[-1] == pytest.approx(-2700 / 1500) == pytest.approx(heading[-1])
+    assert table[["x_m", "y_m"]].iloc[-1].tolist() == pytest.approx(ends, abs=1e-5)
+    assert 1.5 * np.sin(table["phi_rad"].min()) == pytest.approx(-0.12)
+    assert table["dphi_dp_1pm"].abs().max() == pytest.approx(np.arcsin(0.08) / 200)

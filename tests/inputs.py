@@ -1,5 +1,5 @@
 # ruff: noqa: F401, F811 (names for the calls of the table)
-"""What the calls of misuse.toml are made of: things that are right, and ways to spoil one of them."""
+"""What the calls of inputs.toml are made of: things that are right, and ways to spoil one of them."""
 
 import inspect
 from pathlib import Path
@@ -58,7 +58,6 @@ WAY = np.arange(0.0, 100.0, 0.5)
 FLAT = np.zeros((4, WAY.size))
 FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
 SINE = {"kind": "sine", "amplitude_mm": 3, "period_m": 50, "start_m": 0}
-NMPC_SET = {"q_psi_TrAx": 1.0, "q_psidot_Ax": 1.0, "r": 1e-11, "q_terminal": 1.0, "period_ms": 10, "horizon_s": 0.3}
 THREE = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
 
 
@@ -108,18 +107,6 @@ def rough(**channels):
     return irregularities(WAY).assign(**channels)
 
 
-def experience(irregular=None, preview=None):
-    irregular = {"seed": 1} if irregular is None else irregular
-    known = {} if preview is None else preview
-    given = {"parameters": THREE, "vehicle": CONE, "irregular": irregular, "preview": known}
-    return experiment.Experiment(scenario(), "ndi", **given)()
-
-
-def swarm(dimensions=None, particles=3, iterations=3, seed=1):
-    dimensions = [pso.Dimension("x", 0, 1)] if dimensions is None else dimensions
-    return pso.minimise(lambda sets, limits: [1.0] * len(sets), dimensions, particles, iterations, seed)
-
-
 def planning(torque, **attributes):
     """A run whose slower controllers plan a torque."""
     controller = type("Plan", (), {"period": 0.01, "plan": lambda self, x, u: torque} | attributes)
@@ -142,11 +129,6 @@ def law(answer, gains=None):
     return lateral.kind(Law(answer, gains))
 
 
-def law_with(**attributes):
-    own = type("Mine", (), {"torque": lambda self, q: -q.y} | attributes)
-    return lateral.kind(own())
-
-
 def file(text, read, name="mine.csv"):
     """Read a file of some text, in bytes or not."""
     path = folder / name
@@ -159,10 +141,6 @@ def edited(name, old, new, read):
     text = (paths.ROOT / "data" / name).read_text()
     assert old in text, "the row is out of date"
     return file(text.replace(old, new, 1), read, name)
-
-
-def quality(text):
-    return file(text, irregularity.track_quality, "irregularities.toml")
 
 
 def tracks(text):
@@ -211,10 +189,6 @@ def table_csv(column=None, row=None, value=None, drop=(), scale=None, order="", 
     return file(table.to_csv(index=False, sep=separator), load_track)
 
 
-def enter(path):
-    return made(load_class(path), "loop")
-
-
 def rough_of(**channels):
     return irregularity.check(rough(**channels))
 
@@ -224,10 +198,6 @@ def at_the_end():
     for name in ("body.s", "front.s", "rear.s"):
         car.state[car.model.states.index(name)] += car.route.length
     return car
-
-
-def tuned_file(text):
-    return file(text, lambda path: tuning.load("ndi", folder=path.parent), "ndi.json")
 
 
 def chain_file(text):

@@ -1,9 +1,11 @@
-"""Misuse, as a table: misuse.toml holds calls and commands, and a piece of the sentence that answers each.
+"""Wrong input is answered in one sentence: by a property of all classes that files are read into, and by a table.
 
+inputs.toml holds calls and commands that no declared range covers, and a piece of the sentence that answers each.
 Refused is what cannot be meant (`InputError`), warned of is what may be meant but is more likely another unit, told is
-what a command says; nothing is silent, nothing ends in a traceback. A piece with … stands for several, in their order.
+what a command says. A piece with … stands for several, in their order.
 """
 
+import functools
 import importlib
 import json
 import os
@@ -11,40 +13,43 @@ import subprocess
 import sys
 import time
 import tomllib
+import types
+import typing
 import warnings
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
+from typing import Annotated
 
-import misuse
+import inputs
 import numpy as np
-import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from railrepro import __main__ as command
 from railrepro import parent_death, paths, schema
 from railrepro.compile import cache
-from railrepro.contact import points, profiles
-from railrepro.contact import table as contact
+from railrepro.control.adhesion import AdhesionSettings
+from railrepro.control.law import EstimateSettings
+from railrepro.control.ndi import NDI
+from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
-from railrepro.estimation.sensors import load_loop
+from railrepro.estimation.sensors import Loop, load_loop
 from railrepro.evidence.chain import verify
 from railrepro.evidence.runs import tuning
+from railrepro.own.creep_gains import CreepSettings
+from railrepro.own.slip import SlipSettings
 from railrepro.simulation.scenarios import Scenario, Sine, Sweep, load_scenarios
-from railrepro.track import irregularity, rough
-from railrepro.track.alignment import SegmentEntry, SegmentsEntry, alignments
-from railrepro.track.table import load_track
-from railrepro.vehicle.parameters import load_vehicle
+from railrepro.track import irregularity
+from railrepro.track.alignment import CurveEntry, SegmentEntry, SegmentsEntry, alignments
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-TABLE = tomllib.loads(Path(__file__).with_name("misuse.toml").read_text(encoding="utf-8"))
+TABLE = tomllib.loads(Path(__file__).with_name("inputs.toml").read_text(encoding="utf-8"))
 
 
 def rows(kind):
     """Calls of a kind with what they are answered."""
-    return [
-        pytest.param(call, answer, id=f"{group}: {call}")
-        for group, calls in TABLE[kind].items()
-        for call, answer in calls.items()
-    ]
+    return [pytest.param(*row, id=row[0]) for row in TABLE[kind].items()]
 
 
 def holds(said, pieces):
@@ -59,8 +64,8 @@ def holds(said, pieces):
 
 
 def called(call, folder, monkeypatch):
-    monkeypatch.setattr(misuse, "folder", folder)
-    return eval(call, vars(misuse))
+    monkeypatch.setattr(inputs, "folder", folder)
+    return eval(call, vars(inputs))
 
 
 @pytest.mark.parametrize(("call", "sentence"), rows("refused"))
@@ -103,6 +108,121 @@ def test_a_module_run_by_name_ends_in_one_sentence(arguments, sentence, tmp_path
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 1 and not done.stdout and holds(done.stderr, sentence), done.stderr
     assert not list(tmp_path.iterdir())
+
+
+ROOTS = {
+    "vehicle.toml": Vehicle,
+    "sensors.toml": Loop,
+    "scenarios.toml": dict[str, Scenario],
+    "tracks.toml": dict[str, CurveEntry | SegmentsEntry],
+    "irregularities.toml": dict[str, irregularity.Quality],
+    "tuning.toml": tuning.TaskFile,
+}
+"""Files of data/ and what they are read into."""
+
+
+@functools.cache
+def hints(kind):
+    return typing.get_type_hints(kind, include_extras=True)
+
+
+def tables(kind, content):
+    """Every class on the way through a file, with a table that it is read from."""
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if is_dataclass(kind):
+        yield kind, content
+        for key in content:
+            yield from tables(hints(kind)[key], content[key])
+    elif origin is Annotated:
+        yield from tables(parts[0], content)
+    elif origin in (dict, tuple):
+        for part in content.values() if origin is dict else content:
+            yield from tables(parts[1 if origin is dict else 0], part)
+    elif origin in (types.UnionType, typing.Union) and isinstance(content, dict):
+        known = [part for part in parts if is_dataclass(part) and content.keys() <= hints(part).keys()]
+        of_kind = [part for part in known if content.get("kind") in (None, *typing.get_args(hints(part).get("kind")))]
+        yield from tables(of_kind[0], content)
+
+
+def declared(kind):
+    """Numbers that a class declares: key, quantity, whether it is whole, whether it may be missing."""
+    for key, hint in hints(kind).items():
+        union = typing.get_origin(hint) in (types.UnionType, typing.Union)
+        parts = typing.get_args(hint) if union else [hint]
+        for part in (part for part in parts if typing.get_origin(part) is Annotated):
+            base, *notes = typing.get_args(part)
+            for quantity in (note for note in notes if isinstance(note, schema.Quantity) and note.high > 0):
+                if base is not bool and base is not str:
+                    yield key, quantity, base is int, type(None) in typing.get_args(hint)
+
+
+@functools.cache
+def quantities(kind):
+    return list(declared(kind))
+
+
+@functools.cache
+def stated():
+    """One table of each class that declares numbers, the one with most keys."""
+    found = {}
+    for name, root in ROOTS.items():
+        for kind, content in tables(root, schema.read(paths.ROOT / "data" / name)):
+            if quantities(kind) and len(content) > len(found.get(kind, ())):
+                found[kind] = content if kind is not Scenario else content | {"name": "a"}
+    return found
+
+
+def beyond(quantity, whole, optional):
+    """Values that a quantity does not allow."""
+    least = -quantity.low if quantity.signed else None
+    below = st.floats(least, quantity.low, exclude_max=quantity.closed)
+    above = st.floats(quantity.high, exclude_min=True) if np.isfinite(quantity.high) else st.nothing()
+    wrong = [float("nan"), True, "1", [], {}, 1j, 10**400, *([] if optional else [None]), *([1.5] if whole else [])]
+    return st.one_of(below, above, st.sampled_from(wrong))
+
+
+@pytest.mark.parametrize("kind", stated(), ids=lambda kind: kind.__name__)
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@given(data=st.data())
+def test_a_number_beyond_its_declared_range_is_refused_in_a_line_that_names_its_key(kind, data):
+    content = stated()[kind]
+    key, quantity, *how = data.draw(st.sampled_from(quantities(kind)))
+    value = data.draw(beyond(quantity, *how))
+    entry = content.get(key)
+    given_ = entry | {"value": value, "range": "fixed"} if isinstance(entry, dict) else value
+    with pytest.raises(InputError) as refused:
+        schema.build(kind, content | {key: given_}, "here")
+    said = str(refused.value)
+    assert said.startswith(f"here: {key} ") and len(said.splitlines()) == 1, said
+
+
+@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@given(st.floats(-1e9, 1e9), st.floats(0, 1e9), st.floats(0.0, 1.0), st.booleans())
+def test_a_number_within_its_range_is_taken_and_the_ends_are_those_that_are_stated(low, width, share, closed):
+    quantity = schema.Quantity(low, low + width, "m", closed=closed)
+    inside = min(low + share * width, quantity.high)
+    for value, taken in ((inside, inside > low or closed), (low, closed), (quantity.high, closed or width > 0)):
+        try:
+            quantity.check(value)
+        except ValueError:
+            assert not taken or low == low + width
+        else:
+            assert taken
+
+
+SETTINGS = (MPCSettings, AdhesionSettings, EstimateSettings, SlipSettings, CreepSettings, NDI)
+
+
+@pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)
+def test_settings_of_controllers_refuse_what_is_no_number_of_a_possible_size(kind):
+    made = kind()
+    numbers = [field.name for field in fields(kind) if type(getattr(made, field.name)) in (int, float)]
+    assert len(numbers) > 2
+    for name in numbers:
+        for value in (np.nan, np.inf, -1e15, 1e15, "text", None, [], True):
+            with pytest.raises(InputError) as refused:
+                kind(**{name: value})
+            assert f" {name} " in str(refused.value) and len(str(refused.value).splitlines()) == 1
 
 
 SWEPT = {
@@ -251,48 +371,6 @@ def test_what_is_in_a_long_call_ends_with_who_started_it():
     while parent_death.alive(child) and time.monotonic() < end:
         time.sleep(0.1)
     assert not parent_death.alive(child)
-
-
-def test_a_track_of_chainage_and_radius_is_that_of_its_segments(tmp_path):
-    """Against 10^5 steps of the integrals of curvature and heading, and the cant by its definition."""
-    text = (
-        "chainage_m,radius_m,cant_mm\n12000,,0\n12100,0,0\n12300,-1500,-120\n14800,-1500,-120\n15000,inf,0\n15100,,0\n"
-    )
-    (tmp_path / "mine.csv").write_text(text)
-    table = load_track(tmp_path / "mine.csv").table
-    s = np.linspace(0.0, 3100.0, 100_001)
-    kappa = np.interp(s, [0, 100, 300, 2800, 3000, 3100], [0, 0, -1 / 1500, -1 / 1500, 0, 0])
-    heading = np.concatenate([[0.0], np.cumsum((kappa[1:] + kappa[:-1]) / 2 * np.diff(s))])
-    ends = [np.trapezoid(np.cos(heading), s), np.trapezoid(np.sin(heading), s)]
-    assert table["psi_rad"].iloc[-1] == pytest.approx(-2700 / 1500) == pytest.approx(heading[-1])
-    assert table[["x_m", "y_m"]].iloc[-1].tolist() == pytest.approx(ends, abs=1e-5)
-    assert 1.5 * np.sin(table["phi_rad"].min()) == pytest.approx(-0.12)
-    assert table["dphi_dp_1pm"].abs().max() == pytest.approx(np.arcsin(0.08) / 200)
-
-
-def test_points_of_standard_profiles_give_the_contact_of_the_standard_ones(tmp_path, monkeypatch):
-    """Points every 0.3 mm on the wheel and 0.2 mm on the rail, to 10 nm; a rail has any origin."""
-    lateral_, (position, depth) = np.arange(-0.06, 0.058, 3e-4), profiles.inclined_rail(401)
-    parts = {"wheel": (lateral_, profiles.s1002(lateral_)[0]), "rail": (position - 0.8, 0.1 - depth)}
-    rows = [pd.DataFrame({"part": part, "lateral_mm": 1e3 * s, "height_mm": 1e3 * z}) for part, (s, z) in parts.items()]
-    pd.concat(rows).to_csv(tmp_path / "pair.csv", index=False, float_format="%.5f")
-    monkeypatch.setattr(contact, "SHIFTS", np.array([-4e-3, -2e-3, 0.0, 2e-3, 4e-3]))
-    material = 0.4601, 78480.0, 1.14e11, 9.2e10  # a radius of no other test: tables are cached
-    mine = contact.pair_table(*material, points.read_pair(tmp_path / "pair.csv")).frame
-    theirs = contact.pair_table(*material).frame
-    assert np.allclose(mine["rolling_radius_m"], theirs["rolling_radius_m"], rtol=0, atol=5e-6)
-    assert np.allclose(mine["angle_rad"], theirs["angle_rad"], rtol=0, atol=1e-3)
-    assert np.allclose(mine["semi_axis_y_m"], theirs["semi_axis_y_m"], rtol=0.03)
-
-
-def test_measured_irregularities_begin_at_a_chainage(tmp_path):
-    rows = pd.DataFrame({"p_m": 12000.0 + np.arange(101), "lateral_m": 1e-3 * np.sin(np.arange(101) / 5)})
-    rows = rows.assign(vertical_m=0.0, crosslevel_rad=0.0, gauge_m=0.0)
-    rows.to_csv(tmp_path / "mine.csv", index=False)
-    found = rough.rough_track(np.arange(0.0, 50.0), str(tmp_path / "mine.csv"), chainage=12040.0)
-    assert found["lateral_m"].iloc[25] == pytest.approx(
-        rows["lateral_m"].iloc[65] * irregularity.smooth_step(np.array(24 / 30)).item()
-    )
 
 
 def printed(*arguments, **environment):
