@@ -77,14 +77,14 @@ def test_a_name_of_the_package_leads_to_its_home(text):
 
 def test_imports_are_followed_in_all_forms_and_not_into_strings_of_documentation():
     forms = [
-        "from railrepro.control import (\n    ndi,\n    nmpc as n,\n)",
-        "import os, railrepro.control.nmpc as n",
-        "if x:\n    from railrepro.control \\\n        import nmpc",
-        "from railrepro.control.nmpc import NMPC, STEPS",
+        "from railrepro.control import (\n    ndi,\n    mpc as n,\n)",
+        "import os, railrepro.control.mpc as n",
+        "if x:\n    from railrepro.control \\\n        import mpc",
+        "from railrepro.control.mpc import NMPC, STEPS",
     ]
     for text in forms:
-        assert {"railrepro/control/__init__.py", "railrepro/control/nmpc.py"} <= set(code.reached(text))
-    assert code.reached('"""from railrepro.control import nmpc"""\n# import railrepro\n') == {}
+        assert {"railrepro/control/__init__.py", "railrepro/control/mpc.py"} <= set(code.reached(text))
+    assert code.reached('"""from railrepro.control import mpc"""\n# import railrepro\n') == {}
     reached = code.reached("from railrepro.evidence.runs import experiment")
     for name in ("car/car.c", "control/solvers/riccati.c", "contact/creep.py", "compile/lanes.h", "code.py"):
         assert f"railrepro/{name}" in reached

@@ -11,8 +11,8 @@ import pytest
 
 from railrepro import paths
 from railrepro.control import lateral, law, ndi
+from railrepro.control.mpc import NMPC
 from railrepro.control.ndi import NDI
-from railrepro.control.nmpc import NMPC
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES, THETA, X, Y, control_model
 from railrepro.simulation import scenarios, simulate

@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 import casadi as ca
+import condensed
 import numpy as np
 import pytest
 
-from railrepro.compile import codegen
-from railrepro.control.nmpc import NMPC
+from railrepro.control.mpc import NMPC
 from railrepro.control.problem import MPCSettings, dynamics
-from railrepro.control.solvers import condensed, ipopt
+from railrepro.control.solvers import ipopt
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES
 from railrepro.simulation import scenarios
@@ -66,8 +66,8 @@ def test_condensed_form_is_the_stated_cost_of_the_linearised_trajectory(case):
         states[1:] += qp.sensitivity @ steps + qp.drift
         over = np.maximum(np.abs(qp.y_free + qp.sensitivity[:, 4, :] @ steps) - qp.y_bound, 0.0)
         short = 0.5 * steps @ qp.hessian @ steps + qp.gradient @ steps + 0.5 * qp.soft * over @ over
-        stated = problem.cost(states, horizon.u + condensed.UNIT * steps)
-        return np.array([short, condensed.COST / 2 * stated])
+        stated = problem.cost(states, horizon.u + ipopt.UNIT * steps)
+        return np.array([short, ipopt.COST / 2 * stated])
 
     reference = both(np.zeros(SETTINGS.steps))
     for _ in range(3):
@@ -75,7 +75,6 @@ def test_condensed_form_is_the_stated_cost_of_the_linearised_trajectory(case):
         assert short == pytest.approx(stated, rel=1e-9)
 
 
-@pytest.mark.skipif(codegen.compiler() is None, reason="the recursion is compiled code")
 @pytest.mark.parametrize("bound", [4000.0, 150.0])
 def test_recursion_and_condensed_form_have_the_same_minimiser(case, bound):
     problem, controller, _ = case
@@ -100,9 +99,9 @@ def test_nonlinear_program_has_the_stated_cost_bound_and_dynamics(case):
     states = problem.roll_out(du)
     over = np.maximum(np.abs(states[1:, 4]) - s.lateral_bound, 0.0)
     deviation = ((states - problem.ahead.x_d) / ipopt.SCALE).T
-    x = ca.vertcat(ca.vec(ca.DM(deviation)), du / condensed.UNIT, over / ipopt.SLACK)
+    x = ca.vertcat(ca.vec(ca.DM(deviation)), du / ipopt.UNIT, over / ipopt.SLACK)
     f, g = evaluate(x, ca.vertcat(*parts, s.tuning(), problem.u_d))
-    assert float(f) == pytest.approx(condensed.COST * problem.cost(states, du), rel=1e-9)
+    assert float(f) == pytest.approx(ipopt.COST * problem.cost(states, du), rel=1e-9)
     defects, sides = np.split(np.array(g).ravel(), [states[1:].size])
     assert np.abs(defects).max() < 1e-9
     assert sides.max() == pytest.approx(0.0, abs=1e-9)

@@ -9,9 +9,8 @@ from matplotlib.colors import to_rgb
 
 from railrepro import paths
 from railrepro.control import registry
-from railrepro.control.ltv_mpc import LTVMPC
+from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
-from railrepro.control.nmpc import NMPC
 from railrepro.errors import InputError
 from railrepro.evidence.report import figures
 

@@ -9,8 +9,8 @@ import pytest
 from railrepro.car import equations
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS, MEASURED_STATES
+from railrepro.control.mpc import NMPC
 from railrepro.control.ndi import NDI
-from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop

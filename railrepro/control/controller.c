@@ -35,7 +35,7 @@ int controller_step(controller_t *c) {
       double state[N_SEEN];
       for (int i = 0; i < N_SEEN; ++i)
         state[i] = SEEN_IN_MEMORY && c->exchanges ? c->memory[SEEN[g][i]] : c->measured[STATES_AT[g][i]];
-      c->held[g] = planner_plan(&c->planner[g], state, c->memory[BASE[g]]);
+      c->held[g] = planner_sample(&c->planner[g], state, c->memory[BASE[g]]);
     }
 #endif
   const double *in[] = {c->measured, c->rows, c->held, GAINS, c->memory};

@@ -21,9 +21,7 @@ from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
 from railrepro.compile.unit import Unit, constant, unit_file, write_unit
 from railrepro.control import lateral, law
-from railrepro.control.ltv_mpc import LTVMPC
-from railrepro.control.nmpc import NMPC
-from railrepro.control.predictive import PredictiveController
+from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.solvers import riccati
 from railrepro.errors import InputError
 from railrepro.files import write
@@ -125,10 +123,10 @@ class Export:
         sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
         sizes |= {"INFORMED": int(settings.informed), "N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.kind.sensed)}
         sizes |= _work("PLAN", functions)
-        numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.affine}
+        numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.c.affine}
         numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
         sizes |= {name: float(value).hex() for name, value in numbers.items()}
-        sizes["LINEAR"] = int(isinstance(first, LTVMPC))
+        sizes["MODE"] = first.mode
         nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
         sizes["N_NOMINAL"] = nominal.shape[1]
         states = [[law.MEASURED.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS]

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from pkgutil import resolve_name
 
-from railrepro.control.ltv_mpc import LTVMPC
+from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
-from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES

@@ -23,7 +23,7 @@ import numpy as np
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.contact.table import contact_table
 from railrepro.control.lateral import SlowController
-from railrepro.control.predictive import Solve
+from railrepro.control.mpc import Solve
 from railrepro.errors import InputError
 from railrepro.model import control_model as model
 from railrepro.model.forecast import nominal_values

@@ -23,11 +23,9 @@ from tqdm import tqdm
 from railrepro import paths
 from railrepro.compile import codegen
 from railrepro.control import problem as ocp
-from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import TUNING, MPCSettings, Problem, Tuning
 from railrepro.control.registry import mpc_settings
-from railrepro.control.solvers.condensed import COST, UNIT
-from railrepro.control.solvers.ipopt import SCALE, SLACK
+from railrepro.control.solvers.ipopt import COST, SCALE, SLACK, UNIT
 from railrepro.errors import report_errors
 from railrepro.evidence.bench import speed
 from railrepro.evidence.runs import tuning
@@ -238,17 +236,15 @@ class Peer:
 
 
 class Own:
-    """Our recursion in the same frame: NMPC until it has converged."""
+    """Our recursion in the same frame: whole samples of NMPC until it has converged, with their forecast."""
 
-    def __init__(self, vehicle: Vehicle, route, settings: MPCSettings):
-        self._controller, self._plan = NMPC(vehicle, route, 0, settings), np.zeros(settings.steps)
+    def __init__(self, vehicle: Vehicle, recording):
+        self._controller = speed.controller("gauss_newton", recording, vehicle)
 
     def solve(self, problem: Problem) -> tuple[np.ndarray, float]:
         """See `Peer.solve`."""
-        start = np.append(self._plan[1:], self._plan[-1]).clip(-problem.bound, problem.bound)
-        begin = time.thread_time()
-        self._plan, _ = self._controller.optimise(problem, start)
-        return self._plan, time.thread_time() - begin
+        self._controller.plan(problem.x_hat, problem.u_d)
+        return self._controller.plan_du.copy(), self._controller.stats[-1].seconds
 
 
 def compare(recording, vehicle: Vehicle, names: Sequence[str] = tuple(PEERS), rounds: int = 3) -> pd.DataFrame:
@@ -274,7 +270,7 @@ def compare(recording, vehicle: Vehicle, names: Sequence[str] = tuple(PEERS), ro
     seconds = np.empty((len(everybody), rounds, len(recording.problems)))
     plans: dict[str, list[np.ndarray]] = {}
     for turn in range(rounds):
-        solvers = [Own(vehicle, recording.route, settings), *(Peer(name, settings) for name in names)]
+        solvers = [Own(vehicle, recording), *(Peer(name, settings) for name in names)]
         plans = {name: [] for name in everybody}
         for i, problem in enumerate(recording.problems):
             for j in np.roll(np.arange(len(everybody)), i + turn):

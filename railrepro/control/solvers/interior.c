@@ -1,8 +1,8 @@
 /* An interior point method on the same recursion, for problems whose active sets do not settle: some fifteen Newton steps
    whatever the bounds. Starts after riccati.c.
 
-   A bound leaves a room and answers with a force, both above zero; the product of the two is driven towards zero. In the
-   recursion a weight and a slope stand for all bounds of a stage. A lateral bound is soft: its force widens its room.
+   Every bound has a slack and a multiplier, both above zero; the product of the two is driven towards zero. In the recursion
+   a weight and a slope stand for all bounds of a stage. A lateral bound is soft: its multiplier widens its slack.
 
    Source: Mehrotra 1992 (predictor and corrector); Rao, Wright and Rawlings 1998 (recursion). */
 
@@ -17,24 +17,25 @@ static double step_of(const horizon_t *h, casadi_int i, casadi_int k) {
 }
 
 /* Room that a rigid bound leaves after the step in dx, du. */
-static double rigid_room(const horizon_t *h, casadi_int i, casadi_int k) {
+static double rigid_slack(const horizon_t *h, casadi_int i, casadi_int k) {
   const double limit = i < LATERAL ? h->bound : h->tuning[TUNING_lateral_bound];
   const double value = i < LATERAL ? h->u[k] : h->x[(k + 1) * N + STATE_y_TrAx];
   return limit - SIGN[i] * (value + step_of(h, i, k));
 }
 
-/* Weights and slopes of the recursion that lead room times force to their targets. */
+/* Weights and slopes of the recursion that lead slack times multiplier to their targets. */
 static void stand_for_bounds(const horizon_t *h, const double *softness) {
   memset(h->stands, 0, (h->steps + 1) * BOUNDS * sizeof(double));
   EACH_BOUND {
     double *stands = h->stands + (i < LATERAL ? k * BOUNDS : (k + 1) * BOUNDS + LATERAL);
-    const double wide = h->room[at] + h->force[at] * softness[i], weight = h->force[at] / wide;
+    const double slack = h->slack[at], multiplier = h->multiplier[at];
+    const double wide = slack + multiplier * softness[i], weight = multiplier / wide;
     stands[0] += weight;
-    stands[1] += SIGN[i] * (h->force[at] + (h->target[at] - h->force[at] * h->room[at]) / wide) - weight * h->inner[at];
+    stands[1] += SIGN[i] * (multiplier + (h->target[at] - multiplier * slack) / wide) - weight * h->inner[at];
   }
 }
 
-/* One Newton step: dx, du, and how room and force change on the way. `again` after a step with other targets. */
+/* One Newton step: dx, du, and how slack and multiplier change on the way. `again` after a step with other targets. */
 static int interior_step(const horizon_t *h, const double *softness, int again) {
   casadi_int last = h->steps;
   stand_for_bounds(h, softness);
@@ -52,46 +53,48 @@ static int interior_step(const horizon_t *h, const double *softness, int again) 
   if (forward(h)) return 1;
   ++*h->passes;
   EACH_BOUND {
-    const double moved = SIGN[i] * (step_of(h, i, k) - h->inner[at]), lack = h->target[at] - h->force[at] * h->room[at];
-    h->force_step[at] = (lack + h->force[at] * moved) / (h->room[at] + h->force[at] * softness[i]);
-    h->room_step[at] = h->force_step[at] * softness[i] - moved;
+    const double slack = h->slack[at], multiplier = h->multiplier[at];
+    const double moved = SIGN[i] * (step_of(h, i, k) - h->inner[at]), lack = h->target[at] - multiplier * slack;
+    h->multiplier_step[at] = (lack + multiplier * moved) / (slack + multiplier * softness[i]);
+    h->slack_step[at] = h->multiplier_step[at] * softness[i] - moved;
   }
   return 0;
 }
 
-/* Largest part of the step on which rooms and forces stay positive, at most the whole. */
+/* Largest part of the step on which slacks and multipliers stay positive, at most the whole. */
 static double interior_share(const horizon_t *h) {
   double share = 1;
   for (casadi_int at = 0; at < BOUNDS * h->steps; ++at) {
-    if (h->room[at] + share * h->room_step[at] < 0) share = -h->room[at] / h->room_step[at];
-    if (h->force[at] + share * h->force_step[at] < 0) share = -h->force[at] / h->force_step[at];
+    if (h->slack[at] + share * h->slack_step[at] < 0) share = -h->slack[at] / h->slack_step[at];
+    if (h->multiplier[at] + share * h->multiplier_step[at] < 0) share = -h->multiplier[at] / h->multiplier_step[at];
   }
   return share;
 }
 
-/* Mean product of room and force after part of the step. */
+/* Mean product of slack and multiplier after part of the step. */
 static double gap_after(const horizon_t *h, double share) {
   double all = 0;
   for (casadi_int at = 0; at < BOUNDS * h->steps; ++at)
-    all += (h->room[at] + share * h->room_step[at]) * (h->force[at] + share * h->force_step[at]);
+    all += (h->slack[at] + share * h->slack_step[at]) * (h->multiplier[at] + share * h->multiplier_step[at]);
   return all / (double)(BOUNDS * h->steps);
 }
 
-/* Take part of the step. Torques whose room shrinks faster than their force are taken to be at the bound. */
+/* Take part of the step. Torques whose slack shrinks faster than their multiplier are taken to be at the bound. */
 static void interior_advance(const horizon_t *h, double share) {
   memset(h->fixed, 0, h->steps * sizeof(double)), memset(h->side, 0, (h->steps + 1) * sizeof(double));
   EACH_BOUND {
-    const double room = h->room[at] + share * h->room_step[at], force = h->force[at] + share * h->force_step[at];
+    const double slack = h->slack[at] + share * h->slack_step[at];
+    const double multiplier = h->multiplier[at] + share * h->multiplier_step[at];
     h->inner[at] += share * (step_of(h, i, k) - h->inner[at]);
     if (i < LATERAL) {
-      if (room * h->force[at] < force * h->room[at]) h->fixed[k] = SIGN[i];
+      if (slack * h->multiplier[at] < multiplier * h->slack[at]) h->fixed[k] = SIGN[i];
     } else if (SIGN[i] * (h->x[(k + 1) * N + STATE_y_TrAx] + h->inner[at]) > h->tuning[TUNING_lateral_bound])
       h->side[k + 1] = SIGN[i];
-    h->room[at] = room, h->force[at] = force;
+    h->slack[at] = slack, h->multiplier[at] = multiplier;
   }
 }
 
-/* Begin without torque, every product of room and force the same; returns it, or 0 where there is no interior. */
+/* Begin without torque, every product of slack and multiplier the same; returns it, or 0 where there is no interior. */
 static double interior_enter(const horizon_t *h, double stiffness) {
   double gap = 0;
   for (casadi_int k = 0; k < h->steps; ++k) gap += fabs(h->slope[k]) * h->bound;
@@ -100,15 +103,15 @@ static double interior_enter(const horizon_t *h, double stiffness) {
   if (forward(h)) return 0;
   for (casadi_int i = LATERAL; i < BOUNDS; ++i)
     for (casadi_int k = 0; k < h->steps; ++k) {
-      const double beyond = fmax(-rigid_room(h, i, k), 0);
+      const double beyond = fmax(-rigid_slack(h, i, k), 0);
       gap += stiffness * beyond * beyond;
     }
   gap /= (double)h->steps;
   EACH_BOUND {
-    const double room = rigid_room(h, i, k);
+    const double slack = rigid_slack(h, i, k);
     h->inner[at] = step_of(h, i, k);
-    h->force[at] = i < LATERAL ? gap / room : (sqrt(room * room + 4 * gap / stiffness) - room) * stiffness / 2;
-    h->room[at] = i < LATERAL ? room : room + h->force[at] / stiffness;
+    h->multiplier[at] = i < LATERAL ? gap / slack : (sqrt(slack * slack + 4 * gap / stiffness) - slack) * stiffness / 2;
+    h->slack[at] = i < LATERAL ? slack : slack + h->multiplier[at] / stiffness;
   }
   return gap;
 }
@@ -127,7 +130,8 @@ static int interior(const horizon_t *h) {
     memset(h->target, 0, BOUNDS * h->steps * sizeof(double));
     if (interior_step(h, softness, 0)) return 1;
     const double left = gap_after(h, interior_share(h)) / gap, target = left * left * left * gap;
-    for (casadi_int at = 0; at < BOUNDS * h->steps; ++at) h->target[at] = target - h->room_step[at] * h->force_step[at];
+    for (casadi_int at = 0; at < BOUNDS * h->steps; ++at)
+      h->target[at] = target - h->slack_step[at] * h->multiplier_step[at];
     if (interior_step(h, softness, 1)) return 1;
     const double share = fmin(1, 0.995 * interior_share(h));
     gap = gap_after(h, share);

@@ -12,8 +12,7 @@ import numpy as np
 
 from railrepro.control import problem
 from railrepro.control.problem import TUNING, Tuning
-from railrepro.control.solvers.condensed import COST, UNIT
-from railrepro.control.solvers.riccati import PlainHorizon
+from railrepro.control.solvers.riccati import Horizon
 from railrepro.model.control_model import STATES, THETA
 from railrepro.model.parameters import PARAMETERS
 
@@ -21,6 +20,10 @@ _N = len(STATES)
 _SCALES = {"x": 1.0, "psi_Ax": 1e-2, "xdot": 1.0, "psidot_Ax": 1e-2, "y_TrAx": 1e-3, "psi_TrAx": 1e-3}
 SCALE = np.array([_SCALES[name] for name in STATES])
 """Deviations of the states are optimised in these units."""
+UNIT = 1e3
+"""Differential torques are optimised in kN m, or solvers stop too early."""
+COST = 1e6
+"""Factor on costs, so that they are of the order of one."""
 SLACK = 1e-3
 """Slacks are optimised in mm (m)."""
 
@@ -64,16 +67,14 @@ def solver(settings: problem.MPCSettings) -> ca.Function:
     return _solver(settings.variant, settings.discretisation, settings.steps)
 
 
-def solve(
-    function: ca.Function, horizon: PlainHorizon, parameters: np.ndarray, du: np.ndarray
-) -> tuple[np.ndarray, int]:
+def solve(function: ca.Function, horizon: Horizon, parameters: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, int]:
     """Minimise over the problem in a horizon.
 
     Parameters
     ----------
     function : casadi.Function
         See `solver`.
-    horizon : PlainHorizon
+    horizon : Horizon
         Problem and start; its states become those of the solution.
     parameters : ndarray
         Of the model.
@@ -91,7 +92,7 @@ def solve(
         When Ipopt does not succeed or the measured state is not finite.
     """
     s, steps = horizon.settings, horizon.settings.steps
-    x_d, bound = horizon.x_d, horizon.bound / UNIT
+    x_d, bound = horizon.x_d, horizon.c.bound / UNIT
     deviation = (horizon.x - x_d) / SCALE
     start = np.concatenate([deviation.ravel(), du / UNIT, np.zeros(steps)])
     initial = (horizon.x_hat - x_d[0]) / SCALE
@@ -100,7 +101,7 @@ def solve(
     free = np.full(_N * steps, np.inf)
     low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
     high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
-    p = np.concatenate([x_d.ravel(), horizon.theta[:-1].ravel(), parameters, s.tuning(), [horizon.u_d]])
+    p = np.concatenate([x_d.ravel(), horizon.theta[:-1].ravel(), parameters, s.tuning(), [horizon.c.u_d]])
     defects = np.zeros(_N * steps)
     found = function(
         x0=start, p=p, lbx=low, ubx=high,

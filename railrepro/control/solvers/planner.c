@@ -1,24 +1,35 @@
-/* A sample of a predictive controller of one gear without allocation: real-time iteration of the nonlinear problem, or the
-   linear time-variant one. A sample has a largest time: active sets that do not settle are found by a limited number of
-   interior points; when these fail, or a value is not finite, the plan of before serves, one sample later.
-   Starts after riccati.c, interior.c and the places of track parameters by name (THETA_…). */
+/* A sample of a predictive controller of one gear without allocation: the linear time-variant problem, real-time iteration
+   of the nonlinear one, or its iterations until they converge. A sample has a largest time: active sets that do not settle
+   are found by a limited number of interior points; when these fail, or a value is not finite, the plan of the sample
+   before serves, one step later. Starts after riccati.c, interior.c and the places of track parameters by name (THETA_…). */
+
+enum { LINEAR, REAL_TIME, CONVERGED };
+enum { MOST_ITERATIONS = 30 };
+/* Converged when no torque moves by more than this (N m). */
+static const double TOLERANCE = 1e-4;
 
 typedef struct {
   horizon_t *h;
   /* measured state in the horizon, torques (N m) of the plan */
   double *x_hat, *plan;
   double observer, torque_limit;
-  casadi_int yielding, informed, linear;
+  casadi_int yielding, informed, mode;
   /* observed offset of the yaw angle, lateral position that is expected next */
   double offset, expected_y;
-  casadi_int started, expected;
+  /* whether the last sample was solved, so that the next one starts from it; its iterations */
+  casadi_int started, iterations;
 } planner_t;
 
-/* Put a state, a base torque and the forecast from there into the horizon. */
-static void look_ahead(const planner_t *p, const double *x, double u_d) {
+/* Torque within the bound of the sample. */
+static double bounded(const horizon_t *h, double torque) {
+  return fmin(fmax(torque, -h->bound), h->bound);
+}
+
+/* Put a state and a base torque into the horizon; the state may be one of its trajectory. */
+static void enter(const planner_t *p, const double *x, double u_d) {
   memmove(p->x_hat, x, N * sizeof(double));
-  p->h->u_d = u_d, p->h->bound = p->yielding ? p->torque_limit : fmax(p->torque_limit - fabs(u_d), 0);
-  horizon_forecast(p->h);
+  p->h->u_d = u_d;
+  p->h->bound = p->yielding ? p->torque_limit : fmax(p->torque_limit - fabs(u_d), 0);
 }
 
 /* Centred riding along the forecast, about which the linear problem linearises. */
@@ -32,61 +43,77 @@ static void ride(const horizon_t *h) {
   }
 }
 
-/* Linearise for a sample, about the trajectory of before one sample later, its end on the desired state. */
-static void prepare(const planner_t *p, const double *expected, double u_d) {
+/* Torque of the plan before at stage k of this sample, one step later. */
+static double planned(const planner_t *p, casadi_int k) {
+  return bounded(p->h, p->plan[k + 1 < p->h->steps ? k + 1 : k]);
+}
+
+/* Trajectory and torques of the sample before one step later, its end on the desired state; the desired states at the
+   start. */
+static void start_warm(const planner_t *p) {
   const horizon_t *h = p->h;
-  double x[N];
-  memcpy(x, expected, sizeof x);
-  look_ahead(p, x, u_d);
   if (p->started) {
     memmove(h->x, h->x + N, (size_t)h->steps * N * sizeof(double));
     memcpy(h->x + h->steps * N, h->x_d + h->steps * N, N * sizeof(double));
   } else
     memcpy(h->x, h->x_d, (size_t)(h->steps + 1) * N * sizeof(double));
-  memcpy(h->x, x, sizeof x);
-  memmove(h->u, h->u + 1, (size_t)(h->steps - 1) * sizeof(double));
-  horizon_linearise(h);
+  memcpy(h->x, p->x_hat, N * sizeof(double));
+  for (casadi_int k = 0; k < h->steps; ++k) h->u[k] = planned(p, k);
 }
 
-/* Solve the problem of a measured state and a base torque; returns like horizon_solve. */
-int planner_solve(planner_t *p, const double *measured, double base) {
-  double x[N], u_d = p->informed ? base : 0;
+/* Forecast and trajectory of the sample whose state has been entered, linearised when that is done once only. */
+static void prepare(const planner_t *p) {
+  const horizon_t *h = p->h;
+  horizon_forecast(h);
+  if (p->mode == LINEAR)
+    ride(h);
+  else
+    start_warm(p);
+  if (p->mode != CONVERGED) horizon_linearise(h);
+}
+
+/* Take in the measured state, corrected by the observed offset, and the base torque; do what is not prepared yet. */
+void planner_begin(planner_t *p, const double *measured, double base) {
+  const casadi_int prepared = p->mode == REAL_TIME && p->started;
+  double x[N];
   memcpy(x, measured, sizeof x);
   if (p->observer > 0) {
-    if (p->expected && x[STATE_xdot] > 1)
+    if (p->started && x[STATE_xdot] > 1)
       p->offset += p->observer * (x[STATE_y_TrAx] - p->expected_y) / (x[STATE_xdot] * p->h->tuning[TUNING_period]);
     x[STATE_psi_TrAx] += p->offset;
   }
-  if (p->linear) {
-    look_ahead(p, x, u_d);
-    ride(p->h);
-    horizon_linearise(p->h);
-  } else {
-    if (!p->started) prepare(p, x, u_d);
-    memcpy(p->x_hat, x, sizeof x);
-    p->h->u_d = u_d, p->h->bound = p->yielding ? p->torque_limit : fmax(p->torque_limit - fabs(u_d), 0);
-  }
-  return horizon_solve(p->h);
+  enter(p, x, p->informed ? base : 0);
+  if (!prepared) prepare(p);
+  for (casadi_int k = 0; k < p->h->steps; ++k) p->plan[k] = planned(p, k);  /* serves when the problem is not solved */
 }
 
-/* Torque (N m) from a solved problem, or with code != 0 from the plan of before. */
-double planner_take(planner_t *p, int code) {
+/* Torque (N m) from the problem, or when it was not solved from the plan of the sample before. */
+double planner_take(planner_t *p, int failed) {
   const horizon_t *h = p->h;
-  const double *next = h->x + N;
-  if (code) memset(h->fixed, 0, (size_t)h->steps * sizeof(double)), memset(h->side, 0, (size_t)(h->steps + 1) * sizeof(double));
-  if (p->linear) {
-    memmove(p->plan, p->plan + 1, (size_t)(h->steps - 1) * sizeof(double));
-    for (casadi_int k = 0; k < h->steps; ++k) p->plan[k] = fmin(fmax(code ? p->plan[k] : h->du[k], -h->bound), h->bound);
+  if (failed) {
+    memset(h->fixed, 0, (size_t)h->steps * sizeof(double)), memset(h->side, 0, (size_t)(h->steps + 1) * sizeof(double));
   } else {
-    if (!code) horizon_apply(h);
-    for (casadi_int k = 0; k < h->steps; ++k) p->plan[k] = h->u[k] = fmin(fmax(h->u[k], -h->bound), h->bound);
+    if (p->mode == REAL_TIME) horizon_apply(h);
+    memcpy(p->plan, p->mode == LINEAR ? h->du : h->u, (size_t)h->steps * sizeof(double));
+    p->expected_y = h->x[N + STATE_y_TrAx] + (p->mode == LINEAR ? h->dx[N + STATE_y_TrAx] : 0);
   }
-  p->started = p->expected = !code;
-  p->expected_y = next[STATE_y_TrAx] + (p->linear ? h->dx[N + STATE_y_TrAx] : 0);
+  for (casadi_int k = 0; k < h->steps; ++k) p->plan[k] = bounded(h, p->plan[k]);
+  p->started = !failed;
   return p->plan[0];
 }
 
-/* What of the next sample can be done before its state is measured. */
+/* Torque (N m) at a measured state and a base torque. */
+double planner_plan(planner_t *p, const double *measured, double base) {
+  planner_begin(p, measured, base);
+  p->iterations = 1;
+  const int failed =
+      p->mode == CONVERGED ? horizon_iterate(p->h, MOST_ITERATIONS, TOLERANCE, &p->iterations) : horizon_solve(p->h);
+  return planner_take(p, failed);
+}
+
+/* What of the next sample can be done before its state is measured: real-time iteration expects the planned one. */
 void planner_prepare(planner_t *p) {
-  if (!p->linear && p->started) prepare(p, p->h->x + N, p->h->u_d);
+  if (p->mode != REAL_TIME || !p->started) return;
+  enter(p, p->h->x + N, p->h->u_d);
+  prepare(p);
 }

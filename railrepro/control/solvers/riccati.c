@@ -21,9 +21,9 @@ typedef struct {
   double *x_next, *a, *b;
   /* recursion: cost-to-go matrix and vector, feedback, feed-forward, steps, slope of the cost in the torque, active sets */
   double *cost_matrix, *cost_vector, *feedback, *feedforward, *dx, *du, *slope, *fixed, *side;
-  /* interior.c: of every bound step of what it bounds, room and force, their steps, and what their product shall become; weights
-     and slopes that stand for the bounds in the recursion */
-  double *inner, *room, *force, *room_step, *force_step, *target, *stands;
+  /* interior.c: of every bound step of what it bounds, slack and multiplier, their steps, and what their product shall
+     become; weights and slopes that stand for the bounds in the recursion */
+  double *inner, *slack, *multiplier, *slack_step, *multiplier_step, *target, *stands;
   /* recursions that the last problem took */
   double *passes;
 } horizon_t;

@@ -28,13 +28,11 @@ from railrepro.compile import codegen
 from railrepro.contact.table import contact_table
 from railrepro.control import law
 from railrepro.control import problem as ocp
-from railrepro.control.ltv_mpc import LTVMPC
+from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
-from railrepro.control.nmpc import NMPC
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.registry import WITH_OBSERVER, mpc_settings
-from railrepro.control.solvers import condensed, riccati
-from railrepro.control.solvers.riccati import PlainHorizon
+from railrepro.control.solvers import riccati
 from railrepro.errors import InputError
 from railrepro.evidence.runs import pso, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -56,7 +54,7 @@ SCENARIOS = (
     "adhesion_loss",
     "braking",
 )
-KINDS = ("ipopt", "dense", "gauss_newton", "rti", "ltv_mpc")
+KINDS = ("ipopt", "gauss_newton", "rti", "ltv_mpc")
 WINDOW = 32
 """Successive samples recorded per scenario."""
 HORIZONS = (10, 20, 40, 80, 160)
@@ -73,13 +71,27 @@ class Recording:
     problems: tuple[Problem, ...]
 
 
+@dataclass
+class Recorder(NMPC):
+    """NMPC that keeps the problems that it solves."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.problems: list[Problem] = []
+
+    def plan(self, x_hat: np.ndarray, u_d: float) -> float:
+        """See `PredictiveController.plan`."""
+        self.problems.append(self.problem(x_hat, u_d))
+        return super().plan(x_hat, u_d)
+
+
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW, hard: bool = False) -> Recording:
     """Problems of a closed-loop run, from its middle; `hard` see `tightened`."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
-    run = simulate.run(scenario, lambda v, w, g: NMPC(v, w, g, settings, recorded=[]), vehicle=vehicle)
-    problems = run.controllers[0].recorded
+    run = simulate.run(scenario, lambda v, w, g: Recorder(v, w, g, settings), vehicle=vehicle)
+    problems = run.controllers[0].problems
     first = len(problems) // 2
     recording = Recording(name, scenario.route(), tuple(problems[first : first + count]))
     return tightened(recording) if hard else recording
@@ -94,44 +106,28 @@ def tightened(recording: Recording) -> Recording:
     return Recording(f"{recording.scenario}, bounds active", recording.route, hard)
 
 
-def _solver(kind: str, recording: Recording, vehicle: Vehicle):
-    settings = recording.problems[0].settings
+def controller(kind: str, recording: Recording, vehicle: Vehicle) -> LTVMPC | NMPC:
+    """A controller for the problems of a recording, with the torque limit that they have."""
+    first = recording.problems[0]
+    limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
     if kind == "ltv_mpc":
-        return LTVMPC(vehicle, recording.route, 0, settings)
-    if kind == "dense":
-        controller = NMPC(vehicle, recording.route, 0, settings)
-        controller.horizon.solve = _dense(controller)
-        controller.horizon.iterate = lambda most, tolerance: PlainHorizon.iterate(controller.horizon, most, tolerance)
-        return controller
-    return NMPC(vehicle, recording.route, 0, settings, solver=kind)
-
-
-def _dense(controller) -> Callable[[], None]:
-    def solve():
-        controller.horizon.dx[:], controller.horizon.du[:] = condensed.solve(controller.horizon)
-
-    return solve
+        return LTVMPC(limited, recording.route, 0, first.settings)
+    return NMPC(limited, recording.route, 0, first.settings, solver=kind)
 
 
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Solve a recording in order, warm-started like in closed loop.
 
-    Planned torques (n, L) (N m), processor time per problem (s), iterations, number of failures.
+    Planned torques (n, L) (N m), processor time per sample with forecast and preparation (s), iterations, number of
+    failures.
     """
-    controller = _solver(kind, recording, vehicle)
-    start = np.zeros(recording.problems[0].settings.steps)
-    torques, seconds, iterations, failures = [], [], [], 0
+    solver, torques = controller(kind, recording, vehicle), []
     for problem in recording.problems:
-        begin = time.thread_time()
-        try:
-            du, count = controller.optimise(problem, np.clip(start, -problem.bound, problem.bound))
-        except (ArithmeticError, np.linalg.LinAlgError):
-            du, count, failures = start, 0, failures + 1
-        seconds.append(time.thread_time() - begin)
-        torques.append(du)
-        iterations.append(count)
-        start = np.append(du[1:], du[-1])
-    return np.array(torques), np.array(seconds), np.array(iterations), failures
+        solver.plan(problem.x_hat, problem.u_d)
+        torques.append(solver.plan_du.copy())
+    seconds = [record.seconds + record.preparation for record in solver.stats]
+    failures = sum(record.fallback for record in solver.stats)
+    return np.array(torques), np.array(seconds), np.array([record.iterations for record in solver.stats]), failures
 
 
 def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
@@ -165,11 +161,11 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Time per sample over the length of the horizon: recursion, dense elimination, Ipopt."""
+    """Time per sample over the length of the horizon."""
     rows = []
     for steps in tqdm(HORIZONS, desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
-        for kind in ("gauss_newton", "rti", "ltv_mpc", "dense", "ipopt"):
+        for kind in ("gauss_newton", "rti", "ltv_mpc", "ipopt"):
             _, seconds, iterations, _ = solve_all(kind, recording, vehicle)
             row = {"solver": kind, "steps": steps, "median_ms": 1e3 * np.median(seconds)}
             rows.append(row | {"iterations_median": np.median(iterations)})
@@ -255,9 +251,9 @@ def solver_operations(vehicle: Vehicle, settings: MPCSettings, least: float = 0.
     code: several numbers side by side for the linearisation, one by one for the recursion).
     """
     recording = record("curve_entry_T3", settings, vehicle, 1)
-    controller = NMPC(vehicle, recording.route, 0, settings)
-    controller.optimise(recording.problems[0], np.zeros(settings.steps))
-    horizon, steps = controller.horizon, settings.steps
+    solver, problem = NMPC(vehicle, recording.route, 0, settings), recording.problems[0]
+    solver.plan(problem.x_hat, problem.u_d)
+    horizon, steps = solver.horizon, settings.steps
     model = ocp.dynamics(settings.variant, settings.discretisation)
     terminal, backward, forward = riccati.recursion(settings.variant, settings.discretisation)
     recursion = _arithmetic(terminal) + steps * (_arithmetic(backward) + _arithmetic(forward))

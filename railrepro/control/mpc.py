@@ -1,0 +1,186 @@
+"""Nonlinear and linear time-variant model predictive control of one running gear.
+
+A sample is compiled code: `planner.c` takes in the measured state, looks ahead, solves the problem and keeps the plan.
+Only the reference solver, Ipopt, is called from Python in between. Serves the paper's sections Nonlinear Model
+Predictive Control and Linear Time-Variant Model Predictive Control.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from railrepro.control.problem import MPCSettings, Problem
+from railrepro.control.solvers import ipopt
+from railrepro.control.solvers.riccati import Horizon
+from railrepro.errors import InputError
+from railrepro.model.control_model import control_model, kept_as_printed
+from railrepro.model.forecast import Forecast, nominal_values
+from railrepro.schema import between, require
+from railrepro.track.route import Route
+from railrepro.vehicle.parameters import Vehicle
+
+LINEAR, REAL_TIME, CONVERGED = range(3)
+"""How a problem is solved, as in planner.c."""
+SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
+
+
+class Solve(NamedTuple):
+    """Record of one sample.
+
+    Attributes
+    ----------
+    seconds : float
+        Time of the processor from measured state to torque, forecast included (s): others on the machine do not count.
+    iterations : int
+    fallback : bool
+        Whether the plan of the sample before had to serve.
+    preparation : float
+        The same after the torque was out, for the next sample (s).
+    """
+
+    seconds: float
+    iterations: int
+    fallback: bool
+    preparation: float = 0.0
+
+
+class _Planner(ctypes.Structure):
+    """`planner_t` of planner.c."""
+
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("horizon", "x_hat", "plan")),
+        *((name, ctypes.c_double) for name in ("observer", "torque_limit")),
+        *((name, ctypes.c_longlong) for name in ("yielding", "informed", "mode")),
+        *((name, ctypes.c_double) for name in ("offset", "expected_y")),
+        *((name, ctypes.c_longlong) for name in ("started", "iterations")),
+    ]
+
+
+@dataclass
+class PredictiveController:
+    """What both controllers share: the horizon, its samples in compiled code, and their record.
+
+    A sample whose problem is not solved falls back on the plan of the sample before, one step later, and is counted.
+
+    Attributes
+    ----------
+    stats : list of Solve
+        One record per sample.
+    plan_du : ndarray, shape (L,)
+        Differential torques of the last plan (N m).
+    horizon : Horizon
+    parameters : ndarray
+        Of the control model.
+    mode : int
+        How a problem is solved, see `LINEAR`.
+    """
+
+    mode = CONVERGED  # not an argument, so without annotation
+
+    vehicle: Vehicle
+    route: Route
+    gear: int
+    settings: MPCSettings = field(default_factory=MPCSettings)
+
+    def __post_init__(self) -> None:
+        require("MPC: vehicle", self.vehicle, Vehicle)
+        require("MPC: route", self.route, Route)
+        require("MPC: gear", self.gear, between(0, 1), whole=True)
+        require("MPC: settings", self.settings, MPCSettings)
+        self.stats: list[Solve] = []
+        s = self.settings
+        self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
+        nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
+        self.horizon = Horizon(s, nominal, self.parameters, self.route)
+        self.plan_du, self._measured = np.zeros(s.steps), np.zeros_like(self.horizon.x_hat)
+        self._c = _Planner(
+            ctypes.addressof(self.horizon.c), self.horizon.x_hat.ctypes.data, self.plan_du.ctypes.data,
+            s.observer, self.vehicle.drive.torque_limit, s.yielding, s.informed, self.mode,
+        )  # fmt: skip
+        self._pointer, self._at = ctypes.byref(self._c), ctypes.c_void_p(self._measured.ctypes.data)
+        self._library = self.horizon.library
+
+    @property
+    def period(self) -> float:
+        """Sampling time (s)."""
+        return self.settings.period
+
+    @property
+    def offset(self) -> float:
+        """Observed offset of the yaw angle (rad), see `MPCSettings.observer`."""
+        return self._c.offset
+
+    def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
+        """The optimal control problem at a measured state (6,) and base torque (N m)."""
+        h, limit, u_d = self.horizon, self.vehicle.drive.torque_limit, u_d if self.settings.informed else 0.0
+        h.sample(x_hat, u_d, self.settings.torque_bound(u_d, limit))
+        h.forecast()
+        ahead = Forecast(h.x_d.copy(), h.theta.copy())
+        return Problem(self.settings, h.x_hat.copy(), u_d, ahead, self.parameters, limit)
+
+    def plan(self, x_hat: np.ndarray, u_d: float) -> float:
+        """Differential torque (N m) for now from a measured state (6,) and the base torque (N m)."""
+        begin = time.thread_time()
+        self._measured[:] = x_hat
+        torque = self._torque(ctypes.c_double(u_d))
+        ready = time.thread_time()
+        self._library.planner_prepare(self._pointer)
+        spent = ready - begin, self._c.iterations, not self._c.started
+        self.stats.append(Solve(*spent, time.thread_time() - ready))
+        return torque
+
+    def _torque(self, u_d: ctypes.c_double) -> float:
+        return self._library.planner_plan(self._pointer, self._at, u_d)
+
+
+@dataclass
+class NMPC(PredictiveController):
+    """Nonlinear MPC of one running gear.
+
+    `solver` is "gauss_newton" (Newton iterations until they converge, default), "rti" (real-time iteration: one per
+    sample on the shifted trajectory, prepared before the state is measured) or "ipopt" (reference); all minimise the
+    same cost.
+    """
+
+    solver: str = "gauss_newton"
+
+    def __post_init__(self) -> None:
+        if self.solver not in tuple(SOLVERS):
+            raise InputError(f"NMPC solver {self.solver!r} is not known; there are {tuple(SOLVERS)}")
+        self.mode = SOLVERS[self.solver]
+        super().__post_init__()
+
+    def _torque(self, u_d: ctypes.c_double) -> float:
+        if self.solver != "ipopt":
+            return super()._torque(u_d)
+        self._library.planner_begin(self._pointer, self._at, u_d)
+        horizon = self.horizon
+        try:
+            du, self._c.iterations = ipopt.solve(ipopt.solver(self.settings), horizon, self.parameters, horizon.u)
+            failed = not np.isfinite(du).all()
+            horizon.u[:] = du
+        except ArithmeticError:
+            self._c.iterations, failed = 0, True
+        return self._library.planner_take(self._pointer, failed)
+
+
+@dataclass
+class LTVMPC(PredictiveController):
+    """Linear time-variant MPC of one running gear: the model linearised along the forecast, one QP per sample.
+
+    It is linearised in centred riding along the track and keeps its affine term; `printed` linearises about a yaw angle
+    of zero and drops it (D6).
+    """
+
+    printed: bool = False
+    mode = LINEAR
+
+    def __post_init__(self) -> None:
+        require("LTVMPC: printed", self.printed, bool)
+        super().__post_init__()
+        self.horizon.c.affine = 0.0 if self.printed else 1.0
