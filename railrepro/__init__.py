@@ -33,7 +33,7 @@ FACADE = {
     "Vehicle": "railrepro.vehicle.parameters.Vehicle",
     "load_track": "railrepro.track.table.load_track",
     "lay": "railrepro.track.route.lay",
-    "tuned": "railrepro.control.tuned.tuned",
+    "tuned": "railrepro.control.registry.tuned",
     "NDI": "railrepro.control.ndi.NDI",
     "NMPC": "railrepro.control.mpc.NMPC",
     "LTVMPC": "railrepro.control.mpc.LTVMPC",

@@ -59,7 +59,7 @@ CONTROLLER = (
 )
 DRIVE = """
 import numpy as np
-from railrepro.control.registry import CONTROLLERS
+from railrepro.control.registry import SHOWN
 from railrepro.errors import InputError
 from railrepro.evidence.report import claims
 from railrepro.simulation import simulate
@@ -77,7 +77,7 @@ if __name__ == "__main__":
         scenario, rough = load_scenario(name), irregularities(np.arange(60.0), "own")
         assert not simulate.run(scenario, tuning.tuned("ndi"), irregularities=rough).failed
     assert "C99" in statements.load() and claims.evaluate().set_index("id").verdict["C99"] == "reproduced"
-    for name in set(CONTROLLERS) - {"own"}:
+    for name in SHOWN:
         tuning.load(name)
     try:
         tuning.load("own")
@@ -127,7 +127,7 @@ def test_what_is_added_works_and_leaves_the_tuned_sets_valid(copy):
     (copy / "railrepro/control/own.py").write_text(example[example.index("class") : example.index("scenario =")])
     registry = copy / "railrepro/control/registry.py"
     insert(registry, "from railrepro.control.problem", "from railrepro.control.own import StateFeedback\n")
-    insert(registry, "PREDICTIVE = ", CONTROLLER)
+    insert(registry, "INVERSIONS = ", CONTROLLER)
     add(copy / "data/tuning.toml", '\n[controller.own]\npole = [10, 40, "log"]\n')
     add(copy / "data/tracks.toml", TRACK)
     shutil.copy(copy / "data/tracks/T1.csv", copy / "data/own.csv")

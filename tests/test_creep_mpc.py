@@ -9,7 +9,7 @@ import pytest
 from test_symmetry import drive_with, mirrored, turned
 
 from railrepro.contact.table import contact_table
-from railrepro.control.tuned import tuned
+from railrepro.control.registry import tuned
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.own import creep_gains, creep_mpc

@@ -7,7 +7,7 @@ import pytest
 
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.ndi import NDI
-from railrepro.control.tuned import tuned
+from railrepro.control.registry import tuned
 from railrepro.estimation import observers
 from railrepro.estimation.observers import LATERAL, lateral_matrices, stationary_gains
 from railrepro.estimation.sensors import Latency, Readings, load_loop

@@ -13,17 +13,27 @@ from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.evidence.report import figures
+from railrepro.evidence.runs import tuning
 
 
-def test_groups_are_made_of_registered_controllers_in_their_order():
-    order = list(registry.CONTROLLERS)
-    for group in (registry.PREDICTIVE, registry.INVERSIONS, registry.PAPER_TRIO, registry.TRIO, registry.COMPARED):
-        assert list(group) == sorted(group, key=order.index)
-    assert set(registry.PREDICTIVE) | set(registry.INVERSIONS) == set(order)
+def test_groups_are_made_of_registered_controllers():
+    assert set(registry.SHOWN) <= set(registry.CONTROLLERS)
+    for group in (registry.INVERSIONS, registry.PAPER_TRIO, registry.COMPARED):
+        assert set(group) <= set(registry.REPLICATED)
+        assert list(group) == sorted(group, key=registry.REPLICATED.index)
+
+
+def test_a_controller_that_nobody_asks_for_needs_neither_tuning_nor_a_place_in_the_chapters(monkeypatch):
+    entry = registry.CONTROLLERS["ndi"]
+    monkeypatch.setitem(registry.CONTROLLERS, "mine", entry)
+    assert registry.guidance("mine", {"pole": 30.0}).pole == 30.0
+    assert tuning.load_task().dimensions.keys() >= set(registry.SHOWN) and "mine" not in registry.SHOWN
+    with pytest.raises(InputError, match="no tuned set for 'mine'"):
+        registry.tuned("mine")
 
 
 def test_every_controller_has_a_colour_a_line_and_a_marker_of_its_own():
-    looks = [figures.LOOKS[name] for name in registry.CONTROLLERS]
+    looks = [figures.LOOKS[name] for name in registry.SHOWN]
     assert len({look.color for look in looks}) == len({look.marker for look in looks}) == len(looks)
     assert len({look.label for look in looks}) == len(looks)
     for one, other in combinations(looks, 2):  # in grey: another line, or clearly darker

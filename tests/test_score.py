@@ -10,7 +10,7 @@ import pytest
 from railrepro import __main__ as command
 from railrepro import code, paths
 from railrepro.control import lateral
-from railrepro.control.registry import REGISTERED
+from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
 from railrepro.evidence.score import card, leaderboard, limit, run, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry, known, load_class
@@ -286,7 +286,7 @@ def test_names_that_tables_cannot_show_are_refused(name, tmp_path):
 
 def test_a_file_never_has_the_name_of_a_registered_controller(tmp_path):
     (tmp_path / "ndi.py").write_text("")
-    assert entry(str(tmp_path / "ndi.py")).name == "ndi.py" and "ndi.py" not in REGISTERED
+    assert entry(str(tmp_path / "ndi.py")).name == "ndi.py" and "ndi.py" not in CONTROLLERS
 
 
 def test_what_a_law_may_use_is_described(capsys):

@@ -93,7 +93,7 @@ def test_the_points_of_a_wheel_profile_are_in_the_key(tmp_path):
         one.key(probe.following)
 
 
-@pytest.mark.parametrize("name", sorted(experiment.REGISTERED))
+@pytest.mark.parametrize("name", sorted(experiment.CONTROLLERS))
 def test_every_registered_controller_is_stored(name):
     assert replace(SHORT, controller=name).key(probe.following) is not None
 
@@ -181,8 +181,8 @@ def test_what_a_machine_elsewhere_computes_is_stored_here(folder):
 
 
 def test_a_controller_of_a_users_file_is_not_stored(folder, monkeypatch):
-    entry = replace(experiment.REGISTERED["ndi"], build=lambda settings: settings)
-    monkeypatch.setitem(experiment.REGISTERED, "own", entry)
+    entry = replace(experiment.CONTROLLERS["ndi"], build=lambda settings: settings)
+    monkeypatch.setitem(experiment.CONTROLLERS, "own", entry)
     assert replace(SHORT, controller="own").key(probe.following) is None
 
 

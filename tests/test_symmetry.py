@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from railrepro.control.registry import CONTROLLERS
+from railrepro.control.registry import CONTROLLERS, REPLICATED
 from railrepro.evidence.runs.tuning import tuned
 from railrepro.simulation import metrics, scenarios, simulate
 from railrepro.track.route import INDEX
@@ -46,7 +46,7 @@ def drive_with(guidance, change, monkeypatch):
         return simulate.run(scenario, guidance).series
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", REPLICATED)
 def test_heading_of_the_track_does_not_matter_but_to_the_printed_linearisation(name, monkeypatch):
     """The printed LTV-MPC linearises at psi_Ax = 0 (D6), so it must change."""
     straight, turn = (metrics.rmse(drive(name, change, monkeypatch)) for change in (lambda route: route, turned))

@@ -1,7 +1,8 @@
-"""The lateral controllers by name, and the set-ups of the comparisons: from tuning parameters to guidance laws.
+"""The lateral controllers by name, and their tuned parameters: from a name to a guidance law.
 
-A new controller is one entry in `CONTROLLERS`, which is also the order in which they are shown. Serves the paper's
-section Multi-Body Simulation Results (which methods are compared).
+A new controller is one entry in `CONTROLLERS`. Its parameters are those of data/tuned, one file per setting and
+controller, or those that data/tuning.toml gives; it needs none in a setting where it is not asked for. Serves the
+paper's section Multi-Body Simulation Results (which methods are compared).
 """
 
 from __future__ import annotations
@@ -10,15 +11,22 @@ import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
+from pathlib import Path
 from pkgutil import resolve_name
 
-from railrepro.control.mpc import LTVMPC, NMPC
+from railrepro import paths, schema
+from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.model.control_model import STATES
 from railrepro.schema import above, is_number, require
 
+TUNED = "data/tuned"
+SETTINGS = ("paper", "equal", "loop")
+"""Settings of comparison: perfect measurements and inversions with a designer's poles; perfect measurements, all tuned
+alike; all tuned alike with sensors. See data/tuning.toml."""
+PAPER, EQUAL, LOOP = SETTINGS
 MOST_STEPS, LEAST_STEPS = 100, 5
 """Range of the horizon length L in tuning."""
 
@@ -85,6 +93,8 @@ def _creep_settings(parameters: dict):
 
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
+OURS = "creep_mpc"
+"""The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
 CONTROLLERS = {
     "nmpc": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
     "nmpc_observer": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
@@ -99,25 +109,20 @@ CONTROLLERS = {
     "ndi_integral": Controller(
         _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
     ),
+    OURS: Controller(_creep_mpc, _creep_settings, True, _AHEAD + "; adhesion and slip of its wheels"),
 }
-PREDICTIVE = tuple(name for name, controller in CONTROLLERS.items() if controller.preview)
-INVERSIONS = tuple(name for name in CONTROLLERS if name not in PREDICTIVE)
+INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
+REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
+"""The paper's methods and their variants, in the order in which chapters show them."""
+SHOWN = (*REPLICATED, OURS)
 PAPER_TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
 """The three methods of the paper, LTV-MPC as printed."""
-TRIO = ("nmpc", "ltv_mpc", "ndi")
-"""The same with the LTV-MPC that keeps its affine term."""
 COMPARED = ("nmpc", "ltv_mpc", "ltv_mpc_printed", "ndi")
 """The paper's methods with LTV-MPC in both readings."""
 WITH_OBSERVER, OBSERVER = "nmpc_observer", 0.05
 """Name of the NMPC with an offset observer, and the observer's gain, see `MPCSettings.observer`."""
 EMPHASIS = 10.0
 """Factor on R of NMPC where the longitudinal task counts more (Fig. 8)."""
-OURS = "creep_mpc"
-"""The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
-REGISTERED = CONTROLLERS | {
-    OURS: Controller(_creep_mpc, _creep_settings, True, _AHEAD + "; adhesion and slip of its wheels")
-}
-"""All of them."""
 
 
 def with_r_times(parameters: dict, factor: float) -> dict:
@@ -136,7 +141,7 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     Parameters
     ----------
     name : str
-        Key of `REGISTERED`.
+        Key of `CONTROLLERS`.
     parameters : dict
         Tuning parameters, see data/tuning.toml.
     options : dict, optional
@@ -149,33 +154,81 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     LateralLaw or callable
         See `simulate.run`.
     """
-    if name not in tuple(REGISTERED):
-        raise InputError(f"controller {name!r} is not known; there are {sorted(REGISTERED)}")
-    controller = REGISTERED[name]
-    require(f"controller {name}: options", options or {}, dict)
+    if name not in tuple(CONTROLLERS):
+        raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
+    controller, where = CONTROLLERS[name], f"controller {name}"
+    require(f"{where}: options", options or {}, dict)
     if not isinstance(parameters, dict):
-        raise InputError(f"controller {name}: parameters are {reprlib.repr(parameters)}, a table of numbers is needed")
-    wrong = [key for key, value in parameters.items() if not is_number(value)]
-    if wrong:
-        raise InputError(f"controller {name}: {wrong[0]} is {parameters[wrong[0]]!r}, a finite number is needed")
+        raise InputError(f"{where}: parameters are {reprlib.repr(parameters)}, a table of numbers is needed")
+    for key, value in parameters.items():
+        if not is_number(value):
+            raise InputError(f"{where}: {key} is {value!r}, a finite number is needed")
     try:
         settings = controller.settings(parameters)
     except KeyError as error:
-        raise InputError(f"controller {name}: the parameter {error} is missing; found {sorted(parameters)}") from error
-    except (TypeError, ZeroDivisionError, OverflowError) as error:
-        raise InputError(
-            f"controller {name}: parameters {sorted(parameters)} are not those it takes ({error})"
-        ) from error
-    unknown = set(changes) - ({field.name for field in fields(settings)} if is_dataclass(settings) else set())
-    if unknown:
-        raise InputError(f"controller {name}: setting {min(unknown)!r} is not known")
+        raise InputError(f"{where}: the parameter {error} is missing; found {sorted(parameters)}") from error
+    except (TypeError, ArithmeticError) as error:
+        raise InputError(f"{where}: parameters {sorted(parameters)} are not those it takes ({error})") from error
+    if unknown := set(changes) - ({field.name for field in fields(settings)} if is_dataclass(settings) else set()):
+        raise InputError(f"{where}: setting {min(unknown)!r} is not known")
     built = controller.build(settings=replace(settings, **changes) if changes else settings)
-    if options and not isinstance(built, Predictive):
-        raise InputError(f"controller {name}: takes no options, {sorted(options)} are given")
-    if options:
-        known = {field.name for field in fields(built.kind) if field.init} - {"vehicle", "route", "gear", "settings"}
-        if set(options) - known:
-            odd = min(set(options) - known)
-            raise InputError(f"controller {name}: option {odd!r} is not known; there are {sorted(known)}")
-        built = replace(built, options=(*built.options, *options.items()))
-    return built
+    return _with_options(built, options, where) if options else built
+
+
+def _with_options(built, options: dict, where: str):
+    """A factory of predictive controllers with further arguments of the controller."""
+    if not isinstance(built, Predictive):
+        raise InputError(f"{where}: takes no options, {sorted(options)} are given")
+    known = {field.name for field in fields(built.kind)} - {field.name for field in fields(PredictiveController)}
+    if unknown := set(options) - known:
+        raise InputError(f"{where}: option {min(unknown)!r} is not known; there are {sorted(known)}")
+    return replace(built, options=(*built.options, *options.items()))
+
+
+def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
+    """Tuned set of a controller in some setting, as its file has it.
+
+    Raises
+    ------
+    InputError
+        When there is none, or when the file does not hold a tuned set of this controller in this setting.
+    """
+    file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
+    if not file.exists():
+        known = [name for name in SETTINGS if paths.source(f"{TUNED}/{name}/{controller}.json").exists()]
+        others = " and ".join(name for name in known if name != setting)
+        where = f", but in the setting {others}" if others else "; `make tune` makes it"
+        raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}{where}")
+    content = schema.read(file)
+    table = content if isinstance(content, dict) else {}
+    found = table.get("controller"), table.get("setting")
+    if found != (controller, setting) or not isinstance(table.get("parameters"), dict):
+        raise InputError(
+            f"{file.name}: holds a tuned set of {found[0]!r} in the setting {found[1]!r}, {controller!r} in "
+            f"{setting!r} is needed"
+        )
+    return content
+
+
+def parameters(controller: str, setting: str = PAPER) -> dict:
+    """Tuned parameters of a controller in some setting, or those that a designer gave it in data/tuning.toml.
+
+    Raises
+    ------
+    InputError
+        When the setting is not known, or there is no tuned set, see `read`.
+    """
+    require("controller", controller, str)
+    if setting not in SETTINGS:
+        raise InputError(f"setting {reprlib.repr(setting)} is not known; there are {sorted(SETTINGS)}")
+    file = paths.source("data/tuning.toml")
+    try:
+        designed = schema.read(file)["setting"][setting].get("designed", {})
+    except (KeyError, AttributeError) as error:
+        raise InputError(f"{file.name}: the tables [setting.paper] and so on are needed ({error})") from error
+    return designed[controller] if controller in designed else read(controller, setting)["parameters"]
+
+
+def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
+    """Guidance of a controller with its tuned parameters; `options` and `changes` as in `guidance`."""
+    return guidance(controller, parameters(controller, setting), options, **changes)

@@ -17,7 +17,7 @@ from railrepro import paths
 from railrepro.contact.points import read_pair
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import EstimateSettings
-from railrepro.control.registry import REGISTERED, guidance
+from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
 from railrepro.evidence.runs import preview, store, tuning
@@ -45,7 +45,7 @@ class Experiment:
     ----------
     scenario : Scenario
     controller : str
-        Key of `registry.REGISTERED`.
+        Key of `registry.CONTROLLERS`.
     label : dict
         Further columns of the row.
     parameters : dict or None
@@ -148,7 +148,7 @@ class Experiment:
         It holds the resolved values, not the names of vehicle, wheel profile, parameters, track and sensors, and the
         code that the run and the function can reach.
         """
-        if self.controller not in REGISTERED or not _is_ours(REGISTERED[self.controller].build):
+        if self.controller not in CONTROLLERS or not _is_ours(CONTROLLERS[self.controller].build):
             return None  # of a user's file
         scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
         track = load_track(self.scenario.track_file())

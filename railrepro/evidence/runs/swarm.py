@@ -15,7 +15,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from railrepro import __version__, paths
-from railrepro.control.registry import REGISTERED
+from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
 from railrepro.evidence.runs import pso, store
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -69,7 +69,7 @@ class Evaluation:
         The last run, the hardest, comes first. Once the sum is beyond `limit`, the rest is left out and counts nothing:
         the cost is then a lower bound.
         """
-        quick, number = REGISTERED[self.controller].quick, len(self.task.runs)
+        quick, number = CONTROLLERS[self.controller].quick, len(self.task.runs)
         costs, parts = [], []
         for run in reversed(self.task.runs):
             experiment = Experiment(

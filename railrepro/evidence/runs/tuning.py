@@ -20,10 +20,9 @@ import pandas as pd
 from pydantic import AfterValidator
 
 from railrepro import paths, schema
-from railrepro.control.registry import REGISTERED, guidance
-from railrepro.control.tuned import COUNT, EQUAL, PAPER, SEED, TUNED, read
-from railrepro.control.tuned import LOOP as LOOP  # for those who take the settings from here
-from railrepro.control.tuned import SETTINGS as SETTINGS
+from railrepro.control.registry import CONTROLLERS, EQUAL, PAPER, TUNED, guidance, read
+from railrepro.control.registry import LOOP as LOOP  # for those who take the settings from here
+from railrepro.control.registry import SETTINGS as SETTINGS
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Inverter, load_loop
 from railrepro.evidence.runs import pso, store
@@ -31,6 +30,9 @@ from railrepro.files import write
 from railrepro.schema import Number, above, between
 from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+COUNT = Annotated[int, between(1, 10**6)]
+SEED = Annotated[int, between(0, 2**63)]
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,41 @@ def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
 
 
 @schema.table
+class Origin:
+    """Where a tuned set comes from: budget of the search, version, and what it was tuned for."""
+
+    particles: COUNT
+    iterations: COUNT
+    patience: COUNT
+    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY]
+    data: str
+    version: str
+
+
+@schema.table
+class SwarmResult:
+    """What one swarm found."""
+
+    seed: SEED
+    cost: Annotated[Number, between(0.0, 1e9)]
+    evaluations: COUNT
+    parameters: dict[str, schema.Plain]
+
+
+@schema.table
+class TunedSet:
+    """Content of a file in data/tuned."""
+
+    controller: str
+    setting: Literal["paper", "equal", "loop"]
+    parameters: dict[str, schema.Plain]
+    cost: Annotated[Number, between(0.0, 1e9)]
+    runs: tuple[dict[str, schema.Free], ...]
+    swarms: Annotated[tuple[SwarmResult, ...], schema.NOT_EMPTY]
+    origin: Origin
+
+
+@schema.table
 class TaskFile:
     """Content of data/tuning.toml."""
 
@@ -171,8 +208,8 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
         runs.append(_run(name, content.run[name], known, entry.sensors, f"{file.name}: [run.{name}]"))
     dimensions = {}
     for name, bounds in content.controller.items():
-        if name not in REGISTERED:
-            raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(REGISTERED)}")
+        if name not in CONTROLLERS:
+            raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(CONTROLLERS)}")
         dimensions[name] = content.controller.get(bounds) if isinstance(bounds, str) else bounds
         if not isinstance(dimensions[name], list) or not dimensions[name]:
             raise InputError(f"{file.name}: [controller.{name}] has no bounds, nor has a controller that it is same_as")
@@ -271,6 +308,7 @@ def load(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
     if controller in task.designed:
         return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
     content, name = read(controller, setting, folder), f"{controller}.json"
+    schema.build(TunedSet, content, name)
     if controller not in task.dimensions:
         raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
     searched = {dimension.name for dimension in task.dimensions[controller]}

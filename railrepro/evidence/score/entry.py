@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from railrepro.control import lateral
-from railrepro.control.registry import REGISTERED, Controller
+from railrepro.control.registry import CONTROLLERS, Controller
 from railrepro.errors import InputError
 from railrepro.evidence.runs import tuning
 from railrepro.schema import location
@@ -38,7 +38,7 @@ class Entry:
     Attributes
     ----------
     name : str
-        Key of `registry.REGISTERED`, `NOTHING`, or the name of a file with its suffix, which is never such a key.
+        Key of `registry.CONTROLLERS`, `NOTHING`, or the name of a file with its suffix, which is never such a key.
     file : str
         Path of the file, empty for a registered controller.
     """
@@ -64,17 +64,17 @@ class Entry:
 
 def register(name: str, build: Callable) -> str:
     """Enter a controller into the registry of this process, settings -> guidance; its name."""
-    REGISTERED[name] = Controller(build, dict, False, "own")
+    CONTROLLERS[name] = Controller(build, dict, False, "own")
     return name
 
 
 def entry(controller: str) -> Entry:
     """The entry for a registered name or the path of a file; InputError when it is neither."""
-    if controller in tuple(REGISTERED) or controller == NOTHING:
+    if controller in tuple(CONTROLLERS) or controller == NOTHING:
         return Entry(controller)
     file = location(controller)
     if not file.is_file():
-        known = [*REGISTERED, NOTHING]
+        known = [*CONTROLLERS, NOTHING]
         raise InputError(f"controller {controller!r} is neither a file nor a registered controller; there are {known}")
     if not re.fullmatch(r"[A-Za-z0-9_+-][A-Za-z0-9_.+-]*\.py", file.name):
         raise InputError(

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.registry import REGISTERED
+from railrepro.control.registry import SHOWN
 from railrepro.errors import InputError
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.score import card, suite
@@ -44,7 +44,7 @@ _READ = ("irregularities", "scenarios", "score", "sensors", "tracks", "tuning", 
 def entries() -> list[Entry]:
     """All registered controllers, none at all, and the files of examples/."""
     files = sorted((paths.ROOT / "examples").glob("*.py"))
-    return [*(entry(name) for name in (*REGISTERED, NOTHING)), *(entry(str(file)) for file in files)]
+    return [*(entry(name) for name in (*SHOWN, NOTHING)), *(entry(str(file)) for file in files)]
 
 
 def table(chosen: list[Entry], names: tuple[str, ...] | None = None) -> pd.DataFrame:

@@ -17,9 +17,8 @@ import numpy as np
 from railrepro import paths, schema
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
-from railrepro.control.tuned import SEED
 from railrepro.estimation.sensors import late
-from railrepro.evidence.runs.tuning import EQUAL, LOOP
+from railrepro.evidence.runs.tuning import EQUAL, LOOP, SEED
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.vehicle.parameters import sample_ranges
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from railrepro.compile.codegen import CompilerError
-from railrepro.control.registry import REGISTERED, guidance
+from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.errors import InputError
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.score import suite
@@ -54,7 +54,7 @@ class Trial:
             name, parameters, options = register(f"own {self.entry.name}", lambda settings: written), {}, {}
         else:
             name, parameters = self.entry.enter(case.setting)
-            options = REGISTERED[name].quick
+            options = CONTROLLERS[name].quick
         if case.delay:
             inner = guidance(name, parameters, options)
             name = register(f"delayed {self.entry.name}", lambda settings: suite.delayed(inner, case.delay))

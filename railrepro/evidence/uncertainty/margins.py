@@ -18,7 +18,7 @@ import pandas as pd
 from railrepro import paths
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.control import lateral
-from railrepro.control.registry import REGISTERED
+from railrepro.control.registry import CONTROLLERS, SHOWN
 from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -198,7 +198,7 @@ class Survival:
         name, end = RAILS[self.rail]
         change = QUANTITIES[self.quantity].change(value)
         sensors = {"seed": 101} | ({} if self.setting == tuning.LOOP else {"perfect": True}) | change.get("sensors", {})
-        quick = REGISTERED[self.controller].quick
+        quick = CONTROLLERS[self.controller].quick
         experiment = Experiment(
             load_scenario(name).but(end_m=end), self.controller, options=quick, setting=self.setting, sensors=sensors,
             plant=change.get("plant", {}),
@@ -223,7 +223,7 @@ class Measured:
         return row | store.entry(name, self._peaks)[0]
 
     def _peaks(self) -> store.Entry:
-        guidance = tuning.tuned(self.controller, REGISTERED[self.controller].quick, self.setting)
+        guidance = tuning.tuned(self.controller, CONTROLLERS[self.controller].quick, self.setting)
         found = sensitivity(guidance, self.speed_kmh, {"seed": 101} if self.setting == tuning.LOOP else None)
         peak, margin = (float("inf"), 0.0) if found is None else (found.peak, found.disk_margin)
         return {"peak_sensitivity": peak, "disk_margin": margin}, None
@@ -240,7 +240,7 @@ def _call(task):
 
 def main() -> None:
     """Measure all tuned sets and write both tables."""
-    pairs = [(setting, name) for setting in tuning.SETTINGS for name in REGISTERED]
+    pairs = [(setting, name) for setting in tuning.SETTINGS for name in SHOWN]
     cases = [Survival(*pair, rail, what) for pair in pairs for rail in RAILS for what in QUANTITIES]
     loops = [Measured(*pair, speed) for pair in pairs for speed in _KMH]
     with executor() as pool:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.registry import REGISTERED
+from railrepro.control import registry
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import tuning
@@ -126,7 +126,7 @@ class Case:
         parameters = dict(self.parameters)
         if self.axis == "bandwidth":
             parameters |= {name: self.value * parameters[name] for name in ("pole", "frequency") if name in parameters}
-        quick = REGISTERED[self.controller].quick
+        quick = registry.CONTROLLERS[self.controller].quick
         return Experiment(scenario, self.controller, parameters=parameters, options=quick, **changed)
 
     def __call__(self) -> dict:
