@@ -41,8 +41,8 @@ FACADE = {
     "load_loop": "railrepro.estimation.sensors.load_loop",
     "Readings": "railrepro.estimation.sensors.Readings",
     "SteppedCar": "railrepro.car.component.SteppedCar",
-    "export_fmu": "railrepro.car.fmu.export_fmu",
-    "Export": "railrepro.control.export.Export",
+    "export_fmu": "railrepro.export.car.export_fmu",
+    "Export": "railrepro.export.controller.Export",
     "metrics": "railrepro.simulation.metrics",
     "InputError": "railrepro.errors.InputError",
 }

@@ -10,8 +10,8 @@ import pytest
 from railrepro import paths
 from railrepro.compile import codegen
 from railrepro.control import law
-from railrepro.control.export import TORQUES, Export
 from railrepro.control.ndi import NDI
+from railrepro.export.controller import TORQUES, Export
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 

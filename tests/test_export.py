@@ -7,15 +7,15 @@ import subprocess
 import numpy as np
 import pytest
 
-from railrepro.car.fmu import export_fmu
 from railrepro.compile import codegen
 from railrepro.control import law
-from railrepro.control.export import TORQUES, Export
 from railrepro.control.law import LawSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import readings
+from railrepro.export.car import export_fmu
+from railrepro.export.controller import TORQUES, Export
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 

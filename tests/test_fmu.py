@@ -11,9 +11,9 @@ import pytest
 from units import Instance, fmpy
 
 from railrepro.car import fmu
-from railrepro.car.fmu import export_fmu
 from railrepro.compile import codegen
 from railrepro.errors import InputError
+from railrepro.export.car import export_fmu
 from railrepro.vehicle.parameters import load_vehicle
 
 pytestmark = pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")

@@ -255,7 +255,7 @@ def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(s
 
 
 def test_the_car_knows_nothing_of_control():
-    loaded = "import sys, railrepro.car.component, railrepro.car.fmu; print(*sys.modules)"
+    loaded = "import sys, railrepro.car.component, railrepro.export.car; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()
     assert "railrepro.car.component" in modules
     assert not [name for name in modules if name.startswith(("railrepro.control", "railrepro.simulation"))]

@@ -5,9 +5,9 @@ import pytest
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.car.fmu import export_fmu
 from railrepro.compile import codegen
 from railrepro.control import law
+from railrepro.export.car import export_fmu
 from railrepro.simulation import exchange
 from railrepro.track import route
 from railrepro.track.table import load_track

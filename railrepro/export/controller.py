@@ -19,11 +19,11 @@ from railrepro.car import equations
 from railrepro.car.component import DERAILED
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.compile.unit import Unit, constant, unit_file, write_unit
 from railrepro.control import lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.solvers import riccati
 from railrepro.errors import InputError
+from railrepro.export.unit import Unit, constant, unit_file, write_unit
 from railrepro.files import write
 from railrepro.model.control_model import STATES
 from railrepro.model.forecast import nominal_values
@@ -95,7 +95,7 @@ class Export:
         unit = Unit("controller", description, TORQUES, law.MEASURED, _LARGEST)
         sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}
         sizes |= {"INPUT_TEXT": f'"what is measured must be a number of at most {_LARGEST:g}"'}
-        return write_unit(path, unit, self.source() + _defines(sizes), (_HERE / "unit.c").read_text())
+        return write_unit(path, unit, self.source() + _defines(sizes), (_HERE / "controller_unit.c").read_text())
 
     def _constants(self, control: law.ControlLaw) -> str:
         """Sizes, road and gains of the law."""

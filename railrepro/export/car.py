@@ -8,7 +8,7 @@ from railrepro.car import equations, stepper
 from railrepro.car.component import DERAILED, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import EXCHANGE_PERIOD
 from railrepro.compile import codegen
-from railrepro.compile.unit import Unit, constant, unit_file, write_unit
+from railrepro.export.unit import Unit, constant, unit_file, write_unit
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -46,7 +46,7 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     unit = Unit(
         "car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE
     )
-    return write_unit(path, unit, text, Path(__file__).with_name("fmu.c").read_text())
+    return write_unit(path, unit, text, Path(__file__).with_name("car_unit.c").read_text())
 
 
 def _constants(car: SteppedCar) -> str:
