@@ -154,7 +154,7 @@ $(VENV): environment.lock pyproject.toml
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
 	@command -v "$${CC:-cc}" >/dev/null || command -v gcc >/dev/null || { \
 	  echo "there is no C compiler (CC, cc, gcc): installing that of the package ziglang, 400 MB"; $(call INSTALL,compiler); } \
-	  || echo "it cannot be had; everything is interpreted, some twenty times slower"
+	  || echo "it cannot be had, and without a C compiler nothing runs"
 	@touch $@
 
 $(BOOK) $(BENCH) $(COMPILER): .venv/ready-%-$(LOCK_HASH): | $(VENV)

@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro.compile import codegen
 from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import mpc_settings
 from railrepro.evidence.bench import speed
@@ -15,7 +14,6 @@ from railrepro.vehicle.parameters import load_vehicle
 
 FEW, MANY = 3, 15
 """Successive problems per scenario: Ipopt takes a second for one whose bounds are active."""
-needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="the kernel is compiled")
 
 
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
@@ -67,7 +65,6 @@ def short():
     return vehicle, [plain, speed.tightened(plain)]
 
 
-@needs_compiler
 def test_operations_are_counted_against_the_processor(short):
     vehicle, (recording, _) = short
     settings = recording.problems[0].settings

@@ -16,7 +16,6 @@ from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 
 pytest.importorskip("fmpy")
-pytestmark = pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
 PAGE = (paths.NOTEBOOKS / "book/couple.md").read_text()
 
 

@@ -16,7 +16,6 @@ from railrepro.control.ndi import NDI
 from railrepro.control.solvers import riccati
 from railrepro.vehicle.parameters import load_vehicle
 
-pytestmark = pytest.mark.skipif(codegen.compiler() is None, reason="there is no C compiler")
 ONE = ("sin", "cos", "tan", "asin", "atan", "exp", "log")
 RNG = np.random.default_rng(31)
 N = 500

@@ -19,7 +19,6 @@ from railrepro.export.controller import TORQUES, Export
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 
-pytestmark = pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
 SCENARIO = load_scenario("curve_entry_T3").but(end_m=70.0)
 MPC = {"q_psi_TrAx": 1.0, "q_psidot_Ax": 1e-3, "r": 1e-11, "q_terminal": 10.0, "period_ms": 10, "horizon_s": 0.4}
 GUIDANCE = {

@@ -16,7 +16,6 @@ from railrepro.errors import InputError
 from railrepro.export.car import export_fmu
 from railrepro.vehicle.parameters import load_vehicle
 
-pytestmark = pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
 TORQUE, Y = ["tau_front_le"], ["front.y"]
 CONE = {"contact.profile": "cone"}
 

@@ -334,7 +334,6 @@ def test_verify_into_a_folder_of_somebody_leaves_it_as_it_is(tmp_path, capsys):
 
 def test_a_compiler_that_there_is_not_is_told(monkeypatch, capsys):
     monkeypatch.setenv("CC", "nonexistent-cc")
-    monkeypatch.delenv("RAILREPRO_NO_COMPILER", raising=False)
     monkeypatch.setattr(cache, "_object", lambda *_: None)
     cache.compiler.cache_clear()
     try:

@@ -141,16 +141,6 @@ def test_runs_belong_to_their_seed():
     assert not np.allclose(runs[0][:n], runs[2][:n], atol=1e-6)
 
 
-def test_compiled_and_interpreted_loops_agree():
-    ends = [
-        simulate.run(
-            load_scenario("curve_entry_T3").but(end_m=25), MODERATE, sensors=Readings(load_loop(), 3), compiled=compiled
-        ).series["front.y"]
-        for compiled in (True, False)
-    ]
-    assert np.allclose(*ends, rtol=1e-6, atol=1e-9)
-
-
 def test_errors_are_of_the_size_that_the_filter_says():
     """Standard deviations of displacement, yaw rate and adhesion against the car, when the torque arrives."""
     loop, vehicle = load_loop(), load_vehicle()

@@ -1,4 +1,4 @@
-"""The multibody car: statics, energy, symmetry, steady curving, integrator, faults, both backends."""
+"""The multibody car: statics, energy, symmetry, steady curving, integrator, faults, the compiled loop."""
 
 from dataclasses import astuple, replace
 
@@ -16,7 +16,9 @@ from railrepro.contact.creep import polach
 from railrepro.contact.table import CELL_COLUMNS, contact_table, middle_patch
 from railrepro.control import law
 from railrepro.control.ndi import NDI
-from railrepro.simulation import exchange
+from railrepro.estimation.sensors import Readings, load_loop
+from railrepro.simulation import exchange, simulate
+from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.alignment import Alignment, Segment
 from railrepro.track.irregularity import irregularities
@@ -39,7 +41,6 @@ def start(
     reference=None,
     state=None,
     parameters=None,
-    compiled=True,
     **lay,
 ):
     """An exchange at rest state (or `state`) on a named track."""
@@ -48,7 +49,7 @@ def start(
     control = law.control_law(vehicle, ndi, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
     parameters = equations.parameter_vector(vehicle) if parameters is None else parameters
     state = equations.rest_state(vehicle, table, speed) if state is None else state
-    return exchange.Exchange(parameters, table, way, control, state, compiled)
+    return exchange.Exchange(parameters, table, way, control, state)
 
 
 def frame(rows, coupled):
@@ -220,12 +221,32 @@ def test_yaw_spring_torque_in_the_narrow_curve(vehicle):
     assert log["rear.du"] == pytest.approx(-expected, rel=0.02)
 
 
-def test_compiled_and_interpreted_loops_agree(vehicle):
-    logs = []
-    for compiled in (True, False):
-        coupled = start(vehicle, "T3", 280 * KMH, NDI(), compiled=compiled)
-        logs.append(coupled.run(300))
-    assert np.allclose(logs[0], logs[1], rtol=1e-6, atol=1e-6)
+def by_functions(coupled, n):
+    """Rows of an exchange that CasADi evaluates; `coupled` gives start, tables, parameters and law."""
+    car, model, control = coupled.car, coupled.car.model, coupled.control
+    x, memory, log = coupled.state.copy(), coupled.memory.copy(), []
+    first = equations.BODIES.index(law.GEARS[0])
+    for _ in range(n):
+        places = np.array(model.coordinates(x, car.rows.T, car.parameters)).ravel()
+        for place, (cells, start, step, row) in zip(places, car._tables(), strict=True):
+            row[:] = cells[int(np.clip((place - start) // step, 0, len(cells) - 1))]
+        inputs = car.rows.T, car.contacts.T, car.parameters
+        output = np.array(model.output(x, car.torque, *inputs)).ravel()
+        below = car.rows[first : first + len(law.GEARS)].T
+        found = control.function(output[coupled.sensed], below, coupled.held, control.gains, memory)
+        car.torque[:], memory, record = (np.array(value).ravel() for value in found[:3])
+        log.append(np.concatenate([output, record]))
+        x = np.array(model.step(x, car.torque, *inputs, EXCHANGE_PERIOD)[0]).ravel()
+    return np.array(log)
+
+
+@pytest.mark.parametrize("sensed", [False, True])
+def test_the_compiled_loop_is_that_of_its_functions(vehicle, sensed):
+    scenario = load_scenario("curve_entry_T3")
+    settings = law.LawSettings(sensors=Readings(load_loop(), 3) if sensed else None)
+    way = simulate.checked_route(scenario, vehicle)
+    one, other = (simulate.start(scenario, NDI(), way, vehicle, vehicle, settings) for _ in range(2))
+    assert np.allclose(one.run(300), by_functions(other, 300), rtol=1e-6, atol=1e-6)
 
 
 def test_step_converges_with_order_three_on_a_smooth_stretch(vehicle):

@@ -5,7 +5,6 @@ import pytest
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.compile import codegen
 from railrepro.control import law
 from railrepro.export.car import export_fmu
 from railrepro.simulation import exchange
@@ -144,7 +143,6 @@ def test_a_broken_state_is_named_and_kept_out():
 
 
 @pytest.mark.filterwarnings("ignore:.* derailed")
-@pytest.mark.skipif(codegen.compiler() is None, reason="an FMU holds compiled code")
 def test_fmu_runs_in_fmpy_to_the_same_trajectory(tmp_path, monkeypatch):
     fmpy = pytest.importorskip("fmpy")
     car = SteppedCar("T3", 60.0)

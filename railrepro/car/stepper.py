@@ -1,16 +1,14 @@
-"""The car on a route, one exchange at a time: what a loop needs of it, compiled where there is a C compiler.
+"""The car on a route, one exchange at a time: `car.c` over the generated functions.
 
-`car.c` runs over the generated functions; without a compiler the same runs in Python over the same functions in
-CasADi's virtual machine, slower, with equal results up to rounding. Serves the paper's section Simulation Environment.
+Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator
-from functools import lru_cache, partial
+from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -63,11 +61,10 @@ def c_text() -> str:
 
 
 @lru_cache(maxsize=1)
-def library() -> ctypes.CDLL | None:
-    """The car as a shared object; None without a C compiler."""
+def library() -> ctypes.CDLL:
+    """The car as a shared object."""
     loaded = codegen.library(_generated(), c_text())
-    if loaded is not None:
-        loaded.car_run.restype = ctypes.c_longlong
+    loaded.car_run.restype = ctypes.c_longlong
     return loaded
 
 
@@ -83,8 +80,6 @@ class CarStepper:
     route : Route
     state : array_like
         Initial state.
-    compiled : bool
-        False evaluates in CasADi's virtual machine.
     substeps : int
         Steps in an exchange. One is enough for the motion and for ideal rails. On irregular rails it overestimates the
         largest unloading of a wheel below 20 Hz by up to 1.3 %, two steps by 0.1 %.
@@ -107,11 +102,11 @@ class CarStepper:
         Values of `model.outputs` as last measured.
     functions : dict
         The functions on these buffers by name: coordinates, output, step.
-    pointer : ctypes pointer or None
-        The car for the functions of `car.c`; None without compiled code.
+    pointer : ctypes pointer
+        The car for the functions of `car.c`.
     """
 
-    def __init__(self, parameters, table: ContactTable, route: Route, state, compiled: bool = True, substeps: int = 1):
+    def __init__(self, parameters, table: ContactTable, route: Route, state, substeps: int = 1):
         self.state, self.torque = np.array(state, dtype=float), np.zeros(len(equations.WHEELS))
         self.model, self.substeps = equations.car(), substeps
         self.next_state, self.period = np.zeros_like(self.state), np.array([EXCHANGE_PERIOD / substeps])
@@ -128,12 +123,12 @@ class CarStepper:
             "output": (common, [self.outputs]),
             "step": ([*common, self.period], [self.next_state, np.zeros_like(self.state)]),
         }
-        self._library: Any = library() if compiled else None
-        form: Callable = codegen.InterpretedFunction
-        if self._library is not None:
-            form = partial(codegen.CompiledFunction, self._library)
-        self.functions = {name: form(getattr(self.model, name), *binding) for name, binding in bindings.items()}
-        self.pointer = None if self._library is None else ctypes.byref(self._structure())
+        self._library = library()
+        self.functions = {
+            name: codegen.CompiledFunction(self._library, getattr(self.model, name), *binding)
+            for name, binding in bindings.items()
+        }
+        self.pointer = ctypes.byref(self._structure())
         for _ in range(2):  # the look-up of contacts uses the irregularities of the rows found before
             self.look_up()
 
@@ -160,14 +155,7 @@ class CarStepper:
 
     def look_up(self) -> None:
         """Cells of track and contacts at the present state."""
-        if self.pointer is not None:
-            self._library.car_look_up(self.pointer)
-            return
-        self.functions["coordinates"]()
-        for place, (cells, start, step, row) in zip(self._places, self._tables(), strict=True):
-            cell = (place - start) / step
-            index = int(min(max(cell, 0), len(cells) - 1)) if np.isfinite(cell) else 0
-            row[:] = cells[index]
+        self._library.car_look_up(self.pointer)
 
     def measure(self) -> np.ndarray:
         """Outputs at the present state, in the order of `model.outputs`."""
@@ -175,25 +163,9 @@ class CarStepper:
         self.functions["output"]()
         return self.outputs
 
-    def advance(self) -> None:
-        """One exchange from where the car was looked up last."""
-        for k in range(self.substeps):
-            if k:
-                self.look_up()
-            self.functions["step"]()
-            self.state[:] = self.next_state
-
     def run(self, n: int, largest: float) -> int:
         """Up to n steps with the torques held, as long as each state stays below `largest`; how many were taken."""
-        if self.pointer is not None:
-            return self._library.car_run(self.pointer, ctypes.c_longlong(n), ctypes.c_double(largest))
-        for k in range(n):
-            self.look_up()
-            self.functions["step"]()
-            if not (np.abs(self.next_state) < largest).all():
-                return k
-            self.state[:] = self.next_state
-        return n
+        return self._library.car_run(self.pointer, ctypes.c_longlong(n), ctypes.c_double(largest))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
         """Arguments x, u, rows, contacts, par of the functions of the equations at the present state, copied."""

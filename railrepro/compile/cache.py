@@ -35,7 +35,7 @@ _LONG = 1_500_000
 _SLOW = 200_000
 """Length from which the compiler takes seconds: cars and predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
-_NONE = "no C compiler was found (CC, cc, gcc), `pip install railrepro[compiler]` brings one"
+_NONE = "no C compiler was found (CC, cc, gcc): `pip install railrepro[compiler]` brings one"
 _SECONDS, _PROBE_SECONDS = 600.0, 30.0
 """Time limits of a compilation and of the try whether a compiler works (s)."""
 PACKAGED = "ziglang"
@@ -49,28 +49,24 @@ class CompilerError(InputError):
 
 
 @lru_cache(maxsize=1)
-def compiler() -> str | None:
-    """Path of a C compiler that works; None when there is none, or when `RAILREPRO_NO_COMPILER` is set.
+def compiler() -> str:
+    """Path of a C compiler that works, or the name of the packaged one.
 
-    Looked for are `CC`, cc, gcc, and the `PACKAGED` one. That there is none, or none that works, is reported on stderr,
-    once.
+    Looked for are `CC`, cc, gcc, and the `PACKAGED` one. That there is no compiler `CC` is reported on stderr, once.
+
+    Raises
+    ------
+    CompilerError
+        When there is none, or the first one does not work.
     """
-    if os.environ.get("RAILREPRO_NO_COMPILER"):
-        return None
     command = next(filter(None, map(found, (os.environ.get("CC") or "cc", "gcc", PACKAGED))), None)
     asked = os.environ.get("CC")
-    if asked and found(asked) is None:
-        instead = f"{command} is used" if command else "there is no other"
-        print(f"CC={asked!r} is no compiler that can be found; {instead}", file=sys.stderr, flush=True)
-        os.environ["CC"] = command or ""  # reported once: processes that this one starts inherit it
     if command is None:
-        do_without(CompilerError(_NONE))
-        return None
-    try:
-        _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
-    except CompilerError as error:
-        do_without(error)
-        return None
+        raise CompilerError(_NONE)
+    if asked and found(asked) is None:
+        print(f"CC={asked!r} is no compiler that can be found; {command} is used", file=sys.stderr, flush=True)
+        os.environ["CC"] = command  # reported once: processes that this one starts inherit it
+    _object(command, "/* does it work? */\n", _PROBE_SECONDS, flags())
     return command
 
 
@@ -91,13 +87,6 @@ def _call(command: str) -> list[str]:
     environment = ["-u", "CC", f"ZIG_GLOBAL_CACHE_DIR={place}", f"ZIG_LOCAL_CACHE_DIR={place}"]
     portable = ["-mcpu=baseline", "-fno-sanitize=undefined", "-g0"]
     return ["env", *environment, sys.executable, "-m", PACKAGED, "cc", *portable]
-
-
-def do_without(error: CompilerError) -> None:
-    """Report why there is no compiler, and have this process and those that it starts do without."""
-    print(f"{error}; everything is interpreted, some twenty times slower", file=sys.stderr, flush=True)
-    os.environ["RAILREPRO_NO_COMPILER"] = "1"
-    compiler.cache_clear()
 
 
 @lru_cache(maxsize=1)
@@ -194,16 +183,11 @@ def build(text: str, portable: bool = False, level: str = "-Og") -> Path:
 
     Raises
     ------
-    InputError
-        When there is no compiler.
     CompilerError
-        When the compiler refuses the source, takes too long or gives nothing that can be loaded, or when the object
-        cannot be stored; the sentence names the kept source file.
+        When there is no compiler, when it refuses the source, takes too long or gives nothing that can be loaded, or
+        when the object cannot be stored; the sentence names the kept source file.
     """
-    command = compiler()
-    if command is None:
-        raise InputError(_NONE)
-    return _object(command, text, _SECONDS, flags(portable, len(text), level))
+    return _object(compiler(), text, _SECONDS, flags(portable, len(text), level))
 
 
 def _object(command: str, text: str, seconds: float, options: tuple[str, ...]) -> Path:

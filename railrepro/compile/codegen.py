@@ -1,8 +1,7 @@
 """From CasADi functions to C source text, and from there to functions that are called.
 
 The module that the others here import: `cache` compiles text and keeps the objects, `graphs` the functions
-that they come from, `functions` binds them to buffers, `reciprocals` saves divisions. Without a C compiler `library`
-returns None and callers evaluate the same CasADi functions in CasADi's virtual machine.
+that they come from, `functions` binds them to buffers, `reciprocals` saves divisions.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from pathlib import Path
 
 import casadi as ca
 
-from railrepro.compile.cache import CompilerError, build, compiler, do_without, flags
-from railrepro.compile.functions import Call, CompiledFunction, InterpretedFunction
+from railrepro.compile.cache import CompilerError, build, compiler, flags
+from railrepro.compile.functions import Call, CompiledFunction
 from railrepro.compile.graphs import stored
 from railrepro.compile.reciprocals import share_reciprocals
 
@@ -22,7 +21,6 @@ __all__ = [
     "Call",
     "CompiledFunction",
     "CompilerError",
-    "InterpretedFunction",
     "build",
     "compiled",
     "compiler",
@@ -132,36 +130,12 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {body}\n}}\n"
 
 
-_loaded: list[ctypes.CDLL] = []
+def library(functions: Sequence[ca.Function] | str, extra: str = "", level: str = "-Og") -> ctypes.CDLL:
+    """Load CasADi functions, or their `source_text`, and extra C source as one shared object; `level` see `flags`."""
+    text = functions if isinstance(functions, str) else source_text(functions)
+    return ctypes.CDLL(str(build(text + extra, level=level)))
 
 
-def library(functions: Sequence[ca.Function] | str, extra: str = "", level: str = "-Og") -> ctypes.CDLL | None:
-    """Load CasADi functions, or their `source_text`, and extra C source as one shared object; `level` see `flags`.
-
-    Returns
-    -------
-    ctypes.CDLL or None
-        None when there is no C compiler, or one that fails at the first source of this process.
-
-    Raises
-    ------
-    CompilerError
-        When it fails later: compiled and interpreted parts do not mix.
-    """
-    if compiler() is None:
-        return None
-    try:
-        text = functions if isinstance(functions, str) else source_text(functions)
-        _loaded.append(ctypes.CDLL(str(build(text + extra, level=level))))
-    except CompilerError as error:
-        if _loaded:
-            raise
-        do_without(error)
-        return None
-    return _loaded[-1]
-
-
-def compiled(function: ca.Function) -> CompiledFunction | InterpretedFunction:
-    """Fastest available form of one CasADi function, with buffers of its own."""
-    loaded = library([function])
-    return InterpretedFunction(function) if loaded is None else CompiledFunction(loaded, function)
+def compiled(function: ca.Function) -> CompiledFunction:
+    """One CasADi function as compiled code, with buffers of its own."""
+    return CompiledFunction(library([function]), function)

@@ -1,7 +1,4 @@
-"""Compiled and interpreted functions behind one interface: fill the arguments, call, read the results.
-
-`compiled` gives the fastest form of a CasADi function that this machine can run.
-"""
+"""Compiled functions on buffers: fill the arguments, call, read the results."""
 
 from __future__ import annotations
 
@@ -41,29 +38,6 @@ class CompiledFunction:
         """Evaluate `arguments` into `results` (returned as the same arrays)."""
         if self._symbol(*self._memory, 0):
             raise ArithmeticError(f"compiled function {self.name} reported a failure")
-        return self.results
-
-
-class InterpretedFunction:
-    """The same interface on CasADi's virtual machine, for machines without a C compiler.
-
-    CasADi's type stubs ask for the size of a buffer that a memoryview knows by itself.
-    """
-
-    def __init__(self, function: ca.Function, arguments=None, results=None):
-        self.name = function.name()
-        self.arguments, self.results = _buffers(function, arguments, results)
-        self._buffer, self._trigger = function.buffer()
-        for i, array in enumerate(self.arguments):
-            self._buffer.set_arg(i, memoryview(array))  # type: ignore[call-arg, arg-type]
-        for i, array in enumerate(self.results):
-            self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg, arg-type]
-
-    def __call__(self) -> list[np.ndarray]:
-        """Evaluate `arguments` into `results` (returned as the same arrays)."""
-        self._trigger()
-        if self._buffer.ret():
-            raise ArithmeticError(f"function {self.name} reported a failure")
         return self.results
 
 

@@ -199,8 +199,8 @@ class ControlLaw:
         """See `function`."""
         return function(self.kind)
 
-    def library(self) -> ctypes.CDLL | None:
-        """The law as a shared object; None without a C compiler."""
+    def library(self) -> ctypes.CDLL:
+        """The law as a shared object."""
         return _library(self.kind)
 
 
@@ -264,7 +264,7 @@ def _model(vehicle: Vehicle) -> dict[str, float]:
 
 
 @lru_cache
-def _library(kind: LawKind) -> ctypes.CDLL | None:
+def _library(kind: LawKind) -> ctypes.CDLL:
     return codegen.library((function(kind),))
 
 

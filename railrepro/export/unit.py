@@ -60,13 +60,11 @@ def unit_file(path: Path | str) -> Path:
     Raises
     ------
     InputError
-        For a folder, and where no C compiler makes the code in it.
+        For a folder.
     """
     file = location(path)
     if file.is_dir():
         raise InputError(f"{file} is a folder, the name of an .fmu file is needed")
-    if codegen.compiler() is None:
-        raise InputError("an FMU holds compiled code: a C compiler is needed")
     return file
 
 

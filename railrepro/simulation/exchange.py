@@ -1,15 +1,13 @@
 """Car and control law coupled at 1 kHz: one call runs many exchanges.
 
-With a C compiler the loop of `loop.c` runs over the compiled car and the compiled law; without one the same loop runs
-in Python over the same functions in CasADi's virtual machine, slower, with equal results up to rounding.
+The loop of `loop.c` runs over the compiled car and the compiled law.
 """
 
 from __future__ import annotations
 
 import ctypes
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -44,12 +42,11 @@ class _Loop(ctypes.Structure):
 
 
 @lru_cache(maxsize=1)
-def _library() -> ctypes.CDLL | None:
-    """The loop as a shared object; None without a C compiler."""
+def _library() -> ctypes.CDLL:
+    """The loop as a shared object."""
     parts = Path(codegen.__file__).with_name("call.h"), Path(__file__).with_name("loop.c")
     loaded = codegen.library((), "".join(part.read_text() for part in parts))
-    if loaded is not None:
-        loaded.loop_run.restype = ctypes.c_longlong
+    loaded.loop_run.restype = ctypes.c_longlong
     return loaded
 
 
@@ -69,16 +66,12 @@ class Exchange:
         States of the law, see `law.LawKind.memory`.
     columns : tuple of str
         Names of the columns that `run` returns.
-    compiled : bool
-        Whether the exchanges run in compiled code.
     functions : dict
         The functions behind an exchange by name, on shared buffers: coordinates, output, law, step.
     """
 
-    def __init__(
-        self, car_parameters, table, route: Route, control: law.ControlLaw, state, compiled: bool = True, substeps=1
-    ):
-        self.car = CarStepper(car_parameters, table, route, state, compiled, substeps)
+    def __init__(self, car_parameters, table, route: Route, control: law.ControlLaw, state, substeps: int = 1):
+        self.car = CarStepper(car_parameters, table, route, state, substeps)
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
         self.control, self.exchanges, self.ended = control, 0, False
         outputs = self.car.model.outputs
@@ -99,15 +92,9 @@ class Exchange:
             [self._measured, cells, self.held, self._gains, self.memory],
             [self.car.torque, self._next_memory, self._record, self._margins],
         )
-        pointer, advance = self.car.pointer, self._run_python
-        library, driver = (None, None) if pointer is None else (control.library(), _library())
-        self.compiled = not (library is None or driver is None)
-        if library is None or driver is None:
-            control_law: Any = codegen.InterpretedFunction(*binding)
-        else:
-            control_law = codegen.CompiledFunction(library, *binding)
-            advance = partial(_run_compiled, driver, self._structure(pointer, control_law))
-        self.functions, self._advance = self.car.functions | {"law": control_law}, advance
+        control_law = codegen.CompiledFunction(control.library(), *binding)
+        self.functions = self.car.functions | {"law": control_law}
+        self._driver, self._loop = _library(), self._structure(control_law)
 
     def _places(self, names: tuple[str, ...]) -> np.ndarray:
         """Places of named states of both gears in the memory of the law, shape (2, len(names))."""
@@ -131,7 +118,8 @@ class Exchange:
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
-            done = self._advance(rows)
+            place = ctypes.c_void_p(rows.ctypes.data)
+            done = self._driver.loop_run(ctypes.byref(self._loop), ctypes.c_longlong(len(rows)), place)
             self.exchanges += done
             self.ended = done < len(rows)
             blocks.append(rows[: done + 1])
@@ -178,18 +166,7 @@ class Exchange:
         """Adhesion and slip of left and right wheel as the law knew them last, shape (2 gears, 2, 2)."""
         return self.memory[self._estimates].reshape(len(law.GEARS), 2, 2)
 
-    def _run_python(self, rows: np.ndarray) -> int:
-        for k in range(len(rows)):
-            self._measured[:] = self.car.measure()[self.sensed]
-            self.functions["law"]()
-            rows[k] = np.concatenate([self.car.outputs, self._record])
-            if not (self._margins > 0).all() or not np.isfinite(rows[k]).all():
-                return k
-            self.car.advance()
-            self.memory[:] = self._next_memory
-        return len(rows)
-
-    def _structure(self, pointer: Any, control_law: codegen.CompiledFunction) -> _Loop:
+    def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
         outputs = self.car.outputs
         sensed = [_copy(outputs[j : j + 1], self._measured[i : i + 1]) for i, j in enumerate(self.sensed)]
         logged = [_copy(outputs), _copy(self._record)]
@@ -197,11 +174,6 @@ class Exchange:
         self._copies = [(_Copy * len(group))(*group) for group in (sensed, logged, carried)]
         addresses = (ctypes.addressof(copies) for copies in self._copies)
         return _Loop(
-            ctypes.cast(pointer, ctypes.c_void_p), *self.car.c_functions(), control_law.call, *addresses,
+            ctypes.cast(self.car.pointer, ctypes.c_void_p), *self.car.c_functions(), control_law.call, *addresses,
             *map(len, self._copies), self._margins.ctypes.data, self._margins.size,
         )  # fmt: skip
-
-
-def _run_compiled(driver: ctypes.CDLL, loop: _Loop, rows: np.ndarray) -> int:
-    """Exchanges that were done of those that `rows` has room for."""
-    return driver.loop_run(ctypes.byref(loop), ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data))

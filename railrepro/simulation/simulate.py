@@ -78,7 +78,6 @@ def run(
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
     substeps: int = 1,
-    compiled: bool = True,
 ) -> Run:
     """Drive the car through a scenario.
 
@@ -98,8 +97,6 @@ def run(
         See `railrepro.track.route.lay`.
     substeps : int
         Steps of the car in a millisecond, see `CarStepper`.
-    compiled : bool
-        False runs without generated C (slower, equal up to rounding).
 
     Returns
     -------
@@ -120,13 +117,12 @@ def run(
     require("plant_vehicle", body, Vehicle)
     settings = law.LawSettings(adhesion, estimate, fixed_share, sensors)
     require("substeps", substeps, between(1, 10_000), whole=True)
-    require("compiled", compiled, bool)
     route = checked_route(scenario, body, irregularities, line)
     lateral_law, factory = lateral.split(guidance)
     latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()
     with one_thread():
         controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
-        exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps, compiled)
+        exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps)
         longest = _longest(route, scenario, len(exchange.columns))
         log = _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
     series = pd.DataFrame(log, columns=exchange.columns)
@@ -160,13 +156,13 @@ def checked_route(scenario: Scenario, body: Vehicle, irregularities=None, line=N
 
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    settings: law.LawSettings = law.PLAIN, substeps: int = 1, compiled: bool = True,
+    settings: law.LawSettings = law.PLAIN, substeps: int = 1,
 ) -> Exchange:  # fmt: skip
     """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
 
     Parameters
     ----------
-    scenario, guidance, vehicle, settings, substeps, compiled
+    scenario, guidance, vehicle, settings, substeps
         See `run`.
     route : Route
         That of the scenario, see `checked_route`.
@@ -178,7 +174,7 @@ def start(
     control = law.control_law(vehicle, guidance, settings, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
     state = equations.rest_state(body, table, scenario.speed)
-    return Exchange(parameters, table, route, control, state, compiled, substeps)
+    return Exchange(parameters, table, route, control, state, substeps)
 
 
 def _longest(route: Route, scenario: Scenario, columns: int) -> int:

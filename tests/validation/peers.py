@@ -188,7 +188,13 @@ class Peer:
 
     def __init__(self, name: str, settings: MPCSettings):
         function, self._stated = solver(name, settings)
-        self._function = codegen.InterpretedFunction(function)
+        self._arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        self._found = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        self._buffer, self._function = function.buffer()
+        for i, array in enumerate(self._arguments):
+            self._buffer.set_arg(i, memoryview(array))
+        for i, array in enumerate(self._found):
+            self._buffer.set_res(i, memoryview(array))
         self._keys = {key: i for i, key in enumerate(function.name_in())}
         self._results = function.name_out()
         self._started = False
@@ -199,10 +205,10 @@ class Peer:
         begin = time.thread_time()
         try:
             self._function()
-        except (RuntimeError, ArithmeticError):  # reported by CasADi or by the compiled call
+        except RuntimeError:  # reported by CasADi
             return np.full(problem.settings.steps, np.nan), time.thread_time() - begin
         spent = time.thread_time() - begin
-        found = dict(zip(self._results, self._function.results, strict=True))
+        found = dict(zip(self._results, self._found, strict=True))
         self._started = all(np.isfinite(found[name]).all() for name in ("x", "lam_x", "lam_g"))
         return UNIT * found["x"][self._stated.torques], spent
 
@@ -229,10 +235,10 @@ class Peer:
         start[at.states[0]] = first
 
     def _argument(self, name: str) -> np.ndarray:
-        return self._function.arguments[self._keys[name]]
+        return self._arguments[self._keys[name]]
 
     def _result(self, name: str) -> np.ndarray:
-        return self._function.results[self._results.index(name)]
+        return self._found[self._results.index(name)]
 
 
 class Own:

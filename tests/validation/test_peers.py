@@ -4,12 +4,9 @@ import numpy as np
 import peers
 import pytest
 
-from railrepro.compile import codegen
 from railrepro.control.problem import MPCSettings
 from railrepro.evidence.bench import speed
 from railrepro.vehicle.parameters import load_vehicle
-
-needs_compiler = pytest.mark.skipif(codegen.compiler() is None, reason="peers are compiled")
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +17,6 @@ def short():
     return vehicle, [plain, speed.tightened(plain)]
 
 
-@needs_compiler
 @pytest.mark.parametrize("which", [0, 1])
 def test_compiled_peers_and_our_recursion_find_the_same_optimum(short, which):
     vehicle, recordings = short
@@ -33,7 +29,6 @@ def test_compiled_peers_and_our_recursion_find_the_same_optimum(short, which):
     assert np.abs(plan).max() > 10 and (np.abs(plan).max() > 0.999 * bound) == bool(which)
 
 
-@needs_compiler
 def test_a_peer_that_solves_another_problem_is_found_out(short, monkeypatch):
     vehicle, (recording, _) = short
     honest = peers.Peer._prepare

@@ -304,10 +304,6 @@ def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
     operations = equations.car().operations
     for name in ("contact", "suspension"):
         add(f"share of {name} in the operations of the car's rate", operations[name] / operations["all"], "-")
-    plain = _exchange(base, vehicle, compiled=False)
-    begin = time.perf_counter()
-    plain.run(200)
-    add("loop without compiler", 1e6 * (time.perf_counter() - begin) / 200, per_second)
     return pd.DataFrame(rows)
 
 
@@ -322,13 +318,13 @@ def _loop(scenario, vehicle: Vehicle, rough=None, exchanges: int = 1000) -> tupl
     return exchange, best
 
 
-def _exchange(scenario, vehicle: Vehicle, rough=None, compiled: bool = True) -> Exchange:
+def _exchange(scenario, vehicle: Vehicle, rough=None) -> Exchange:
     table = contact_table(vehicle.contact.profile, vehicle)
     limits = {"lateral_limit": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
     control = law.control_law(vehicle, NDI(), **limits)
     parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
     state = equations.rest_state(vehicle, table, scenario.speed)
-    return Exchange(parameters, table, scenario.route(rough), control, state, compiled)
+    return Exchange(parameters, table, scenario.route(rough), control, state)
 
 
 def executor_speed(particles: int = 24, rounds: int = 2) -> pd.DataFrame:
@@ -369,8 +365,6 @@ def _of(setting: str) -> MPCSettings:
 
 def main(names: list[str]) -> None:
     """Measure the named tables, or all, and write them."""
-    if codegen.compiler() is None:
-        raise InputError("the bench compares compiled code and needs a C compiler")
     measures = {
         "plant_speed": lambda: pd.concat([plant_speed(vehicle), phases(vehicle, settings)], ignore_index=True),
         "solve_times": lambda: pd.concat(

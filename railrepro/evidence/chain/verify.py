@@ -34,7 +34,6 @@ VARIANTS = {
         "NPY_DISABLE_CPU_FEATURES": _NO_SIMD,
         "OPENBLAS_CORETYPE": "Nehalem",
     },
-    "no-compiler": {"RAILREPRO_NO_COMPILER": "1"},
 }
 """Other ways to compute the same: name -> environment.
 
@@ -167,9 +166,8 @@ def variants(names: Sequence[str]) -> int:
 def _hindrance(name: str) -> str:
     """Why a variant cannot run here, or an empty text."""
     compiler = VARIANTS[name].get("CC")
-    missing = cache.compiler() is None if compiler is None else cache.found(compiler) is None
-    if name != "no-compiler" and missing:
-        return f"there is no compiler {compiler!r}" if compiler else "there is no C compiler"
+    if compiler and cache.found(compiler) is None:
+        return f"there is no compiler {compiler!r}"
     feature = _NEEDS.get(name)
     if feature and (platform.machine() != "x86_64" or feature not in Path("/proc/cpuinfo").read_text().split()):
         return f"this processor has no {feature}"

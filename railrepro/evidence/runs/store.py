@@ -88,9 +88,8 @@ def digest(*parts) -> str:
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
     """What decides the last digits besides code: compiler with its flags, packages, processor and kernels, by name."""
-    command = cache.compiler()
     found = {f"environment {name}": os.environ.get(name, "") for name in _NUMERICS}
-    found |= {"the compiler": cache.identity(command) if command else "interpreted"}
+    found |= {"the compiler": cache.identity(cache.compiler())}
     found |= {"Python": sys.version, "the processor": platform.machine()}
     return found | {f"package {name}": version for name, version in code.packages().items()}
 
