@@ -133,8 +133,3 @@ def test_a_sample_answers_the_statements():
     found = robustness.candidates(pd.DataFrame([robustness.evaluate(s) for s in samples]), samples)
     assert {"C05", "C06", "C19", "C30", "C28"} <= set(found["id"])
     assert found["share"].isin([0.0, 1.0]).all()
-
-
-def test_samples_are_those_of_the_committed_study():
-    """Its table has numbers of samples, not their values."""
-    assert dict(robustness.draw(1)[0].values)["drive.lag"] == 0.002841153495013714

@@ -18,7 +18,7 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import load_scenarios
 from railrepro.track.alignment import alignments
-from railrepro.track.table import COLUMNS, load_track, read_table
+from railrepro.track.table import COLUMNS, read_table
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
 
 TUNED_NDI = paths.ROOT / tuning.TUNED / "equal" / "ndi.json"
@@ -257,31 +257,9 @@ def test_what_is_wrong_is_named(folder, name, old, new, sentence):
     assert str(refused.value).startswith(f"{file.name}: ")
 
 
-@pytest.mark.parametrize(
-    ("row", "column", "value", "sentence"),
-    [
-        (100, "dphi_dp_1pm", -0.05, "row 102, dphi_dp_1pm = -0.05 is a spike"),
-        (slice(None), "y_m", 0.0, "x_m, y_m, z_m lie"),
-        (slice(None), "psi_rad", True, "row 2, psi_rad is 'True'"),
-    ],
-)
-def test_tables_that_contradict_themselves_are_refused(tmp_path, row, column, value, sentence):
-    table = load_track("T3").table.astype({column: object})
-    table.loc[row, column] = value
-    table.to_csv(tmp_path / "own.csv", index=False)
-    with pytest.raises(InputError, match=sentence):
-        read_table(tmp_path / "own.csv")
-
-
 def test_a_jump_of_curvature_beside_a_row_is_no_spike(tmp_path):
     kappa = np.array([0.0, 1e-3, 2e-3, 3e-3, 0.0, 0.0])
     turned = np.array([0.5e-3, 1.5e-3, 2.5e-3, 0.0, 0.0])  # the clothoid ends at the fourth row, straight on after it
     table = pd.DataFrame(0.0, index=range(6), columns=COLUMNS[:7]).assign(p_m=range(6), dpsi_dp_1pm=kappa)
     table.assign(psi_rad=np.append(0.0, np.cumsum(turned))).to_csv(tmp_path / "own.csv", index=False)
     assert read_table(tmp_path / "own.csv")["y_m"].iloc[-1] > 0
-
-
-def test_millimetres_do_not_contradict(tmp_path):
-    table = load_track("T3").table
-    table.round({"x_m": 3, "y_m": 3, "z_m": 3}).to_csv(tmp_path / "own.csv", index=False)
-    assert len(read_table(tmp_path / "own.csv")) == len(table)

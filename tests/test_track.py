@@ -74,10 +74,10 @@ def test_clothoid_is_exact_between_the_rows():
     assert psi == pytest.approx((p[0] - 25) ** 2 / (2 * 269 * 1500), rel=1e-12)
 
 
-def test_table_survives_its_csv_exactly(tmp_path):
+def test_table_survives_its_csv(tmp_path):
     table = load_track("T1").table
     write_table(table, tmp_path / "T1.csv")
-    assert read_table(tmp_path / "T1.csv").equals(table)
+    assert np.allclose(read_table(tmp_path / "T1.csv"), table, rtol=0, atol=1e-9)
 
 
 def spoil(tmp_path, change):
@@ -91,12 +91,16 @@ def spoil(tmp_path, change):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda t: t.drop(columns="phi_rad"), "column phi_rad is missing"),
+        (lambda t: t.drop(columns="dpsi_dp_1pm"), "has none of .*dpsi_dp_1pm"),
         (set_cell(7, "psi_rad", np.nan), "row 9, psi_rad is nan"),
         (set_cell(7, "psi_rad", "left"), "row 9, psi_rad is 'left'"),
         (set_cell(7, "p_m", 0.0), "row 9, p_m does not increase"),
         (lambda t: t.assign(phi_rad=np.degrees(t["phi_rad"]) * 20), "unit"),
-        (lambda t: t.assign(dpsi_dp_1pm=-t["dpsi_dp_1pm"]), "does not fit psi_rad"),
+        (lambda t: t.assign(dpsi_dp_1pm=-t["dpsi_dp_1pm"]), "psi_rad = .* does not fit the curvature"),
+        (lambda t: t.assign(p_m=1e3 * t["p_m"]), "psi_rad = .* does not fit the curvature"),
+        (lambda t: t.assign(cant_mm=1.0), "of .*phi_rad.*cant_mm"),
+        (set_cell(7, "dpsi_dp_1pm", 0.01), "row 9, dpsi_dp_1pm = 0.01, which stands out alone"),
+        (set_cell(7, "phi_rad", 0.1), "row 9, phi_rad = 0.1, which stands out alone"),
     ],
 )
 def test_wrong_tables_are_refused_with_one_sentence(tmp_path, change, sentence):
@@ -137,3 +141,10 @@ def test_a_track_of_chainage_and_radius_is_that_of_its_segments(tmp_path):
     assert table[["x_m", "y_m"]].iloc[-1].tolist() == pytest.approx(ends, abs=1e-5)
     assert 1.5 * np.sin(table["phi_rad"].min()) == pytest.approx(-0.12)
     assert table["dphi_dp_1pm"].abs().max() == pytest.approx(np.arcsin(0.08) / 200)
+
+
+def test_a_line_diagram_begins_at_its_first_chainage_and_rises_where_it_says(tmp_path):
+    (tmp_path / "mine.csv").write_text("chainage_m,curvature_1pm,gradient_permille\n12000,0,10\n12100,0,10\n")
+    table = read_table(tmp_path / "mine.csv")
+    assert (table["p_m"].iloc[0], table["p_m"].iloc[-1]) == (0.0, 100.0)
+    assert table["z_m"].iloc[-1] == pytest.approx(-100 * np.sin(np.arctan(0.01)), rel=1e-12)

@@ -10,8 +10,7 @@ import pandas as pd
 from railrepro import schema
 from railrepro.errors import InputError
 from railrepro.track.irregularity import CHANNELS, FLANGEWAY, LARGEST, doubt
-from railrepro.track.survey import refuse
-from railrepro.track.table import read_numbers
+from railrepro.track.table import read_numbers, refuse
 
 _GAP = 1.5
 """Longest allowed step of p_m over the usual one."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -19,8 +20,7 @@ import pandas as pd
 
 from railrepro import paths, schema
 from railrepro.errors import InputError
-from railrepro.track import survey
-from railrepro.track.alignment import Alignment, alignments
+from railrepro.track.alignment import CANT_BASE, Alignment, alignments
 
 STEP = 0.5
 """Step of generated tables (m)."""
@@ -28,16 +28,6 @@ COLUMNS = (
     *("p_m", "psi_rad", "dpsi_dp_1pm", "phi_rad", "dphi_dp_1pm", "eps_rad", "deps_dp_1pm"),
     *("x_m", "y_m", "z_m"),
 )
-_PLAUSIBLE = {
-    "p_m": (1e6, "m"),
-    "psi_rad": (1e3, "rad"),
-    "dpsi_dp_1pm": (0.05, "1/m"),
-    "phi_rad": (0.3, "rad"),
-    "eps_rad": (0.2, "rad"),
-    "dphi_dp_1pm": (0.1, "rad/m"),
-    "deps_dp_1pm": (0.1, "rad/m"),
-    **dict.fromkeys(COLUMNS[-3:], (1e8, "m")),
-}
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*")
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
@@ -182,38 +172,123 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     table.to_csv(path, index=False, float_format="%.17g")
 
 
-def read_table(path: Path | str) -> pd.DataFrame:
-    """Read and check a track table.
+_QUANTITIES = {
+    "p": ("p_m", "chainage_m"),
+    "curvature": ("dpsi_dp_1pm", "curvature_1pm", "radius_m"),
+    "cant": ("phi_rad", "cant_m", "cant_mm"),
+    "gradient": ("eps_rad", "gradient_permille"),
+}
+"""Columns of a track file by the independent quantity that they give: one of each, cant and gradient optional."""
+_LARGEST = {
+    **dict.fromkeys(("p_m", "chainage_m"), (1e6, "m")),
+    **dict.fromkeys(("dpsi_dp_1pm", "curvature_1pm"), (0.02, "1/m")),
+    **{"phi_rad": (0.2, "rad"), "cant_m": (0.3, "m"), "cant_mm": (300.0, "mm")},
+    **{"eps_rad": (0.2, "rad"), "gradient_permille": (200.0, "per mille")},
+}
+_SHARPEST = 50.0
+"""Smallest radius (m)."""
+_SPIKE = {"curvature": 2e-3, "cant": 0.02, "gradient": 0.02}
+"""Least height of a single row above both neighbours that is no track (1/m, rad, rad)."""
+_ROW = 5.0
+"""Longest distance of two rows of a table that is read (m)."""
 
-    Parameters
-    ----------
-    path : path
-        CSV with the columns `COLUMNS`; x_m, y_m, z_m may be missing and are then integrated. Or one with chainage,
-        curvature or radius, and cant, see `railrepro.track.survey`; all else is then derived.
+
+def read_table(path: Path | str) -> pd.DataFrame:
+    """Read a track from a CSV: curvature, cant and gradient at points, which change linearly in between.
+
+    Heading and positions follow from these columns, of which there is one row per point:
+
+    - p_m, or chainage_m, which may begin anywhere: distance along the line (m), increasing;
+    - dpsi_dp_1pm or curvature_1pm (1/m), or radius_m (m; 0, inf or empty on a straight): positive in right-hand curves;
+    - phi_rad (rad), cant_m (m) or cant_mm (mm), optional: the left rail above the right one is positive;
+    - eps_rad (rad) or gradient_permille, optional: a rise is positive.
+
+    Others are ignored, but a heading psi_rad (rad) must fit the curvature.
 
     Raises
     ------
     InputError
-        Missing column, NaN, p not increasing, implausible magnitude (wrong unit), angles that do not fit their rates or
-        positions that do not fit the angles.
+        A quantity that is missing or there twice, anything but a finite number, points that do not increase, magnitudes
+        beyond what railways build (wrong unit), and single rows that stand out.
     """
     file = schema.location(path)
-    if survey.CHAINAGE in head(file):
-        numbers = read_numbers(file, (survey.CHAINAGE,), survey.COLUMNS, survey.BLANK)
-        numbers = survey.derived(numbers, file.name)
-    else:
-        numbers = read_numbers(file, COLUMNS[:7], COLUMNS[7:])
-    step = np.diff(numbers["p_m"])
-    for column, (limit, unit) in _PLAUSIBLE.items():
+    there = set(head(file))
+    columns = {quantity: [c for c in names if c in there] for quantity, names in _QUANTITIES.items()}
+    for quantity, found in columns.items():
+        if len(found) > 1 or (not found and quantity in ("p", "curvature")):
+            names = list(_QUANTITIES[quantity])
+            raise InputError(f"{file.name}: has {found or 'none'} of {names}, one of them is needed")
+    used = {quantity: found[0] for quantity, found in columns.items() if found}
+    numbers = read_numbers(file, tuple(used.values()), ("psi_rad",), blank=("radius_m",))
+    for column, (largest, unit) in _LARGEST.items():
         if column in numbers:
-            allowed = f"up to {limit:g} {unit} is allowed (unit?)"
-            survey.refuse(file.name, numbers[column], numbers[column].abs() > limit, allowed)
-    _check_rates(file, numbers, step)
-    if len(numbers.columns) == len(COLUMNS):
-        _check_positions(file, numbers, step)
-    else:
-        numbers = numbers.assign(**dict(zip(COLUMNS[-3:], _positions(numbers), strict=True)))
-    return numbers[list(COLUMNS)]
+            beyond = numbers[column].abs() > largest
+            refuse(file.name, numbers[column], beyond, f"up to {largest:g} {unit} is allowed (unit?)")
+    if "cant_mm" in numbers and 0 < numbers["cant_mm"].abs().max() < 1:
+        most = numbers["cant_mm"].abs().max()
+        warnings.warn(f"{file.name}: cant_mm of {most:g} is unusual: is it in mm?", stacklevel=2)
+    values = {quantity: _in_si(file.name, numbers[column]) for quantity, column in used.items()}
+    for quantity, least in _SPIKE.items():
+        if quantity in values:
+            refuse(file.name, numbers[used[quantity]], _spikes(values[quantity], least), "which stands out alone")
+    zero = np.zeros(len(numbers))
+    table = _integrated(values["p"], values["curvature"], values.get("cant", zero), values.get("gradient", zero))
+    if "psi_rad" in numbers:
+        _check_heading(file.name, numbers["psi_rad"], values["p"], values["curvature"], table)
+    return table
+
+
+def _check_heading(where: str, heading: pd.Series, p: np.ndarray, curvature: np.ndarray, table: pd.DataFrame) -> None:
+    """Refuse a heading that does not follow from the curvature: one of them, or the distance, has another unit or sign.
+
+    A jump of curvature may lie beside its row.
+    """
+    turned = np.interp(p, table["p_m"], table["psi_rad"])
+    allowed = 1e-3 + 0.01 * np.abs(turned).max() + np.max(np.diff(p) * np.abs(np.diff(curvature)))
+    apart = np.abs(heading - heading.iloc[0] - turned)
+    refuse(where, heading, apart > allowed, "which does not fit the curvature up to there")
+
+
+def _in_si(where: str, column: pd.Series) -> np.ndarray:
+    """Coordinate (m), curvature (1/m) or angle (rad) from a column of a track file."""
+    values = column.to_numpy()
+    if column.name == "chainage_m":
+        return values - values[0]
+    if column.name == "radius_m":
+        sharp = (column != 0) & (column.abs() < _SHARPEST)
+        refuse(where, column, sharp, f"at least {_SHARPEST:g} m, or 0 on a straight, is allowed (unit?)")
+        return np.where(values == 0, 0.0, 1 / np.where(values == 0, 1.0, values))
+    if column.name in ("cant_m", "cant_mm"):
+        return np.arcsin(values * (1e-3 if column.name == "cant_mm" else 1.0) / CANT_BASE)
+    return np.arctan(1e-3 * values) if column.name == "gradient_permille" else values
+
+
+def _spikes(values: np.ndarray, least: float) -> np.ndarray:
+    """Rows that lie above or below both neighbours by at least so much."""
+    rise = np.diff(values)
+    alone = (rise[:-1] * rise[1:] < 0) & (np.minimum(np.abs(rise[:-1]), np.abs(rise[1:])) >= least)
+    return np.concatenate([[False], alone, [False]])
+
+
+def refuse(where: str, values: pd.Series, wrong, allowed: str) -> None:
+    """Refuse a column of a CSV with the first of the rows that are wrong; InputError."""
+    if np.any(wrong):
+        row = int(np.argmax(wrong))
+        raise InputError(f"{where}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {allowed}")
+
+
+def _integrated(points: np.ndarray, *values: np.ndarray) -> pd.DataFrame:
+    """Table of a track from curvature (1/m), cant angle and gradient (rad) at its points (m)."""
+    pieces = [
+        np.linspace(a, b, math.ceil((b - a) / _ROW), endpoint=False) for a, b in zip(points, points[1:], strict=False)
+    ]
+    p = np.concatenate([*pieces, points[-1:]])
+    kappa, phi, eps = (np.interp(p, points, value) for value in values)
+    step = np.diff(p)
+    psi = np.concatenate([[0.0], np.cumsum(step * (kappa[:-1] + kappa[1:]) / 2)])
+    dphi, deps = (np.append(np.diff(angle) / step, 0.0) for angle in (phi, eps))
+    table = pd.DataFrame(dict(zip(COLUMNS, (p, psi, kappa, phi, dphi, eps, deps), strict=False)))
+    return table.assign(**dict(zip(COLUMNS[-3:], _positions(table), strict=True)))
 
 
 def head(file: Path) -> list[str]:
@@ -288,44 +363,3 @@ def read_numbers(
         row = int(np.argmax(step <= 0)) + 3
         raise InputError(f"{file.name}: row {row}, {needed[0]} does not increase ({along.iloc[row - 2]})")
     return numbers
-
-
-def _check_rates(file: Path, table: pd.DataFrame, step: np.ndarray) -> None:
-    """Angles must be the integrals of their rates (trapezoid or either end, so ramps may start between rows)."""
-    for angle, rate in (("psi_rad", "dpsi_dp_1pm"), ("phi_rad", "dphi_dp_1pm"), ("eps_rad", "deps_dp_1pm")):
-        measured = np.diff(table[angle]) / step
-        values = table[rate].to_numpy()
-        low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
-        tolerance = 1e-6 + 1e-3 * np.abs(values).max()
-        outside = (measured < low - tolerance) | (measured > high + tolerance)
-        if outside.any():
-            row = int(np.argmax(outside))
-            raise InputError(
-                f"{file.name}: row {row + 2}, {rate} = {values[row]:g} does not fit {angle}, which changes by "
-                f"{measured[row]:g} per metre"
-            )
-        # A ramp may begin or end beside a row, but a peak that the angle follows on neither side is a spike.
-        rise, missed = np.diff(values) / 2, (values[:-1] + values[1:]) / 2 - measured
-        ignored = np.where(np.abs(missed) > np.abs(rise) / 2 + tolerance, np.sign(missed), 0)
-        spike = (ignored[:-1] * ignored[1:] > 0) & (rise[:-1] * ignored[:-1] > 0) & (rise[1:] * ignored[1:] < 0)
-        if spike.any():
-            row = int(np.argmax(spike)) + 1
-            raise InputError(
-                f"{file.name}: row {row + 2}, {rate} = {values[row]:g} is a spike beside {values[row - 1]:g} and "
-                f"{values[row + 1]:g} that {angle} does not follow"
-            )
-
-
-def _check_positions(file: Path, table: pd.DataFrame, step: np.ndarray) -> None:
-    """Rows must lie apart as their angles say, up to millimetres and what the track turns between them."""
-    given = np.diff(table[list(COLUMNS[-3:])].to_numpy(), axis=0).T
-    expected = Track("", table).travel(table["p_m"].to_numpy()[:-1], step)
-    turned = np.abs(np.diff(table["psi_rad"])) + np.abs(np.diff(table["eps_rad"]))
-    apart = np.linalg.norm(given - expected, axis=0)
-    wrong = apart > 2e-3 + step * (1e-3 + turned)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError(
-            f"{file.name}: row {row + 3}, x_m, y_m, z_m lie {apart[row]:.3g} m from where p_m, psi_rad and eps_rad "
-            "lead from the row before"
-        )

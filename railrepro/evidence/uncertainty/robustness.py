@@ -110,11 +110,6 @@ OPEN = (
 _PROFILE, _LTV, _RATIO = OPEN[0].name, OPEN[1].name, OPEN[-1].name
 
 
-_LEFT = {"suspension.pitch_damping": 1, "suspension.bump_stiffness": 13, "drive.torque_limit": 1}
-"""How many dimensions of the committed samples followed an entry and left the car; what is drawn for them is dropped,
-so that the others keep their values until the study is made anew."""
-
-
 def prior() -> tuple[Dimension, ...]:
     """All that is sampled. Rails that no experiment of the paper has are left out: its good rail is dry."""
     known = {dimension.name for dimension in OPEN}
@@ -149,9 +144,7 @@ class Sample:
 def draw(count: int = SAMPLES, seed: int = SEED, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
     """Quasi-random samples over the prior: one scrambled Sobol sequence, the same in each setting."""
     dimensions = prior()
-    left = np.repeat([i for i, d in enumerate(dimensions, 1) if d.name in _LEFT], list(_LEFT.values()))
-    points = stats.qmc.Sobol(len(dimensions) + len(left), seed=seed).random(count)
-    points = np.delete(points, left + np.arange(len(left)), axis=1)
+    points = stats.qmc.Sobol(len(dimensions), seed=seed).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
     return [Sample(number, setting, value) for setting in settings for number, value in enumerate(values)]
 
