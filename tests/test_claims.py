@@ -11,8 +11,10 @@ import pytest
 from railrepro import paths
 from railrepro.errors import InputError
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.nominal import Nominal, Results, best, seeds_spread
-from railrepro.evidence.report import claims, reasons, text, theses
+from railrepro.evidence.claims.nominal import Nominal, Results, best_swarms, seeds_spread
+from railrepro.evidence.report import claims, prose
+from railrepro.evidence.report.page import Page
+from railrepro.evidence.report.prose import Prose
 
 RESULTS = paths.ROOT / "data/results"
 needs_results = pytest.mark.skipif(
@@ -39,47 +41,56 @@ def test_rules_can_be_read_blind():
 
 @needs_results
 def test_each_sentence_of_summary_and_reasons_is_true(nominal):
-    assert theses.refuted(nominal) == {}
+    assert Prose(nominal).refuted() == {}
 
 
 @needs_results
 def test_a_sentence_that_the_tables_refute_is_not_said(nominal, monkeypatch):
-    wrong = theses.Thesis("NDI leads.", ("C05 paper fails",), "why", ("C04",))
-    monkeypatch.setattr(theses, "load", lambda: {"wrong": wrong})
-    assert theses.reasons_of("C04", "why", nominal) == []
-    assert theses.refuted(nominal) == {"wrong": ["C05 paper fails"]}
-    right = theses.Thesis("NDI leads.", ("C05 paper holds",), "why", ("C04",))
-    monkeypatch.setattr(theses, "load", lambda: {"right": right})
-    assert theses.reasons_of("C04", "why", nominal) == ["NDI leads."]
+    thesis = prose.Thesis("NDI leads.", ("not holds('C05', 'paper')",), "why", ("C04",))
+    monkeypatch.setattr(prose, "load", lambda: {"wrong": thesis})
+    assert Prose(nominal).reasons("C04") == ""
+    assert Prose(nominal).refuted() == {"wrong": ["not holds('C05', 'paper')"]}
+    right = prose.Thesis("NDI leads.", ("holds('C05', 'paper')",), "why", ("C04",))
+    monkeypatch.setattr(prose, "load", lambda: {"right": right})
+    assert Prose(nominal).reasons("C04") == "NDI leads."
 
 
 @needs_results
 @pytest.mark.parametrize(
     ("condition", "true"),
     [
-        ("1 < 2", True),
-        ("2 < 1", False),
         ("1 < 2 < 1.5", False),
-        ("-1 * 3 < 2 * 0.5 < 1.1", True),
-        ("paper: nowhere/nmpc/rmse_y < 1", False),
-        ("paper: curve_entry_T3/nothing/rmse_y < 0.003", True),
-        ("20 < designed_pole < 40", True),
-        ("C05 paper holds", True),
-        ("C05 equal holds", False),
+        ("e('paper', 'nowhere', 'nmpc', 'rmse_y') < 1", False),
+        ("e('paper', 'nowhere', 'nmpc', 'rmse_y') > 1", False),
+        ("table('nowhere').rmse_mm.min() > 1", False),
+        ("e('paper', 'curve_entry_T3', 'nothing', 'rmse_y') < 0.003", True),
+        ("20 < tuned('ndi').pole < 40", True),
+        ("holds('C05', 'paper')", True),
+        ("holds('C05', 'equal')", False),
+        ("holds('C04', 'calibrated') and not holds('C04', 'paper')", True),
+        ("cell('table1', 'printed_m', track='T2') == 0.168", True),
+        ("cell('table1', 'printed_m', track='T9') == 0.168", False),
     ],
 )
-def test_conditions_are_read(condition, true, nominal):
-    assert theses.holds(condition, nominal) == true
+def test_a_condition_is_evaluated_on_the_tables(condition, true, nominal):
+    assert Prose(nominal).true(condition) == true
 
 
 @needs_results
 @pytest.mark.parametrize(
     ("condition", "sentence"),
-    [("C05 holds", "is no condition"), ("1 < poll", "'poll' is no number"), ("", "is no cond")],
+    [
+        ("C05 holds", "chunk after expression"),
+        ("1 < poll", "'poll' is undefined"),
+        ("tuned('ndi').pol > 1", "no attribute 'pol'"),
+        ("holds('C05', 'equl')", "'equl' is no setting; there are paper"),
+        ("holds('C99', 'paper')", "C99"),
+        ("e('paper', 'braking') > 1", "missing 2 required"),
+    ],
 )
-def test_a_condition_that_cannot_be_read_is_told(condition, sentence, nominal):
+def test_a_condition_that_cannot_be_evaluated_is_told(condition, sentence, nominal):
     with pytest.raises(InputError, match=sentence):
-        theses.holds(condition, nominal)
+        Prose(nominal).true(condition)
 
 
 @needs_results
@@ -99,7 +110,7 @@ def test_verdicts_are_those_that_were_stored_on_purpose(table):
 
 @needs_results
 def test_a_click_leads_from_statement_to_figure_cell_and_table(table, nominal):
-    page = text.render(table, nominal)
+    page = Page(table, nominal).replication()
     for target, cell in re.findall(r"\]\(([^)#]+)(?:#cell-id=(\w+))?\)", page):
         assert (paths.ROOT / target).exists(), target
         assert not cell or f'"id": "{cell}"' in (paths.ROOT / target).read_text(), (target, cell)
@@ -109,18 +120,42 @@ def test_a_click_leads_from_statement_to_figure_cell_and_table(table, nominal):
 
 
 @needs_results
-def test_a_run_that_failed_leads_to_the_table_that_says_so(nominal):
-    for identity in ("C23", "C24"):
-        found, files = nominal.traced(lambda name=identity: statements.find(name, nominal.evidence("paper")))
-        assert not np.isfinite(found.value) and files == ["data/results/nominal_metrics.csv"]
-    value, files = nominal.traced(lambda: nominal.evidence("equal")("curve_entry_T3", "nmpc_observer", "rmse_y"))
-    assert files == ["data/results/settings_metrics.csv"], "of other controllers the chapter on settings tells"
+def test_a_number_leads_to_the_table_that_has_it(nominal):
+    for setting, controller in (("paper", "nmpc"), ("equal", "nmpc_observer"), ("paper", "ndi")):
+        name = nominal.table_of(setting, "curve_entry_T3", controller, "rmse_y")
+        rows = nominal.results(name).query("scenario == 'curve_entry_T3' and metric == 'rmse_y'")
+        assert len(rows[(rows["setting"] == setting) & (rows["controller"] == controller)]), name
+    assert nominal.table_of("equal", "curve_entry_T3", "nmpc_observer", "rmse_y") == "settings_metrics"
+    assert nominal.table_of("paper", "curve_entry_T3", "nmpc", "rmse_y") == "nominal_metrics"
+    lost = Nominal(Handed([("curve_entry_T3", "nmpc", "failed_at_m", 90.0, "m", "loop", 1, 0)]))
+    assert Prose(lost).q("loop", "curve_entry_T3", "nmpc", "rmse_y", "mm") == (
+        "[derailed](data/results/settings_metrics.csv)"
+    )
+
+
+@needs_results
+@pytest.mark.parametrize("identity", statements.VALUES)
+def test_a_predicate_reads_the_table_that_is_named_and_no_other(identity, nominal):
+    named = statements.TABLES[identity]
+
+    class Named(Results):
+        def __call__(self, name):
+            assert name == named
+            return super().__call__(name)
+
+        def optional(self, name):
+            return super().optional(name) if name == named else None
+
+    for setting in claims.settings_of(identity, statements.load()[identity], nominal):
+        found, alone = (statements.find(identity, n.evidence(setting)) for n in (nominal, Nominal(Named())))
+        assert repr(found) == repr(alone)
 
 
 @needs_results
 def test_what_is_not_reproduced_says_why(table, nominal):
-    told = {identity for of, _ in text.explained(table, nominal, "why") for identity in of}
-    assert told == set(text.unsettled(table))
+    page = Page(table, nominal)
+    told = {identity for of, _ in page.explained("why") for identity in of}
+    assert told == {identity for identity, verdict in page.statements.items() if verdict != "reproduced"}
     rows = table[
         (table["judged"] != "reproduced") & table["setting"].isin(("", "paper")) & (table["kind"] == "statement")
     ]
@@ -130,7 +165,7 @@ def test_what_is_not_reproduced_says_why(table, nominal):
 
 @needs_results
 def test_the_page_is_short_and_begins_with_the_figures_of_the_paper(table, nominal):
-    page = text.render(table, nominal)
+    page = Page(table, nominal).replication()
     assert len(page) < 38_000 and len(page.splitlines()) <= 240
     first = page.partition("\n|")[2].partition("\n\n")[0].splitlines()
     assert len(first) <= 30 and [line for line in first if line.startswith("| Fig.")]
@@ -143,11 +178,11 @@ def test_the_page_is_short_and_begins_with_the_figures_of_the_paper(table, nomin
 
 @needs_results
 def test_the_first_table_has_the_verdict_on_the_calibrated_car_when_it_is_made(table, nominal):
-    assert claims.on_calibrated_car(Nominal(Handed([]))) == {}
+    assert Nominal(Handed([])).on_calibrated_car() == {}
     made = Handed([], paper_like=pd.DataFrame({"statement": ["C04", "C05"], "value": 0.6, "holds": [True, False]}))
-    found = claims.on_calibrated_car(Nominal(made))
+    found = Nominal(made).on_calibrated_car()
     assert found == {"C04": "yes", "C05": "no"}
-    page = text.render(table.assign(calibrated=table["id"].map(found).fillna("")), nominal)
+    page = Page(table.assign(calibrated=table["id"].map(found).fillna("")), nominal).replication()
     assert re.search(r"\| Fig. 6 \| all controllers follow .* \| ✗ \| ✓ \|\n", page)
 
 
@@ -158,27 +193,36 @@ def test_a_study_that_has_not_run_is_told_with_its_command(monkeypatch):
         Results, "optional", lambda self, name: None if name.startswith("robustness") else optional(self, name)
     )
     nominal = Nominal()
-    page = text.render(claims.evaluate(nominal), nominal)
+    page = Page(claims.evaluate(nominal), nominal).replication()
     assert "the robustness study (`make study`) has not run" in page
 
 
 @needs_results
-@pytest.mark.parametrize(("key", "sentence"), [("{poll}", "is no number of the prose"), ("[[poll]]", "is no block")])
-def test_a_wrong_key_of_the_page_is_told_with_its_line(key, sentence, table, nominal, monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("key", "sentence"),
+    [
+        ("{{ poll }}", "'poll' is undefined"),
+        ("{{ tuned('ndi').pol }}", "no attribute 'pol'"),
+        ("{{ q('equl', 'braking', 'ndi', 'rmse_y') }}", "'equl' is no setting; there are paper"),
+        ("{{ q('equal', 'nowhere', 'ndi', 'rmse_y') }}", "nowhere, ndi, rmse_y"),
+        ("{% endfor %}", "unknown tag 'endfor'"),
+    ],
+)
+def test_what_a_template_gets_wrong_is_told_with_its_line(key, sentence, table, nominal, monkeypatch, tmp_path):
     (tmp_path / "data").mkdir()
-    (tmp_path / "data/replication_page.md").write_text(f"# Title\n{key}\n")
+    (tmp_path / "data/replication.md.j2").write_text(f"# Title\n{key}\n")
     monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
-    with pytest.raises(InputError, match=f"^replication_page.md line 2: .*{sentence}; there are "):
-        text.render(table, nominal)
+    with pytest.raises(InputError, match=f"^replication.md.j2 line 2: .*{sentence}"):
+        Page(table, nominal).replication()
 
 
 @needs_results
 def test_the_page_is_generated_whole(table, nominal):
-    page = text.render(table, nominal)
+    page = Page(table, nominal).replication()
     assert all(statement.statement in page for statement in statements.load().values())
     assert all(f"| D{i} |" in page for i in range(1, 11))
     assert (paths.ROOT / "REPLICATION.md").read_text() == page
-    assert not re.search(r"\{\w+", page), "a placeholder is left"
+    assert "{{" not in page and "{%" not in page, "a placeholder is left"
 
 
 HEAD = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
@@ -193,7 +237,7 @@ SCHEMA = [
 
 def test_the_best_swarm_counts_and_a_run_that_failed_makes_all_fail():
     rows = pd.DataFrame(SCHEMA, columns=HEAD)
-    found = best(rows, "loop")
+    found = best_swarms(rows, "loop")
     assert found["curve_entry_T3", "ndi", "rmse_y"] == 2.0
     assert found["curve_entry_T3", "nmpc", "failed"] == 1.0
 
@@ -232,8 +276,8 @@ def test_statements_that_compare_are_judged_on_each_setting():
     rows = on_setting(VALUES, VALUES, {"paper": 2e-3, "equal": 5e-4, "loop": 1.02e-3})
     nominal = Nominal(Handed(rows))
     statement = statements.load()["C05"]
-    assert claims.judged_on("C05", statement, nominal) == ["paper", "equal", "loop"]
-    assert claims.judged_on("C13", statements.load()["C13"], nominal) == [""]
+    assert claims.settings_of("C05", statement, nominal) == ["paper", "equal", "loop"]
+    assert claims.settings_of("C13", statements.load()["C13"], nominal) == [""]
     found = {}
     for setting in ("paper", "loop"):
         finding = statements.find("C05", nominal.evidence(setting))
@@ -255,7 +299,7 @@ def test_a_verdict_in_a_setting_reads_no_other_setting(identity, nominal):
         def optional(self, name):
             return self(name)
 
-    for setting in claims.judged_on(identity, statements.load()[identity], nominal):
+    for setting in claims.settings_of(identity, statements.load()[identity], nominal):
         if setting in ("", "paper"):
             found, other = (statements.find(identity, n.evidence(setting)) for n in (nominal, Nominal(Elsewhere())))
             assert repr(found) == repr(other)
@@ -293,13 +337,11 @@ CONTROLLED = {"Experiment", "run_all", "simulate", "tuning", "tuned", "guidance"
 @needs_results
 def test_a_statement_without_a_setting_depends_on_no_controller(nominal):
     known = statements.load()
-    free = [i for i, s in known.items() if s.kind == "statement" and claims.judged_on(i, s, nominal) == [""]]
+    free = [i for i, s in known.items() if s.kind == "statement" and claims.settings_of(i, s, nominal) == [""]]
     assert free == ["C01", "C26", "C27"]
     for identity in free:
-        _, files = nominal.traced(lambda i=identity: statements.find(i, nominal.evidence("")))
-        assert files and not any("metrics" in file for file in files)
-        for file in files:
-            assert not names_behind(known[identity].notebook, file.rpartition("/")[2]) & CONTROLLED
+        file = f"{statements.TABLES[identity]}.csv"
+        assert "metrics" not in file and not names_behind(known[identity].notebook, file) & CONTROLLED
     assert names_behind("08_adhesion", "adhesion_metrics.csv") & CONTROLLED, "this one would be found"
 
 
@@ -363,8 +405,26 @@ def test_missing_results_are_told_in_one_sentence():
 
 
 @needs_results
-def test_numbers_in_the_prose_come_from_tables(nominal):
-    text = reasons.filled("{equal: curve_entry_T3/nmpc/rmse_y mm}, {equal: nowhere/nmpc/rmse_y}", nominal)
+def test_a_number_of_the_prose_is_that_of_its_table(nominal):
     value = 1e3 * nominal.evidence("equal")("curve_entry_T3", "nmpc", "rmse_y")
-    assert text == f"{value:.3g} mm, n/a"
-    assert all(re.match(r"^[\d.e+-]+( \w+| %|( mm, .* m))?$|^n/a$", found(nominal)) for found in reasons.NAMED.values())
+    place = "{{ q('equal', 'curve_entry_T3', 'nmpc', 'rmse_y', 'mm') }}"
+    assert Prose(nominal, linked=False).text(place) == f"{value:.3g} mm"
+    assert Prose(nominal).text(place) == f"[{value:.3g} mm](data/results/nominal_metrics.csv)"
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "shown"),
+    [(0.0012345, "mm", "1.23 mm"), (0.28, "%", "28 %"), (3853.04, "", "3853"), (3543.44, "", "3543.4"),
+     (float("inf"), "m", "derailed"), (float("nan"), "m", "n/a")],
+)  # fmt: skip
+def test_a_number_is_shown_with_three_digits_and_its_unit(value, unit, shown):
+    assert prose.quantity(value, unit) == shown
+
+
+@needs_results
+def test_thirds_of_the_samples_are_those_of_what_was_drawn(nominal):
+    samples = nominal.results("robustness_samples").query("setting == 'paper'")
+    third = samples.iloc[np.argsort(samples["r_brake"].to_numpy())[: len(samples) // 3]]
+    ahead = claims.shares(third).set_index("id").loc["C31", "share"]
+    assert Prose(nominal).share_of_third("C31", "r_brake") == pytest.approx(100 * ahead)
+    assert Prose(nominal).share_of_third("C31", "r_brake", largest=True) < 50 * ahead

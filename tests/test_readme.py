@@ -1,34 +1,20 @@
 """README is short, its numbers and those of the guide are those of the tables, its links lead somewhere."""
 
 import re
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 import yaml
 
 from railrepro import __version__, paths
+from railrepro.errors import InputError
+from railrepro.evidence.report.page import Page
 
 README = (paths.ROOT / "README.md").read_text()
 GUIDE = paths.NOTEBOOKS / "book"
 CASES = {"T1": "curve_entry_T1", "T2": "curve_entry_T2", "T3": "curve_entry_T3", "T4": "curve_entry_T4"}
 CASES |= {"sine, 400 km/h": "sine_tracking"}
-TABLES = {"Fig. 6": "fig06_curve_entry", "Fig. 7": "fig07_sine_tracking", "Fig. 8": "fig08_adhesion_loss"}
-TABLES |= {"Fig. 9": "fig09_braking"}
-
-
-def of_the_paper(figure):
-    """RMSE (mm) of each run of a figure by car, for braking with the distance (m); the highest speed of several."""
-    table = pd.read_csv(paths.FIGURES / f"{TABLES[figure]}.csv").query("setting == 'paper'")
-    if "speed_kmh" in table:
-        table = table[table["speed_kmh"] == table["speed_kmh"].max()]
-    found = {}
-    for (car, *_), rows in table.groupby([key for key in ("car", "controller", "case") if key in table], sort=False):
-        if "rmse_mm" in rows:
-            error = rows["rmse_mm"].iloc[0]
-        else:
-            error = 1e3 * ((rows["y_m"] - rows["y_ref_m"]) ** 2).mean() ** 0.5
-        found.setdefault(car, []).extend([error, rows["p_m"].iloc[-1]] if figure == "Fig. 9" else [error])
-    return found["uncalibrated"] + found["calibrated"]
 
 
 def test_readme_changelog_and_citation_name_this_version():
@@ -43,12 +29,40 @@ def test_files_that_the_readme_links_are_there():
     assert len(links) > 20 and [link for link in links if not (paths.ROOT / link).exists()] == []
 
 
-@pytest.mark.parametrize("figure", TABLES)
-def test_results_of_the_paper_stand_beside_ours(figure):
-    here = re.search(rf"^\| \[{re.escape(figure)}\].*?\|.*?\|(.*)\|$", README, re.M).group(1)
-    said = [float(number) for number in re.findall(r"(\d+\.\d+) m", here)]
-    tolerance = 0.051 if figure == "Fig. 9" else 5.1e-3
-    assert said == pytest.approx(of_the_paper(figure), abs=tolerance)
+def test_the_results_are_those_that_the_report_writes(table, nominal):
+    assert Page(table, nominal).readme(README) == README
+
+
+def test_the_error_of_a_run_is_that_of_its_series():
+    run = Page.__new__(Page)
+    series = pd.DataFrame({"car": "uncalibrated", "setting": "paper", "controller": "ndi", "p_m": [0.0, 4.0, 9.0]})
+    series = series.assign(y_m=[0.0, 1e-3, -1e-3], y_ref_m=[0.0, 0.0, 1e-3])
+    other = series.assign(setting="equal", y_m=9.0)
+    run.prose = SimpleNamespace(
+        nominal=SimpleNamespace(results=SimpleNamespace(figure=lambda _: pd.concat([series, other])))
+    )
+    ((error, length),) = run.runs("any")["uncalibrated"]
+    assert (error, length) == (pytest.approx((5 / 3) ** 0.5), 9.0)
+    speeds = pd.DataFrame({"car": "calibrated", "setting": "paper", "controller": "ndi"}, index=[0, 1])
+    speeds = speeds.assign(speed_kmh=[400, 40], rmse_mm=[2.0, 1.0])
+    run.prose.nominal.results.figure = lambda _: speeds
+    assert run.runs("any")["calibrated"][0][0] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "outcome"),
+    [("RF", "yes"), ("RR", "yes"), ("RN", "partly"), ("FP", "partly"), ("PN", "no"), ("TN", "no")],
+)
+def test_an_outcome_sums_up_what_holds(verdicts, outcome):
+    words = {"R": "reproduced", "F": "fragile", "P": "partly", "T": "tie", "N": "not reproduced"}
+    page = Page.__new__(Page)
+    page.verdicts = {f"C{i}": words[letter] for i, letter in enumerate(verdicts)}
+    assert page.outcome(list(page.verdicts)) == outcome
+
+
+def test_marks_that_are_missing_are_told(table, nominal):
+    with pytest.raises(InputError, match="README.md: the lines .* are needed around the results"):
+        Page(table, nominal).readme(README.replace("<!-- end", "<!-- and"))
 
 
 def test_the_first_program_prints_the_number_of_the_table(capsys):
@@ -58,16 +72,6 @@ def test_the_first_program_prints_the_number_of_the_table(capsys):
     row = re.search(r"^\| \[Fig\. 6\].*?\|.*?\|(.*)\|$", README, re.M).group(1)
     uncalibrated = float(re.search(r"(\d+\.\d+) mm", row).group(1))
     assert 1e3 * printed == pytest.approx(uncalibrated, abs=5.1e-3)
-
-
-def test_the_verdicts_are_counted():
-    claims = pd.read_csv(paths.ROOT / "data/results/claims.csv").query("kind == 'statement'")
-    found = claims[claims["setting"].isna() | (claims["setting"] == "paper")]["judged"]
-    said = re.search(
-        r"Of (\d+) statements, (\d+) are reproduced .*?, (\d+) fragile .*?, (\d+) partly, (\d+) not\.", README
-    ).groups()
-    kinds = ("reproduced", "fragile", "partly", "not reproduced")
-    assert [int(number) for number in said] == [len(found), *((found == kind).sum() for kind in kinds)]
 
 
 @pytest.mark.parametrize("row", CASES)

@@ -72,7 +72,7 @@ def _studies(command: Callable) -> None:
     command("order", "uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)")
     added = command("bench", "bench.speed:main", "measure speed, write data/results")
     added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")
-    added = command("report", "report.text:main", "judge the statements, write REPLICATION.md")
+    added = command("report", "report.page:main", "judge the statements, write REPLICATION.md, numbers of README.md")
     added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/verdicts.csv")
 
 

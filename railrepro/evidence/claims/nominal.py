@@ -7,10 +7,9 @@ the prose says of other controllers from settings_metrics.csv (notebook 14_setti
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -21,58 +20,33 @@ from railrepro.evidence.claims.statements import Evidence
 from railrepro.evidence.runs import tuning
 
 Key = tuple[str, str, str]
-Found = TypeVar("Found")
 _SHARED = ("settings_metrics", "nominal_metrics")
 """Tables for all settings; the later one counts."""
 
 
 class Results:
-    """Tables of data/results; `used` lists the files that were asked for, relative to the checkout."""
-
-    def __init__(self) -> None:
-        self.used: set[str] = set()
+    """Tables of data/results."""
 
     def __call__(self, name: str) -> pd.DataFrame:
-        """A table, or InputError when it is missing."""
-        file = self.file(f"data/results/{name}.csv")
-        return _read(file, file.stat().st_mtime_ns).copy()
-
-    def file(self, relative: str) -> Path:
-        """A file that numbers come from, or InputError when it is missing."""
-        file = paths.source(relative)
+        """Read a table, or InputError when it is missing."""
+        file = paths.source(f"data/results/{name}.csv")
         if not file.exists():
             raise InputError(f"{file.name}: is missing; `make figures` makes it")
-        self.used |= {relative}
-        return file
+        return _read(file, file.stat().st_mtime_ns).copy()
+
+    def figure(self, name: str) -> pd.DataFrame:
+        """Read what a figure plots."""
+        file = paths.source(f"figures/{name}.csv")
+        return _read(file, file.stat().st_mtime_ns).copy()
 
     def optional(self, name: str) -> pd.DataFrame | None:
-        """A table, or None when it is missing."""
+        """Read a table, or return None when it is missing."""
         return self(name) if paths.source(f"data/results/{name}.csv").exists() else None
 
 
 @lru_cache(maxsize=64)
 def _read(file: Path, _changed: int) -> pd.DataFrame:
     return pd.read_csv(file)
-
-
-class Asked(dict):
-    """Metrics in some setting that remember in `asked` which of them were asked for, and where a run had failed."""
-
-    def __init__(self, metrics: Mapping[Key, float], setting: str, asked: set[tuple[str, Key]]):
-        super().__init__(metrics)
-        self._setting, self._asked = setting, asked
-
-    def __getitem__(self, key: Key) -> float:
-        value = super().__getitem__(key)
-        self._asked.add((self._setting, key))
-        return value
-
-    def get(self, key: Key, default=None):
-        """A metric; that a run had failed is the answer, that it had not is none."""
-        value = super().get(key, default)
-        if key in self and value:
-            self._asked.add((self._setting, key))
-        return value
 
 
 class Nominal:
@@ -86,8 +60,8 @@ class Nominal:
 
     def __init__(self, results: Results | None = None):
         self.results = results or Results()
-        self._asked: set[tuple[str, Key]] = set()
-        self._known: dict[str, tuple[dict[Key, float], dict[Key, float]]] = {}
+        self._known: dict[str, Evidence] = {}
+        self._table_of: dict[tuple[str, Key], str] = {}
 
     @cached_property
     def _shared(self) -> dict[str, pd.DataFrame]:
@@ -100,35 +74,31 @@ class Nominal:
         return [setting for setting in tuning.SETTINGS if setting in known]
 
     def evidence(self, setting: str) -> Evidence:
-        """Evidence in a setting, its metrics `Asked`; without a setting only tables that no controller enters."""
+        """Collect the evidence in a setting; without a setting only tables that no controller enters."""
         if setting not in self._known:
             metrics: dict[Key, float] = {}
             spread: dict[Key, float] = {}
-            for table in self._shared.values():
+            for name, table in self._shared.items():
                 rows = table[table["setting"] == setting]
-                metrics |= best(rows, setting)
+                found = best_swarms(rows, setting)
+                metrics |= found
                 spread |= seeds_spread(rows)
-            self._known[setting] = metrics, spread
-        metrics, spread = self._known[setting]
-        return Evidence(Asked(metrics, setting, self._asked), spread, self.results, setting)
+                self._table_of |= {(setting, key): name for key in found}
+            self._known[setting] = Evidence(metrics, spread, self.results, setting)
+        return self._known[setting]
 
-    def traced(self, found: Callable[[], Found]) -> tuple[Found, list[str]]:
-        """What a function finds, and the files that it comes from, relative to the checkout."""
-        for setting in self.settings():
-            self.evidence(setting)  # so that what making it reads does not count
-        self._asked.clear()
-        self.results.used.clear()
-        value = found()
-        metrics = {file for setting, key in self._asked for file in self._source(setting, *key)}
-        return value, sorted(metrics | self.results.used)
+    def table_of(self, setting: str, scenario: str, controller: str, metric: str) -> str:
+        """Name the table that a metric comes from; of a run that failed the one that says so."""
+        self.evidence(setting)
+        failed = self._table_of.get((setting, (scenario, controller, "failed")), "")
+        return self._table_of.get((setting, (scenario, controller, metric)), failed)
 
-    def _source(self, setting: str, scenario: str, controller: str, metric: str) -> list[str]:
-        """The file that a metric comes from."""
-        for name, table in reversed(self._shared.items()):
-            rows = table[(table["setting"] == setting) & (table["scenario"] == scenario)]
-            if ((rows["controller"] == controller) & (rows["metric"] == metric)).any():
-                return [f"data/results/{name}.csv"]
-        return []
+    def on_calibrated_car(self) -> dict[str, str]:
+        """Tell whether each statement holds on the calibrated car, by id; empty before paper_like.csv is made."""
+        found = self.results.optional("paper_like")
+        if found is None or not {"statement", "holds"} <= set(found):
+            return {}
+        return {str(row.statement): "yes" if row.holds else "no" for row in found.itertuples()}
 
 
 def _normal(table: pd.DataFrame) -> pd.DataFrame:
@@ -138,8 +108,8 @@ def _normal(table: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([table[table["metric"] != "failed_at_m"], lost], ignore_index=True)
 
 
-def best(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
-    """Metrics of each controller's best swarm, mean over the seeds of the noise; a run that failed makes all fail."""
+def best_swarms(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
+    """Take the metrics of each controller's best swarm, mean over the seeds of the noise; one failed run fails all."""
     found: dict[Key, float] = {}
     for name, own in rows.groupby("controller", sort=False):
         swarm = (
@@ -152,7 +122,7 @@ def best(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
 
 
 def best_seed(controller: str, setting: str, seeds: Iterable) -> int:
-    """Seed of the best swarm of a tuned set; the first of those given when there is no set."""
+    """Look up the seed of the best swarm of a tuned set; the first of those given when there is no set."""
     file = paths.source(f"{tuning.TUNED}/{setting}/{controller}.json")
     if file.exists():
         swarms = json.loads(file.read_text(encoding="utf-8"))["swarms"]
@@ -163,7 +133,7 @@ def best_seed(controller: str, setting: str, seeds: Iterable) -> int:
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
-    """Logarithm of largest over smallest size of each metric among all swarms and seeds; infinite when one failed."""
+    """Take the logarithm of largest over smallest size of each metric among swarms and seeds; inf if one failed."""
     found: dict[Key, float] = {}
     lost = {(r.scenario, r.controller) for r in rows.itertuples() if r.metric == "failed" and r.value > 0}
     sized = rows[rows["metric"].isin(["rmse_y", "stopping_distance"])]

@@ -46,6 +46,9 @@ CASES = (T3, f"{T3} on T5", "sine of 1000 m 160", "sine of 1000 m 400")
 CONES, NO_CREEP = "nmpc on cones", "nmpc, nearly rolling"
 """Runs that show the effect of cones and of creep, and names of NMPC on such a car."""
 VALUES: dict[str, Callable[[Evidence], Finding | float]] = {}
+"""Predicates by id."""
+TABLES: dict[str, str] = {}
+"""Table of data/results that each predicate reads, by id; none reads two."""
 _WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "largest_slip")
 
 
@@ -199,17 +202,17 @@ def find(identity: str, evidence: Evidence) -> Finding:
     return found if isinstance(found, Finding) else Finding(float(found))
 
 
-def value(identity: str) -> Callable:
-    """Register the function of a statement."""
+def value(identity: str, table: str = "nominal_metrics") -> Callable:
+    """Register the function of a statement, and the table that it reads."""
 
     def register(function):
-        VALUES[identity] = function
+        VALUES[identity], TABLES[identity] = function, table
         return function
 
     return register
 
 
-@value("C01")
+@value("C01", table="table1")
 def _table_one(e: Evidence) -> float:
     """Deviation from Table I with the one width of the track that fits best (m)."""
     table = e.table("table1")
@@ -290,12 +293,12 @@ def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
 
-@value("C14")
+@value("C14", table="solve_times")
 def _ratio_of_times(e: Evidence) -> float:
     return usual_times(e, "gauss_newton", "median_ms").median() / usual_times(e, "ltv_mpc", "median_ms").median()
 
 
-@value("C15")
+@value("C15", table="solve_times")
 def _feasible(e: Evidence) -> Finding:
     worst = e.table("solve_times").query("solver == 'ltv_mpc'")["max_ms"].max()
     return Finding(worst, usual_times(e, "ltv_mpc", "max_ms").max())
@@ -388,12 +391,12 @@ def _both_directions(e: Evidence) -> float:
     return float(np.mean([with_law < 0.5 * without for with_law, without in slips]))
 
 
-@value("C26")
+@value("C26", table="adhesion_map")
 def _no_knowledge(e: Evidence) -> float:
     return float((e.table("adhesion_map").query("map == 'friction'")["utilisation"] > 0.75).mean())
 
 
-@value("C27")
+@value("C27", table="adhesion_law")
 def _step_bound(e: Evidence) -> float:
     """Smallest step over its bound with which the adhesion follows the set point."""
     table = e.table("adhesion_law").sort_values("p2_over_bound", kind="stable")
@@ -536,7 +539,7 @@ def _less_delay(e: Evidence) -> Finding:
     return Finding(max(ratios), min(ratios))
 
 
-@value("C44")
+@value("C44", table="solve_times")
 def _similar_times(e: Evidence) -> float:
     times = usual_times(e, "ipopt", "median_ms")
     tracks = times[times.index.str.startswith(("curve", "sine"))]

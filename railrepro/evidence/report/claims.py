@@ -14,7 +14,7 @@ from railrepro import paths
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE, Finding, MissingEvidence
-from railrepro.evidence.report.theses import reasons_of
+from railrepro.evidence.report.prose import Prose, table_file
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
 from railrepro.files import write
@@ -37,24 +37,16 @@ def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
     """
     nominal = nominal or Nominal()
     robust = shares(nominal.results.optional("robustness_samples")).set_index(["id", "setting"])
-    calibrated = on_calibrated_car(nominal)
+    calibrated, prose = nominal.on_calibrated_car(), Prose(nominal, linked=False)
     return pd.DataFrame(
-        _row(identity, statement, setting, nominal, robust) | {"calibrated": calibrated.get(identity, "")}
+        _row(identity, statement, setting, prose, robust) | {"calibrated": calibrated.get(identity, "")}
         for identity, statement in statements.load().items()
-        for setting in judged_on(identity, statement, nominal)
+        for setting in settings_of(identity, statement, nominal)
     )
 
 
-def on_calibrated_car(nominal: Nominal) -> dict[str, str]:
-    """Whether each statement holds on the calibrated car, by id; empty before data/results/paper_like.csv is made."""
-    found = nominal.results.optional("paper_like")
-    if found is None or not {"statement", "holds"} <= set(found):
-        return {}
-    return {str(row.statement): "yes" if row.holds else "no" for row in found.itertuples()}
-
-
-def judged_on(identity: str, statement: statements.Statement, nominal: Nominal) -> list[str]:
-    """Settings with evidence on a statement; [""] for a statement that does not depend on the setting."""
+def settings_of(identity: str, statement: statements.Statement, nominal: Nominal) -> list[str]:
+    """List the settings in which a statement can be judged; [""] if it does not depend on the setting."""
     found = []
     for setting in nominal.settings() if statement.kind == "statement" else ():
         try:
@@ -70,9 +62,9 @@ def graded(verdict: str, share: pd.Series | None) -> str:
     return FRAGILE if verdict == REPRODUCED and share is not None and share["low"] <= 0.5 else verdict
 
 
-def _row(identity: str, statement: statements.Statement, setting: str, nominal: Nominal, robust: pd.DataFrame) -> dict:
+def _row(identity: str, statement: statements.Statement, setting: str, prose: Prose, robust: pd.DataFrame) -> dict:
     share = robust.loc[(identity, setting)] if (identity, setting) in robust.index else None
-    finding, used = _found(identity, statement, setting, nominal)
+    finding = _found(identity, statement, setting, prose)
     verdict = UNTESTABLE if finding is None else statement.judge(finding)
     judged = graded(verdict, share)
     settled = verdict == judged == REPRODUCED or finding is None
@@ -87,23 +79,21 @@ def _row(identity: str, statement: statements.Statement, setting: str, nominal: 
         "unit": statement.unit,
         "verdict": _CONTRACT.get(judged, judged),
         **{f"share{end}": np.nan if share is None else share[end[1:] or "share"] for end in ("", "_low", "_high")},
-        "why": "" if settled else " ".join(reasons_of(identity, "why", nominal)),
+        "why": "" if settled else prose.reasons(identity),
         "evidence": statement.evidence,
         "judged": judged,
-        "data": " ".join(used),
+        "data": "" if finding is None else table_file(statements.TABLES[identity]),
     }
 
 
-def _found(
-    identity: str, statement: statements.Statement, setting: str, nominal: Nominal
-) -> tuple[Finding | None, list[str]]:
-    """Finding of the predicate in some setting, and its tables; None without evidence."""
+def _found(identity: str, statement: statements.Statement, setting: str, prose: Prose) -> Finding | None:
+    """Finding of the predicate in a setting; None without evidence."""
     if statement.kind != "statement":
-        return None, []
+        return None
     try:
-        return nominal.traced(lambda: statements.find(identity, nominal.evidence(setting)))
+        return prose.find(identity, setting)
     except MissingEvidence:
-        return None, []
+        return None
 
 
 def headline(rows: pd.DataFrame) -> str:
