@@ -18,7 +18,7 @@ FEW, MANY = 3, 15
 
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
 def problem_set(request):
-    vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc")["parameters"])
+    vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc", "equal")["parameters"])
     plain = [speed.record(name, settings, vehicle, request.param) for name in speed.SCENARIOS]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
     return vehicle, recordings, [speed.solve_all("ipopt", recording, vehicle)[0] for recording in recordings]
