@@ -148,3 +148,11 @@ def test_a_line_diagram_begins_at_its_first_chainage_and_rises_where_it_says(tmp
     table = read_table(tmp_path / "mine.csv")
     assert (table["p_m"].iloc[0], table["p_m"].iloc[-1]) == (0.0, 100.0)
     assert table["z_m"].iloc[-1] == pytest.approx(-100 * np.sin(np.arctan(0.01)), rel=1e-12)
+
+
+def test_a_track_begins_with_the_heading_of_its_first_row(tmp_path):
+    table = load_track("T1").table
+    write_table(table.assign(psi_rad=table["psi_rad"] + 0.4), tmp_path / "turned.csv")
+    turned = read_table(tmp_path / "turned.csv")
+    assert np.allclose(turned["psi_rad"], table["psi_rad"] + 0.4, rtol=0, atol=1e-9)
+    assert np.hypot(turned["x_m"], turned["y_m"]).iloc[-1] == pytest.approx(np.hypot(*table[["x_m", "y_m"]].iloc[-1]))

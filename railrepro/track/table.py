@@ -203,7 +203,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
     - phi_rad (rad), cant_m (m) or cant_mm (mm), optional: the left rail above the right one is positive;
     - eps_rad (rad) or gradient_permille, optional: a rise is positive.
 
-    Others are ignored, but a heading psi_rad (rad) must fit the curvature.
+    Others are ignored, but for a heading psi_rad (rad), which must fit the curvature: the track begins with its first.
 
     Raises
     ------
@@ -232,7 +232,8 @@ def read_table(path: Path | str) -> pd.DataFrame:
         if quantity in values:
             refuse(file.name, numbers[used[quantity]], _spikes(values[quantity], least), "which stands out alone")
     zero = np.zeros(len(numbers))
-    table = _integrated(values["p"], values["curvature"], values.get("cant", zero), values.get("gradient", zero))
+    shape = values["curvature"], values.get("cant", zero), values.get("gradient", zero)
+    table = _integrated(values["p"], *shape, heading=numbers["psi_rad"].iloc[0] if "psi_rad" in numbers else 0.0)
     if "psi_rad" in numbers:
         _check_heading(file.name, numbers["psi_rad"], values["p"], values["curvature"], table)
     return table
@@ -244,8 +245,8 @@ def _check_heading(where: str, heading: pd.Series, p: np.ndarray, curvature: np.
     A jump of curvature may lie beside its row.
     """
     turned = np.interp(p, table["p_m"], table["psi_rad"])
-    allowed = 1e-3 + 0.01 * np.abs(turned).max() + np.max(np.diff(p) * np.abs(np.diff(curvature)))
-    apart = np.abs(heading - heading.iloc[0] - turned)
+    allowed = 1e-3 + 0.01 * np.abs(turned - turned[0]).max() + np.max(np.diff(p) * np.abs(np.diff(curvature)))
+    apart = np.abs(heading - turned)
     refuse(where, heading, apart > allowed, "which does not fit the curvature up to there")
 
 
@@ -277,15 +278,15 @@ def refuse(where: str, values: pd.Series, wrong, allowed: str) -> None:
         raise InputError(f"{where}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {allowed}")
 
 
-def _integrated(points: np.ndarray, *values: np.ndarray) -> pd.DataFrame:
-    """Table of a track from curvature (1/m), cant angle and gradient (rad) at its points (m)."""
+def _integrated(points: np.ndarray, *values: np.ndarray, heading: float) -> pd.DataFrame:
+    """Table of a track from curvature (1/m), cant angle and gradient (rad) at its points (m), and its first heading."""
     pieces = [
         np.linspace(a, b, math.ceil((b - a) / _ROW), endpoint=False) for a, b in zip(points, points[1:], strict=False)
     ]
     p = np.concatenate([*pieces, points[-1:]])
     kappa, phi, eps = (np.interp(p, points, value) for value in values)
     step = np.diff(p)
-    psi = np.concatenate([[0.0], np.cumsum(step * (kappa[:-1] + kappa[1:]) / 2)])
+    psi = heading + np.concatenate([[0.0], np.cumsum(step * (kappa[:-1] + kappa[1:]) / 2)])
     dphi, deps = (np.append(np.diff(angle) / step, 0.0) for angle in (phi, eps))
     table = pd.DataFrame(dict(zip(COLUMNS, (p, psi, kappa, phi, dphi, eps, deps), strict=False)))
     return table.assign(**dict(zip(COLUMNS[-3:], _positions(table), strict=True)))
