@@ -37,19 +37,23 @@ from railrepro.control.law import EstimateSettings, LawSettings
 from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import guidance
 from railrepro.estimation.sensors import readings
-from railrepro.evidence.chain import chain
-from railrepro.evidence.claims import statements
+from railrepro.evidence.chain import chain, compare
+from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.report import flips
 from railrepro.evidence.runs import experiment, preview, pso, tuning
 from railrepro.evidence.score.entry import entry, load_class, made
 from railrepro.evidence.uncertainty import robustness
+from railrepro.own.creep_gains import CreepSettings
+from railrepro.own.creep_model import Creep
 from railrepro.own.slip import SlipSettings
 from railrepro.simulation import ride
-from railrepro.track import irregularity, measured
+from railrepro.simulation.scenarios import load_scenarios
+from railrepro.track import defects, irregularity, measured
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track
 from railrepro.track.table import build_table, read_table
+from railrepro.vehicle.parameters import describe
 
 nan, inf = np.nan, np.inf
 folder = Path()
@@ -140,7 +144,12 @@ def edited(name, old, new, read):
     """Read a file of the project with a passage replaced."""
     text = (paths.ROOT / "data" / name).read_text()
     assert old in text, "the row is out of date"
-    return file(text.replace(old, new, 1), read, name)
+    return file(text.replace(old, new, 1), read, Path(name).name)
+
+
+def tuned_ndi(old, new):
+    """Read a tuned set with a passage replaced."""
+    return edited("tuned/equal/ndi.json", old, new, lambda path: tuning.load("ndi", "equal", path.parent))
 
 
 def tracks(text):
@@ -155,8 +164,13 @@ def rails(text, **options):
     return file(text, lambda path: measured.read_irregularities(path, **options))
 
 
-def task(old, new):
-    return edited("tuning.toml", old, new, lambda path: tuning.load_task(path, "paper"))
+def task(old, new, setting="paper"):
+    return edited("tuning.toml", old, new, lambda path: tuning.load_task(path, setting))
+
+
+def choices(old, new):
+    """Read the choices of the calibrated car with a passage replaced."""
+    return edited("paper_like.toml", old, new, calibrated.load)
 
 
 def points_of(text):
@@ -198,6 +212,11 @@ def at_the_end():
     for name in ("body.s", "front.s", "rear.s"):
         car.state[car.model.states.index(name)] += car.route.length
     return car
+
+
+def edited_chain(old, new):
+    """Read the list of chapters with a passage replaced."""
+    return edited("../notebooks/chain.toml", old, new, lambda path: (chain.chain(path), compare.verify_tolerance(path)))
 
 
 def chain_file(text):

@@ -8,7 +8,6 @@ import pytest
 
 from railrepro import paths
 from railrepro.control.registry import PAPER_TRIO, with_r_times
-from railrepro.errors import InputError
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.claims.probe import LOSS
 from railrepro.evidence.runs import tuning
@@ -64,30 +63,6 @@ def test_perturbations_move_every_changed_number_and_nothing_else(size):
         ratios = np.array(moved) / choice.value
         assert 0.3 * size < np.abs(ratios - 1).max() <= size, name
         assert max(moved) <= 1 or name not in ("adhesion.poor.k_a", "adhesion.poor.k_s")
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ('value = "fast"', "ndi.pole.* has value = 'fast' for nominal = 30.0; both are of one kind"),
-        ("range = 3", 'ndi.pole.* has range = 3; two numbers or "free" are needed'),
-        ("colour = 1", "colour"),
-        ("gear.weight|value = 1.0", "gear.weight"),
-        ("gear.mass|value = -1.0", "mass"),
-    ],
-)
-def test_a_wrong_entry_is_one_sentence(tmp_path, line, message):
-    rest = {"nominal": "30.0", "value": "42.0", "unit": '""', "range": '"free"', "source": '""', "statements": "[]"}
-    name, _, given = line.rpartition("|")
-    key, _, wrong = given.partition(" = ")
-    entry = rest | {"why": '""', key: wrong}
-    file = tmp_path / "car.toml"
-    file.write_text(
-        "\n".join([f'["{name or "ndi.pole"}"]', *(f"{k} = {v}" for k, v in entry.items())]), encoding="utf-8"
-    )
-    with pytest.raises(InputError, match=message) as told:
-        calibrated.load(file)
-    assert "\n" not in str(told.value) and str(told.value).startswith("car.toml")
 
 
 def test_the_curve_entry_is_the_papers_with_margin():

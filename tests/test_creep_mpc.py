@@ -464,21 +464,3 @@ def test_where_one_wheel_slides_the_other_carries_the_torque(monkeypatch):
 
 def test_factory_is_picklable():
     assert pickle.loads(pickle.dumps(CreepMPC())) == CreepMPC()
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: CreepSettings(period=0.0), "CreepSettings: period = 0.0, a number from 0.001"),
-        (lambda: CreepSettings(change=-1.0), "CreepSettings: change = -1.0, a number from 1e-09"),
-        (lambda: CreepSettings(force_rate="much"), "CreepSettings: force_rate is 'much'"),
-        (lambda: CreepSettings(preview=np.nan), "CreepSettings: preview = nan"),
-        (lambda: CreepSettings(uses_slip=0.5), "CreepSettings: uses_slip is 0.5, an object of the class bool"),
-        (lambda: CreepMPC({"period": 2e-3}), "CreepMPC: settings is .*CreepSettings is needed"),
-        (lambda: CreepMPC(creep=1e7), "CreepMPC: creep is 10000000.0"),
-        (lambda: CreepMPC(creep=replace(DRY, adhesion=0.1)), "creep.adhesion = 0.1, 0 is needed"),
-    ],
-)
-def test_impossible_settings_are_refused(make, words):
-    with pytest.raises(InputError, match=words):
-        make()

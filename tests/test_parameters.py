@@ -4,8 +4,6 @@ import warnings
 
 import pytest
 
-from railrepro import paths
-from railrepro.errors import InputError
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
 
 
@@ -31,34 +29,3 @@ def test_a_cone_angle_of_wheels_that_are_no_cones_is_warned_of():
         warnings.simplefilter("error")
         load_vehicle(**{"wheel.cone_angle": 0.03, "contact.profile": "cone"})
         load_vehicle(**{"wheel.radius": 0.43})
-
-
-def test_overrides_are_checked_like_the_file():
-    assert load_vehicle(**{"wheel.radius": 0.43}).wheel.radius == 0.43
-    with pytest.raises(InputError, match="not a key"):
-        load_vehicle(**{"wheel.raduis": 0.43})
-    with pytest.raises(InputError, match="wheel.radius = -1"):
-        load_vehicle(**{"wheel.radius": -1})
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "sentence"),
-    [
-        ("value = 26000.0", "value = -26000.0", "body.mass"),
-        ("value = 26000.0", "value = nan", "body.mass"),
-        ("value = 26000.0", 'value = "26 t"', "body.mass"),
-        ('value = 26000.0, unit = "kg"', 'value = 26.0, unit = "t"', "unit 't', 'kg' is needed"),
-        ("\nmass = {", "\nmas = {", "unknown key body.mas"),
-        ("[wheel]", "[wheels]", "unknown group"),
-        ('value = "s1002"', 'value = "cylinder"', "contact.profile is 'cylinder'"),
-        ("[body]", "[body", "cannot be read"),
-    ],
-)
-def test_wrong_files_are_refused_with_one_sentence(tmp_path, old, new, sentence):
-    text = paths.source("data/vehicle.toml").read_text()
-    assert old in text
-    file = tmp_path / "own.toml"
-    file.write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError, match=sentence) as refused:
-        load_vehicle(file)
-    assert "\n" not in str(refused.value)

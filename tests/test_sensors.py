@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro import paths
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, SIGNALS, Readings, load_loop
@@ -148,25 +147,3 @@ def test_a_line_of_commands_begins_with_the_newest():
     line = sensors.sent(-1.0, "tau_le", memory)
     assert line == [-1.0, *map(float, range(LONGEST))]
     assert float(sensors.late(line, ca.SX(2.0))) == 1.0
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "sentence"),
-    [
-        ("lateral.noise", -2e-4, "lateral.noise = -0.0002 m is impossible, 0 or more up to 0.01 is allowed"),
-        ("lateral.period", 1.5e-3, "lateral.period is 1.5 ms, a whole number of ms is needed"),
-        ("latency.measurement", 19e-3, "latency of 21 ms in all, at most 20 ms are held"),
-        ("latency.measurement", 0.03, "latency.measurement = 0.03 s is impossible, 0 or more up to 0.02 is allowed"),
-        ("gyro.drift", 1.0, "override 'gyro.drift' is not a key of sensors.toml"),
-    ],
-)
-def test_impossible_numbers_are_named(key, value, sentence):
-    with pytest.raises(InputError, match=sentence):
-        load_loop(**{key: value})
-
-
-def test_unknown_groups_are_named(tmp_path):
-    file = tmp_path / "sensors.toml"
-    file.write_text((paths.ROOT / "data/sensors.toml").read_text().replace("[gyro]", "[radar]"))
-    with pytest.raises(InputError, match=r"sensors.toml: has the unknown group \[radar\]"):
-        load_loop(file)

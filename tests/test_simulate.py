@@ -181,11 +181,6 @@ def test_slow_controllers_need_one_period_of_whole_exchanges(periods, found):
         simulate.run(scenarios.load_scenario("sine_tracking"), lambda v, w, gear: Counting(gear, periods[gear]))
 
 
-def test_a_slow_controller_needs_a_period():
-    with pytest.raises(InputError, match="period is 0.0, a number above 0 and up to 1 s is needed"):
-        simulate.run(scenarios.load_scenario("sine_tracking"), lambda v, w, gear: Counting(gear, 0.0))
-
-
 def test_a_slow_controller_may_run_with_the_exchange():
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=1.0)
     run = simulate.run(scenario, lambda v, w, gear: Counting(gear, 1e-3))

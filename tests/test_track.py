@@ -110,22 +110,6 @@ def test_wrong_tables_are_refused_with_one_sentence(tmp_path, change, sentence):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("[a]\nradius_m = 100\n", "lacks the key"),
-        ("[a]\nsegments = [{ length_m = -3 }]\n", "length_m is -3"),
-        ("[a]\nsegments = [{ length_m = 3, speed = 1 }]\n", "unknown key 'speed'"),
-        ("[a\n", "cannot be read"),
-    ],
-)
-def test_wrong_alignments_are_refused(tmp_path, text, sentence):
-    file = tmp_path / "own.toml"
-    file.write_text(text)
-    with pytest.raises(InputError, match=sentence):
-        alignments(file)
-
-
 def test_a_track_of_chainage_and_radius_is_that_of_its_segments(tmp_path):
     """Against 10^5 steps of the integrals of curvature and heading, and the cant by its definition."""
     text = (

@@ -14,7 +14,7 @@ import pytest
 
 from railrepro import paths
 from railrepro.control.ndi import NDI
-from railrepro.control.registry import INVERSIONS, OURS, SHOWN, guidance
+from railrepro.control.registry import INVERSIONS, OURS, SHOWN
 from railrepro.errors import InputError
 from railrepro.evidence.runs import swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
@@ -79,32 +79,6 @@ def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
         tuning.load("ndi", "loop", folder=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "sentence"),
-    [
-        ('"poor_stressed"]', '"poor_wet"]', r"\[setting.equal\] has the run 'poor_wet'"),
-        ("gain = 1.2 }", "gian = 1.2 }", r"\[run.poor_stressed\] has inverter.gian"),
-        ("[setting.loop]", "[setting.laboratory]", "allowed are 'paper', 'equal' or 'loop'"),
-        ("seeds = [1, 2, 3]", "seeds = []", "at least one entry is needed"),
-        ("seeds = [1, 2, 3]", "seeds = [1, -2]", "budget.seed 2 = -2"),
-        ("sensors = true", 'sensors = "yes"', "sensors is 'yes', true or false is needed"),
-        ("ndi = { pole = 30.0", "pid = { pole = 30.0", r"\[setting.paper.designed\] has 'pid'"),
-    ],
-)
-def test_a_wrong_task_is_told_in_one_sentence(tmp_path, old, new, sentence):
-    text = (paths.ROOT / "data/tuning.toml").read_text()
-    assert old in text
-    (tmp_path / "tuning.toml").write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=sentence):
-        for setting in tuning.SETTINGS:
-            tuning.load_task(tmp_path / "tuning.toml", setting)
-
-
-def test_unknown_settings_are_refused():
-    with pytest.raises(InputError, match=r"setting 'dry' is not known; there are \['equal', 'loop', 'paper'\]"):
-        tuning.load_task(setting="dry")
-
-
 @pytest.fixture(scope="module")
 def driven():
     """A run of 60 m, its scenario and the cost."""
@@ -166,13 +140,6 @@ def test_an_evaluation_beyond_its_limit_stops():
     bounded, first = evaluation(poles, limit=0.4 * parts[0]["cost"])
     assert first == parts[:1] and bounded == parts[0]["cost"] / 2 < whole
     assert evaluation(poles, limit=whole) == (whole, parts)
-
-
-def test_unknown_controller_and_setting_are_refused():
-    with pytest.raises(InputError, match="'pid' is not known"):
-        guidance("pid", {})
-    with pytest.raises(InputError, match="setting 'colour' is not known"):
-        guidance("ndi", {"pole": 1.0, "frequency": 1.0, "damping": 1.0}, colour=1)
 
 
 def square(x):
