@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from test_symmetry import drive_with, mirrored, turned
 
 from railrepro.contact.table import contact_table
 from railrepro.control.registry import tuned
@@ -101,6 +102,18 @@ def test_without_preview_the_error_grows():
         metrics.rmse(simulate.run(T3.but(end_m=200.0), CreepMPC(CreepSettings(preview=s))).series) for s in (0.0, 0.6)
     )
     assert short > 5 * far
+
+
+def test_heading_of_the_track_does_not_matter(monkeypatch):
+    straight, turn = (drive_with(CreepMPC(), change, monkeypatch) for change in (lambda route: route, turned))
+    assert metrics.rmse(turn) == pytest.approx(metrics.rmse(straight), rel=1e-6)
+
+
+def test_a_run_on_the_mirrored_track_is_its_mirror_image(monkeypatch):
+    right, left = (drive_with(CreepMPC(), change, monkeypatch) for change in (lambda route: route, mirrored))
+    for column in ("front.y", "front.du", "rear.du", "rear.psi_TrAx"):
+        assert np.abs(right[column] + left[column]).max() < 1e-6 * right[column].abs().max()
+    assert right["front.y"].abs().max() > 1e-3
 
 
 def test_no_steady_error_in_an_arc_with_wrong_creep_on_a_heavier_car():

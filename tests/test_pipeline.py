@@ -224,6 +224,17 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     assert "data/scenarios.toml" in chain.why_stale(notebook)
 
 
+def test_readme_says_how_long_the_chain_takes():
+    """In a fresh clone with two processors; here runs that the store had may have made the last ones quick."""
+    estimate = sum(notebook.minutes for notebook in chain.chain().values()) / 2
+    lines = [line for line in (paths.ROOT / "README.md").read_text().splitlines() if "make figures" in line]
+    said = [re.search(r"(\d+) min|\| (\d+),? [^|]*\|$", line) for line in lines]
+    stated = [float(match[1] or match[2]) for match in said if match]
+    assert stated
+    for minutes in stated:
+        assert 2 / 3 < minutes / estimate < 3 / 2
+
+
 def test_a_chapter_is_had_as_a_script(tiny, monkeypatch):
     monkeypatch.chdir(tiny)
     script = book.script("01")

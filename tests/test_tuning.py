@@ -221,7 +221,7 @@ from railrepro.evidence.runs.executor import executor
 if __name__ == "__main__":
     task = tuning.load_task()
     run = replace(task.runs[2], scenario=task.runs[2].scenario.but(end_m=80.0))
-    task = replace(task, runs=(run,), budget=task.budget | {"particles": 4, "iterations": 3, "seeds": [1]})
+    task = replace(task, runs=(run,), budget=task.budget | {"particles": 4, "iterations": 12, "seeds": [1]})
     with executor() as pool:
         swarm.tune("ndi", task, pool, quiet=True)["history"].to_csv(sys.argv[1], index=False)
 """
@@ -240,7 +240,7 @@ def test_killed_and_restarted_it_ends_like_the_unbroken_run(tmp_path):
 
     assert start("whole", "whole").wait() == 0
     broken = start("broken", "broken")
-    while len(entries()) < 5:
+    while len(entries()) < 10:
         time.sleep(0.02)
     os.kill(broken.pid, signal.SIGKILL)
     broken.wait()
