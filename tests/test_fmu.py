@@ -10,9 +10,10 @@ from xml.etree import ElementTree
 import pytest
 from units import Instance, fmpy
 
-from railrepro.car import fmu
+from railrepro.car.component import DERAILED
 from railrepro.compile import codegen
 from railrepro.errors import InputError
+from railrepro.export import car as car_export
 from railrepro.export.car import export_fmu
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -57,7 +58,7 @@ def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):
 
 
 def test_a_folder_is_refused_before_the_car_is_built(tmp_path, monkeypatch):
-    monkeypatch.setattr(fmu, "SteppedCar", lambda *_: pytest.fail("the car is built"))
+    monkeypatch.setattr(car_export, "SteppedCar", lambda *_: pytest.fail("the car is built"))
     with pytest.raises(InputError, match="is a folder, the name of an .fmu file is needed"):
         export_fmu(tmp_path, "T5", 60.0)
 
@@ -112,7 +113,7 @@ def test_a_car_that_leaves_the_rail_says_so_once(unit):
         car.step(0.05)
         if car.said:
             break
-    assert max(map(abs, car.get(["front.y", "rear.y"]))) > fmu.DERAILED
+    assert max(map(abs, car.get(["front.y", "rear.y"]))) > DERAILED
     car.step()
     assert car.said == ["a gear derailed, what follows means nothing"]
 

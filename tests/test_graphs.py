@@ -98,7 +98,7 @@ def test_only_functions_of_the_library_are_stored():
 @pytest.mark.parametrize(
     ("build", "arguments"),
     [
-        (equations._derived, (False,)),
+        (equations._derived, ()),
         (control_model._rhs, ((),)),
         (control_model._rhs, (("D1", "D3"),)),
         (dynamics, ("corrected", "rk4")),
