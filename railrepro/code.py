@@ -172,7 +172,7 @@ def reached(*texts: str) -> dict[str, str] | None:
 def version() -> str | None:
     """Hash of the library that this process imported, the same on all machines; None when it is not known any more.
 
-    What stands above the library does not count. Whoever reads or stores under this key asks `unchanged` before.
+    What stands above the library does not count. Call `unchanged` before reading or storing under this key.
     """
     if _bytes() is None:
         return None

@@ -154,21 +154,23 @@ print(row["fade"], code.version() is None)
 """
 
 
-def test_a_process_that_imported_old_code_leaves_neither_graph_nor_result_to_the_next(copy):
-    old = python(copy, PROGRAM, "between import and key")
+def edited_meanwhile(copy, moment, answers):
+    """What a process prints that waits at a moment while the constant is edited; it says once that it was."""
+    old = python(copy, PROGRAM, moment)
     assert old.stdout.readline() == "now\n"
     fade(copy, "1.0", "200.0")
-    said, told = old.communicate("\n", timeout=120)
-    assert said == "1.0\n1.0 True\n" and told.count(EDITED) == 1
+    said, told = old.communicate(answers, timeout=120)
+    assert told.count(EDITED) == 1
+    return said
+
+
+def test_a_process_that_imported_old_code_leaves_neither_graph_nor_result_to_the_next(copy):
+    assert edited_meanwhile(copy, "between import and key", "\n") == "1.0\n1.0 True\n"
     assert python(copy, PROGRAM, "").communicate(timeout=120) == ("200.0\n200.0 False\n", "")
 
 
 def test_what_a_process_computed_of_edited_code_is_gone_with_the_edit(copy):
-    old = python(copy, PROGRAM, "between key and import")
-    assert old.stdout.readline() == "now\n"
-    fade(copy, "1.0", "200.0")
-    said, told = old.communicate("\n\n", timeout=120)
-    assert said == "200.0\nnow\n200.0 False\n" and told.count(EDITED) == 1
+    assert edited_meanwhile(copy, "between key and import", "\n\n") == "200.0\nnow\n200.0 False\n"
     fade(copy, "200.0", "1.0")
     assert python(copy, PROGRAM, "").communicate(timeout=120) == ("1.0\n1.0 False\n", "")
 

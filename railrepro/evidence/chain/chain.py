@@ -373,14 +373,14 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
         paths.BUILD.mkdir(exist_ok=True)
         with alone(paths.BUILD / "chain.lock"):
             try:
-                return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs)
+                return _run_stale(notebooks, [n for n in notebooks.values() if n.name in wanted], jobs)
             finally:
                 _write_manifests(notebooks)
 
 
-def _run_stale(wanted: list[Notebook], jobs: int) -> int:
+def _run_stale(notebooks: dict[str, Notebook], wanted: list[Notebook], jobs: int) -> int:
     stale = {notebook.name: why for notebook in wanted if (why := why_stale(notebook))}
-    left = {n.name: minutes(n) for n in wanted if n.name in stale or before(chain(), [n.name]) & set(stale)}
+    left = {n.name: minutes(n) for n in wanted if n.name in stale or before(notebooks, [n.name]) & set(stale)}
     if not left:
         _say(f"nothing is stale of {len(wanted)} notebooks")
         return 0
