@@ -29,7 +29,7 @@ from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
 
-EXCHANGES, STEP = 5, 0.005
+CYCLES, STEP = 5, 0.005
 """Control cycles of 1 ms in a step, and their time (s)."""
 AHEAD = (0.1, 0.2, 0.4)
 """Times ahead at which track and set point are observed (s)."""
@@ -46,7 +46,7 @@ class GuidanceEnv(gymnasium.Env):
 
     def __init__(self, scenario="curve_entry_T3", sensors: bool = False):
         self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
-        self.vehicle, self.sensors, self.exchange = load_vehicle(), sensors, None
+        self.vehicle, self.sensors, self.loop = load_vehicle(), sensors, None
         self.route = simulate.checked_route(self.scenario, self.vehicle)
         slower = 5.0 if self.scenario.force_kN else 1.25
         self.duration = slower * self.route.length / self.scenario.speed  # s, of the longest episode
@@ -59,42 +59,42 @@ class GuidanceEnv(gymnasium.Env):
         super().reset(seed=seed)
         noisy = readings(seed=int(self.np_random.integers(2**31))) if self.sensors else None
         law = LawSettings(sensors=noisy)
-        self.exchange = simulate.start(self.scenario, lateral.Held(), self.route, self.vehicle, self.vehicle, law)
-        names = self.exchange.car.model.states
+        self.loop = simulate.start(self.scenario, lateral.Held(), self.route, self.vehicle, self.vehicle, law)
+        names = self.loop.car.model.states
         for gear in GEARS:
-            self.exchange.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)
-        self.exchange.measure()
+            self.loop.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)
+        self.loop.measure()
         return self._observation(), self._info()
 
     def step(self, action):
         """Hold two torques for 5 ms."""
-        exchange, torque = self.exchange, np.asarray(action, dtype=float)
-        if exchange is None or self._over():
+        loop, torque = self.loop, np.asarray(action, dtype=float)
+        if loop is None or self._over():
             raise InputError("reset() is needed before a step")
         if torque.shape != (len(GEARS),) or not np.isfinite(torque).all():
             raise InputError(f"the action is {action!r}, two numbers from -1 to 1 are needed")
-        left = self.duration - exchange.time
-        exchange.held[:] = np.clip(torque, -1.0, 1.0) * self.vehicle.drive.torque_limit
-        exchange.run(EXCHANGES)
-        exchange.measure()
+        left = self.duration - loop.time
+        loop.held[:] = np.clip(torque, -1.0, 1.0) * self.vehicle.drive.torque_limit
+        loop.run(CYCLES)
+        loop.measure()
         observation, info = self._observation(), self._info()
-        if not np.isfinite(observation).all() or min(exchange.margins[f"{gear}.lateral"] for gear in GEARS) <= 0:
+        if not np.isfinite(observation).all() or min(loop.margins[f"{gear}.lateral"] for gear in GEARS) <= 0:
             return np.nan_to_num(observation, posinf=0.0, neginf=0.0), -WORST * left, True, False, info
-        cost = np.mean((1e3 * info["error"]) ** 2 + EFFORT * (1e-3 * exchange.held) ** 2)
+        cost = np.mean((1e3 * info["error"]) ** 2 + EFFORT * (1e-3 * loop.held) ** 2)
         return observation, -STEP * min(float(cost), WORST), False, self._over(), info
 
     def _over(self) -> bool:
-        return bool(self.exchange.ended or self.duration - self.exchange.time < STEP / 2)
+        return bool(self.loop.ended or self.duration - self.loop.time < STEP / 2)
 
     def _info(self) -> dict:
         """Lateral error (m) and torque (N m) of both gears, arc length (m), speed (m/s) and time (s)."""
-        x, torque = self.exchange.measured_states(), self.exchange.held.copy()
+        x, torque = self.loop.measured_states(), self.loop.held.copy()
         error = np.array([self.route.reference_at(gear[X])[0].item() - gear[Y] for gear in x])
-        return {"error": error, "torque": torque, "p": x[0, X], "v": x[0, XDOT], "time": self.exchange.time}
+        return {"error": error, "torque": torque, "p": x[0, X], "v": x[0, XDOT], "time": self.loop.time}
 
     def _observation(self) -> np.ndarray:
-        limit, x = self.vehicle.drive.torque_limit, self.exchange.measured_states()
-        gears = [self._of_gear(*pair) for pair in zip(x, self.exchange.held / limit, strict=True)]
+        limit, x = self.vehicle.drive.torque_limit, self.loop.measured_states()
+        gears = [self._of_gear(*pair) for pair in zip(x, self.loop.held / limit, strict=True)]
         return np.append(gears, x[0, XDOT] / 100).astype(np.float32)
 
     def _of_gear(self, x, share: float) -> np.ndarray:

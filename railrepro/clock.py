@@ -1,4 +1,4 @@
 """The clock that car and controllers share."""
 
-EXCHANGE_PERIOD = 1e-3
-"""Period of the exchange between plant and controllers (s); paper, section Simulation Environment."""
+CONTROL_PERIOD = 1e-3
+"""Period of the control cycle at which plant and controllers are coupled (s); paper, section Simulation Environment."""

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.adhesion import AdhesionSettings, base_torque
 
 LAW = AdhesionSettings(raise_step=2.0, lower_step=5.0, drop_step=15.0, corridor=3e-3, filter_time=4e-3, dead_zone=1e-3)
@@ -114,7 +114,7 @@ def test_on_the_stable_branch_the_regular_steps_hold(adhesion, step, segment, ri
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("share", "step"), [(0.99, 2.0), (1.01, -15.0), (-0.99, 2.0), (-1.01, -15.0)])
 def test_dead_zone_is_a_rate_of_the_filtered_slip(share, step, sign):
-    moved = share * LAW.dead_zone * EXCHANGE_PERIOD / POLE
+    moved = share * LAW.dead_zone * CONTROL_PERIOD / POLE
     rise = -1e-4 * np.sign(share)
     found, _ = change(BELOW, (moved, moved), (rise, rise), sign=sign)
     assert found == pytest.approx(step)
@@ -125,7 +125,7 @@ def test_dead_zone_is_a_rate_of_the_filtered_slip(share, step, sign):
 def test_dead_zone_grows_as_the_noise_of_slip_does(v, growth, sign):
     settings = replace(LAW, noise_speed=100.0)
     for share, step in ((0.99, 2.0), (1.01, -15.0)):
-        moved = share * growth * LAW.dead_zone * EXCHANGE_PERIOD / POLE
+        moved = share * growth * LAW.dead_zone * CONTROL_PERIOD / POLE
         found, _ = change(BELOW, (moved, moved), BACK, sign=sign, settings=settings, v=v)
         assert found == pytest.approx(step)
 

@@ -45,14 +45,14 @@ def test_a_car_that_leaves_the_rail_says_so():
 
 def test_a_stepped_car_that_leaves_the_rail_says_so_once():
     car = SteppedCar("T3", 77.8, load_vehicle(**{"contact.profile": "cone"}))  # no flange holds it
-    car.step([300, -300, 300, -300], exchanges=100)
+    car.step([300, -300, 300, -300], steps=100)
     assert car.left_rail == ""
     with pytest.warns(UserWarning, match=r"gear derailed, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as said:
-        car.step(exchanges=400)
+        car.step(steps=400)
     assert [str(warning.message) for warning in said] == [car.left_rail] and said[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        car.step(exchanges=10)
+        car.step(steps=10)
 
 
 MODULE = "railrepro"

@@ -51,7 +51,7 @@ def distance(found, expected):
 def rolling():
     """Linear model of the car in steady rolling at 50 m/s."""
     car = SteppedCar("T5", 50.0, V)
-    car.step(exchanges=1000)
+    car.step(steps=1000)
     return car.linearise().a
 
 
@@ -124,7 +124,7 @@ def test_traction_pitches_body_and_carriers():
     car = SteppedCar("T5", 20.0, V)
     car.step(np.full(4, torque), 4000)
     before = car.outputs["front.v"]
-    car.step(exchanges=500)
+    car.step(steps=500)
     pull = BODY.mass * (car.outputs["front.v"] - before) / 0.5
     pitch = {name: car.state[equations.STATES.index(f"{name}.pitch")] for name in ("body", "front", "rear")}
     expected = (pull * TO_LINK + 4 * torque) / (SPRING.k_z * BODY.gear_spacing**2)
@@ -175,7 +175,7 @@ def beside_the_middle(kmh, y=1e-6):
     """The car on S1002, moved from the node of its contact table in the middle, after a tenth of a second."""
     car = SteppedCar("T5", kmh / 3.6, WORN)
     car.state[equations.indices("body.y", "front.y", "rear.y")] = y
-    car.step(exchanges=100)
+    car.step(steps=100)
     return car
 
 
@@ -185,11 +185,11 @@ def test_free_wheels_on_s1002_leave_the_middle_as_their_eigenvalue_says_because_
     assert 1.0 < growth < 3.0
     y = []
     for _ in range(2):
-        car.step(exchanges=1000)
+        car.step(steps=1000)
         y.append(car.state[equations.INDEX["front.y"]])
     assert np.log(y[1] / y[0]) == pytest.approx(growth, rel=0.03)  # both gears grow, 2 % apart
     cone = SteppedCar("T5", 160 / 3.6, load_vehicle(**{"contact.profile": "cone"}))  # spin alike on both sides
-    cone.step(exchanges=100)
+    cone.step(steps=100)
     assert np.linalg.eigvals(cone.linearise().a.to_numpy()).real.max() < 1e-3
 
 
@@ -203,9 +203,9 @@ def test_free_wheels_on_s1002_hunt_from_some_410_kmh_on():
     reached = []
     for kmh in (360, 440):
         car = beside_the_middle(kmh, 1e-4)
-        car.step(exchanges=8000)
+        car.step(steps=8000)
         reached.append(0.0)
         for _ in range(100):
-            car.step(exchanges=10)
+            car.step(steps=10)
             reached[-1] = max(reached[-1], abs(car.state[equations.INDEX["front.y"]]))
     assert reached[0] < 3e-3 and 6e-3 < reached[1] < 7e-3

@@ -29,10 +29,10 @@ def lay(**channels):
     return route.lay(load_track("T5"), irregularities=frame)
 
 
-def balance(car, exchanges):
+def balance(car, cycles):
     """Change of the mechanical energy and the work of motors and losses, by stepping (J)."""
     rows = [car.energies]
-    for _ in range(exchanges):
+    for _ in range(cycles):
         car.step()
         rows.append(car.energies)
     table = pd.DataFrame(rows)
@@ -69,7 +69,7 @@ def test_axle_damping_makes_a_wheelset():
         car = SteppedCar("T5", 5.0, own)
         car.state[equations.indices("front.y")] = 2e-3
         while car.outputs["front.y"] > 0 and car.outputs["front.p"] < wave:
-            car.step(exchanges=10)
+            car.step(steps=10)
         ways[name] = car.outputs["front.p"]
     assert ways["wheelset"] == pytest.approx(wave / 4, rel=0.1)
     assert ways["free"] >= wave
@@ -80,7 +80,7 @@ def test_wider_gauge_sinks_cones_and_slows_them_less():
     vehicle = load_vehicle(**CONE)
     plain, wide = (SteppedCar(lay(gauge=gauge), 20.0, vehicle) for gauge in (0.0, 4e-3))
     for car in (plain, wide):
-        car.step(exchanges=8000)
+        car.step(steps=8000)
     less = 2e-3 * np.tan(vehicle.wheel.cone_angle)
     sunk = {car: car.state[equations.INDEX["front.z"]] for car in (plain, wide)}
     assert sunk[wide] - sunk[plain] == pytest.approx(less, rel=0.02)
@@ -97,7 +97,7 @@ def test_rails_that_move_do_no_work_of_their_own(channel, size):
     assert change == pytest.approx(work, rel=0.03, abs=1.0)
 
 
-def test_substeps_sharpen_the_loads_and_leave_the_exchange_alone():
+def test_substeps_sharpen_the_loads_and_leave_the_control_cycle_alone():
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300, end_m=120)
     rough = irregularities(np.arange(0.0, 120.0, route.CELL))
     runs = {n: simulate.run(scenario, NDI(), irregularities=rough, substeps=n).series for n in (1, 2, 4, 16)}
@@ -110,7 +110,7 @@ def test_floor_accelerations_are_those_of_points_in_space():
     """Second differences of the floor's place, less gravity, in axes of the body, while the car sways."""
     vehicle = load_vehicle()
     car = SteppedCar(lay(lateral=8e-3, crosslevel=4e-3), 30.0, vehicle)
-    car.step(exchanges=1200)
+    car.step(steps=1200)
     lever = np.array([vehicle.body.gear_spacing / 2, 0.0, vehicle.body.cg_height - vehicle.body.floor_height])
     places, h = [], 1e-3
     for _ in range(3):

@@ -183,14 +183,14 @@ def test_scale_errors_of_the_estimates():
 
 
 def test_lag_of_the_estimates_is_a_first_order_lag():
-    """A lag of 9 ms takes a tenth of the way per exchange, which keeps the time constant to half an exchange."""
+    """A lag of 9 ms takes a tenth of the way per control cycle, which keeps the time constant to half a cycle."""
     found = estimates(EstimateSettings(lag=9e-3), before=0.05)
     assert found[0] == pytest.approx(0.05 + 0.1 * (0.1 - 0.05))
     assert found[1] == pytest.approx(0.05 + 0.1 * (-0.01 - 0.05))
 
 
 def test_noise_is_white_of_unit_variance_and_bounded():
-    """Channels 1 to 8 serve four wheels. Two are correlated by 0.06 after two exchanges, none with its own past."""
+    """Channels 1 to 8 serve four wheels. Two are correlated by 0.06 after two cycles, none with its own past."""
     tick, count = ca.SX.sym("tick"), 20_000
     noise = ca.Function("noise", [tick], [ca.vertcat(*(law.white_noise(tick, channel) for channel in range(1, 9)))])
     series = np.array(noise(np.arange(count)[None, :]))

@@ -25,7 +25,7 @@ _LATERAL = ("y", "psi", "phi", "vy", "wx", "wz")
 def car_poles(speed, slip=0.0, adhesion="dry", vehicle=V):
     """Poles (rad/s) of the antisymmetric motion of the car in steady rolling, all wheels with a slip."""
     car = SteppedCar("T5", speed, vehicle, good=adhesion)
-    car.step(exchanges=1000)
+    car.step(steps=1000)
     names = list(car.model.states)
     wheels = [names.index(name) for name in names if name.startswith("w.")]
     car.state[wheels] *= 1 + slip

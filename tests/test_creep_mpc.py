@@ -224,7 +224,7 @@ def test_a_filter_that_is_lost_begins_anew_and_counts(guide):
 
 
 def test_the_track_is_that_under_the_readings_which_are_older_than_the_place(guide):
-    """Six milliseconds from reading to torque, one of them the exchange; T3 curves from 25 m on, 423 m to 4250 m."""
+    """Six milliseconds from reading to torque, one of them the cycle; T3 curves from 25 m on, 423 m to 4250 m."""
     guide.read(np.zeros(3), 6e-3)
     guide.plan(measured(70.0), 0.0)
     (curvature, *_), _ = guide._track_ahead(70.0, 0.0)

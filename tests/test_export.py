@@ -34,10 +34,10 @@ def quickly_compiled(monkeypatch):
     monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
 
 
-def coupled(car, controller, exchanges):
+def coupled(car, controller, cycles):
     """Lateral positions of both gears under a master that steps the controller before the car."""
     found = []
-    for _ in range(exchanges):
+    for _ in range(cycles):
         found.append(car.get(["front.y", "rear.y"]))
         controller.set(law.MEASURED, car.get(law.MEASURED))
         controller.step()

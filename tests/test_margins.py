@@ -32,7 +32,7 @@ class RateFeedback:
 def linearised(gain):
     """Torque of the front gear over a disturbance of both, from the car's linear model sampled at 1 kHz."""
     car = SteppedCar("T5", SPEED / 3.6, CONE)
-    car.step([0.0] * 4, exchanges=300)
+    car.step([0.0] * 4, steps=300)
     model = car.linearise()
     turn = {"le": 1.0, "ri": -1.0}
     b = np.stack([sum(turn[s] * model.b[f"{gear}_{s}"].to_numpy() for s in turn) for gear in ("front", "rear")], axis=1)

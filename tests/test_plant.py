@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.car.kinematics import orientation
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import polach
 from railrepro.contact.table import CELL_COLUMNS, contact_table, middle_patch
 from railrepro.control import law
 from railrepro.control.ndi import NDI
 from railrepro.estimation.sensors import Readings, load_loop
-from railrepro.simulation import exchange, simulate
+from railrepro.simulation import closed_loop, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.alignment import Alignment, Segment
@@ -43,13 +43,13 @@ def start(
     parameters=None,
     **lay,
 ):
-    """An exchange at rest state (or `state`) on a named track."""
+    """A control cycle at rest state (or `state`) on a named track."""
     table = contact_table(vehicle.contact.profile, vehicle)
     way = route.lay(load_track(track), reference, **lay)
     control = law.control_law(vehicle, ndi, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
     parameters = equations.parameter_vector(vehicle) if parameters is None else parameters
     state = equations.rest_state(vehicle, table, speed) if state is None else state
-    return exchange.Exchange(parameters, table, way, control, state)
+    return closed_loop.ClosedLoop(parameters, table, way, control, state)
 
 
 def frame(rows, coupled):
@@ -102,7 +102,7 @@ def test_rotational_springs_store_their_energy(vehicle, spring, coordinate, angl
 def test_wheels_bounce_on_the_rails_as_hertz_has_it(vehicle):
     """A carrier on two contacts, of stiffness 1.5 N/penetration and damping N times its constant, and on dampers."""
     car = SteppedCar("T5", 50.0)
-    car.step(exchanges=2000)
+    car.step(steps=2000)
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
     penetration = (load / vehicle.contact.normal_stiffness) ** (2 / 3)
     frequency = np.sqrt(2 * 1.5 * load / penetration / vehicle.gear.mass)
@@ -137,7 +137,7 @@ def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
         coupled.run(1)
         balance.append(energies(coupled))
     energy, motor, damping, creep = np.array(balance).T
-    work = np.trapezoid(motor - damping - creep, dx=EXCHANGE_PERIOD)
+    work = np.trapezoid(motor - damping - creep, dx=CONTROL_PERIOD)
     assert energy[-1] - energy[0] == pytest.approx(work, rel=1e-4)
     assert motor.max() > 1e5
 
@@ -151,7 +151,7 @@ def test_energy_balance_on_irregular_rails(vehicle):
         coupled.run(1)
         balance.append(energies(coupled))
     energy, motor, damping, creep = np.array(balance).T
-    lost = np.trapezoid(damping + creep - motor, dx=EXCHANGE_PERIOD)
+    lost = np.trapezoid(damping + creep - motor, dx=CONTROL_PERIOD)
     assert energy[0] - energy[-1] == pytest.approx(lost, rel=0.05)
 
 
@@ -175,7 +175,7 @@ def test_left_and_right_curves_mirror_in_every_state_and_output(vehicle, profile
         way = route.lay(geometry, route.sweep(sign * 2e-3, 150, 60, 25, 500))
         control = law.control_law(vehicle, NDI(), lateral_limit=0.03, track_end=500.0, stop_speed=-1.0)
         rest = equations.rest_state(vehicle, table, 280 * KMH)
-        coupled = exchange.Exchange(equations.parameter_vector(vehicle), table, way, control, rest)
+        coupled = closed_loop.ClosedLoop(equations.parameter_vector(vehicle), table, way, control, rest)
         log = frame(coupled.run(3000), coupled)
         runs.append((dict(zip(equations.STATES, coupled.state, strict=True)), log))
     (right, right_log), (left, left_log) = runs
@@ -222,7 +222,7 @@ def test_yaw_spring_torque_in_the_narrow_curve(vehicle):
 
 
 def by_functions(coupled, n):
-    """Rows of an exchange that CasADi evaluates; `coupled` gives start, tables, parameters and law."""
+    """Rows of a control cycle that CasADi evaluates; `coupled` gives start, tables, parameters and law."""
     car, model, control = coupled.car, coupled.car.model, coupled.control
     x, memory, log = coupled.state.copy(), coupled.memory.copy(), []
     first = equations.BODIES.index(law.GEARS[0])
@@ -236,7 +236,7 @@ def by_functions(coupled, n):
         found = control.function(output[coupled.sensed], below, coupled.held, control.gains, memory)
         car.torque[:], memory, record = (np.array(value).ravel() for value in found[:3])
         log.append(np.concatenate([output, record]))
-        x = np.array(model.step(x, car.torque, *inputs, EXCHANGE_PERIOD)[0]).ravel()
+        x = np.array(model.step(x, car.torque, *inputs, CONTROL_PERIOD)[0]).ravel()
     return np.array(log)
 
 
@@ -304,7 +304,7 @@ def test_the_brake_holds_the_car_on_a_gradient(vehicle, slope):
     car = SteppedCar(_gradient(slope), 1.0, vehicle)
     car.step(np.full(4, -4000.0), 5000)
     rest = car.outputs["front.p"]
-    car.step(exchanges=5000)
+    car.step(steps=5000)
     assert abs(car.outputs["front.v"]) < 1e-4 and abs(car.outputs["front.p"] - rest) < 1e-3
     held = weight * np.sin(slope) / 4 * vehicle.wheel.radius
     assert np.mean([car.outputs[f"{wheel}.tau"] for wheel in equations.WHEELS]) == pytest.approx(held, rel=5e-3)
@@ -318,7 +318,7 @@ def test_a_brake_beyond_its_limit_slides_with_that_limit(vehicle, slope):
     car = SteppedCar(_gradient(slope), 0.05, vehicle)
     car.step(np.full(4, -200.0), 4000)
     before = car.outputs["front.v"]
-    car.step(exchanges=4000)
+    car.step(steps=4000)
     expected = -4.0 * force / (mass + 4 * vehicle.wheel.spin_inertia / vehicle.wheel.radius**2)
     assert car.outputs["front.v"] - before == pytest.approx(expected, rel=0.01)
 
@@ -424,7 +424,7 @@ def test_angles_turn_with_the_angular_velocity(vehicle):
 
 def test_pitch_is_nose_up_and_roll_is_right_side_down(vehicle):
     car = SteppedCar("T5", 60.0)
-    car.step(exchanges=500)
+    car.step(steps=500)
     a, spring = car.linearise().a, vehicle.suspension
     lift = spring.k_z * vehicle.body.gear_spacing / vehicle.gear.mass
     assert a.loc[["front.vz", "rear.vz"], "body.pitch"].tolist() == pytest.approx([-lift, lift], rel=1e-5)
@@ -462,6 +462,6 @@ def test_small_traction_slips_by_kalkers_longitudinal_coefficient(profile):
 
 def test_motor_reaction_pitches_the_carrier(vehicle):
     car = SteppedCar("T5", 60.0)
-    car.step(exchanges=500)
+    car.step(steps=500)
     pitch = car.linearise().a.loc["front.wy", "tau.front_le"]
     assert pitch == pytest.approx(1 / vehicle.gear.inertia_y, rel=1e-3)

@@ -124,7 +124,7 @@ def test_what_doing_nothing_gives():
 
 
 def test_what_a_probe_measures_of_a_run_made_by_hand():
-    """Nine exchanges of 12 m: the error of the last three has the mean 1 mm."""
+    """Nine cycles of 12 m: the error of the last three has the mean 1 mm."""
     error = 1e-3 * np.array([0.0, 9.0, 9.0, 9.0, 9.0, -9.0, 1.0, -2.0, 4.0])
     columns = {"front.p": 12.0 * np.arange(9), "front.y_ref": 2e-3, "front.y": 2e-3 + error, "front.du": 50.0}
     found = probe.lateral(simulate.Run(pd.DataFrame(columns), "end of the run", False, ()))

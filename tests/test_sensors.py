@@ -11,8 +11,8 @@ from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, SIGNALS, Readin
 TRUTH = {"y_ahead": 2e-3, "y_behind": 1e-3, "psidot_Ax": 0.02, "w_le": 100.0, "w_ri": 99.0, "v": 45.0, "p": 300.0}
 
 
-def readings(exchanges, loop, seed=0, gear=0, move=None):
-    """Readings of a gear over some exchanges, shape (exchanges, signals); `move` maps tick and signal to its value."""
+def readings(cycles, loop, seed=0, gear=0, move=None):
+    """Readings of a gear over some cycles, shape (cycles, signals); `move` maps tick and signal to its value."""
     ticks, truth = ca.SX.sym("ticks"), ca.SX.sym("truth", len(SIGNALS))
     memory = ca.SX.sym("memory", len(MEMORY))
     gain = Readings(loop, seed).gains(gear)
@@ -26,7 +26,7 @@ def readings(exchanges, loop, seed=0, gear=0, move=None):
     following = [kept.get(name, 0.0) for name in MEMORY]
     step = ca.Function("step", [truth, ticks, memory], [ca.vertcat(*found.values()), ca.vertcat(*following)])
     rows, state = [], np.zeros(len(MEMORY))
-    for k in range(exchanges):
+    for k in range(cycles):
         values = [move(k, name) if move else TRUTH[name] for name in SIGNALS]
         seen, state = step(values, k, state)
         rows.append(np.array(seen).ravel())

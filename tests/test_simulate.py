@@ -15,7 +15,7 @@ from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import exchange, metrics, scenarios, simulate
+from railrepro.simulation import closed_loop, metrics, scenarios, simulate
 from railrepro.track import defects
 from railrepro.track.route import COLUMNS, INDEX, irregularity_in
 from railrepro.vehicle.parameters import load_vehicle
@@ -129,7 +129,7 @@ def test_a_slow_controller_gets_the_state_of_its_gear_and_its_torque_is_held():
 
 @dataclass
 class Step:
-    """A slow controller whose torque steps after some exchanges; keeps what it reads."""
+    """A slow controller whose torque steps after some cycles; keeps what it reads."""
 
     period: float = 1e-3
 
@@ -152,7 +152,7 @@ def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
     run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=Readings(loop))
     guided, y = run.controllers[0], run.series["front.y"].to_numpy()
-    last = guided.seen[149][0]  # of the first torque that steps; there is no reading before the first exchange
+    last = guided.seen[149][0]  # of the first torque that steps; there is no reading before the first cycle
     seen = int(np.argmin(np.abs(y - last)))
     assert y[seen] == pytest.approx(last, abs=1e-12) and (np.diff(y[100:170]) != 0).all()
     acts = int(np.flatnonzero(run.series["front_le.tau"] > 20.01)[0]) - 1
@@ -160,7 +160,7 @@ def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque
 
 
 def test_sensors_measure_against_the_rails_wherever_these_lie():
-    """A bend of 3 mm to the right and back; the reading is that of the exchange before."""
+    """A bend of 3 mm to the right and back; the reading is that of the cycle before."""
     p = np.arange(0.0, 80.0, 0.5)
     rails = defects.lateral_offset(p, 5.0, 30.0, 3e-3, transition=8.0)
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
@@ -176,12 +176,12 @@ def test_sensors_measure_against_the_rails_wherever_these_lie():
 
 
 @pytest.mark.parametrize(("periods", "found"), [((0.01, 0.005), r"\[5.0, 10.0\]"), ((0.0015, 0.0015), r"\[1.5\]")])
-def test_slow_controllers_need_one_period_of_whole_exchanges(periods, found):
+def test_slow_controllers_need_one_period_of_whole_cycles(periods, found):
     with pytest.raises(InputError, match=f"one period, a whole number of ms; found {found} ms"):
         simulate.run(scenarios.load_scenario("sine_tracking"), lambda v, w, gear: Counting(gear, periods[gear]))
 
 
-def test_a_slow_controller_may_run_with_the_exchange():
+def test_a_slow_controller_may_run_at_1_khz():
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=1.0)
     run = simulate.run(scenario, lambda v, w, gear: Counting(gear, 1e-3))
     assert run.series["front.du"].to_numpy() == pytest.approx(1 + np.arange(len(run.series)))
@@ -291,11 +291,11 @@ def test_the_log_of_a_run_grows_with_the_run():
     way = simulate.checked_route(scenario, load_vehicle())
     coupled = simulate.start(scenario, NDI(), way, load_vehicle(), load_vehicle())
     log = coupled.run(10**13)
-    assert coupled.ended and len(log) == coupled.exchanges + 1 < 2000
+    assert coupled.ended and len(log) == coupled.cycles + 1 < 2000
 
 
 def test_blocks_of_the_log_leave_no_seam(monkeypatch):
     scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=20)
     whole = simulate.run(scenario, NDI()).series
-    monkeypatch.setattr(exchange, "_BLOCK", 7)
+    monkeypatch.setattr(closed_loop, "_BLOCK", 7)
     assert simulate.run(scenario, NDI()).series.equals(whole)

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import polach
 from railrepro.contact.table import cone_patch
 from railrepro.own.slip import SlipSettings, base_torque
@@ -45,16 +45,16 @@ def ride(rail, speed, demand, settings=None, seconds=6.0, noise=0.0, uneven=0.0)
     """A gear whose wheels slip alike, but for `uneven`, on rails by time: columns u, f, slip of the mean, segment."""
     gains = [*(settings or SlipSettings()).gains().values(), LOAD]
     memory, torque, slip, generator, rows = np.zeros(9), 0.0, 0.0, np.random.default_rng(1), []
-    for k in range(round(seconds / EXCHANGE_PERIOD)):
-        over, adhesion = curve(rail(k * EXCHANGE_PERIOD), speed)
+    for k in range(round(seconds / CONTROL_PERIOD)):
+        over, adhesion = curve(rail(k * CONTROL_PERIOD), speed)
         used = np.sign(slip) * np.interp(abs(slip), over, adhesion)
         seen = slip * np.array([1 + uneven, 1 - uneven]) + 0.25 * noise * generator.standard_normal(2)
         f = used + noise * generator.standard_normal(2)
         u, memory, segment = law()(f, -seen, demand, speed, k, gains, memory)
         memory = np.array(memory).ravel()
         rows.append((float(u), used, slip, float(segment)))
-        torque += EXCHANGE_PERIOD / V.drive.lag * (float(u) - torque)
-        slip += EXCHANGE_PERIOD * RADIUS / (INERTIA * speed) * (torque - RADIUS * LOAD * used)
+        torque += CONTROL_PERIOD / V.drive.lag * (float(u) - torque)
+        slip += CONTROL_PERIOD * RADIUS / (INERTIA * speed) * (torque - RADIUS * LOAD * used)
     return np.array(rows)
 
 

@@ -7,7 +7,7 @@ from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.control import law
 from railrepro.export.car import export_fmu
-from railrepro.simulation import exchange
+from railrepro.simulation import closed_loop
 from railrepro.track import route
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
@@ -15,12 +15,12 @@ from railrepro.vehicle.parameters import load_vehicle
 TORQUE = np.array([300.0, -300.0, 150.0, -150.0])
 
 
-def test_stepping_gives_what_the_exchange_gives():
+def test_stepping_gives_what_the_closed_loop_gives():
     car = SteppedCar("T3", 50.0)
     way, vehicle = route.lay(load_track("T3")), load_vehicle()
     control = law.control_law(vehicle, None, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
     start = equations.rest_state(vehicle, car.table, 50.0)
-    coupled = exchange.Exchange(equations.parameter_vector(vehicle), car.table, way, control, start)
+    coupled = closed_loop.ClosedLoop(equations.parameter_vector(vehicle), car.table, way, control, start)
     coupled.held[:] = 20.0
     log = coupled.run(500)
     for row in log:
@@ -35,7 +35,7 @@ def test_stepping_gives_what_the_exchange_gives():
 
 def test_linearisation_predicts_a_small_step():
     car = SteppedCar("T5", 60.0)
-    car.step(exchanges=2000)
+    car.step(steps=2000)
     model, before = car.linearise(), car.state.copy()
     assert list(model.a.columns) == list(equations.STATES) and list(model.b.columns) == list(equations.WHEELS)
     names = list(equations.STATES)
@@ -99,8 +99,8 @@ def test_linearised_wheelset_runs_in_the_wave_of_klingel(profile, tolerance):
 
 def test_time_counts_the_steps_and_torques_are_held():
     car = SteppedCar("T5", 50.0)
-    car.step(TORQUE, exchanges=3)
-    car.step(period=2e-4, exchanges=5)
+    car.step(TORQUE, steps=3)
+    car.step(period=2e-4, steps=5)
     assert car.time == pytest.approx(3e-3 + 5 * 2e-4)
     assert car.torque.tolist() == TORQUE.tolist()
     assert car.outputs["front.p"] == pytest.approx(50.0 * 4e-3, rel=1e-3)
@@ -120,7 +120,7 @@ def test_the_state_that_leaves_all_bounds_is_named(sign):
     car.state[equations.INDEX["w.rear_ri"]] = sign * 1.2e7
     named = rf"w\.rear_ri = {'-' if sign < 0 else ''}1\.2e\+07 left all bounds after t = 0\.000 s, p = 0\.0 m"
     with pytest.raises(ArithmeticError, match=named):
-        car.step(exchanges=3)
+        car.step(steps=3)
 
 
 def test_energies_and_outputs_are_named():
@@ -134,11 +134,11 @@ def test_energies_and_outputs_are_named():
 
 def test_a_broken_state_is_named_and_kept_out():
     car = SteppedCar("T5", 50.0)
-    car.step(exchanges=10)
+    car.step(steps=10)
     good = car.state.copy()
     with pytest.raises(ArithmeticError, match=r"left all bounds after t = 0\.01\d s, p = "):
         car.torque[0] = np.nan
-        car.step(exchanges=5)
+        car.step(steps=5)
     assert np.isfinite(car.state).all() and np.isfinite(good).all()
 
 

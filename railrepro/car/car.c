@@ -29,7 +29,7 @@ int car_look_up(const car_t *car) {
 /* Outputs at the present state. */
 int car_measure(const car_t *car) { return car_look_up(car) || evaluate(&car->output); }
 
-/* One exchange from where the car was looked up last. */
+/* One control cycle from where the car was looked up last. */
 int car_advance(const car_t *car) {
   casadi_int k = 0;
   do {

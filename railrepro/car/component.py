@@ -1,7 +1,7 @@
 """The car as a component: step it with four motor torques, read named outputs and energies, linearise it.
 
 For users with controllers and loops of their own; the project's experiments use the compiled loop of
-`railrepro.simulation.exchange`. Serves the paper's section Simulation Environment.
+`railrepro.simulation.closed_loop`. Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pandas as pd
 
 from railrepro.car import equations
 from railrepro.car.stepper import CarStepper
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.errors import InputError
 from railrepro.schema import above, between, require
@@ -114,16 +114,16 @@ class SteppedCar:
         self.state, self.torque, self.parameters = self._car.state, self._car.torque, self._car.parameters
         self.model, self.left_rail, self.beyond_end = self._car.model, "", ""
 
-    def step(self, torque=None, exchanges: int = 1, period: float = EXCHANGE_PERIOD) -> None:
-        """Advance by some exchanges with the torques held; one warning when a gear derails.
+    def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
+        """Advance by some steps with the torques held; one warning when a gear derails.
 
         Parameters
         ----------
         torque : array_like, shape (4,), optional
             Motor torque commands (N m), at most `LARGEST_TORQUE`; default the last ones.
-        exchanges : int
+        steps : int
         period : float
-            Step, up to 10 exchange periods (s).
+            Length of a step, up to 10 control cycles (s).
 
         Raises
         ------
@@ -131,15 +131,15 @@ class SteppedCar:
             An argument that is not of this kind or beyond its range.
         ArithmeticError
             One sentence with time, state and track coordinate when a state is no longer finite or absurdly large;
-            `state` is that of the last good exchange.
+            `state` is that of the last good step.
         """
-        require("exchanges", exchanges, between(0, math.inf), whole=True)
-        require("period", period, above(0.0, 10 * EXCHANGE_PERIOD, "s"))
+        require("steps", steps, between(0, math.inf), whole=True)
+        require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:
             self.torque[:] = _torques(torque)
         self._car.period[:] = period
         start = self.time
-        for done in range(exchanges):
+        for done in range(steps):
             if self._car.run(1, _LARGEST):
                 self.time = start + (done + 1) * period
                 if not self.left_rail:

@@ -119,7 +119,7 @@ class Car:
         (x, u, rows, contacts, par, h) -> state after h (s) and embedded error estimate, Rodas3.
     coordinates : Function
         (x, rows, par) -> look-up coordinates: s of 3 bodies, then shift of 4 wheels (m); of the rows only the
-        irregularities count, so those of the previous exchange serve.
+        irregularities count, so those of the previous cycle serve.
     output : Function
         (x, u, rows, contacts, par) -> values named in `outputs`.
     energy : Function

@@ -1,4 +1,4 @@
-"""The car on a route, one exchange at a time: `car.c` over the generated functions.
+"""The car on a route, one control cycle at a time: `car.c` over the generated functions.
 
 Serves the paper's section Simulation Environment.
 """
@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.car import equations
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.contact.table import ContactTable
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
@@ -81,8 +81,8 @@ class CarStepper:
     state : array_like
         Initial state.
     substeps : int
-        Steps in an exchange. One is enough for the motion and for ideal rails. On irregular rails it overestimates the
-        largest unloading of a wheel below 20 Hz by up to 1.3 %, two steps by 0.1 %.
+        Steps in a control cycle. One is enough for the motion and for ideal rails. On irregular rails it overestimates
+        the largest unloading of a wheel below 20 Hz by up to 1.3 %, two steps by 0.1 %.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class CarStepper:
     def __init__(self, parameters, table: ContactTable, route: Route, state, substeps: int = 1):
         self.state, self.torque = np.array(state, dtype=float), np.zeros(len(equations.WHEELS))
         self.model, self.substeps = equations.car(), substeps
-        self.next_state, self.period = np.zeros_like(self.state), np.array([EXCHANGE_PERIOD / substeps])
+        self.next_state, self.period = np.zeros_like(self.state), np.array([CONTROL_PERIOD / substeps])
         self.rows = np.zeros((len(equations.BODIES), len(COLUMNS)))
         self.contacts = np.zeros((len(equations.WHEELS), equations.CONTACT_COLUMNS))
         self.parameters = np.array(parameters, dtype=float)

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.schema import Quantity, between, require
 
 _RANGES: dict[str, Quantity | type] = {
@@ -133,14 +133,14 @@ def base_torque(f, s, f_star, v, memory: dict, gain, tau_max) -> tuple:
     traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
     """
     sign = ca.if_else(f_star < 0, -1, 1)
-    pole = EXCHANGE_PERIOD / (gain["adhesion.filter_time"] + EXCHANGE_PERIOD)
+    pole = CONTROL_PERIOD / (gain["adhesion.filter_time"] + CONTROL_PERIOD)
     dead_zone = gain["adhesion.dead_zone"] * ca.fmax(1, gain["adhesion.noise_speed"] / ca.fmax(v, SLOWEST))
     filtered, unstable = {}, 0
     for i in range(2):
         filtered[f"f_{i}"] = memory[f"f_{i}"] + pole * (f[i] - memory[f"f_{i}"])
         filtered[f"s_{i}"] = memory[f"s_{i}"] + pole * (s[i] - memory[f"s_{i}"])
-        f_rate = sign * (filtered[f"f_{i}"] - memory[f"f_{i}"]) / EXCHANGE_PERIOD
-        s_rate = -sign * (filtered[f"s_{i}"] - memory[f"s_{i}"]) / EXCHANGE_PERIOD
+        f_rate = sign * (filtered[f"f_{i}"] - memory[f"f_{i}"]) / CONTROL_PERIOD
+        s_rate = -sign * (filtered[f"s_{i}"] - memory[f"s_{i}"]) / CONTROL_PERIOD
         falling = ca.logic_and(f_rate * s_rate < 0, ca.fabs(s_rate) > dead_zone)
         unstable = ca.logic_or(unstable, ca.logic_and(falling, sign * s[i] < 0))
     error = sign * (f_star - (f[0] + f[1]) / 2)

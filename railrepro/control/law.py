@@ -1,4 +1,4 @@
-"""The control law of the 1 kHz exchange as one function: measurement, adhesion law, lateral law, integration rule.
+"""The control law of the 1 kHz control cycle as one function: measurement, adhesion law, lateral law, integration rule.
 
 Without sensors the controllers see the car's own states; with them, what `railrepro.estimation` makes of readings.
 
@@ -17,7 +17,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import lateral
 from railrepro.control.adhesion import AdhesionSettings, LongitudinalLaw
@@ -65,7 +65,7 @@ class EstimateSettings:
     Attributes
     ----------
     noise_f, noise_s : float
-        Standard deviation of white noise per exchange (-).
+        Standard deviation of white noise per control cycle (-).
     bias_f, bias_s : float
         Relative error of scale (-).
     lag : float
@@ -96,7 +96,7 @@ class EstimateSettings:
 
 @dataclass(frozen=True)
 class LawSettings:
-    """What surrounds the lateral law in the exchange.
+    """What surrounds the lateral law in the control cycle.
 
     Attributes
     ----------
@@ -291,7 +291,7 @@ def function(kind: LawKind) -> ca.Function:
     new, command = {"ticks": old["ticks"] + 1}, []
     record: dict[str, ca.SX] = {}
     for gear, track_ahead in zip(gears, tracks, strict=True):
-        torques, following, recorded = _exchange(kind, gear, track_ahead | body)
+        torques, following, recorded = _cycle(kind, gear, track_ahead | body)
         command += torques
         new |= {f"{gear.name}.{name}": value for name, value in following.items()}
         record |= {f"{gear.name}.{name}": value for name, value in recorded.items()}
@@ -314,7 +314,7 @@ def function(kind: LawKind) -> ca.Function:
     )
 
 
-def _exchange(kind: LawKind, gear: _Exact, track_ahead: dict) -> tuple[list, dict, dict]:
+def _cycle(kind: LawKind, gear: _Exact, track_ahead: dict) -> tuple[list, dict, dict]:
     """Torques of both wheels of a gear (N m), its next memory, and what is recorded of it."""
     gain, own, model = gear.gain, gear.own, _part(gear.gain, "model")
     state, estimates = gear.look(track_ahead)
@@ -346,7 +346,7 @@ class _Exact:
     def look(self, track_ahead: dict) -> tuple[dict, dict]:
         """States by name, and estimates of adhesion and slip: scaled, noisy and lagging copies of the true values."""
         gain, estimates = self.gain, {}
-        pole = EXCHANGE_PERIOD / (gain["estimate.lag"] + EXCHANGE_PERIOD)
+        pole = CONTROL_PERIOD / (gain["estimate.lag"] + CONTROL_PERIOD)
         for i, side in enumerate(SIDES):
             for k, (name, short) in enumerate((("fx", "f"), ("sx", "s"))):
                 exact = self.y[f"{self.name}_{side}.{name}"] * (1 + gain[f"estimate.bias_{short}"])
@@ -356,7 +356,7 @@ class _Exact:
         return self.truth, estimates
 
     def send(self, tau_le: ca.SX, tau_ri: ca.SX, track_ahead: dict) -> tuple[list, dict]:
-        """Torques that arrive in this exchange (N m), and what is stored of what the controllers saw."""
+        """Torques that arrive in this cycle (N m), and what is stored of what the controllers saw."""
         return [tau_le, tau_ri], {}
 
 
@@ -375,7 +375,7 @@ class _Sensed(_Exact):
         exact |= {f"w_{side}": y[f"{gear}_{side}.w"] for side in SIDES} | {"v": truth["xdot"], "p": truth["x"]}
         self._readings, lines = sense(exact, self.ticks, g, self._gain, self._line)
         self._stored = {f"sensor.{name}": value for name, value in lines.items()}
-        until = EXCHANGE_PERIOD * self._gain["command"]
+        until = CONTROL_PERIOD * self._gain["command"]
         self.place = self._readings["p"] + until * self._readings["v"]
 
     def look(self, track_ahead: dict) -> tuple[dict, dict]:

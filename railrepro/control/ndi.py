@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import casadi as ca
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.errors import InputError
 from railrepro.schema import is_number
 
@@ -72,7 +72,7 @@ class NDI:
         """
         du = inverse(wanted_jerk(q), q)
         free = ca.fabs(du) < q.tau_max
-        return du, {"integral": q.integral + ca.if_else(free, EXCHANGE_PERIOD * (q.y_ref - q.y), 0)}
+        return du, {"integral": q.integral + ca.if_else(free, CONTROL_PERIOD * (q.y_ref - q.y), 0)}
 
 
 def wanted_jerk(q: SimpleNamespace) -> ca.SX:

@@ -18,7 +18,7 @@ from typing import Generic, NamedTuple, TypeVar
 import casadi as ca
 import numpy as np
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
 from railrepro.errors import InputError
 from railrepro.model.control_model import (
@@ -217,7 +217,7 @@ class MPCSettings:
             require(f"MPC: {name}", getattr(self, name), allowed, whole=name == "steps")
         for name, kind in (("yielding", bool), ("informed", bool), ("discretisation", str), ("variant", str)):
             require(f"MPC: {name}", getattr(self, name), kind)
-        if self.period < EXCHANGE_PERIOD or not round(self.period / EXCHANGE_PERIOD, 6).is_integer():
+        if self.period < CONTROL_PERIOD or not round(self.period / CONTROL_PERIOD, 6).is_integer():
             raise InputError(f"MPC: period = {self.period:g} s, a whole number of ms is needed")
         q = self.q_diag
         numbers = isinstance(q, tuple | list) and len(q) == len(STATES) and all(map(is_number, q))

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.estimation.sensors import Loop, late
 from railrepro.vehicle.parameters import Vehicle
 
@@ -65,7 +65,7 @@ def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.nda
 
 
 def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Stationary Kalman gain for x' = a x + noise of spectral density q, read every exchange with covariance r, and the
+    """Stationary Kalman gain for x' = a x + noise of spectral density q, read every cycle with covariance r, and the
     covariance of the states after a reading.
 
     Source: Van Loan 1978 (discretisation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
@@ -77,7 +77,7 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 def _solved(n: int, *matrices: bytes) -> tuple[np.ndarray, np.ndarray]:
     a, c, q, r = (np.frombuffer(matrix) for matrix in matrices)
     a, c, q = a.reshape(n, n), c.reshape(-1, n), q.reshape(n, n)
-    r, h = r.reshape(len(c), len(c)), EXCHANGE_PERIOD
+    r, h = r.reshape(len(c), len(c)), CONTROL_PERIOD
     both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * h)
     step = both[n:, n:].T
     p = solve_discrete_are(step.T, c.T, step @ both[:n, n:], r)
@@ -112,8 +112,7 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
     gains |= {"wheel.w": float(found[0, 0]), "wheel.force": float(found[1, 0])}
     gains |= {"prediction": loop.latency.measurement + loop.latency.command}
     gains |= {
-        f"{name}_pole": EXCHANGE_PERIOD / (getattr(rates, f"{name}_lag") + EXCHANGE_PERIOD)
-        for name in ("creep", "speed")
+        f"{name}_pole": CONTROL_PERIOD / (getattr(rates, f"{name}_lag") + CONTROL_PERIOD) for name in ("creep", "speed")
     }
     values = [vehicle.gear.inertia_z, inertia, vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping]
     values += [radius, vehicle.gear.contact_base, vehicle.gamma, vehicle.drive.lag, vehicle.effective_yaw_inertia]
@@ -128,11 +127,11 @@ def observe(readings: dict, commands: dict, track_ahead: dict, ticks, gain: dict
     readings : dict of SX
         By `sensors.SIGNALS`, as late as they are.
     commands : dict of SX
-        Torques that were sent to the wheels by side (N m), newest first; that of this exchange is not among them.
+        Torques that were sent to the wheels by side (N m), newest first; that of this cycle is not among them.
     track_ahead : dict of SX
         dpsi_dp, dphi_dp, psi_Tr, psi_CB, dpsi_dp_CB where the gear is, see `railrepro.control.lateral.ROAD`.
     ticks : SX
-        Exchanges since the start; the filter begins with the first readings.
+        Control cycles since the start; the filter begins with the first readings.
     gain, memory : dict of SX
         By the names of `GAINS` (and "measurement", "command" of the sensors, "nominal_load"), and of `STATES`.
 
@@ -169,9 +168,9 @@ def observe(readings: dict, commands: dict, track_ahead: dict, ticks, gain: dict
 
 
 def advance(x: dict, commands: dict, track_ahead: dict, gain: dict) -> dict:
-    """State of the filter an exchange later; parameters as of `observe`, this exchange's torques among the commands."""
+    """State of the filter a cycle later; parameters as of `observe`, this cycle's torques among the commands."""
     model = {name: gain[f"model.{name}"] for name in MODEL}
-    h, following = EXCHANGE_PERIOD, dict(x)
+    h, following = CONTROL_PERIOD, dict(x)
     following["y"] += h * x["v"] * (x["psi"] + x["beta"])
     following["psi"] += h * (x["r"] - x["v"] * track_ahead["dpsi_dp"])
     following["r"] += h * _yaw_acceleration(x, track_ahead, model)
@@ -203,7 +202,7 @@ def _yaw_acceleration(x: dict, track_ahead: dict, model: dict):
 
 
 def _predicted(x: dict, commands: dict, track_ahead: dict, gain: dict, model: dict) -> tuple:
-    """Position, yaw and yaw rate when a torque of this exchange will arrive.
+    """Position, yaw and yaw rate when a torque of this cycle will arrive.
 
     The yaw acceleration that was found goes on; torques that are on their way change it as on rolling wheels.
     """
@@ -213,7 +212,7 @@ def _predicted(x: dict, commands: dict, track_ahead: dict, gain: dict, model: di
     motor = {side: x[f"tau_{side}"] for side in ("le", "ri")}
     before = motor["le"] - motor["ri"]
     for k in range(steps):
-        age = gain["measurement"] + gain["command"] - (k + 0.5) * h / EXCHANGE_PERIOD
+        age = gain["measurement"] + gain["command"] - (k + 0.5) * h / CONTROL_PERIOD
         for side in motor:
             commanded = late(commands[side], ca.fmax(age - 0.5, 0))
             motor[side] += (1 - ca.exp(-h / model["lag"])) * (commanded - motor[side])

@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 
 from railrepro import paths, schema
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.vehicle.parameters import Parameter, loaded
 
 LONGEST = 20
-"""Longest latency that the delay lines hold (exchanges)."""
+"""Longest latency that the delay lines hold (control cycles)."""
 SIGNALS = ("y_ahead", "y_behind", "psidot_Ax", "w_le", "w_ri", "v", "p")
 """Readings of a gear (SI): displacement against the rails in two planes, absolute yaw rate, wheel speeds, speed and
 position along the track."""
@@ -91,15 +91,15 @@ class Position:
 class Latency:
     """Age of the readings and time from a command to the inverter."""
 
-    measurement: Annotated[float, _upto(LONGEST * EXCHANGE_PERIOD, "s")]
-    command: Annotated[float, _upto(LONGEST * EXCHANGE_PERIOD, "s")]
+    measurement: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
+    command: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
 
 
 @schema.table
 class Inverter:
     """What becomes of a command that arrived, unknown to controllers and filter: a further delay, and a gain."""
 
-    delay: Annotated[float, _upto(LONGEST * EXCHANGE_PERIOD, "s")]
+    delay: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
     gain: Annotated[float, Parameter(0.0, 10.0, "-")]
 
 
@@ -140,21 +140,21 @@ class Loop:
 
     def __post_init__(self) -> None:
         for group in dict.fromkeys(_GROUP.values()):
-            ratio = getattr(self, group).period / EXCHANGE_PERIOD
+            ratio = getattr(self, group).period / CONTROL_PERIOD
             if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
                 raise ValueError(
-                    f"{group}.period is {1e3 * EXCHANGE_PERIOD * ratio:g} ms, a whole number of ms is needed"
+                    f"{group}.period is {1e3 * CONTROL_PERIOD * ratio:g} ms, a whole number of ms is needed"
                 )
 
         total = self.latency.measurement + self.latency.command + self.inverter.delay
-        if total > LONGEST * EXCHANGE_PERIOD + 1e-9:
+        if total > LONGEST * CONTROL_PERIOD + 1e-9:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
         """Without noise, bias, rounding, dropouts and latency; the inverter stays as it is."""
         quiet = {
             group: replace(
-                getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=EXCHANGE_PERIOD, dropout=0.0
+                getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=CONTROL_PERIOD, dropout=0.0
             )
             for group in dict.fromkeys(_GROUP.values())
         }
@@ -214,9 +214,9 @@ class Readings:
             settings["bias"] *= draw.uniform(-1.0, 1.0)
             gains |= {f"{signal}.{name}": settings[name] for name in _READ}
         delays = asdict(self.loop.latency) | {"unknown_delay": self.loop.inverter.delay}
-        exchanges = {name: value / EXCHANGE_PERIOD for name, value in delays.items()}
+        cycles = {name: value / CONTROL_PERIOD for name, value in delays.items()}
         constant = {"torque_gain": self.loop.inverter.gain, "base": self.loop.lateral.base}
-        return gains | exchanges | constant | {"seed": float(self.seed % 1_000_003)}
+        return gains | cycles | constant | {"seed": float(self.seed % 1_000_003)}
 
 
 GAINS = (
@@ -236,7 +236,7 @@ def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict
     truth : dict of SX
         Values of `SIGNALS` (SI).
     ticks : SX
-        Exchanges since the start; on the first one the delay lines are filled with its readings.
+        Control cycles since the start; on the first one the delay lines are filled with its readings.
     gear : int
     gain, memory : dict of SX
         By the names of `GAINS` and `MEMORY`.
@@ -254,8 +254,8 @@ def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict
         noisy += gain[f"{signal}.noise"] * gaussian(gain["seed"], len(SIGNALS) * gear + i, ticks)
         step = gain[f"{signal}.resolution"]
         coarse = ca.if_else(step > 0, step * ca.floor(noisy / ca.fmax(step, 1e-12) + 0.5), noisy)
-        due = ca.floor(ticks * EXCHANGE_PERIOD / gain[f"{signal}.period"] + 1e-6)
-        before = ca.floor((ticks - 1) * EXCHANGE_PERIOD / gain[f"{signal}.period"] + 1e-6)
+        due = ca.floor(ticks * CONTROL_PERIOD / gain[f"{signal}.period"] + 1e-6)
+        before = ca.floor((ticks - 1) * CONTROL_PERIOD / gain[f"{signal}.period"] + 1e-6)
         chance = uniform(gain["seed"], 2 * (2 * len(SIGNALS) + len(SIGNALS) * gear + i), ticks)
         lost = chance < gain[f"{signal}.dropout"]
         fresh = ca.logic_or(ticks < 0.5, ca.logic_and(due > before, ca.logic_not(lost)))
@@ -270,17 +270,17 @@ def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict
 
 
 def sent(torque, signal: str, memory: dict) -> list:
-    """Line of a wheel's commands (N m) with that of this exchange as its newest."""
+    """Line of a wheel's commands (N m) with that of this cycle as its newest."""
     return [torque, *(memory[f"{signal}.{k}"] for k in range(LONGEST))]
 
 
-def late(line: list, exchanges):
-    """Entry of a delay line (newest first) that is some exchanges old, linear in between."""
-    return sum(ca.fmax(0, 1 - ca.fabs(exchanges - k)) * value for k, value in enumerate(line))
+def late(line: list, cycles):
+    """Entry of a delay line (newest first) that is some control cycles old, linear in between."""
+    return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
 def arriving(line: list, gain: dict):
-    """Torque that a motor is commanded in this exchange (N m), from the line of its commands."""
+    """Torque that a motor is commanded in this control cycle (N m), from the line of its commands."""
     return gain["torque_gain"] * late(line, gain["command"] + gain["unknown_delay"])
 
 
@@ -298,7 +298,7 @@ def gaussian(seed, channel: int, ticks):
 
 
 def uniform(seed, channel: int, ticks):
-    """Number between 0 and 1, another one in each exchange; `channel` counts on from those of `gaussian`, twice."""
+    """Number between 0 and 1, another one in each cycle; `channel` counts on from those of `gaussian`, twice."""
     return _hashed(seed, channel, ticks) / _MODULUS
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from railrepro.car import equations, stepper
 from railrepro.car.component import DERAILED, LARGEST_TORQUE, SteppedCar
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.export.unit import Unit, constant, unit_file, write_unit
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
@@ -57,7 +57,7 @@ def _constants(car: SteppedCar) -> str:
     sizes |= {"N_CELLS": len(car.route.cells), "N_CONTACT": equations.CONTACT_COLUMNS, "N_CONTACTS": len(contacts)}
     sizes |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
     grids = {"CELL_START": car.route.cells[0, INDEX["p"]], "CELL_STEP": CELL}
-    grids |= {"CONTACT_START": car.table.start, "CONTACT_STEP": car.table.step, "PERIOD": EXCHANGE_PERIOD}
+    grids |= {"CONTACT_START": car.table.start, "CONTACT_STEP": car.table.step, "PERIOD": CONTROL_PERIOD}
     grids |= {"LARGEST_STATE": _LARGEST_STATE, "DERAILED": DERAILED}
     outputs = equations.car().outputs
     sizes |= {"FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}

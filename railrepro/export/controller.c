@@ -10,7 +10,7 @@ typedef struct {
   double *out[LAW_RES];
   casadi_int integers[LAW_IW + 1];
   double work[LAW_W + 1];
-  casadi_int exchanges;
+  casadi_int cycles;
 #ifdef PLAN_STEPS
   planner_memory_t planner[GEARS];
 #endif
@@ -23,18 +23,18 @@ void controller_reset(controller_t *c) {
 #endif
 }
 
-/* One exchange: from `measured` to `torque`; not 0 when the law fails. */
+/* One control cycle: from `measured` to `torque`; not 0 when the law fails. */
 int controller_step(controller_t *c) {
   for (int g = 0; g < GEARS; ++g) {
     const double *row = row_at(CELLS, c->measured[PLACES[g]], CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
     memcpy(c->rows + g * N_CELL_COLUMNS, row, N_CELL_COLUMNS * sizeof(double));
   }
 #ifdef PLAN_STEPS
-  if (c->exchanges % PLAN_STEPS == 0)
+  if (c->cycles % PLAN_STEPS == 0)
     for (int g = 0; g < GEARS; ++g) {
       double state[N_SEEN];
       for (int i = 0; i < N_SEEN; ++i)
-        state[i] = SEEN_IN_MEMORY && c->exchanges ? c->memory[SEEN[g][i]] : c->measured[STATES_AT[g][i]];
+        state[i] = SEEN_IN_MEMORY && c->cycles ? c->memory[SEEN[g][i]] : c->measured[STATES_AT[g][i]];
       c->held[g] = planner_sample(&c->planner[g], state, c->memory[BASE[g]]);
     }
 #endif
@@ -44,6 +44,6 @@ int controller_step(controller_t *c) {
   memcpy(c->in, in, sizeof in), memcpy(c->out, out, sizeof out);
   if (control_law(c->in, c->out, c->integers, c->work, 0)) return 1;
   memcpy(c->memory, c->next, sizeof c->memory);
-  ++c->exchanges;
+  ++c->cycles;
   return 0;
 }

@@ -17,7 +17,7 @@ import numpy as np
 
 from railrepro.car import equations
 from railrepro.car.component import DERAILED
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
@@ -103,7 +103,7 @@ class Export:
         sizes |= {"N_MEMORY": len(control.kind.memory), "GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)}
         sizes |= _work("LAW", [control.function])
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
-        sizes |= {"PERIOD": float(EXCHANGE_PERIOD).hex()}
+        sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}
         places = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
         text = _places("MEASURED", law.MEASURED) + _places("TORQUE", TORQUES)
         text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("PLACES", places)
@@ -119,7 +119,7 @@ class Export:
         """The predictive controllers of both gears: solver, numbers, where they find what is measured."""
         settings, first = planners[0].settings, planners[0]
         functions, memory = _functions(first), control.kind.memory
-        sizes: dict[str, int | str] = {"PLAN_STEPS": round(settings.period / EXCHANGE_PERIOD), "STEPS": settings.steps}
+        sizes: dict[str, int | str] = {"PLAN_STEPS": round(settings.period / CONTROL_PERIOD), "STEPS": settings.steps}
         sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
         sizes |= {"INFORMED": int(settings.informed), "N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.kind.sensed)}
         sizes |= _work("PLAN", functions)

@@ -16,7 +16,7 @@ static void reset(unit_t *u) {
 
 static void begin(unit_t *u) {}
 
-/* What is measured is held for all exchanges of a step. */
+/* What is measured is held for all cycles of a step. */
 static status_t advance(unit_t *u, casadi_int steps) {
   memcpy(u->controller.measured, u->inputs, sizeof u->controller.measured);
   for (casadi_int k = 0; k < steps; ++k)

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.errors import InputError
 from railrepro.files import write
@@ -129,7 +129,7 @@ def _description(unit: Unit, guid: str) -> str:
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusError", "logStatusWarning"):
         ElementTree.SubElement(categories, "Category", name=name)
-    step = str(EXCHANGE_PERIOD)
+    step = str(CONTROL_PERIOD)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=step)
     variables = ElementTree.SubElement(root, "ModelVariables")
     for attributes, number in _variables(unit):

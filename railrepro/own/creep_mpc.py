@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.table import contact_table
 from railrepro.control.lateral import SlowController
 from railrepro.control.mpc import Solve
@@ -141,7 +141,7 @@ class CreepGuide:
     def _wait(self, delay: float) -> None:
         """Plan for torques that act a delay (s) after what was read."""
         self._delay, self._late = delay, delay_of(delay, self._settings)
-        self._behind = max(delay - EXCHANGE_PERIOD, 0.0)  # the measured position is that of an exchange before
+        self._behind = max(delay - CONTROL_PERIOD, 0.0)  # the measured position is that of a control cycle before
         self._schedule = schedule(self._vehicle, self._settings, self._creep, delay)
         self.sent = np.zeros(self._late.sent)
 

@@ -20,7 +20,7 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.schema import above, between, require
 
@@ -122,7 +122,7 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     f_star : SX
         Adhesion set point, traction-positive (-).
     v, ticks : SX
-        Speed (m/s) and number of the exchange.
+        Speed (m/s) and number of the control cycle.
     memory : dict of SX
         `SlipSettings.memory`: base torque and demand (N m), limit (-), filtered adhesion and slip in the direction of
         the demand, their means, variance of slip and covariance with adhesion.
@@ -140,7 +140,7 @@ def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
     segment : SX
         1 follows the demand, 2 holds the limit of slip, 3 lowers the limit.
     """
-    h, sign = EXCHANGE_PERIOD, ca.if_else(f_star < 0, -1, 1)
+    h, sign = CONTROL_PERIOD, ca.if_else(f_star < 0, -1, 1)
     along_f, along_s = [sign * value for value in f], [-sign * value for value in s]
     quick, passing, slow = (h / (gain[f"adhesion.{name}"] + h) for name in ("filter_time", "mean_time", "forget"))
     old = {name: memory[name] for name in SlipSettings.memory}

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.car.equations import SLIP_FLOOR
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.contact.creep import polach
 from railrepro.contact.table import middle_patch
@@ -77,13 +77,13 @@ def _grip(w, v, case: dict, factor) -> tuple[ca.SX, ca.SX]:
 
 
 @lru_cache
-def _exchange() -> ca.Function:
-    """One exchange of one case: (state, demand, friction factor, case) -> state, outputs."""
+def _cycle() -> ca.Function:
+    """One control cycle of one case: (state, demand, friction factor, case) -> state, outputs."""
     state, case_ = ca.SX.sym("state", len(_STATE)), ca.SX.sym("case", len(_CASE))
     f_star, factor = ca.SX.sym("f_star"), ca.SX.sym("factor")
     x, case = (dict(zip(n, ca.vertsplit(v), strict=True)) for n, v in ((_STATE, state), (_CASE, case_)))
     f_now, s_now = _grip(x["w"], x["v"], case, factor)
-    pole = EXCHANGE_PERIOD / (case["estimate.lag"] + EXCHANGE_PERIOD)
+    pole = CONTROL_PERIOD / (case["estimate.lag"] + CONTROL_PERIOD)
     seen = {}
     for channel, (name, value) in enumerate((("f", f_now), ("s", s_now))):
         noise = case[f"estimate.noise_{name}"] * white_noise(x["tick"], channel)
@@ -97,7 +97,7 @@ def _exchange() -> ca.Function:
     f_, _ = _grip(w_, v_, case, factor)
     spin_up = (u_ - case["radius"] * case["load"] * f_) / case["inertia"]
     rate = ca.Function("rate", [w_, v_, u_, factor, case_], [spin_up, ca.jacobian(spin_up, w_), f_])
-    w, v, h = x["w"], x["v"], EXCHANGE_PERIOD / _SUBSTEPS
+    w, v, h = x["w"], x["v"], CONTROL_PERIOD / _SUBSTEPS
     for _ in range(_SUBSTEPS):
         faster, stiffness, f = rate(w, v, u, factor, case_)
         w, v = w + h * faster / (1 - h * stiffness), v + h * case["gravity"] * f
@@ -130,7 +130,7 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     body: tuple[float, ...] = (wheel.radius, wheel.spin_inertia, vehicle.wheel_load, vehicle.gravity, 1e5)
     body += (a, b, *kalker, vehicle.contact.shear_modulus)
     columns = [[*c.law.gains().values(), *c.estimate.gains().values(), *astuple(c.adhesion), *body] for c in cases]
-    call = codegen.compiled(_exchange().map("bare_wheels", "serial", len(cases), [], []))
+    call = codegen.compiled(_cycle().map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, friction, case = call.arguments
     start = np.zeros((len(cases), len(_STATE)))
     spin, running = _STATE.index("w"), _STATE.index("v")

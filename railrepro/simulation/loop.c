@@ -1,4 +1,4 @@
-/* The 1 kHz exchange between a car and a control law: measure, control, record, step. Knows nothing of either: functions
+/* The 1 kHz control cycle between a car and a control law: measure, control, record, step. Knows nothing of either: functions
    from other shared objects and buffers that they share. Starts after call.h. */
 
 typedef struct {
@@ -17,7 +17,7 @@ static void copy(const copy_t *copies, casadi_int n) {
   for (casadi_int i = 0; i < n; ++i) memcpy(copies[i].to, copies[i].from, (size_t)copies[i].n * sizeof(double));
 }
 
-/* Returns the number of finished exchanges; a margin that is not positive, a value that is not finite or a failing
+/* Returns the number of finished control cycles; a margin that is not positive, a value that is not finite or a failing
    function ends the run before the step (its row is still in the log). */
 casadi_int loop_run(const loop_t *loop, casadi_int n, double *row) {
   for (casadi_int k = 0; k < n; ++k) {

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
 from railrepro.errors import InputError
@@ -122,9 +122,9 @@ def effort(series: pd.DataFrame, gear: str = "front") -> float:
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared differential torque above `ACTIVITY` (N m): noise that goes through, and limit cycles.
 
-    Rows of `EXCHANGE_PERIOD`; a Butterworth filter of fourth order, forth and back.
+    Rows of `CONTROL_PERIOD`; a Butterworth filter of fourth order, forth and back.
     """
-    sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / EXCHANGE_PERIOD, output="sos")
+    sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     du = _of(series, f"{gear}.du")
     return float(np.sqrt(np.mean(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)) ** 2)))
 

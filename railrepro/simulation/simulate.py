@@ -14,7 +14,7 @@ import pandas as pd
 
 from railrepro.car import equations
 from railrepro.car.component import DERAILED
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.table import contact_table
 from railrepro.control import lateral, law
 from railrepro.control.adhesion import LongitudinalLaw
@@ -23,7 +23,7 @@ from railrepro.errors import InputError
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
 from railrepro.schema import between, require
-from railrepro.simulation.exchange import Exchange
+from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY
 from railrepro.simulation.scenarios import Scenario
 from railrepro.threads import one_thread
@@ -41,7 +41,7 @@ class Run:
     Attributes
     ----------
     series : DataFrame
-        One row per exchange: t_s and the columns of `Exchange.columns` (SI).
+        One row per control cycle: t_s and the columns of `ClosedLoop.columns` (SI).
     ended : str
         Why the run ended, one sentence.
     failed : bool
@@ -122,24 +122,24 @@ def run(
     latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()
     with one_thread():
         controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
-        exchange = start(scenario, lateral_law, route, vehicle, body, settings, substeps)
-        longest = _longest(route, scenario, len(exchange.columns))
-        log = _drive(exchange, controllers, longest, sum(latency) + EXCHANGE_PERIOD)
-    series = pd.DataFrame(log, columns=exchange.columns)
-    series.insert(0, "t_s", np.arange(len(series)) * EXCHANGE_PERIOD)
-    ended, failed = _reason(exchange, series)
+        loop = start(scenario, lateral_law, route, vehicle, body, settings, substeps)
+        longest = _longest(route, scenario, len(loop.columns))
+        log = _drive(loop, controllers, longest, sum(latency) + CONTROL_PERIOD)
+    series = pd.DataFrame(log, columns=loop.columns)
+    series.insert(0, "t_s", np.arange(len(series)) * CONTROL_PERIOD)
+    ended, failed = _reason(loop, series)
     if not np.isfinite(log[-1]).all():  # the run ends at such a row, which `ended` names
         series = series[:-1]
-    memory = dict(zip(exchange.control.kind.memory, exchange.memory.tolist(), strict=True))
-    return Run(series, ended, failed, _warnings(series, body), controllers, exchange.state.copy(), memory)
+    memory = dict(zip(loop.control.kind.memory, loop.memory.tolist(), strict=True))
+    return Run(series, ended, failed, _warnings(series, body), controllers, loop.state.copy(), memory)
 
 
 def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tuple[lateral.SlowController, ...]:
-    """Slower controllers of both gears, of one period that the exchanges can keep; InputError otherwise."""
+    """Slower controllers of both gears, of one period that the control cycle divides; InputError otherwise."""
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
     for controller in controllers:
         lateral.check_controller(controller)
-    periods = {round(controller.period / EXCHANGE_PERIOD, 6) for controller in controllers}
+    periods = {round(controller.period / CONTROL_PERIOD, 6) for controller in controllers}
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
         raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
     for leader, follower in pairwise(controllers):
@@ -157,7 +157,7 @@ def checked_route(scenario: Scenario, body: Vehicle, irregularities=None, line=N
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
     settings: law.LawSettings = law.PLAIN, substeps: int = 1,
-) -> Exchange:  # fmt: skip
+) -> ClosedLoop:  # fmt: skip
     """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
 
     Parameters
@@ -174,34 +174,34 @@ def start(
     control = law.control_law(vehicle, guidance, settings, **limits)
     parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
     state = equations.rest_state(body, table, scenario.speed)
-    return Exchange(parameters, table, route, control, state, substeps)
+    return ClosedLoop(parameters, table, route, control, state, substeps)
 
 
 def _longest(route: Route, scenario: Scenario, columns: int) -> int:
-    """Most exchanges a run may take: the way at a tenth of the initial speed, at least 10 s, within `LARGEST_LOG`."""
+    """Most cycles a run may take: the way at a tenth of the initial speed, at least 10 s, within `LARGEST_LOG`."""
     seconds, fit = route.length / scenario.speed, LARGEST_LOG // (8 * columns)
-    if seconds / EXCHANGE_PERIOD > fit:
+    if seconds / CONTROL_PERIOD > fit:
         raise InputError(
             f"scenario {scenario.name}: {route.length:g} m at {scenario.speed_kmh:g} km/h take {seconds:.0f} s, up to "
-            f"{fit * EXCHANGE_PERIOD:.0f} s fit into a log of {LARGEST_LOG / 2**30:g} GiB, drive it in parts"
+            f"{fit * CONTROL_PERIOD:.0f} s fit into a log of {LARGEST_LOG / 2**30:g} GiB, drive it in parts"
         )
-    return min(int(max(10.0, 10 * seconds) / EXCHANGE_PERIOD), fit)
+    return min(int(max(10.0, 10 * seconds) / CONTROL_PERIOD), fit)
 
 
-def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -> np.ndarray:
-    """Alternate lateral plans and exchanges until the run ends; returns rows of the log, shape (n, columns).
+def _drive(loop: ClosedLoop, controllers: tuple, longest: int, delay: float) -> np.ndarray:
+    """Alternate lateral plans and control cycles until the run ends; returns rows of the log, shape (n, columns).
 
-    With sensors a torque acts a `delay` (s) after the readings that it answers, those of the exchange before.
+    With sensors a torque acts a `delay` (s) after the readings that it answers, those of the cycle before.
     """
     if not controllers:
-        return exchange.run(longest)
-    steps = round(controllers[0].period / EXCHANGE_PERIOD)
+        return loop.run(longest)
+    steps = round(controllers[0].period / CONTROL_PERIOD)
     blocks = []
     for _ in range(0, longest, steps):
-        if not np.isfinite(exchange.measure()).all():
+        if not np.isfinite(loop.measure()).all():
             break
-        states, base = exchange.measured_states(), exchange.base_torques()
-        estimates, readings = exchange.adhesion_estimates(), exchange.readings()
+        states, base = loop.measured_states(), loop.base_torques()
+        estimates, readings = loop.adhesion_estimates(), loop.readings()
         for gear, controller in enumerate(controllers):
             if hasattr(controller, "notice"):
                 controller.notice(*estimates[gear])
@@ -210,24 +210,24 @@ def _drive(exchange: Exchange, controllers: tuple, longest: int, delay: float) -
             plan = lateral.planned(controller.plan(states[gear], base[gear]))
             if not isfinite(plan):
                 raise ArithmeticError(
-                    f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {exchange.time:.3f} s, "
+                    f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {loop.time:.3f} s, "
                     f"p = {states[gear, X]:.1f} m"
                 )
-            exchange.held[gear] = plan
-        blocks.append(exchange.run(steps))
-        if exchange.ended:
+            loop.held[gear] = plan
+        blocks.append(loop.run(steps))
+        if loop.ended:
             break
     return np.concatenate(blocks)
 
 
-def _reason(exchange: Exchange, series: pd.DataFrame) -> tuple[str, bool]:
+def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:
     """Why a run ended, and whether that is a failure."""
     last = series.iloc[-1]
     at = f"at t = {last['t_s']:.3f} s, p = {last['front.p']:.1f} m"
     broken = [name for name, value in last.items() if not np.isfinite(value)]
     if broken:
         return f"{broken[0]} is not a finite number {at}", True
-    margins = exchange.margins
+    margins = loop.margins
     for name in GEARS:
         if margins[f"{name}.lateral"] <= 0:
             return f"{name} gear derailed, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True

@@ -26,7 +26,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 from scipy.special import elliprd
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.errors import InputError
 from railrepro.track.alignment import Alignment
@@ -373,20 +373,20 @@ class ExudynCar:
         loads, self._found, self._measured = self._forces()
         self._loads = loads.reshape(7, 6).tolist()
 
-    def run(self, law: Callable, exchanges: int, step: float = STEP) -> pd.DataFrame:
-        """Drive under law(number of the exchange, measured) -> torque commands (4), each held for an exchange.
+    def run(self, law: Callable, cycles: int, step: float = STEP) -> pd.DataFrame:
+        """Drive under law(number of the control cycle, measured) -> torque commands (4), each held for a cycle.
 
-        An exchange has a whole number of steps. One row per exchange, columns `MEASURED` (SI).
+        A control cycle has a whole number of steps. One row per cycle, columns `MEASURED` (SI).
         """
         self._command, self._before, self._since = np.zeros(4), np.zeros(4), 0.0
-        per_exchange, log, count = round(EXCHANGE_PERIOD / step), [], 0
+        per_cycle, log, count = round(CONTROL_PERIOD / step), [], 0
 
         def before_step(_mbs, _end):
             nonlocal count
             time = count * step
             self._evaluate(time)
             advance, self._s[:] = self._found - self._s, self._found
-            if count % per_exchange == 0:
+            if count % per_cycle == 0:
                 self._stations[:] = self._rails.at(self._s).ravel()
                 self._evaluate(time)
                 self._before, self._since = self._tau.copy(), time
@@ -399,8 +399,8 @@ class ExudynCar:
 
         self._mbs.SetPreStepUserFunction(before_step)
         settings = self._exu.SimulationSettings()
-        settings.timeIntegration.endTime = exchanges * EXCHANGE_PERIOD
-        settings.timeIntegration.numberOfSteps = exchanges * per_exchange
+        settings.timeIntegration.endTime = cycles * CONTROL_PERIOD
+        settings.timeIntegration.numberOfSteps = cycles * per_cycle
         settings.timeIntegration.explicit.computeEndOfStepAccelerations = False
         settings.solution.file.write = False
         self._mbs.SolveDynamic(settings, solverType=self._exu.DynamicSolverType.RK44)

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from railrepro import paths
 from railrepro.car.component import SteppedCar
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError, report_errors
 from railrepro.evidence.report.agreement import AGREEMENT
@@ -32,7 +32,7 @@ from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SHORT_STEPS = 20
-"""Steps of our car in an exchange when its own step error is to vanish."""
+"""Steps of our car in a control cycle when its own step error is to vanish."""
 GUIDED = tuple(f"{gear}.du" for gear in GEARS)
 _GUARD = 8.0
 """Fourfold pole of the feedback that holds a replay on the recorded path (rad/s), far below those of the controllers.
@@ -81,7 +81,7 @@ CASES = (
 class _Pulses:
     """Differential torque +, -, -, + of 0.1 s each, opposite on the rear gear: yaw goes and comes back."""
 
-    period = EXCHANGE_PERIOD
+    period = CONTROL_PERIOD
 
     def __init__(self, amplitude: float, gear: int):
         self._count, self._amplitude = -100, amplitude * (1 - 2 * gear)
@@ -92,7 +92,7 @@ class _Pulses:
 
 
 def record(case: Case, vehicle: Vehicle) -> tuple[pd.DataFrame, route.Route, Rails]:
-    """Our car's run, one row per exchange (see `simulate.run`), the route it went, and the same rails for Exudyn's."""
+    """Our car's run, one row per cycle (see `simulate.run`), the route it went, and the same rails for Exudyn's."""
     scenario = load_scenario(case.scenario).but(**case.changes)
     rough = irregularities(np.arange(0.0, scenario.end_m, route.CELL)) if case.irregular else None
     guidance = (lambda _v, _w, gear: _Pulses(case.pulses, gear)) if case.pulses else NDI(integral=0.1)
@@ -117,8 +117,8 @@ class _Guard:
 
     def __call__(self, k: int, measured: np.ndarray) -> np.ndarray:
         y, yaw = np.split(self._path[k] - measured[:4], 2)
-        rate, self._before = (yaw - self._before) / EXCHANGE_PERIOD, yaw
-        self._sum += _GUARD / 4 * EXCHANGE_PERIOD * y
+        rate, self._before = (yaw - self._before) / CONTROL_PERIOD, yaw
+        self._sum += _GUARD / 4 * CONTROL_PERIOD * y
         steered = 4 * _GUARD**3 / self._speed[k] * (y + self._sum) + 6 * _GUARD**2 * yaw + 4 * _GUARD * rate
         self._added[k] = self._gain * steered
         return (self._pulled[k][:, None] + np.outer(self._steered[k] + self._added[k], (1, -1))).ravel()
@@ -131,7 +131,7 @@ class _Guard:
 def replay(case: Case, vehicle: Vehicle | None = None, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFrame]:
     """Both cars, on cones, through a case; Exudyn's with a creep law of its own.
 
-    Tables "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per exchange, `MEASURED` (SI)
+    Tables "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per cycle, `MEASURED` (SI)
     and the differential torque commands `GUIDED` (N m), the feedback that holds a replay on its path included.
     """
     vehicle = vehicle or load_vehicle(**{"contact.profile": "cone"})
@@ -141,7 +141,7 @@ def replay(case: Case, vehicle: Vehicle | None = None, law: Callable = exudyn_ca
     for k in range(len(series)):
         outputs = car.outputs
         log.append(np.array([outputs[name] for name in MEASURED]))
-        car.step(guard(k, log[-1]), SHORT_STEPS, EXCHANGE_PERIOD / SHORT_STEPS)
+        car.step(guard(k, log[-1]), SHORT_STEPS, CONTROL_PERIOD / SHORT_STEPS)
     short = pd.DataFrame(log, columns=MEASURED).assign(**guard.guided())
     other, guard = ExudynCar(vehicle, rails, speed, law), _Guard(case, series, vehicle)
     theirs = other.run(guard, len(series), case.step).assign(**guard.guided())

@@ -134,7 +134,7 @@ def matching(car, readings):
 def rolling(vehicle, speed):
     """Our car after half a second."""
     car = SteppedCar("T5", speed, vehicle)
-    car.step(exchanges=500)
+    car.step(steps=500)
     return car
 
 
@@ -236,7 +236,7 @@ def test_car_rolls_on_the_table_that_it_is_given():
     )
     for car in (as_table, as_angle):
         car.state[indices("front.y")] = 2e-3
-        car.step(exchanges=200)
+        car.step(steps=200)
     assert np.abs(as_angle.state[indices("front.y")]) > 5e-4
     assert as_table.state == pytest.approx(as_angle.state, abs=1e-12)
 

@@ -40,7 +40,7 @@ from railrepro.evidence.runs.experiment import Experiment
 from railrepro.files import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
-from railrepro.simulation.exchange import Exchange
+from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.track.rough import rough_track
 from railrepro.track.route import CELL, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -272,7 +272,7 @@ def solver_operations(vehicle: Vehicle, settings: MPCSettings, least: float = 0.
 
 
 def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
-    """Real-time factors of the car and of the closed loop, and where the time of an exchange goes."""
+    """Real-time factors of the car and of the closed loop, and where the time of a control cycle goes."""
     rows, base, per_second = [], scenarios.load_scenario("sine_tracking"), "ms per simulated s"
 
     def add(what: str, value: float, unit: str, speed_kmh: float = 400) -> None:
@@ -280,51 +280,51 @@ def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
 
     for speed_kmh in (400, 160, 40, 5):
         scenario = base.but(speed_kmh=speed_kmh, end_m=max(20.0, speed_kmh / 3.6 * 9))
-        exchange, loop = _loop(scenario, vehicle)
+        loop, per_cycle = _loop(scenario, vehicle)
         begin = time.perf_counter()
         run = simulate.run(scenario, NDI(), vehicle=vehicle)
         whole = (time.perf_counter() - begin) / run.series["t_s"].iloc[-1]
-        add("car alone", 1e6 * _seconds(exchange.functions["step"]), per_second, speed_kmh)
-        add("loop with NDI, adhesion law and log", 1e6 * loop, per_second, speed_kmh)
+        add("car alone", 1e6 * _seconds(loop.functions["step"]), per_second, speed_kmh)
+        add("loop with NDI, adhesion law and log", 1e6 * per_cycle, per_second, speed_kmh)
         add("whole run, Python included", 1e3 * whole, per_second, speed_kmh)
     changes = {"S1002": {}, "cone": {"contact.profile": "cone"}}
     for speed_kmh in (400, 160, 40):
         scenario = base.but(speed_kmh=speed_kmh, end_m=max(50.0, speed_kmh / 3.6 * 3))
         rough = rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum="en_B_300")
         for name, change in changes.items():
-            _, loop = _loop(scenario, load_vehicle(**change), rough)
-            add(f"loop on irregular rails, {name}", 1e6 * loop, per_second, speed_kmh)
-    exchange, loop = _loop(base, vehicle)
+            _, per_cycle = _loop(scenario, load_vehicle(**change), rough)
+            add(f"loop on irregular rails, {name}", 1e6 * per_cycle, per_second, speed_kmh)
+    loop, per_cycle = _loop(base, vehicle)
     nothing = ca.SX.sym("x")
     overhead = _seconds(codegen.compiled(ca.Function("nothing", [nothing], [nothing])))
-    parts = {part: max(0.0, _seconds(exchange.functions[name]) - overhead) for name, part in _PARTS.items()}
+    parts = {part: max(0.0, _seconds(loop.functions[name]) - overhead) for name, part in _PARTS.items()}
     for name, seconds in parts.items():
-        add(f"share of {name}", seconds / loop, "-")
-    add("share of look-up and log", 1 - sum(parts.values()) / loop, "-")
+        add(f"share of {name}", seconds / per_cycle, "-")
+    add("share of look-up and log", 1 - sum(parts.values()) / per_cycle, "-")
     operations = equations.car().operations
     for name in ("contact", "suspension"):
         add(f"share of {name} in the operations of the car's rate", operations[name] / operations["all"], "-")
     return pd.DataFrame(rows)
 
 
-def _loop(scenario, vehicle: Vehicle, rough=None, exchanges: int = 1000) -> tuple[Exchange, float]:
-    """An exchange after a run, and the time of one of its exchanges (s), best of five runs."""
+def _loop(scenario, vehicle: Vehicle, rough=None, cycles: int = 1000) -> tuple[ClosedLoop, float]:
+    """A closed loop after a run, and the time of one of its control cycles (s), best of five runs."""
     best = np.inf
     for _ in range(5):
-        exchange = _exchange(scenario, vehicle, rough)
+        loop = _closed_loop(scenario, vehicle, rough)
         begin = time.perf_counter()
-        exchange.run(exchanges)
-        best = min(best, (time.perf_counter() - begin) / exchanges)
-    return exchange, best
+        loop.run(cycles)
+        best = min(best, (time.perf_counter() - begin) / cycles)
+    return loop, best
 
 
-def _exchange(scenario, vehicle: Vehicle, rough=None) -> Exchange:
+def _closed_loop(scenario, vehicle: Vehicle, rough=None) -> ClosedLoop:
     table = contact_table(vehicle.contact.profile, vehicle)
     limits = {"lateral_limit": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
     control = law.control_law(vehicle, NDI(), **limits)
     parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
     state = equations.rest_state(vehicle, table, scenario.speed)
-    return Exchange(parameters, table, scenario.route(rough), control, state)
+    return ClosedLoop(parameters, table, scenario.route(rough), control, state)
 
 
 def executor_speed(particles: int = 24, rounds: int = 2) -> pd.DataFrame:

@@ -71,7 +71,7 @@ class Experiment:
     ride : bool
         Whether the row also has the figures of `ride.ride_summary`.
     stride : int
-        Every n-th exchange of the front gear is kept as a series; 0 keeps none.
+        Every n-th control cycle of the front gear is kept as a series; 0 keeps none.
     from_m : float
         Coordinate of the front gear from which the figures of the row count.
     """

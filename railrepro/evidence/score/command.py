@@ -33,7 +33,7 @@ def main(controller: str | None = None, seed: int | None = None, small: bool = F
 
 
 def description() -> str:
-    """Names that `torque` of a law of the 1 kHz exchange may use, with unit and meaning."""
+    """Names that `torque` of a law of the 1 kHz control cycle may use, with unit and meaning."""
     short = {full: name for name, full in lateral.SHORT.items()}
     lines = [
         "A law is one class with torque(self, q); q has these quantities as attributes, for example q.y. It returns",

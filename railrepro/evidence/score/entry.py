@@ -1,6 +1,6 @@
 """What is scored: a registered controller, or a file with one class.
 
-A class with `torque` is a law of the 1 kHz exchange, one with `plan` a slower controller that is made as
+A class with `torque` is a law of the 1 kHz control cycle, one with `plan` a slower controller that is made as
 (vehicle, route, gear); see `railrepro.control.lateral`. A class attribute `tuned` may hold keyword arguments per
 setting.
 """

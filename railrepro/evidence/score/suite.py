@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro import paths, schema
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
 from railrepro.estimation.sensors import late
 from railrepro.evidence.runs.tuning import EQUAL, LOOP, SEED
@@ -126,7 +126,7 @@ def _margins(setting: str, seed: int) -> list[Case]:
 
 
 class DelayedLaw:
-    """A 1 kHz law whose torque acts some exchanges later; a `lateral.LateralLaw`.
+    """A 1 kHz law whose torque acts some control cycles later; a `lateral.LateralLaw`.
 
     Parameters
     ----------
@@ -136,13 +136,13 @@ class DelayedLaw:
     """
 
     def __init__(self, law: lateral.LateralLaw, delay: float):
-        self._law, self._exchanges = law, delay / EXCHANGE_PERIOD
+        self._law, self._cycles = law, delay / CONTROL_PERIOD
         self._line = tuple(f"delayed_{k}" for k in range(max(_DELAYS)))
         self.memory = (*getattr(law, "memory", ()), *self._line)
 
     def gains(self) -> dict[str, float]:
         """See `LateralLaw.gains`."""
-        return {**lateral.gains_of(self._law), "delay_ticks": self._exchanges}
+        return {**lateral.gains_of(self._law), "delay_ticks": self._cycles}
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""

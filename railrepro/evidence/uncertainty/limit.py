@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 from scipy.optimize import brentq
 
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.estimation.sensors import Loop
 from railrepro.own.creep_model import STATES, UNKNOWN, Creep, creep_at, lateral_model
 from railrepro.vehicle.parameters import Vehicle
@@ -112,7 +112,7 @@ def system(
     -------
     System
     """
-    h, n = EXCHANGE_PERIOD, len(STATES)
+    h, n = CONTROL_PERIOD, len(STATES)
     model = lateral_model(vehicle, speed, creep or creep_at(vehicle, "dry", 20.0)).discrete(h)
     late = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
     slow, chain = len(UNKNOWN) + len(BIASES), late + 1
@@ -190,7 +190,7 @@ def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
 
 def _above(closed: np.ndarray, noise: np.ndarray, state: int) -> float:
     """Standard deviation of a state above 5 Hz, from x_(k+1) = closed x_k + noise e_k with white e of unit variance."""
-    h, n = EXCHANGE_PERIOD, len(closed)
+    h, n = CONTROL_PERIOD, len(closed)
     f = np.geomspace(_CUT / 4, 0.5 / h, 300)
     passed = 1 / (1 + (np.tan(np.pi * _CUT * h) / np.tan(np.minimum(np.pi * f * h, 1.57))) ** (2 * _ORDER))
     resolvent = np.linalg.inv(np.exp(2j * np.pi * f * h)[:, None, None] * np.eye(n) - closed)

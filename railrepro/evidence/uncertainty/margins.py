@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, SHOWN
 from railrepro.estimation.sensors import load_loop, readings
@@ -61,7 +61,7 @@ class ProbedLaw:
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
         """See `LateralLaw.torque`."""
         du, following = lateral.answer(self._law, q)
-        signal = q.probe_amplitude * multisine(q.probe_ticks * EXCHANGE_PERIOD, ca.sin)
+        signal = q.probe_amplitude * multisine(q.probe_ticks * CONTROL_PERIOD, ca.sin)
         return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
 
 
@@ -122,7 +122,7 @@ def sensitivity(
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None
-    first, count, found = round(SETTLED / EXCHANGE_PERIOD), round(WINDOW / EXCHANGE_PERIOD), []
+    first, count, found = round(SETTLED / CONTROL_PERIOD), round(WINDOW / CONTROL_PERIOD), []
     for amplitude in (0.0, AMPLITUDE):
         run = simulate.run(scenario, probed(guidance, amplitude), vehicle=vehicle, sensors=seen)
         if run.failed:
@@ -131,7 +131,7 @@ def sensitivity(
     answer = (found[1] - found[0])[first:] / AMPLITUDE
     early, late = (np.sqrt(np.mean(half**2)) for half in np.split(answer, 2))
     torque = np.fft.rfft(answer)
-    disturbance = np.fft.rfft(multisine((first + np.arange(count)) * EXCHANGE_PERIOD))
+    disturbance = np.fft.rfft(multisine((first + np.arange(count)) * CONTROL_PERIOD))
     lines = np.round(np.array(FREQUENCIES) * WINDOW).astype(int)
     answered = np.sum(np.abs(torque[lines]) ** 2) / np.sum(np.abs(torque) ** 2)
     stable = answered > LINEAR and late < 2 * early

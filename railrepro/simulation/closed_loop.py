@@ -1,4 +1,4 @@
-"""Car and control law coupled at 1 kHz: one call runs many exchanges.
+"""Car and control law coupled at 1 kHz: one call runs many control cycles.
 
 The loop of `loop.c` runs over the compiled car and the compiled law.
 """
@@ -13,13 +13,13 @@ import numpy as np
 
 from railrepro.car import equations
 from railrepro.car.stepper import CarStepper
-from railrepro.clock import EXCHANGE_PERIOD
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import law
 from railrepro.track.route import Route
 
 _BLOCK = 10_000
-"""Exchanges whose log is allocated at once."""
+"""Control cycles whose log is allocated at once."""
 
 
 class _Copy(ctypes.Structure):
@@ -50,8 +50,8 @@ def _library() -> ctypes.CDLL:
     return loaded
 
 
-class Exchange:
-    """The car on a route under a control law; `run` advances it by whole exchanges of 1 ms.
+class ClosedLoop:
+    """The car on a route under a control law; `run` advances it by whole control cycles of 1 ms.
 
     Attributes
     ----------
@@ -67,13 +67,13 @@ class Exchange:
     columns : tuple of str
         Names of the columns that `run` returns.
     functions : dict
-        The functions behind an exchange by name, on shared buffers: coordinates, output, law, step.
+        The functions behind a control cycle by name, on shared buffers: coordinates, output, law, step.
     """
 
     def __init__(self, car_parameters, table, route: Route, control: law.ControlLaw, state, substeps: int = 1):
         self.car = CarStepper(car_parameters, table, route, state, substeps)
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
-        self.control, self.exchanges, self.ended = control, 0, False
+        self.control, self.cycles, self.ended = control, 0, False
         outputs = self.car.model.outputs
         self.columns = (*outputs, *control.kind.record)
         self.sensed = [outputs.index(name) for name in law.MEASURED]
@@ -102,17 +102,17 @@ class Exchange:
         return np.array([[memory.index(f"{gear}.{name}") for name in names] for gear in law.GEARS])
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by up to n exchanges.
+        """Advance by up to n control cycles.
 
         Parameters
         ----------
         n : int
-            Number of exchanges of 1 ms.
+            Number of control cycles of 1 ms.
 
         Returns
         -------
         ndarray, shape (m, len(columns))
-            One row per exchange, taken before its step. m = n, or the run ended early: the last row then shows where,
+            One row per cycle, taken before its step. m = n, or the run ended early: the last row then shows where,
             `ended` is true and `state` is that of the last row.
         """
         blocks = [np.empty((0, len(self.columns)))]
@@ -120,7 +120,7 @@ class Exchange:
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
             place = ctypes.c_void_p(rows.ctypes.data)
             done = self._driver.loop_run(ctypes.byref(self._loop), ctypes.c_longlong(len(rows)), place)
-            self.exchanges += done
+            self.cycles += done
             self.ended = done < len(rows)
             blocks.append(rows[: done + 1])
             if self.ended:
@@ -130,7 +130,7 @@ class Exchange:
     @property
     def time(self) -> float:
         """Simulated time (s)."""
-        return self.exchanges * EXCHANGE_PERIOD
+        return self.cycles * CONTROL_PERIOD
 
     @property
     def margins(self) -> dict[str, float]:
@@ -148,15 +148,15 @@ class Exchange:
     def measured_states(self) -> np.ndarray:
         """States of front and rear gear as last measured, shape (2, 6), in the order of the control model.
 
-        With sensors, as the law saw them in the exchange before.
+        With sensors, as the law saw them in the cycle before.
         """
-        if self._seen is None or not self.exchanges:
+        if self._seen is None or not self.cycles:
             return self.car.outputs[self._states]
         return self.memory[self._seen]
 
     def readings(self) -> np.ndarray | None:
         """What sensors read of both gears last, shape (2, 3), see `law.READ`; None without sensors or at first."""
-        return None if self._seen is None or not self.exchanges else self.memory[self._read]
+        return None if self._seen is None or not self.cycles else self.memory[self._read]
 
     def base_torques(self) -> np.ndarray:
         """Base torque per wheel of front and rear gear (N m), shape (2,)."""
