@@ -49,7 +49,7 @@ BENCH := .venv/ready-bench-$(LOCK_HASH)
 COMPILER := .venv/ready-compiler-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 == "$(1)"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help figures check test test-slow test-all test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
+.PHONY: help setup figures check test test-slow test-all test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -57,6 +57,8 @@ help:  ## list the targets
 
 # As many notebooks at a time as the caller says with -j.
 CHAIN = @$(PY) -m railrepro chain run $(patsubst -j%,--jobs %,$(filter-out -j,$(filter -j%,$(MAKEFLAGS))))
+
+setup: $(VENV)  ## set up the environment in .venv
 
 figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
 	$(CHAIN)

@@ -29,8 +29,16 @@ def test_files_that_the_readme_links_are_there():
     assert len(links) > 20 and [link for link in links if not (paths.ROOT / link).exists()] == []
 
 
-def test_the_results_are_those_that_the_report_writes(table, nominal):
-    assert Page(table, nominal).readme(README) == README
+def test_the_results_and_the_gallery_are_those_that_the_report_writes(table, nominal):
+    page = Page(table, nominal)
+    assert page.readme(README) == README
+    gallery = (paths.FIGURES / "README.md").read_text()
+    assert page.gallery() == gallery
+    shown = re.findall(r"^!\[[^]]+\]\((\w+\.png)\)$", gallery, re.M)
+    # what is drawn by hand is shown where it is used
+    assert sorted(shown) == sorted(
+        file.name for file in paths.FIGURES.glob("*.png") if not file.with_suffix(".svg").exists()
+    )
 
 
 def test_the_error_of_a_run_is_that_of_its_series():
@@ -69,9 +77,8 @@ def test_the_first_program_prints_the_number_of_the_table(capsys):
     program = re.search(r"^```python\n(from railrepro import .*?)^```", README, re.M | re.S).group(1)
     exec(program, {})
     printed = float(capsys.readouterr().out.split()[-1])
-    row = re.search(r"^\| \[Fig\. 6\].*?\|.*?\|(.*)\|$", README, re.M).group(1)
-    uncalibrated = float(re.search(r"(\d+\.\d+) mm", row).group(1))
-    assert 1e3 * printed == pytest.approx(uncalibrated, abs=5.1e-3)
+    nmpc = re.search(r"^\| \[Fig\. 6\].*\| (\d+\.\d+) /", README, re.M).group(1)
+    assert 1e3 * printed == pytest.approx(float(nmpc), abs=5.1e-3)
 
 
 @pytest.mark.parametrize("row", CASES)

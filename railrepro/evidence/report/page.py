@@ -1,6 +1,7 @@
-"""The report: REPLICATION.md and the results in README.md, templates of data/ that are filled in from the results.
+"""The report: REPLICATION.md, the gallery and the results in README.md, templates of data/ that are filled in.
 
-data/replication.md.j2 is the whole report, data/readme.md.j2 what stands in README.md between its two marks.
+data/replication.md.j2 is the whole report, data/gallery.md.j2 the page figures/README.md, data/readme.md.j2 what stands
+in README.md between its two marks.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _ROBUST = "data/results/robustness_claims.csv"
 
 
 def main(accept: bool = False) -> int:
-    """Judge the statements, write claims.csv, REPLICATION.md and the results in README.md.
+    """Judge the statements, write claims.csv, REPLICATION.md, figures/README.md and the results in README.md.
 
     `accept` stores new verdicts. Returns 1 when a verdict differs from the stored one or a sentence is not true.
     """
@@ -43,6 +44,7 @@ def main(accept: bool = False) -> int:
     page = Page(judged, nominal)
     write(paths.product("data/results/claims.csv"), contract.to_csv(index=False, float_format="%.4g"))
     write(paths.product("REPLICATION.md"), page.replication())
+    write(paths.product("figures/README.md"), page.gallery())
     write(paths.product("README.md"), page.readme(paths.source("README.md").read_text(encoding="utf-8")))
     print(claims.counted(judged))
     problems = claims.changed(judged)
@@ -84,7 +86,6 @@ class Page:
             "effect",
             "as_mark",
         )
-        chain = tomllib.loads(paths.source("notebooks/chain.toml").read_text(encoding="utf-8"))
         return self.prose.render(
             "replication.md.j2",
             **{name: getattr(self, name) for name in names},
@@ -94,8 +95,13 @@ class Page:
             rules=self.rules,
             settings=tuning.SETTINGS,
             questions=flips.load().values(),
-            verify=chain["verify"],
+            verify=_notebooks("chain.toml")["verify"],
         )
+
+    def gallery(self) -> str:
+        """Render figures/README.md: the figures of each chapter with their captions."""
+        chapters, captions = _notebooks("chain.toml")["notebook"], _notebooks("book/captions.toml")
+        return self.prose.render("gallery.md.j2", chapters=chapters, captions=captions)
 
     def readme(self, text: str) -> str:
         """Put the results into the text of README.md.
@@ -111,7 +117,7 @@ class Page:
             raise InputError(f"README.md: the lines {BEGIN.strip()} and {END.strip()} are needed around the results")
         kinds = {verdict: list(self.statements.values()).count(verdict) for verdict in claims.ORDER}
         names = ("runs", "outcome", "statements")
-        more = {name: getattr(self, name) for name in names} | {"kinds": kinds, "choices": len(calibrated.load())}
+        more = {name: getattr(self, name) for name in names} | {"kinds": kinds, "choices": calibrated.load()}
         return head + begin + self.prose.render("readme.md.j2", **more) + end + tail
 
     @property
@@ -227,6 +233,11 @@ class Page:
         """Show a verdict as a mark, with what follows it, as a setting."""
         known = max((name for name in MARKS if verdict.startswith(name)), key=len, default="")
         return MARKS[known] + verdict.removeprefix(known) if known else verdict
+
+
+def _notebooks(file: str) -> dict:
+    """Read a TOML file beside the notebooks."""
+    return tomllib.loads((paths.NOTEBOOKS / file).read_text(encoding="utf-8"))
 
 
 def _number(value: float, unit: str = "") -> str:
