@@ -161,44 +161,10 @@ def test_the_torque_limit_ends_a_step(adhesion, u, step, sign):
     assert change(adhesion, u=u, sign=sign)[0] == pytest.approx(step)
 
 
-@pytest.mark.parametrize("key", ["raise_step", "lower_step", "drop_step"])
-def test_each_step_size_has_its_own_place(key):
-    """Changing one step size changes the torque in its segment only, by as much."""
-    situations = {
-        "raise_step": ((BELOW,), 1.0),
-        "lower_step": ((ABOVE,), -1.0),
-        "drop_step": ((INSIDE, AHEAD, BACK), -1.0),
-    }
-    other = replace(LAW, **{key: getattr(LAW, key) + 1.0})
-    for name, (situation, sense) in situations.items():
-        difference = change(*situation, settings=other)[0] - change(*situation)[0]
-        assert difference == pytest.approx(sense if name == key else 0.0), name
-
-
 def test_estimates_are_filtered_by_a_first_order_lag():
     f, s, before = [0.04, 0.06], [-0.01, -0.02], [100.0, 0.03, 0.05, -0.02, -0.03]
     _, kept, _ = call(f, s, SET_POINT, before)
     assert kept[1:] == pytest.approx(np.array(before[1:]) + POLE * (np.array([*f, *s]) - before[1:]))
-
-
-def test_the_memory_carries_the_torque():
-    u, kept, _ = call([0.02, 0.02], [-0.01, -0.01], SET_POINT, [100.0, 0.02, 0.02, -0.01, -0.01])
-    assert kept[0] == u == pytest.approx(102.0)
-
-
-def test_braking_is_traction_mirrored():
-    generator = np.random.default_rng(3)
-    segments = set()
-    for _ in range(300):
-        memory = np.array([generator.uniform(-40, 40), *generator.normal(0, (0.1, 0.1, 0.02, 0.02))])
-        f = memory[1:3] + generator.normal(0, 1e-3, 2)
-        s = memory[3:] + generator.normal(0, 1e-4, 2)
-        u, kept, segment = call(f, s, SET_POINT, memory)
-        mirrored, kept_mirrored, other = call(-f, -s, -SET_POINT, -memory)
-        assert (mirrored, other) == (pytest.approx(-u), segment)
-        assert kept_mirrored == pytest.approx(-kept)
-        segments.add(segment)
-    assert segments == {1, 2, 3}
 
 
 @pytest.mark.parametrize(

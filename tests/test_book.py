@@ -38,17 +38,6 @@ def faulty(folder):
     return found
 
 
-def test_a_link_that_leads_nowhere_and_a_load_from_a_network_are_found(tmp_path):
-    sound = '<a href="two.html#there">x</a><a href="https://example.org">x</a><img src="data:image/png;base64,AA==">'
-    (tmp_path / "two.html").write_text('<p id="there"></p><a href="#there">x</a>')
-    (tmp_path / "one.html").write_text(sound)
-    assert faulty(tmp_path) == []
-    broken = '<a href="two.html#here">x</a><a href="three.html">x</a><script src="https://example.org/a.js"></script>'
-    (tmp_path / "one.html").write_text(sound + broken)
-    places = ["loads https://example.org/a.js", "links to two.html#here", "links to three.html#"]
-    assert faulty(tmp_path) == [f"one.html {place}" for place in places]
-
-
 def test_labels_of_the_source_become_numbers_of_the_pdf():
     assert pages.numbered("see eqs. (psi_trax) to (gen_forces) and eq. (18)") == "see eqs. (8) to (17) and eq. (18)"
     assert pages.numbered("eq. (eq.integration_rule)") == "eq. (41), (42)"
@@ -64,12 +53,6 @@ def test_every_label_that_is_used_has_a_number():
         texts += [f"eq. {row['equation']}" for row in csv.DictReader(stream)]
     left = {label for text in texts for label in re.findall(r"\beqs?\. \((\w+)\)", pages.numbered(text))}
     assert {label for label in left if not label[0].isdigit()} == set()
-
-
-@pytest.mark.parametrize("notebook", chain.chain().values(), ids=lambda notebook: notebook.name)
-def test_formulas_carry_numbers_that_the_pdf_has(notebook):
-    numbers = [int(number.rstrip("abcdef")) for number in pages.tags(pages.prose({"cells": cells(notebook)}))]
-    assert all(0 < number <= LAST for number in numbers)
 
 
 def test_a_chapter_links_equations_and_names_source_data_and_claims():
@@ -135,14 +118,6 @@ def test_every_figure_has_a_caption():
     assert drawn - set(pages.captions()) == set(), "notebooks/book/captions.toml"
 
 
-@pytest.mark.parametrize("notebook", chain.chain().values(), ids=lambda notebook: notebook.name)
-def test_cells_that_the_book_folds_are_tagged(notebook):
-    """`make strip` sets the tag."""
-    code = [cell for cell in cells(notebook) if cell["cell_type"] == "code"]
-    tagged = [cell["id"] for cell in code if folding.FOLDED in cell.get("metadata", {}).get("tags", [])]
-    assert tagged == [cell["id"] for cell in code if folding.is_folded(cell["source"])]
-
-
 def test_asserts_are_parted_from_what_a_cell_computes():
     code = "a = 1\nassert a\nif a:\n    # because\n    assert (\n        a\n    )\nif a:\n    b = 2\n    assert b\na"
     assert folding.split(code) == (
@@ -186,17 +161,3 @@ def test_the_whole_book_is_made_without_a_warning_and_without_a_network(monkeypa
     for notebook in chain.chain().values():
         shutil.copy(notebook.path, tmp_path / "notebooks")
     assert faulty(book.html().parent) == []
-
-
-def test_several_numbered_lines_are_not_counted_again():
-    content = {
-        "cells": [{"cell_type": "markdown", "source": "$$\\begin{align} a \\tag{3a, b} \\end{align}$$", "metadata": {}}]
-    }
-    made = pages.chapter(chain.Notebook("01_one", "one"), content, {"3": "01_one", "3b": "01_one"}, [])["cells"][0]
-    assert made["source"].strip() == "(eq-3b)=\n(eq-3)=\n\\begin{align*} a \\tag{3a, b} \\end{align*}"
-
-
-def test_lines_aligned_under_one_number_stay_a_formula():
-    content = {"cells": [{"cell_type": "markdown", "source": "$$\\begin{aligned} a \\end{aligned}$$", "metadata": {}}]}
-    made = pages.chapter(chain.Notebook("01_one", "one"), content, {}, [])["cells"][0]["source"]
-    assert made.strip() == "\\begin{equation*}\n\\begin{aligned} a \\end{aligned}\n\\end{equation*}"

@@ -173,17 +173,3 @@ def test_parameters_name_good_and_poor_sets():
     assert (values["adhesion.good.k_a"], values["gravity"], values["wheel.radius"]) == (0.3, 9.81, 0.46)
     usual = dict(zip(equations.PARAMETERS, equations.parameter_vector(vehicle), strict=True))
     assert (usual["adhesion.good.mu0"], usual["adhesion.poor.mu0"]) == (0.55, 0.15)
-
-
-def test_the_car_starts_where_it_is_put(vehicle):
-    state = equations.rest_state(vehicle, contact_table("cone", vehicle), 30.0, p=100.0)
-    assert state[equations.indices("front.s", "body.s", "rear.s")] == pytest.approx([100.0, 93.0, 86.0])
-    assert state[equations.indices("front.vx", "body.vx", "rear.vx")] == pytest.approx([30.0] * 3)
-    drop = (78_480 / np.cos(0.025) / 92e9) ** (2 / 3) / np.cos(0.025)
-    heights = state[equations.indices("front.z", "body.z", "rear.z")]
-    assert heights == pytest.approx([drop - 0.46, drop - 1.8, drop - 0.46], abs=1e-9)
-    rolling = [state[equations.INDEX[f"w.{wheel}"]] for wheel in equations.WHEELS]
-    assert rolling == pytest.approx([30.0 / (0.46 - drop)] * 4, rel=1e-9)
-    moving = {f"{body}.{name}" for body in equations.BODIES for name in ("s", "z", "vx")}
-    still = [name for name in equations.STATES if name not in moving and not name.startswith("w.")]
-    assert not state[equations.indices(*still)].any()

@@ -53,13 +53,6 @@ def test_pitch_rods_turn_a_rolled_carrier_in_yaw():
     assert part == pytest.approx(usual * pitch * roll, rel=1e-3)
 
 
-def test_energy_of_braking_in_a_curve():
-    car = SteppedCar("T3", 30.0, load_vehicle())
-    car.torque[:] = -2000.0
-    change, work = balance(car, 2000)
-    assert change == pytest.approx(work, rel=1e-3)
-
-
 def test_axle_damping_makes_a_wheelset():
     """On cones it runs in Klingel's wave, 2 pi sqrt(b r / (2 delta)) long; independent wheels stay where they are."""
     vehicle = load_vehicle(**CONE, **{"gear.axle_damping": 1e6, "suspension.k_x": 1e3})
@@ -141,12 +134,6 @@ def test_a_planned_line_is_added_to_the_set_point():
     added = both.reference_at(inside)[0] - plain.reference_at(inside)[0]
     assert added == pytest.approx([expected], rel=1e-9)
     assert np.array_equal(both.reference_at(outside), plain.reference_at(outside))
-
-
-def test_irregularities_without_a_channel_are_refused():
-    frame = irregularities(np.arange(0.0, 100.0, 0.5)).drop(columns="gauge_m")
-    with pytest.raises(InputError, match="lack the column gauge_m"):
-        route.lay(load_track("T5"), irregularities=frame)
 
 
 def test_rough_track_adds_defects_and_reads_files(tmp_path):

@@ -1,8 +1,6 @@
 """Report: statements are judged in their settings, verdicts change on purpose only, each number leads to its table."""
 
-import json
 import re
-import symtable
 
 import numpy as np
 import pandas as pd
@@ -164,29 +162,6 @@ def test_what_is_not_reproduced_says_why(table, nominal):
 
 
 @needs_results
-def test_the_page_is_short_and_begins_with_the_figures_of_the_paper(table, nominal):
-    page = Page(table, nominal).replication()
-    assert len(page) < 38_000 and len(page.splitlines()) <= 240
-    first = page.partition("\n|")[2].partition("\n\n")[0].splitlines()
-    assert len(first) <= 30 and [line for line in first if line.startswith("| Fig.")]
-    bare, links = re.subn(r"\[-?[\d.]+( mm| m)?\]\(data/results/\w+\.csv\)", "", "\n".join(first))
-    assert links > 20
-    rows = [line for line in page.splitlines() if re.match(r"\| C\d\d \| .* \|.*\|.*\|.*\|.*\|.*\|$", line)]
-    shown = [line[2:5] for line in rows if line.count(" | ") >= 6]
-    assert [i for i in statements.load() if shown.count(i) < 1] == []
-
-
-@needs_results
-def test_the_first_table_has_the_verdict_on_the_calibrated_car_when_it_is_made(table, nominal):
-    assert Nominal(Handed([])).on_calibrated_car() == {}
-    made = Handed([], paper_like=pd.DataFrame({"statement": ["C04", "C05"], "value": 0.6, "holds": [True, False]}))
-    found = Nominal(made).on_calibrated_car()
-    assert found == {"C04": "yes", "C05": "no"}
-    page = Page(table.assign(calibrated=table["id"].map(found).fillna("")), nominal).replication()
-    assert re.search(r"\| Fig. 6 \| all controllers follow .* \| ✗ \| ✓ \|\n", page)
-
-
-@needs_results
 def test_a_study_that_has_not_run_is_told_with_its_command(monkeypatch):
     optional = Results.optional
     monkeypatch.setattr(
@@ -305,46 +280,6 @@ def test_a_verdict_in_a_setting_reads_no_other_setting(identity, nominal):
             assert repr(found) == repr(other)
 
 
-def scopes(table):
-    """A cell's scope and those within it."""
-    return [table, *(scope for child in table.get_children() for scope in scopes(child))]
-
-
-def names_behind(notebook, product):
-    """All names that the cell which writes a product uses, and the cells that define them."""
-    cells = json.loads((paths.NOTEBOOKS / f"{notebook}.ipynb").read_text())["cells"]
-    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    tops = [symtable.symtable(text, "cell", "exec") for text in code]
-    made = [{s.get_name() for s in top.get_symbols() if s.is_assigned() or s.is_namespace()} for top in tops]
-    used = [
-        {s.get_name() for scope in scopes(top) for s in scope.get_symbols()
-         if s.is_referenced() and (scope is top or s.is_global())}
-        for top in tops
-    ]  # fmt: skip
-    todo, seen = [i for i, text in enumerate(code) if product in text], set()
-    while todo:
-        cell = todo.pop()
-        if cell not in seen:
-            seen.add(cell)
-            todo += [i for name in used[cell] for i in [j for j in range(cell + 1) if name in made[j]][-1:]]
-    return set().union(*(used[i] for i in seen))
-
-
-CONTROLLED = {"Experiment", "run_all", "simulate", "tuning", "tuned", "guidance", "calibrated"}
-"""Names by which a chapter runs the car with a controller."""
-
-
-@needs_results
-def test_a_statement_without_a_setting_depends_on_no_controller(nominal):
-    known = statements.load()
-    free = [i for i, s in known.items() if s.kind == "statement" and claims.settings_of(i, s, nominal) == [""]]
-    assert free == ["C01", "C26", "C27"]
-    for identity in free:
-        file = f"{statements.TABLES[identity]}.csv"
-        assert "metrics" not in file and not names_behind(known[identity].notebook, file) & CONTROLLED
-    assert names_behind("08_adhesion", "adhesion_metrics.csv") & CONTROLLED, "this one would be found"
-
-
 @needs_results
 def test_where_a_run_left_the_rail_it_counts_as_failed():
     rows = [("curve_entry_T3", "nmpc", "failed_at_m", 90.0, "m", "loop", 1, 0)]
@@ -374,14 +309,6 @@ def judged(kind="statement", **by_setting):
 )
 def test_the_headline_is_the_verdict_on_paper_and_never_the_best_of_three(table, expected):
     assert claims.headline(table) == expected
-
-
-def test_statements_that_do_not_depend_on_the_setting_are_counted_apart():
-    table = pd.concat([judged(paper="reproduced", equal="tie"), judged(any="partly").assign(id="C13")])
-    assert claims.counted(table) == (
-        "1 statements are compared in the setting `paper`: 1 reproduced. "
-        "1 statements do not depend on the setting: 1 partly."
-    )
 
 
 @pytest.mark.parametrize(

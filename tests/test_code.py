@@ -1,18 +1,13 @@
 """The code that a process runs: no cache serves old physics, and every Python has the same hashes."""
 
-import ast
 import hashlib
-import io
 import json
 import os
 import shutil
 import subprocess
 import sys
 import time
-import tokenize
 from concurrent.futures import ThreadPoolExecutor
-from itertools import accumulate
-from pathlib import Path
 
 import pytest
 
@@ -43,30 +38,6 @@ def test_the_content_of_a_text_has_no_comment_docstring_or_empty_line():
     assert table == "aa80ec3bb67e5e622fe4050ae013add2102b73a9c8304db680cd4cbac00542e8", (
         "the same on each version of Python"
     )
-
-
-def as_python_sees_it(text):
-    """Text without what the parser of this Python takes for strings as statements, and its tokenizer for comments."""
-    lines = text.splitlines(keepends=True)
-    begins = [0, *accumulate(map(len, lines))]
-    cuts = [
-        tuple(begins[row - 1] + column for row, column in (token.start, token.end))
-        for token in tokenize.generate_tokens(io.StringIO(text).readline)
-        if token.type == tokenize.COMMENT
-    ]
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            ends = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
-            cuts.append(tuple(begins[row - 1] + len(lines[row - 1].encode()[:n].decode()) for row, n in ends))
-    for begin, end in sorted(cuts, reverse=True):
-        text = text[:begin] + text[end:]
-    return text.split()
-
-
-def test_the_content_of_each_module_is_what_this_python_sees_in_it():
-    for file in [*(paths.ROOT / "railrepro").rglob("*.py"), *(paths.ROOT / "tests").glob("*.py")]:
-        text = file.read_text()
-        assert code.content(text).split() == as_python_sees_it(text), file
 
 
 @pytest.mark.parametrize("text", ["from railrepro import simulate", "import railrepro", "from railrepro import (\n *)"])
@@ -277,29 +248,6 @@ def test_what_chooses_the_last_digits_is_in_the_key(name, monkeypatch):
         monkeypatch.setenv(name, value)
         keys.add(store.key("railrepro.simulation.metrics", "x"))
     assert len(keys) == 2
-
-
-def test_only_packages_that_compute_are_in_the_key(monkeypatch):
-    assert {"numpy", "casadi"} <= set(code.packages()) and not {"ruff", "pytest"} & set(code.packages())
-    assert all(code.packages().values())
-    before = store.key("railrepro.simulation.metrics", "x")
-    monkeypatch.setattr(code, "packages", lambda: {"numpy": "another version"})
-    monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
-    assert store.key("railrepro.simulation.metrics", "x") != before
-    assert store.key("mine", "x") is None
-
-
-def test_the_package_is_noted_before_anything_is_imported_from_it():
-    done = subprocess.run(
-        [sys.executable, "-c", "import railrepro, sys; print(sorted(m for m in sys.modules if m[:9] == 'railrepro'))"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout == "['railrepro', 'railrepro.code']\n"
-    assert set(code._FILES) == {
-        str(file.relative_to(paths.ROOT))
-        for suffix in code._SUFFIXES
-        for file in Path(paths.ROOT / "railrepro").rglob(f"*{suffix}")
-    }
 
 
 def test_a_controller_that_the_registry_finds_by_its_name_is_reached():

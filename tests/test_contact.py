@@ -205,16 +205,6 @@ def test_spin_forces_of_a_gear_beside_the_middle_against_half_spaces(shift, push
     assert ours / half_spaces == pytest.approx(pushed, abs=0.03)
 
 
-def test_half_space_agrees_with_hertz():
-    modulus, cell = normal.contact_modulus(2.1e11, 0.28), 4e-4
-    grid = np.arange(-0.012, 0.012, cell)
-    gap = grid[:, None] ** 2 + 0.75 * grid[None, :] ** 2
-    pressure, approach = normal.half_space_pressure(gap, 8e4, cell, modulus)
-    a, b, exact = normal.hertz(2.0, 1.5, 8e4, modulus)
-    assert approach == pytest.approx(exact, rel=0.02)
-    assert pressure.max() == pytest.approx(1.5 * 8e4 / (np.pi * a * b), rel=0.05)
-
-
 def test_points_of_standard_profiles_give_the_contact_of_the_standard_ones(tmp_path, monkeypatch):
     """Points every 0.3 mm on the wheel and 0.2 mm on the rail, to 10 nm; a rail has any origin."""
     lateral_, (position, depth) = np.arange(-0.06, 0.058, 3e-4), profiles.inclined_rail(401)

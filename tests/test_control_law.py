@@ -220,11 +220,3 @@ def test_noise_is_added_before_the_lag():
     )
     assert np.abs(noisy - plain)[0].min() > 1e-4
     assert slow[0] == pytest.approx(noisy[0] / 4)
-
-
-def test_guidance_and_estimates_default_to_a_held_torque_and_the_exact_values():
-    control = law.control_law(load_vehicle(), **LIMITS)
-    assert control.kind == law.LawKind(lateral.kind(lateral.Held()))
-    gains = dict(zip(control.kind.gains, control.gains, strict=True))
-    assert not any(value for name, value in gains.items() if name.startswith("estimate."))
-    assert gains["nominal_load"] == pytest.approx(78_480.0)

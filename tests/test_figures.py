@@ -38,16 +38,6 @@ def test_what_differs_in_the_last_digits_of_a_layout_gives_equal_bytes(tmp_path,
     assert contents[0] == contents[1]
 
 
-@pytest.mark.parametrize(("rows", "letters"), [(1, []), (3, ["a", "b", "c"])])
-def test_panels_are_lettered_where_there_are_several(tmp_path, monkeypatch, rows, letters):
-    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
-    fig, axes = figures.new_figure(rows, 1, squeeze=False)
-    points = axes[0, 0].scatter([0, 1], [0, 1], c=[0, 1])
-    fig.colorbar(points, ax=axes[0, 0])
-    figures.save_figure(fig, "fig99_test", pd.DataFrame({"x": [0.0]}))
-    assert [text.get_text() for axis in fig.axes for text in axis.texts] == letters
-
-
 @pytest.mark.parametrize(("shift", "outcome"), [(0.0, "same"), (1e-6, "near"), (0.01, "different")])
 def test_a_moved_curve_is_found(tmp_path, monkeypatch, shift, outcome):
     for folder, moved in (("old", 0.0), ("new", shift)):

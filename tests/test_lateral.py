@@ -1,8 +1,6 @@
 """Guidance laws: own ones at 1 kHz and slower ones, refusals, and the inversion against the control model."""
 
 import re
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import casadi as ca
@@ -76,15 +74,6 @@ def test_a_constant_of_an_own_law_is_not_taken_from_another_one():
     assert np.allclose(torques[1].iloc[1], 3 * torques[0].iloc[1], rtol=1e-3)
 
 
-def test_a_1_khz_law_may_use_what_a_slower_controller_hands_in():
-    class Both(lateral.Held):
-        def __call__(self, vehicle, route, gear):
-            return NMPC(vehicle, route, gear)
-
-    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=15.0)
-    assert simulate.run(scenario, Both()).series.equals(simulate.run(scenario, NMPC).series)
-
-
 @pytest.mark.parametrize(
     ("guidance", "sentence"),
     [
@@ -148,11 +137,6 @@ def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
     for nothing in (3.0, None):
         with pytest.raises(InputError, match=r"an object with torque\(q\), or a factory"):
             lateral.split(nothing)
-
-
-def test_gains_may_be_whole_numbers():
-    law_of_one = Own(lambda q: q.k * q.y, {"k": 2})
-    assert lateral.kind(law_of_one).gains == ("k",)
 
 
 def jerk_of_the_model(vehicle, x, theta, ddpsi_dp, u_d, du):
@@ -236,11 +220,6 @@ def test_the_wanted_jerk_is_that_of_the_error_dynamics():
     assert found == pytest.approx(expected, rel=1e-10)
 
 
-def test_gains_of_a_triple_pole():
-    gains = NDI(pole=10, frequency=10, damping=1.0).gains()
-    assert [gains[k] for k in ("k0", "k1", "k2")] == pytest.approx([1000, 300, 30])
-
-
 @pytest.mark.parametrize(("share", "grows"), [(0.9, 1), (1.1, 0), (-0.9, 1), (-1.1, 0)])
 def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(share, grows):
     """On the straight a triple pole p asks for the jerk p^3 e, which takes the torque r_0/b J p^3 e/v."""
@@ -252,10 +231,3 @@ def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(s
     du, memory = guidance.torque(quantities(here | model | guidance.gains() | {"integral": 0.0}))
     assert float(du) == pytest.approx(share * 4000.0)
     assert float(memory["integral"]) == pytest.approx(1e-3 * error * grows)
-
-
-def test_the_car_knows_nothing_of_control():
-    loaded = "import sys, railrepro.car.component, railrepro.export.car; print(*sys.modules)"
-    modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()
-    assert "railrepro.car.component" in modules
-    assert not [name for name in modules if name.startswith(("railrepro.control", "railrepro.simulation"))]

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro import paths
 from railrepro.errors import InputError
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty import order
@@ -83,11 +82,3 @@ def test_a_run_that_leaves_the_rail_has_no_error(monkeypatch):
     monkeypatch.setitem(order.AXES, "bandwidth", replace(order.AXES["bandwidth"], change=lambda value: cone))
     row = order.case("bandwidth", 4.0, "paper", "ndi")()
     assert row["failed"] and "derailed" in row["ended"] and "rmse_mm" not in row
-
-
-def test_the_stored_table_has_all_cases():
-    stored = pd.read_csv(paths.ROOT / "data/results/order_turns.csv")
-    keys = ["axis", "value", "setting", "controller", "seed"]
-    wanted = {(one.axis, str(one.value), one.setting, one.controller, one.seed) for one in order.cases()}
-    assert set(stored[keys].itertuples(index=False, name=None)) == wanted
-    assert stored["rmse_mm"].isna().eq(stored["failed"]).all()

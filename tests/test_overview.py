@@ -3,7 +3,6 @@
 import pandas as pd
 from matplotlib import pyplot as plt
 
-from railrepro.evidence.claims import statements
 from railrepro.evidence.report import overview
 
 CLAIMS = pd.DataFrame(
@@ -12,12 +11,6 @@ CLAIMS = pd.DataFrame(
      ("C12", "statement", "paper", "fragile"), ("C43", "calibrated", None, "not testable")],
     columns=["id", "kind", "setting", "judged"],
 )  # fmt: skip
-
-
-def test_every_statement_has_a_short_name_of_its_own():
-    names = overview.short_names()
-    assert set(statements.load()) <= set(names.index)
-    assert names.is_unique
 
 
 def test_verdicts_stand_in_the_row_of_the_statement_and_the_column_of_the_setting():

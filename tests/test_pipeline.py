@@ -1,12 +1,9 @@
 """The chain: staleness, atomic products, refused parameters, failing cells, determinism, stripped notebooks."""
 
-import ast
 import json
 import os
 import re
 import shutil
-import socket
-import subprocess
 import sys
 import types
 
@@ -79,17 +76,6 @@ def test_executed_notebooks_are_identical_bytes(tiny):
         executed.append((tiny / "build/nb/01_tiny.ipynb").read_bytes())
     assert executed[0] == executed[1]
     assert not (tiny / "data/results/out.csv").exists()
-
-
-def test_a_kernel_starts_where_another_program_holds_its_ports(tiny, monkeypatch):
-    """Two kernels that start side by side may be given the same TCP port; ours have sockets of their own."""
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        taken = other.getsockname()[1]
-        monkeypatch.setattr("jupyter_client.connect.LocalPortCache.find_available_port", lambda *_: taken)
-        chain.run(chain.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
-    assert (tiny / "data/results/out.csv").exists()
 
 
 def test_unknown_parameter_is_refused_before_running(tiny):
@@ -224,17 +210,6 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     assert "data/scenarios.toml" in chain.why_stale(notebook)
 
 
-def test_readme_says_how_long_the_chain_takes():
-    """In a fresh clone with two processors; here runs that the store had may have made the last ones quick."""
-    estimate = sum(notebook.minutes for notebook in chain.chain().values()) / 2
-    lines = [line for line in (paths.ROOT / "README.md").read_text().splitlines() if "make figures" in line]
-    said = [re.search(r"(\d+) min|\| (\d+),? [^|]*\|$", line) for line in lines]
-    stated = [float(match[1] or match[2]) for match in said if match]
-    assert stated
-    for minutes in stated:
-        assert 2 / 3 < minutes / estimate < 3 / 2
-
-
 def test_a_chapter_is_had_as_a_script(tiny, monkeypatch):
     monkeypatch.chdir(tiny)
     script = book.script("01")
@@ -333,56 +308,3 @@ def test_scripts_and_runs_of_the_chain_write_where_they_should(tiny, monkeypatch
 
 def test_every_notebook_is_in_the_chain():
     assert [n.name for n in chain.chain().values()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))
-
-
-SORTS = ("sort_values", "argsort")
-
-
-def unstable_sorts(code):
-    """Calls that sort by one key and leave the order of equal values to the processor."""
-    for node in ast.walk(ast.parse(code)):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in SORTS:
-            several = node.args and isinstance(node.args[0], ast.List) and len(node.args[0].elts) > 1
-            kinds = [word.value for word in node.keywords if word.arg == "kind"]
-            if not several and [ast.literal_eval(kind) for kind in kinds] != ["stable"]:
-                yield ast.unparse(node)
-
-
-@pytest.mark.parametrize(
-    ("code", "found"),
-    [
-        ("t.sort_values('a')", 1),
-        ("t.sort_values(['a', 'b'])", 0),
-        ("np.argsort(x, kind='stable')", 0),
-        ("x.argsort()", 1),
-    ],
-)
-def test_an_unstable_sort_is_found(code, found):
-    assert len(list(unstable_sorts(code))) == found
-
-
-def test_equal_values_keep_their_order_on_every_processor():
-    code = {path.name: path.read_text() for path in sorted((paths.ROOT / "railrepro").rglob("*.py"))}
-    for chapter in chain.chain().values():
-        code[chapter.name] = "\n".join(c["source"] for c in chain.cells(chapter) if c["cell_type"] == "code")
-    found = {name: list(unstable_sorts(text)) for name, text in code.items()}
-    assert {name: calls for name, calls in found.items() if calls} == {}
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processors are counted otherwise")
-def test_threads_of_a_library_are_not_taken_for_processors():
-    """nproc gives OMP_NUM_THREADS where it is set; then one notebook would run at a time."""
-    makefile = ["make", "-C", str(paths.ROOT), "--no-print-directory", "-np", "help"]
-    found = subprocess.run(makefile, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
-    assert re.search(r"^CORES := (\d+)$", found.stdout, re.MULTILINE)[1] == str(len(os.sched_getaffinity(0)))
-
-
-def test_notebooks_are_read_without_the_grammars_of_addresses():
-    """They take a second at each start; a notebook that is none is refused as before."""
-    program = "import sys; from railrepro.evidence.chain import cleaning; print('lark' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", program], cwd=paths.ROOT, capture_output=True, text=True, check=True)
-    assert found.stdout == "False\n"
-    odd = cleaning.nbformat.read(next(paths.NOTEBOOKS.glob("*.ipynb")), 4)
-    odd.cells[0].cell_type = "nothing"
-    with pytest.raises(cleaning.nbformat.ValidationError):
-        cleaning.nbformat.validate(odd)

@@ -6,14 +6,12 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.car.kinematics import orientation
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import polach
-from railrepro.contact.table import CELL_COLUMNS, contact_table, middle_patch
+from railrepro.contact.table import CELL_COLUMNS, contact_table
 from railrepro.control import law
 from railrepro.control.ndi import NDI
 from railrepro.estimation.sensors import Readings, load_loop
@@ -21,7 +19,6 @@ from railrepro.simulation import closed_loop, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.alignment import Alignment, Segment
-from railrepro.track.irregularity import irregularities
 from railrepro.track.table import Track, build_table, load_track
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -142,19 +139,6 @@ def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
     assert motor.max() > 1e5
 
 
-def test_energy_balance_on_irregular_rails(vehicle):
-    """The normal force of a rail that climbs or bends aside acts along the track, too; without it work appears."""
-    rough = irregularities(np.arange(0.0, 400.0, route.CELL), shortest=10.0)
-    coupled = start(vehicle, "T5", 30.0, irregularities=rough)
-    balance = [energies(coupled)]
-    for _ in range(4000):
-        coupled.run(1)
-        balance.append(energies(coupled))
-    energy, motor, damping, creep = np.array(balance).T
-    lost = np.trapezoid(damping + creep - motor, dx=CONTROL_PERIOD)
-    assert energy[0] - energy[-1] == pytest.approx(lost, rel=0.05)
-
-
 def mirror(name):
     """Name of the same quantity on the other side of the track and its sign there."""
     odd = {"y", "psi", "phi", "vy", "wx", "wz", "psi_Ax", "psi_TrAx", "psidot_Ax", "yaw_to_body", "y_ref", "du"}
@@ -247,25 +231,6 @@ def test_the_compiled_loop_is_that_of_its_functions(vehicle, sensed):
     way = simulate.checked_route(scenario, vehicle)
     one, other = (simulate.start(scenario, NDI(), way, vehicle, vehicle, settings) for _ in range(2))
     assert np.allclose(one.run(300), by_functions(other, 300), rtol=1e-6, atol=1e-6)
-
-
-def test_step_converges_with_order_three_on_a_smooth_stretch(vehicle):
-    coupled = start(vehicle, "T4", 400 * KMH, NDI(frequency=20, pole=20))
-    coupled.run(1500)
-    car, x0 = equations.car(), coupled.state.copy()
-    torque = np.array([300.0, -300.0, -200.0, 200.0])
-
-    def after(n):
-        x = x0.copy()
-        for _ in range(n):
-            x = np.array(car.step(x, torque, *coupled.inputs()[2:], 2e-3 / n)[0]).ravel()
-        return x
-
-    exact = after(128)
-    motion = equations.indices(*(f"{body}.{name}" for body in equations.BODIES for name in equations.COORDINATES))
-    errors = [np.abs(after(n) - exact)[motion].max() for n in (2, 4, 8)]
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (orders > 2.4).all()
 
 
 def test_jacobian_of_the_step_is_the_derivative_of_the_rate():
@@ -403,25 +368,6 @@ def test_contact_of_a_wheel_follows_from_the_named_columns_of_its_cell(vehicle, 
     assert max(abs(value) for value in creepage[:2]) > 5e-4
 
 
-def test_angles_turn_with_the_angular_velocity(vehicle):
-    """Rates of yaw, pitch and roll at large angles: the rotation they describe turns with w in body axes."""
-    state = equations.rest_state(vehicle, contact_table(vehicle.contact.profile, vehicle), 50.0)
-    angles, turn = np.array([0.3, 0.2, -0.4]), np.array([0.5, -0.7, 1.1])
-    state[equations.indices("body.psi", "body.pitch", "body.phi")] = angles
-    state[equations.indices("body.wx", "body.wy", "body.wz")] = turn
-    contacts = np.tile(contact_table(vehicle.contact.profile, vehicle).cells()[0][:, None], 4)
-    rows = np.zeros((len(route.COLUMNS), 3))
-    found = np.array(equations.car().rate(state, np.zeros(4), rows, contacts, equations.parameter_vector(vehicle)))
-    rates = found.ravel()[equations.indices("body.psi", "body.pitch", "body.phi")]
-
-    def attitude(time):
-        return Rotation.from_euler("ZYX", angles + rates * time).as_matrix()
-
-    assert np.array(ca.evalf(orientation(*angles))) == pytest.approx(attitude(0), abs=1e-15)
-    skew = attitude(0).T @ (attitude(1e-5) - attitude(-1e-5)) / 2e-5
-    assert [skew[2, 1], skew[0, 2], skew[1, 0]] == pytest.approx(turn, rel=1e-6)
-
-
 def test_pitch_is_nose_up_and_roll_is_right_side_down(vehicle):
     car = SteppedCar("T5", 60.0)
     car.step(steps=500)
@@ -437,27 +383,6 @@ def test_pitch_is_nose_up_and_roll_is_right_side_down(vehicle):
             [f"{body}.{name}" for name in names] for names in (("phi", "pitch", "psi"), ("wx", "wy", "wz"))
         )
         assert a.loc[angles, turns].to_numpy() == pytest.approx(np.eye(3), abs=1e-4)
-
-
-def test_outputs_that_are_states_bear_their_names():
-    car = SteppedCar("T5", 60.0)
-    car.state[:] += 1e-6 * np.arange(len(car.state))
-    shared = [name for name in car.outputs if name in equations.INDEX]
-    assert {"body.pitch", "body.phi", "front.y"} <= set(shared)
-    assert [car.outputs[name] for name in shared] == car.state[equations.indices(*shared)].tolist()
-
-
-@pytest.mark.parametrize("profile", ["cone", "s1002"])
-def test_small_traction_slips_by_kalkers_longitudinal_coefficient(profile):
-    """The creepage is longitudinal: a cone of hardly any angle has no spin, that of S1002 in the middle is small."""
-    vehicle = load_vehicle(**{"contact.profile": profile, "wheel.cone_angle": 1e-5})
-    car = SteppedCar("T5", 60.0, vehicle)
-    car.step(np.full(4, 100.0), 3000)
-    out, (a, b, (c11, *_)) = car.outputs, middle_patch(vehicle)
-    adhesion = vehicle.adhesion["dry"]
-    linear = vehicle.contact.shear_modulus * a * b * c11
-    expected = linear * (adhesion.k_a + adhesion.k_s) / 2
-    assert -out["front_le.Fx"] / out["front_le.nu_x"] == pytest.approx(expected, rel=0.05)
 
 
 def test_motor_reaction_pitches_the_carrier(vehicle):

@@ -10,7 +10,6 @@ import pytest
 from railrepro.control.mpc import NMPC
 from railrepro.control.problem import MPCSettings, dynamics
 from railrepro.control.solvers import ipopt
-from railrepro.errors import InputError
 from railrepro.model.control_model import STATES
 from railrepro.simulation import scenarios
 from railrepro.vehicle.parameters import load_vehicle
@@ -75,20 +74,6 @@ def test_condensed_form_is_the_stated_cost_of_the_linearised_trajectory(case):
         assert short == pytest.approx(stated, rel=1e-9)
 
 
-@pytest.mark.parametrize("bound", [4000.0, 150.0])
-def test_recursion_and_condensed_form_have_the_same_minimiser(case, bound):
-    problem, controller, _ = case
-    horizon = controller.horizon
-    horizon.sample(problem.x_hat, problem.u_d, bound)
-    horizon.fixed[:], horizon.side[:] = 0.0, 0.0
-    dx, du = condensed.solve(horizon)
-    horizon.solve()
-    assert np.abs(horizon.side).max() == 1.0
-    assert (np.abs(horizon.fixed).max() == 1.0) == (bound < 4000.0)
-    assert horizon.du == pytest.approx(du, rel=1e-6, abs=1e-4)
-    assert horizon.dx == pytest.approx(dx, rel=1e-6, abs=1e-9)
-
-
 def test_nonlinear_program_has_the_stated_cost_bound_and_dynamics(case):
     problem, controller, generator = case
     s, steps = SETTINGS, SETTINGS.steps
@@ -151,29 +136,6 @@ def test_a_roll_out_holds_each_torque_for_one_step_of_the_model(case):
     for k in (0, 1, SETTINGS.steps - 1):
         following, *_ = step(states[k], du[k], 500.0, problem.ahead.theta[k], problem.parameters, SETTINGS.period, 1.0)
         assert states[k + 1] == pytest.approx(np.array(following).ravel(), rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"q_diag": Q[:5]}, "q_diag is .*, 6 weights not below 0"),
-        ({"q_diag": (0.0, -1e-9, 0.0, 0.0, 1.0, 0.0)}, "-1e-09.*, 6 weights not below 0"),
-        ({"q_diag": (1.0, 1.0, 1.0, 1.0, 0.0, 1.0)}, "that of y above, are needed"),
-        ({"r": 0.0}, "r is 0.0, a number above 0"),
-        ({"r": -1.0}, "r is -1.0, a number above 0"),
-        ({"steps": 1}, "steps = 1, a number from 2 to 1000"),
-        ({"period": 0.0}, "period is 0.0, a number above 0"),
-        ({"period": -0.01}, "period is -0.01, a number above 0"),
-    ],
-)
-def test_settings_without_a_problem_are_refused(changes, sentence):
-    with pytest.raises(InputError, match=sentence):
-        replace(SETTINGS, **changes)
-
-
-def test_the_least_settings_are_taken():
-    least = MPCSettings((0.0, 0.0, 0.0, 0.0, 1e-9, 0.0), r=1e-30, steps=2, period=1e-3)
-    assert least.tuning() == pytest.approx([0, 0, 0, 0, 1e-9, 0, 1e-30, 1.0, 1e-3, 8e-3, 100.0])
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """README is short, its numbers and those of the guide are those of the tables, its links lead somewhere."""
 
 import re
-from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -39,22 +38,6 @@ def test_the_results_and_the_gallery_are_those_that_the_report_writes(table, nom
     assert sorted(shown) == sorted(
         file.name for file in paths.FIGURES.glob("*.png") if not file.with_suffix(".svg").exists()
     )
-
-
-def test_the_error_of_a_run_is_that_of_its_series():
-    run = Page.__new__(Page)
-    series = pd.DataFrame({"car": "uncalibrated", "setting": "paper", "controller": "ndi", "p_m": [0.0, 4.0, 9.0]})
-    series = series.assign(y_m=[0.0, 1e-3, -1e-3], y_ref_m=[0.0, 0.0, 1e-3])
-    other = series.assign(setting="equal", y_m=9.0)
-    run.prose = SimpleNamespace(
-        nominal=SimpleNamespace(results=SimpleNamespace(figure=lambda _: pd.concat([series, other])))
-    )
-    ((error, length),) = run.runs("any")["uncalibrated"]
-    assert (error, length) == (pytest.approx((5 / 3) ** 0.5), 9.0)
-    speeds = pd.DataFrame({"car": "calibrated", "setting": "paper", "controller": "ndi"}, index=[0, 1])
-    speeds = speeds.assign(speed_kmh=[400, 40], rmse_mm=[2.0, 1.0])
-    run.prose.nominal.results.figure = lambda _: speeds
-    assert run.runs("any")["calibrated"][0][0] == 2.0
 
 
 @pytest.mark.parametrize(

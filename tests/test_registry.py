@@ -3,24 +3,15 @@
 from itertools import combinations
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
 
-from railrepro import paths
 from railrepro.control import registry
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
 from railrepro.errors import InputError
 from railrepro.evidence.report import figures
 from railrepro.evidence.runs import tuning
-
-
-def test_groups_are_made_of_registered_controllers():
-    assert set(registry.SHOWN) <= set(registry.CONTROLLERS)
-    for group in (registry.INVERSIONS, registry.PAPER_TRIO, registry.COMPARED):
-        assert set(group) <= set(registry.REPLICATED)
-        assert list(group) == sorted(group, key=registry.REPLICATED.index)
 
 
 def test_a_controller_that_nobody_asks_for_needs_neither_tuning_nor_a_place_in_the_chapters(monkeypatch):
@@ -39,11 +30,6 @@ def test_every_controller_has_a_colour_a_line_and_a_marker_of_its_own():
     for one, other in combinations(looks, 2):  # in grey: another line, or clearly darker
         lightness = [np.dot(to_rgb(look.color), (0.299, 0.587, 0.114)) for look in (one, other)]
         assert one.linestyle != other.linestyle or abs(lightness[0] - lightness[1]) > 0.25, (one.label, other.label)
-
-
-def test_set_up_of_the_adhesion_experiment_is_called_the_same_in_its_table():
-    cases = pd.read_csv(paths.source("data/results/adhesion_metrics.csv"))["case"]
-    assert registry.r_times(registry.EMPHASIS, "NMPC") in set(cases)
 
 
 def test_emphasis_multiplies_the_weight_of_the_torque_only():

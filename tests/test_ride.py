@@ -43,10 +43,6 @@ def test_weights_are_those_of_the_standard(name, weights):
     np.testing.assert_allclose(gain(name, list(weights)), list(weights.values()), rtol=2e-3)
 
 
-def test_weight_at_the_upper_band_limit_is_within_the_warping():
-    assert gain("Wk", 80.0)[0] == pytest.approx(0.132, rel=0.04)
-
-
 # The bilinear transform moves frequencies and nothing else, so moved frequencies leave rounding only.
 @pytest.mark.parametrize(
     ("name", "transition", "q4", "step"),
@@ -66,11 +62,6 @@ def test_both_weightings_wb_follow_their_transfer_functions(name, transition, q4
     np.testing.assert_allclose(gain(name, at), expected, rtol=1e-6)
 
 
-def test_an_unknown_weighting_is_refused():
-    with pytest.raises(InputError, match="weighting 'Wx'"):
-        ride.weighting_filter("Wx", RATE)
-
-
 def test_a_constant_acceleration_is_not_felt():
     steady = np.full(10_000, -9.81)
     assert ride.weighted_rms(steady, "Wk", RATE) < 1e-9
@@ -82,17 +73,6 @@ def test_mean_comfort_of_a_sine_of_five_hertz(axis, weight):
     sine, still = np.sin(2 * np.pi * 5 * time(60)), np.zeros(60_000)
     directions = [sine if i == axis else still for i in range(3)]
     assert ride.mean_comfort(*directions, RATE) == pytest.approx(6 * weight / np.sqrt(2), rel=3e-3)
-
-
-def test_mean_comfort_sums_the_squares_of_three_directions():
-    sine = np.sin(2 * np.pi * 5 * time(60))
-    together = 6 / np.sqrt(2) * np.sqrt(2 * 0.409**2 + 0.957**2)
-    assert ride.mean_comfort(sine, sine, sine, RATE) == pytest.approx(together, rel=3e-3)
-
-
-def test_weighted_rms_of_a_sine_of_five_hertz():
-    sine = np.sin(2 * np.pi * 5 * time(60))
-    assert ride.weighted_rms(sine, "Wk", RATE) == pytest.approx(1.039 / np.sqrt(2), rel=3e-3)
 
 
 @pytest.mark.parametrize(("loud", "expected"), [(2, 0.0), (6, 1.0)])
@@ -114,12 +94,6 @@ def test_a_run_shorter_than_one_block_has_no_mean_comfort():
     assert np.isnan(ride.mean_comfort(*np.zeros((3, 4999)), RATE))
 
 
-def test_the_end_of_a_short_run_counts():
-    t, still = time(7), np.zeros(7000)
-    late = np.where(t > 5.5, np.sin(2 * np.pi * 5 * t), 0)
-    assert ride.mean_comfort(still, still, late, RATE) > 1
-
-
 def test_low_pass_has_its_cut_off_slope_and_no_phase():
     t = time(4)
     middle = slice(1500, 2500)
@@ -139,13 +113,6 @@ def test_sliding_mean_of_a_ramp_is_the_ramp_whatever_the_speed():
     p = 100 + 30 * np.linspace(0, 1, 3000) ** 2
     means = ride.sliding_mean(5 * p, p)
     np.testing.assert_allclose(means, 5 * (101 + 0.5 * np.arange(57)), rtol=1e-4)
-
-
-def test_sliding_mean_refuses_a_short_or_backward_run():
-    with pytest.raises(InputError, match="longer run than the 1.5 m"):
-        ride.sliding_mean(np.ones(4), [0, 0.5, 1, 1.5])
-    with pytest.raises(InputError, match="never decreases"):
-        ride.sliding_mean(np.ones(4), [0, 5, 4, 9])
 
 
 def test_sliding_mean_of_a_car_that_swings_back_after_its_stop():
@@ -345,11 +312,3 @@ def test_summary_takes_the_worst_wheel_the_roll_and_all_flanges(vehicle):
     tail = ride.ride_summary(series.iloc[4000:].reset_index(drop=True), vehicle)
     assert tail["sum_y_rear"][0] == pytest.approx(4.0 - 2 * 0.07848, rel=1e-3)
     assert tail["sum_y_front"][0] == pytest.approx(4.0, rel=1e-6)
-
-
-def test_summary_refuses_a_series_without_its_columns_or_length(vehicle):
-    series = steady_series(vehicle)
-    with pytest.raises(InputError, match="lacks 1 columns.*'floor_rear.ay'"):
-        ride.ride_summary(series.drop(columns="floor_rear.ay"), vehicle)
-    with pytest.raises(InputError, match="has 1 rows"):
-        ride.ride_summary(series.iloc[:1], vehicle)

@@ -9,8 +9,6 @@ import pytest
 
 from railrepro import __main__ as command
 from railrepro import code, paths
-from railrepro.control import lateral
-from railrepro.control.registry import CONTROLLERS
 from railrepro.errors import InputError
 from railrepro.evidence.score import card, leaderboard, limit, run, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry, known, load_class
@@ -208,14 +206,6 @@ def test_a_delay_of_a_slower_controller_is_that_of_its_torque(tmp_path):
     assert (torque[:12] == 0.0).all() and (torque[12:] == 100.0).all()
 
 
-def test_points_fall_steadily_with_delay():
-    delays = [case for case in suite.cases(1) if case.delay and "dry" in case.name and case.setting == "equal"]
-    points = [card.judged([Trial(entry(PID), case)() | ANCHORS])["points"][0] for case in delays]
-    assert (
-        all(late < early + 0.1 for early, late in zip(points, points[1:], strict=False)) and points[3] < points[0] - 1
-    )
-
-
 def test_what_cannot_be_driven_at_all_is_one_sentence_and_exit_code_1(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     file = tmp_path / "mine.py"
@@ -284,21 +274,6 @@ def test_names_that_tables_cannot_show_are_refused(name, tmp_path):
         entry(str(tmp_path / name))
 
 
-def test_a_file_never_has_the_name_of_a_registered_controller(tmp_path):
-    (tmp_path / "ndi.py").write_text("")
-    assert entry(str(tmp_path / "ndi.py")).name == "ndi.py" and "ndi.py" not in CONTROLLERS
-
-
-def test_what_a_law_may_use_is_described(capsys):
-    assert command.main(["score", "--describe"]) == 0
-    said = capsys.readouterr().out
-    for name in (*lateral.GEAR, *lateral.ROAD, *lateral.MODEL):
-        (line,) = [line for line in said.splitlines() if line.split()[:1] in ([name], [f"{name},"])]
-        assert len(line.split()) > 2
-    assert "y_TrAx, y             m           lateral displacement" in said
-    assert command.main(["score"]) == 1
-
-
 def test_a_small_score_writes_its_card(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     monkeypatch.setattr(paths, "BUILD", tmp_path)
@@ -308,11 +283,6 @@ def test_a_small_score_writes_its_card(tmp_path, monkeypatch, capsys):
     assert set(table["seed"]) == {5} and set(table["setting"]) == {"equal", "loop", "all"}
     assert "score over both settings" in capsys.readouterr().out
     assert np.isfinite(table["value"]).all()
-
-
-def test_names_of_no_run_are_refused():
-    with pytest.raises(InputError, match="there is no run of the names"):
-        run.score(entry(PID), 1, names=("nowhere",))
 
 
 def test_a_stored_score_is_of_all_data_that_a_run_can_read():
@@ -379,11 +349,3 @@ def test_a_page_without_a_place_for_the_leaderboard_is_refused_and_nothing_is_wr
     with pytest.raises(InputError, match=r"benchmark.md: the lines .* are missing"):
         leaderboard.main(["ndi"])
     assert not (tmp_path / "data/results/board.csv").exists()
-
-
-def test_the_page_shows_the_committed_leaderboard():
-    text, file = (paths.ROOT / leaderboard.PAGE).read_text(), paths.ROOT / leaderboard.LEADERBOARD
-    if not file.exists():
-        assert f"{leaderboard.BEGIN}\n{leaderboard.END}\n" in text  # `make leaderboard` fills it
-    else:
-        assert leaderboard.in_page(text, pd.read_csv(file)) == text

@@ -14,7 +14,6 @@ from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import closed_loop, metrics, scenarios, simulate
 from railrepro.track import defects
 from railrepro.track.route import COLUMNS, INDEX, irregularity_in
@@ -51,12 +50,6 @@ def unguided():
     return simulate.run(scenarios.load_scenario("curve_entry_T2"), NDI(pole=1e-3, frequency=1e-3), vehicle=vehicle)
 
 
-def test_delay_of_a_shifted_signal_is_found():
-    p = np.arange(0, 600, 0.1)
-    series = pd.DataFrame({"front.p": p, "front.y_ref": np.sin(p / 15), "front.y": np.sin((p - 4.0) / 15)})
-    assert metrics.delay(series) == pytest.approx(4.0, abs=0.3)
-
-
 def test_offset_observer_removes_the_drift_in_the_curve():
     scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=450.0)
     drift = []
@@ -84,16 +77,6 @@ def test_no_number_that_is_not_finite_leaves_a_run():
     light = load_vehicle(**{"suspension.link_stiffness": 5e6, "drive.lag": 0.002})
     state = simulate.run(scenarios.load_scenario("sine_tracking").but(end_m=30.0), NDI(900, 900), plant_vehicle=light)
     assert np.isfinite(state.series).all().all()
-
-
-def test_irregular_track_moves_the_car():
-    experiment = Experiment(
-        scenarios.load_scenario("sine_tracking").but(end_m=150.0, set_point={"kind": "none"}),
-        "ndi",
-        parameters={"pole": 30.0, "frequency": 30.0, "damping": 1.0},
-        irregular={"seed": 2},
-    )
-    assert experiment()[0]["rmse_y"] > 1e-5
 
 
 @dataclass
@@ -283,15 +266,6 @@ def test_the_first_place_outside_the_validity_of_a_model_is_told(column, value, 
     series.loc[2:, column] = value
     assert simulate._warnings(series, cone) == (f"{sentence} at t = 1.000 s, p = 20.0 m",)
     assert simulate._warnings(series, worn) == (() if "cones" in sentence else simulate._warnings(series, cone))
-
-
-def test_the_log_of_a_run_grows_with_the_run():
-    """A run that may take a thousand years, ended by the track."""
-    scenario = scenarios.load_scenario("sine_tracking").but(end_m=20)
-    way = simulate.checked_route(scenario, load_vehicle())
-    coupled = simulate.start(scenario, NDI(), way, load_vehicle(), load_vehicle())
-    log = coupled.run(10**13)
-    assert coupled.ended and len(log) == coupled.cycles + 1 < 2000
 
 
 def test_blocks_of_the_log_leave_no_seam(monkeypatch):
