@@ -130,7 +130,7 @@ class Law:
 
 
 def law(answer, gains=None):
-    return lateral.kind(Law(answer, gains))
+    return lateral.signature(Law(answer, gains))
 
 
 def file(text, read, name="mine.csv"):

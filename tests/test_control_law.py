@@ -31,7 +31,7 @@ class Probe:
         return sum(getattr(q, f"scale_{name}") * getattr(q, name) for name in SEEN), {"calls": q.calls + 1}
 
 
-FUNCTION = law.function(law.LawKind(lateral.kind(Probe())))
+FUNCTION = law.function(law.LawSignature(lateral.signature(Probe())))
 
 
 def cells():
@@ -54,10 +54,10 @@ def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, estimate=Non
     """Command by wheel, memory, record and margins by name."""
     settings = law.LawSettings(adhesion, estimate, **options)
     control = law.control_law(load_vehicle(), guidance or Probe(), settings, **LIMITS)
-    before = dict.fromkeys(control.kind.memory, 0.0) | (memory or {})
+    before = dict.fromkeys(control.signature.memory, 0.0) | (memory or {})
     inputs = [y[name] for name in law.MEASURED], cells() if rows is None else rows, held, control.gains
-    found = FUNCTION(*inputs, [before[name] for name in control.kind.memory])
-    names = (WHEELS, control.kind.memory, law.RECORD, law.MARGINS)
+    found = FUNCTION(*inputs, [before[name] for name in control.signature.memory])
+    names = (WHEELS, control.signature.memory, law.RECORD, law.MARGINS)
     return tuple(dict(zip(group, np.array(v).ravel(), strict=True)) for group, v in zip(names, found, strict=True))
 
 

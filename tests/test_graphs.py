@@ -105,7 +105,7 @@ def test_only_functions_of_the_library_are_stored():
         (recursion, ("corrected", "midpoint")),
         (barrier, ("corrected", "midpoint")),
         (forecast.functions, ()),
-        (law.function, (law.LawKind(lateral.kind(NDI()), True),)),
+        (law.function, (law.LawSignature(lateral.signature(NDI()), True),)),
     ],
 )
 def test_a_stored_graph_gives_the_same_c_source_as_the_derived_one(build, arguments):

@@ -61,7 +61,7 @@ def test_controllers_of_the_guide_run_as_they_stand():
         assert not names["run"].failed
         assert names["run"].ended.startswith("end of the run")
     assert {"StateFeedback", "Preview"} <= set(names)
-    fast, slow = (lateral.kind(names["StateFeedback"](pole=pole)) for pole in (20.0, 40.0))
+    fast, slow = (lateral.signature(names["StateFeedback"](pole=pole)) for pole in (20.0, 40.0))
     assert fast == slow, "one compiled object must serve both tunings"
 
 
@@ -105,7 +105,7 @@ def test_memory_that_is_not_declared_is_refused():
         memory = ()
 
     with pytest.raises(InputError, match=r"law Forgetful: torque\(\) gave memory \['past'\], declared is \[\]"):
-        lateral.kind(Forgetful(lambda q: 0.0))
+        lateral.signature(Forgetful(lambda q: 0.0))
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_a_torque_without_its_memory_is_refused(torque, sentence):
     own = Own(None)
     own.torque = torque
     with pytest.raises(InputError, match=f"law Own: .*{sentence}"):
-        lateral.kind(own)
+        lateral.signature(own)
 
 
 def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
@@ -177,7 +177,7 @@ def test_the_inversion_inverts_the_control_model(speed, base_torque, tolerance):
 
     limits = {"lateral_limit": 1.0, "track_end": 1.0, "stop_speed": 0.0}
     control = law.control_law(vehicle, NDI(derivatives=3, integral=0.2), **limits)
-    numbers = dict(zip(control.kind.gains, control.gains.tolist(), strict=True))
+    numbers = dict(zip(control.signature.gains, control.gains.tolist(), strict=True))
     gain, model = ({name.partition(".")[2]: value for name, value in numbers.items() if name.startswith(f"{group}.")}
                    for group in ("lateral", "model"))  # fmt: skip
     gear = x | {"xddot": 2 * base_torque / (model["r_0"] * model["m_x_eff"]), "held": 0.0}

@@ -57,10 +57,15 @@ def test_the_horizon_has_five_to_a_hundred_steps(horizon, steps):
 
 def test_guidance_of_each_method():
     nmpc = registry.guidance("nmpc", TUNED, {"solver": "rti"}, steps=7)
-    assert (nmpc.kind, nmpc.options, nmpc.settings.steps, nmpc.settings.period) == (NMPC, (("solver", "rti"),), 7, 8e-3)
+    assert (nmpc.controller, nmpc.options, nmpc.settings.steps, nmpc.settings.period) == (
+        NMPC,
+        (("solver", "rti"),),
+        7,
+        8e-3,
+    )
     for name, options in (("ltv_mpc", ()), ("ltv_mpc_printed", (("printed", True),))):
         linear = registry.guidance(name, TUNED)
-        assert (linear.kind, linear.options) == (LTVMPC, options)
+        assert (linear.controller, linear.options) == (LTVMPC, options)
     poles = {"pole": 20.0, "frequency": 25.0, "damping": 0.8}
     assert registry.guidance("ndi", poles) == NDI(**poles)
     assert registry.guidance("ndi_feedforward", poles) == NDI(**poles, derivatives=3)

@@ -182,8 +182,8 @@ def planned(torque) -> float:
 
 
 @dataclass(frozen=True)
-class Kind:
-    """A 1 kHz law without its numbers: laws of one kind share one compiled object.
+class Signature:
+    """A 1 kHz law without its numbers: laws of one signature share one compiled object.
 
     Attributes
     ----------
@@ -215,8 +215,8 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
     return gains
 
 
-def kind(law: LateralLaw) -> Kind:
-    """The kind of a 1 kHz law.
+def signature(law: LateralLaw) -> Signature:
+    """The signature of a 1 kHz law.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def kind(law: LateralLaw) -> Kind:
     function = ca.Function("lateral", list(vectors.values()), results, {"allow_free": True})
     if function.has_free():
         raise InputError(f"{owner}: the symbols {function.get_free()} are not given to torque()")
-    return Kind(function.serialize(), gains, memory)
+    return Signature(function.serialize(), gains, memory)
 
 
 def _owner(law: LateralLaw) -> str:

@@ -3,7 +3,7 @@
 Without sensors the controllers see the car's own states; with them, what `railrepro.estimation` makes of readings.
 
 The lateral law is a `railrepro.control.lateral.LateralLaw`. All gains are run-time inputs, so one compiled object
-serves every scenario and tuning particle of one kind of law.
+serves every scenario and tuning particle of one signature.
 
 Serves the paper's Fig. 4 and sections Adhesion Control and Integration Approach.
 """
@@ -136,19 +136,19 @@ PLAIN = LawSettings()
 
 
 @dataclass(frozen=True)
-class LawKind:
-    """A 1 kHz law without its numbers: laws of one kind share one compiled object.
+class LawSignature:
+    """A 1 kHz law without its numbers: laws of one signature share one compiled object.
 
     Attributes
     ----------
-    lateral : lateral.Kind
+    lateral : lateral.Signature
     sensed : bool
         Whether sensors and filter stand between the car and the controllers.
     longitudinal_law : type
         Which law gives the base torque.
     """
 
-    lateral: lateral.Kind
+    lateral: lateral.Signature
     sensed: bool = False
     longitudinal_law: type[LongitudinalLaw] = AdhesionSettings
 
@@ -189,19 +189,19 @@ class LawKind:
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law with its numbers: `gains` in the order of `kind.gains`, SI."""
+    """The 1 kHz law with its numbers: `gains` in the order of `signature.gains`, SI."""
 
-    kind: LawKind
+    signature: LawSignature
     gains: np.ndarray
 
     @property
     def function(self) -> ca.Function:
         """See `function`."""
-        return function(self.kind)
+        return function(self.signature)
 
     def library(self) -> ctypes.CDLL:
         """The law as a shared object."""
-        return _library(self.kind)
+        return _library(self.signature)
 
 
 def control_law(
@@ -228,7 +228,7 @@ def control_law(
     Raises
     ------
     InputError
-        When the lateral law is not well formed, see `lateral.kind`.
+        When the lateral law is not well formed, see `lateral.signature`.
     """
     law, sensors = guidance or lateral.Held(), settings.sensors
     adhesion = settings.adhesion or AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
@@ -243,8 +243,8 @@ def control_law(
         for g, gear in enumerate(GEARS):
             gains |= {f"{gear}.sensor.{name}": value for name, value in sensors.gains(g).items()}
         gains |= {f"filter.{name}": value for name, value in observers.stationary_gains(vehicle, sensors.loop).items()}
-    kind = LawKind(lateral.kind(law), sensors is not None, type(adhesion))
-    return ControlLaw(kind, np.array([gains[name] for name in kind.gains], dtype=float))
+    signature = LawSignature(lateral.signature(law), sensors is not None, type(adhesion))
+    return ControlLaw(signature, np.array([gains[name] for name in signature.gains], dtype=float))
 
 
 def _model(vehicle: Vehicle) -> dict[str, float]:
@@ -264,12 +264,12 @@ def _model(vehicle: Vehicle) -> dict[str, float]:
 
 
 @lru_cache
-def _library(kind: LawKind) -> ctypes.CDLL:
-    return codegen.library((function(kind),))
+def _library(signature: LawSignature) -> ctypes.CDLL:
+    return codegen.library((function(signature),))
 
 
 @codegen.stored
-def function(kind: LawKind) -> ca.Function:
+def function(signature: LawSignature) -> ca.Function:
     """The 1 kHz law as a function.
 
     Returns
@@ -278,11 +278,11 @@ def function(kind: LawKind) -> ca.Function:
         (measured, cells of both gears, held[2], gains, memory) -> command[4] (N m), memory, record, margins; a run goes
         on while all margins are positive.
     """
-    names = {"y": MEASURED, "gains": kind.gains, "memory": kind.memory}
+    names = {"y": MEASURED, "gains": signature.gains, "memory": signature.memory}
     symbols = {name: ca.SX.sym(name, len(entries)) for name, entries in names.items()}
     y, gain, old = (_named(names[name], symbols[name]) for name in names)
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
-    sight = _Sensed if kind.sensed else _Exact
+    sight = _Sensed if signature.sensed else _Exact
     gears = [sight(g, y, _named(COLUMNS, rows[:, g]), held[g], old, gain) for g in range(len(GEARS))]
     tracks = [_track_ahead(gear.cell, gear.place) for gear in gears]
     front, rear = tracks
@@ -291,7 +291,7 @@ def function(kind: LawKind) -> ca.Function:
     new, command = {"ticks": old["ticks"] + 1}, []
     record: dict[str, ca.SX] = {}
     for gear, track_ahead in zip(gears, tracks, strict=True):
-        torques, following, recorded = _cycle(kind, gear, track_ahead | body)
+        torques, following, recorded = _cycle(signature, gear, track_ahead | body)
         command += torques
         new |= {f"{gear.name}.{name}": value for name, value in following.items()}
         record |= {f"{gear.name}.{name}": value for name, value in recorded.items()}
@@ -301,7 +301,7 @@ def function(kind: LawKind) -> ca.Function:
     results = {
         "command": command,
         "memory_next": [new[name] for name in names["memory"]],
-        "record": [record[name] for name in kind.record],
+        "record": [record[name] for name in signature.record],
         "margins": [margins[name] for name in MARGINS],
     }
     return ca.Function(
@@ -314,16 +314,16 @@ def function(kind: LawKind) -> ca.Function:
     )
 
 
-def _cycle(kind: LawKind, gear: _Exact, track_ahead: dict) -> tuple[list, dict, dict]:
+def _cycle(signature: LawSignature, gear: _Exact, track_ahead: dict) -> tuple[list, dict, dict]:
     """Torques of both wheels of a gear (N m), its next memory, and what is recorded of it."""
     gain, own, model = gear.gain, gear.own, _part(gear.gain, "model")
     state, estimates = gear.look(track_ahead)
     f_star = gear.cell["force"] / (2 * gain["nominal_load"])
     f, s = ([estimates[f"{what}_hat_{i}"] for i in range(2)] for what in ("f", "s"))
-    u_d, stored, segment = kind.longitudinal_law.law(f, s, f_star, state["xdot"], gear.ticks, own, gain, model)
+    u_d, stored, segment = signature.longitudinal_law.law(f, s, f_star, state["xdot"], gear.ticks, own, gain, model)
 
     state = state | {"xddot": 2 * u_d / (model["r_0"] * model["m_x_eff"]), "held": gear.held}
-    wanted, following = _lateral(kind.lateral, state, track_ahead, own, gain, model)
+    wanted, following = _lateral(signature.lateral, state, track_ahead, own, gain, model)
     wanted *= _fade(state["xdot"], GUIDANCE_FADE)
     tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, model["tau_max"], gain["fixed_share"])
     torques, seen = gear.send(tau_le, tau_ri, track_ahead)
@@ -412,14 +412,14 @@ def _named(names: tuple[str, ...], vector: ca.SX) -> dict[str, ca.SX]:
 
 
 def _lateral(
-    kind: lateral.Kind, state: dict, track_ahead: dict, own: dict, gain: dict, model: dict
+    signature: lateral.Signature, state: dict, track_ahead: dict, own: dict, gain: dict, model: dict
 ) -> tuple[ca.SX, dict]:
     """Torque of the lateral law (N m) and its next memory."""
-    memory, gains = ([f"lateral.{name}" for name in names] for names in (kind.memory, kind.gains))
+    memory, gains = ([f"lateral.{name}" for name in names] for names in (signature.memory, signature.gains))
     groups = state, track_ahead, own, gain, model
     orders = lateral.GEAR, lateral.ROAD, memory, gains, lateral.MODEL
     vectors = [ca.vertcat(*(group[name] for name in names)) for group, names in zip(groups, orders, strict=True)]
-    du, following = kind.function(*vectors)
+    du, following = signature.function(*vectors)
     return du, dict(zip(memory, ca.vertsplit(following), strict=True))
 
 

@@ -70,12 +70,12 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 class Predictive:
     """Factory of a predictive controller per gear; picklable."""
 
-    kind: type
+    controller: type
     settings: MPCSettings
     options: tuple = ()
 
     def __call__(self, vehicle, route, gear: int):
-        return self.kind(vehicle, route, gear, self.settings, **dict(self.options))
+        return self.controller(vehicle, route, gear, self.settings, **dict(self.options))
 
 
 def _inversion(settings: NDI) -> NDI:
@@ -179,7 +179,7 @@ def _with_options(built, options: dict, where: str):
     """A factory of predictive controllers with further arguments of the controller."""
     if not isinstance(built, Predictive):
         raise InputError(f"{where}: takes no options, {sorted(options)} are given")
-    known = {field.name for field in fields(built.kind)} - {field.name for field in fields(PredictiveController)}
+    known = {field.name for field in fields(built.controller)} - {field.name for field in fields(PredictiveController)}
     if unknown := set(options) - known:
         raise InputError(f"{where}: option {min(unknown)!r} is not known; there are {sorted(known)}")
     return replace(built, options=(*built.options, *options.items()))

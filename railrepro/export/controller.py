@@ -100,7 +100,7 @@ class Export:
     def _constants(self, control: law.ControlLaw) -> str:
         """Sizes, road and gains of the law."""
         sizes: dict[str, int | str] = {"N_MEASURED": len(law.MEASURED), "N_TORQUE": len(TORQUES)}
-        sizes |= {"N_MEMORY": len(control.kind.memory), "GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)}
+        sizes |= {"N_MEMORY": len(control.signature.memory), "GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)}
         sizes |= _work("LAW", [control.function])
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
         sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}
@@ -118,10 +118,14 @@ class Export:
     def _planner(self, planners: list[PredictiveController], control: law.ControlLaw) -> str:
         """The predictive controllers of both gears: solver, numbers, where they find what is measured."""
         settings, first = planners[0].settings, planners[0]
-        functions, memory = _functions(first), control.kind.memory
+        functions, memory = _functions(first), control.signature.memory
         sizes: dict[str, int | str] = {"PLAN_STEPS": round(settings.period / CONTROL_PERIOD), "STEPS": settings.steps}
         sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
-        sizes |= {"INFORMED": int(settings.informed), "N_SEEN": len(STATES), "SEEN_IN_MEMORY": int(control.kind.sensed)}
+        sizes |= {
+            "INFORMED": int(settings.informed),
+            "N_SEEN": len(STATES),
+            "SEEN_IN_MEMORY": int(control.signature.sensed),
+        }
         sizes |= _work("PLAN", functions)
         numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.c.affine}
         numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
@@ -131,7 +135,7 @@ class Export:
         sizes["N_NOMINAL"] = nominal.shape[1]
         states = [[law.MEASURED.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS]
         names = [[f"{gear}.{name}" for name in law.SEEN] for gear in law.GEARS]
-        seen = [[memory.index(name) if control.kind.sensed else 0 for name in row] for row in names]
+        seen = [[memory.index(name) if control.signature.sensed else 0 for name in row] for row in names]
         text = _defines(sizes)
         text += _integers("STATES_AT", states) + _integers("SEEN", seen)
         text += _integers("BASE", [memory.index(f"{gear}.u") for gear in law.GEARS])

@@ -63,7 +63,7 @@ class ClosedLoop:
     held : ndarray, shape (2,)
         Differential torques of a slower lateral controller, front and rear (N m); writable.
     memory : ndarray
-        States of the law, see `law.LawKind.memory`.
+        States of the law, see `law.LawSignature.memory`.
     columns : tuple of str
         Names of the columns that `run` returns.
     functions : dict
@@ -75,15 +75,15 @@ class ClosedLoop:
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
         self.control, self.cycles, self.ended = control, 0, False
         outputs = self.car.model.outputs
-        self.columns = (*outputs, *control.kind.record)
+        self.columns = (*outputs, *control.signature.record)
         self.sensed = [outputs.index(name) for name in law.MEASURED]
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
         self._seen = None
-        if control.kind.sensed:
+        if control.signature.sensed:
             self._seen, self._read = self._places(law.SEEN), self._places(law.READ)
         self._base, self._estimates = self._places(("u",))[:, 0], self._places(law.ESTIMATES)
-        self.memory, self._gains = np.zeros(len(control.kind.memory)), np.array(control.gains)
-        self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.kind.record))
+        self.memory, self._gains = np.zeros(len(control.signature.memory)), np.array(control.gains)
+        self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.signature.record))
         self._measured, self._margins = np.zeros(len(law.MEASURED)), np.zeros(len(law.MARGINS))
         first = equations.BODIES.index(law.GEARS[0])
         cells = self.car.rows[first : first + len(law.GEARS)].reshape(-1)
@@ -98,7 +98,7 @@ class ClosedLoop:
 
     def _places(self, names: tuple[str, ...]) -> np.ndarray:
         """Places of named states of both gears in the memory of the law, shape (2, len(names))."""
-        memory = self.control.kind.memory
+        memory = self.control.signature.memory
         return np.array([[memory.index(f"{gear}.{name}") for name in names] for gear in law.GEARS])
 
     def run(self, n: int) -> np.ndarray:

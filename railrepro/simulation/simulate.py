@@ -53,7 +53,7 @@ class Run:
     state : ndarray
         Plant state at the end, see `CarStepper`.
     memory : dict
-        States of the law at the end by name, see `law.LawKind.memory`.
+        States of the law at the end by name, see `law.LawSignature.memory`.
     """
 
     series: pd.DataFrame
@@ -130,7 +130,7 @@ def run(
     ended, failed = _reason(loop, series)
     if not np.isfinite(log[-1]).all():  # the run ends at such a row, which `ended` names
         series = series[:-1]
-    memory = dict(zip(loop.control.kind.memory, loop.memory.tolist(), strict=True))
+    memory = dict(zip(loop.control.signature.memory, loop.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, loop.state.copy(), memory)
 
 

@@ -188,7 +188,7 @@ def delayed(guidance: lateral.Guidance, delay: float) -> lateral.Guidance:
 def counted(guidance: lateral.Guidance) -> lateral.Guidance:
     """A guidance whose 1 kHz law counts torques that are not finite; InputError when it is no guidance."""
     law, factory = lateral.split(guidance)
-    lateral.kind(law)
+    lateral.signature(law)
     if isinstance(law, lateral.Held):
         return guidance
     return CountedLaw(law) if factory is None else LawAndControllers(CountedLaw(law), factory)
