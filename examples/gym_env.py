@@ -59,7 +59,7 @@ class GuidanceEnv(gymnasium.Env):
         super().reset(seed=seed)
         noisy = readings(seed=int(self.np_random.integers(2**31))) if self.sensors else None
         law = LawSettings(sensors=noisy)
-        self.loop = simulate.start(self.scenario, lateral.Held(), self.route, self.vehicle, self.vehicle, law)
+        self.loop = simulate.start(self.scenario, lateral.ZeroOrderHold(), self.route, self.vehicle, self.vehicle, law)
         names = self.loop.car.model.states
         for gear in GEARS:
             self.loop.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)

@@ -126,14 +126,14 @@ def test_a_torque_without_its_memory_is_refused(torque, sentence):
 
 
 def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
-    class Both(lateral.Held):
+    class Both(lateral.ZeroOrderHold):
         def __call__(self, vehicle, route, gear):
             return None
 
     fast, both = NDI(), Both()
     assert lateral.split(fast) == (fast, None)
     assert lateral.split(both) == (both, both)
-    assert lateral.split(NMPC) == (lateral.Held(), NMPC)
+    assert lateral.split(NMPC) == (lateral.ZeroOrderHold(), NMPC)
     for nothing in (3.0, None):
         with pytest.raises(InputError, match=r"an object with torque\(q\), or a factory"):
             lateral.split(nothing)

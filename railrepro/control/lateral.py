@@ -1,8 +1,8 @@
 """What guides a running gear: laws at 1 kHz, and slower controllers whose torque is held between their samples.
 
 A 1 kHz law is written in CasADi expressions and becomes part of the compiled loop; its gains are run-time numbers, so
-that one compiled object serves all tunings of a law. NDI is one, and `Held`, which applies what a slower controller
-such as NMPC hands in, is another. Serves the paper's Fig. 4.
+that one compiled object serves all tunings of a law. Examples are NDI, and `ZeroOrderHold`, which applies the last
+torque of a slower controller such as NMPC. Serves the paper's Fig. 4.
 """
 
 from __future__ import annotations
@@ -113,8 +113,8 @@ Guidance = LateralLaw | Factory
 
 
 @dataclass(frozen=True)
-class Held:
-    """The differential torque that a slower controller handed in last."""
+class ZeroOrderHold:
+    """Hold the last differential torque of a slower controller."""
 
     def torque(self, q: SimpleNamespace) -> ca.SX:
         """See `LateralLaw.torque`."""
@@ -142,7 +142,7 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
             f"guidance {guidance!r}: an object with torque(q), or a factory (vehicle, route, gear) of objects with "
             "period and plan(), is needed"
         )
-    return Held(), factory
+    return ZeroOrderHold(), factory
 
 
 def _takes(call: Callable, count: int) -> bool:

@@ -230,7 +230,7 @@ def control_law(
     InputError
         When the lateral law is not well formed, see `lateral.signature`.
     """
-    law, sensors = guidance or lateral.Held(), settings.sensors
+    law, sensors = guidance or lateral.ZeroOrderHold(), settings.sensors
     adhesion = settings.adhesion or AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
     gains = {f"lateral.{name}": value for name, value in lateral.gains_of(law).items()}
     gains |= adhesion.gains() | (settings.estimate or EstimateSettings()).gains()

@@ -55,7 +55,7 @@ class Entry:
             When the file does not hold one controller, or has no numbers to set it.
         """
         if self.name == NOTHING:
-            return register(NOTHING, lambda settings: lateral.Held()), {}
+            return register(NOTHING, lambda settings: lateral.ZeroOrderHold()), {}
         if not self.file:
             return self.name, tuning.load(self.name, setting)["parameters"]
         own = load_class(Path(self.file))

@@ -189,7 +189,7 @@ def counted(guidance: lateral.Guidance) -> lateral.Guidance:
     """A guidance whose 1 kHz law counts torques that are not finite; InputError when it is no guidance."""
     law, factory = lateral.split(guidance)
     lateral.signature(law)
-    if isinstance(law, lateral.Held):
+    if isinstance(law, lateral.ZeroOrderHold):
         return guidance
     return CountedLaw(law) if factory is None else LawAndControllers(CountedLaw(law), factory)
 
