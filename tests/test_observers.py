@@ -76,7 +76,7 @@ def test_creep_angle_and_gyro_bias_are_told_apart_in_a_curve():
     run = drive(QUIET, set_point={"kind": "none"})
     tail = run.series.tail(1000)
     assert abs(tail["front.psi_TrAx"].mean()) > 2e-4
-    seen = {name: run.memory[f"front.seen.{name}"] for name in STATES}
+    seen = {name: run.memory[f"front.estimated.{name}"] for name in STATES}
     assert seen["psi_TrAx"] == pytest.approx(0.0, abs=5e-5)
     assert run.memory["front.filter.beta"] == pytest.approx(-tail["front.psi_TrAx"].iloc[-1], rel=0.1)
 
@@ -118,7 +118,7 @@ def test_controllers_follow_the_set_point_where_the_torque_will_act_and_the_reco
     series = drive(replace(QUIET, latency=Latency(3e-3, 8e-3)), end_m=120.0).series
     route, now = load_scenario("curve_entry_T3").route(), series["front.p"].to_numpy()
     here, there = (route.reference_at(now + late * series["front.v"].to_numpy())[0] for late in (0.0, 8e-3))
-    assert series["front.seen.y_ref"].to_numpy() == pytest.approx(there, abs=1e-6)
+    assert series["front.estimated.y_ref"].to_numpy() == pytest.approx(there, abs=1e-6)
     assert series["front.y_ref"].to_numpy() == pytest.approx(here, abs=1e-12) and np.abs(here - there).max() > 1e-5
 
 
@@ -130,7 +130,7 @@ def test_an_error_of_the_place_is_an_error_of_the_displacement(bias, low, high):
     law = tuned("ndi_feedforward", setting="loop")
     series = drive(loop, "curve_entry_T1", law=law, end_m=50.0).series
     assert low < 1e3 * metrics.rmse(series) < high
-    believed = np.sqrt(np.mean((series["front.y"] - series["front.seen.y_ref"]) ** 2))
+    believed = np.sqrt(np.mean((series["front.y"] - series["front.estimated.y_ref"]) ** 2))
     assert believed < 0.15e-3
 
 
@@ -150,12 +150,15 @@ def test_errors_are_of_the_size_that_the_filter_says():
     delay = round(1e3 * loop.latency.command)
 
     def error(seen, true):
-        return series[f"front.seen.{seen}"].to_numpy()[1000:-delay] - series[f"front.{true}"].to_numpy()[1000 + delay :]
+        return (
+            series[f"front.estimated.{seen}"].to_numpy()[1000:-delay]
+            - series[f"front.{true}"].to_numpy()[1000 + delay :]
+        )
 
     assert 0.7 * said["y"] < error("y_TrAx", "y").std() < 1.6 * said["y"]
     assert 0.7 * said["r"] < error("psidot_Ax", "psidot_Ax").std() < 1.6 * said["r"]
     load = (vehicle.body.mass / 2 + vehicle.gear.mass) * vehicle.gravity / 2
-    adhesion = series["front.seen.f_le"] - series["front_le.Fx"] / load
+    adhesion = series["front.estimated.f_le"] - series["front_le.Fx"] / load
     assert 1e-4 < adhesion.iloc[1000:].std() < 0.01
 
 

@@ -39,7 +39,7 @@ MEASURED = (
     *(f"{gear}_{side}.{name}" for gear in GEARS for side in SIDES for name in ("fx", "sx", "w")),
 )
 """Outputs of the car that the law measures."""
-SEEN = tuple(f"seen.{name}" for name in STATES)
+ESTIMATED = tuple(f"estimated.{name}" for name in STATES)
 """States of a gear as its controllers saw them last, in the memory of a law with sensors."""
 READ = ("read.y_TrAx", "read.psi_TrAx", "read.psidot_Ax")
 """Displacement, yaw angle and yaw rate of a gear as sensors read them, in the memory of a law with sensors."""
@@ -52,7 +52,7 @@ GUIDANCE_FADE = 1.0
 """Speed below which the differential torque fades (m/s): a wheel that stands cannot steer."""
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
 """The set point `y_ref` is that at the true place of the gear, from which errors are counted; controllers use the set
-point at the place that they believe, which with sensors is recorded as `seen.y_ref`."""
+point at the place that they believe, which with sensors is recorded as `estimated.y_ref`."""
 _OF_BODY = {"psi_CB": "psi_Tr", "dpsi_dp_CB": "dpsi_dp"}
 """Of `lateral.ROAD`, what holds at the car body, as the mean of what holds at its gears."""
 RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
@@ -171,20 +171,24 @@ class LawSignature:
     def memory(self) -> tuple[str, ...]:
         """Names of the states of the law; `front.u` and `rear.u` are the base torques (N m).
 
-        With sensors `front.seen.y_TrAx` and so on are the states that the controllers saw last.
+        With sensors `front.estimated.y_TrAx` and so on are the states that the controllers saw last.
         """
         names = (*self.longitudinal_law.memory, *ESTIMATES, *(f"lateral.{name}" for name in self.lateral.memory))
         if self.sensed:
-            names += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *SEEN, *READ)
+            names += (*(f"sensor.{n}" for n in MEMORY), *(f"filter.{n}" for n in observers.STATES), *ESTIMATED, *READ)
         return ("ticks", *(f"{gear}.{name}" for gear in GEARS for name in names))
 
     @property
     def record(self) -> tuple[str, ...]:
         """`RECORD`; with sensors also the states, adhesions, slips and set points that the controllers see, as
-        `front.seen.y_TrAx`.
+        `front.estimated.y_TrAx`.
         """
-        seen = (*SEEN, *(f"seen.{what}_{side}" for what in ("f", "s") for side in SIDES), "seen.y_ref")
-        return (*RECORD, *(f"{gear}.{name}" for gear in GEARS for name in seen)) if self.sensed else RECORD
+        estimated = (
+            *ESTIMATED,
+            *(f"estimated.{what}_{side}" for what in ("f", "s") for side in SIDES),
+            "estimated.y_ref",
+        )
+        return (*RECORD, *(f"{gear}.{name}" for gear in GEARS for name in estimated)) if self.sensed else RECORD
 
 
 @dataclass(frozen=True)
@@ -326,13 +330,15 @@ def _cycle(signature: LawSignature, gear: _Exact, track_ahead: dict) -> tuple[li
     wanted, following = _lateral(signature.lateral, state, track_ahead, own, gain, model)
     wanted *= _fade(state["xdot"], GUIDANCE_FADE)
     tau_le, tau_ri, tau_long, du = allocate(u_d, wanted, model["tau_max"], gain["fixed_share"])
-    torques, seen = gear.send(tau_le, tau_ri, track_ahead)
+    torques, stored_next = gear.send(tau_le, tau_ri, track_ahead)
     there = reference_in(gear.cell, gear.truth["x"])[0]  # where the gear is, not where it is believed to be
     record = dict(zip(_RECORDED, (u_d, du, tau_long, f_star, segment, there), strict=True))
-    record |= {name: state[name.removeprefix("seen.")] for name in SEEN} | {"seen.y_ref": track_ahead["y_ref"]}
+    record |= {name: state[name.removeprefix("estimated.")] for name in ESTIMATED} | {
+        "estimated.y_ref": track_ahead["y_ref"]
+    }
     for what, values in (("f", f), ("s", s)):
-        record |= {f"seen.{what}_{side}": value for side, value in zip(SIDES, values, strict=True)}
-    return torques, estimates | stored | seen | following, record
+        record |= {f"estimated.{what}_{side}": value for side, value in zip(SIDES, values, strict=True)}
+    return torques, estimates | stored | stored_next | following, record
 
 
 class _Exact:
@@ -381,17 +387,17 @@ class _Sensed(_Exact):
     def look(self, track_ahead: dict) -> tuple[dict, dict]:
         """See `_Exact.look`."""
         sent_before = {side: [self._line[f"tau_{side}.{k}"] for k in range(LONGEST)] for side in SIDES}
-        seen, self._filter = observers.observe(
+        estimated, self._filter = observers.observe(
             self._readings, sent_before, track_ahead, self.ticks, self._gain, _part(self.own, "filter")
         )
-        state = {name: seen[name] for name in ("xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")}
-        state |= {"x": self.place, "psi_Ax": track_ahead["psi_Tr"] + seen["psi_TrAx"]}
-        self._stored |= {f"seen.{name}": state[name] for name in STATES}
+        state = {name: estimated[name] for name in ("xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")}
+        state |= {"x": self.place, "psi_Ax": track_ahead["psi_Tr"] + estimated["psi_TrAx"]}
+        self._stored |= {f"estimated.{name}": state[name] for name in STATES}
         planes = self._readings["y_ahead"], self._readings["y_behind"]
         read = sum(planes) / 2, (planes[0] - planes[1]) / self._gain["base"], self._readings["psidot_Ax"]
         self._stored |= dict(zip(READ, read, strict=True))
         sides = tuple(enumerate(SIDES))
-        return state, {f"{what}_hat_{i}": seen[f"{what}_{side}"] for what in ("f", "s") for i, side in sides}
+        return state, {f"{what}_hat_{i}": estimated[f"{what}_{side}"] for what in ("f", "s") for i, side in sides}
 
     def send(self, tau_le: ca.SX, tau_ri: ca.SX, track_ahead: dict) -> tuple[list, dict]:
         """See `_Exact.send`."""

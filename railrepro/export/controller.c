@@ -32,9 +32,9 @@ int controller_step(controller_t *c) {
 #ifdef PLAN_STEPS
   if (c->cycles % PLAN_STEPS == 0)
     for (int g = 0; g < GEARS; ++g) {
-      double state[N_SEEN];
-      for (int i = 0; i < N_SEEN; ++i)
-        state[i] = SEEN_IN_MEMORY && c->cycles ? c->memory[SEEN[g][i]] : c->measured[STATES_AT[g][i]];
+      double state[N_STATES_OF_GEAR];
+      for (int i = 0; i < N_STATES_OF_GEAR; ++i)
+        state[i] = ESTIMATED_IN_MEMORY && c->cycles ? c->memory[ESTIMATED[g][i]] : c->measured[STATES_AT[g][i]];
       c->held[g] = planner_sample(&c->planner[g], state, c->memory[BASE[g]]);
     }
 #endif

@@ -123,8 +123,8 @@ class Export:
         sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
         sizes |= {
             "INFORMED": int(settings.informed),
-            "N_SEEN": len(STATES),
-            "SEEN_IN_MEMORY": int(control.signature.sensed),
+            "N_STATES_OF_GEAR": len(STATES),
+            "ESTIMATED_IN_MEMORY": int(control.signature.sensed),
         }
         sizes |= _work("PLAN", functions)
         numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.c.affine}
@@ -134,10 +134,10 @@ class Export:
         nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
         sizes["N_NOMINAL"] = nominal.shape[1]
         states = [[law.MEASURED.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS]
-        names = [[f"{gear}.{name}" for name in law.SEEN] for gear in law.GEARS]
-        seen = [[memory.index(name) if control.signature.sensed else 0 for name in row] for row in names]
+        names = [[f"{gear}.{name}" for name in law.ESTIMATED] for gear in law.GEARS]
+        estimated = [[memory.index(name) if control.signature.sensed else 0 for name in row] for row in names]
         text = _defines(sizes)
-        text += _integers("STATES_AT", states) + _integers("SEEN", seen)
+        text += _integers("STATES_AT", states) + _integers("ESTIMATED", estimated)
         text += _integers("BASE", [memory.index(f"{gear}.u") for gear in law.GEARS])
         tables = {"NOMINAL": nominal, "MODEL": first.parameters, "TUNING": settings.tuning()}
         text += "".join(constant(name, table) for name, table in tables.items())

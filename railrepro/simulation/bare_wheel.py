@@ -84,13 +84,13 @@ def _cycle() -> ca.Function:
     x, case = (dict(zip(n, ca.vertsplit(v), strict=True)) for n, v in ((_STATE, state), (_CASE, case_)))
     f_now, s_now = _grip(x["w"], x["v"], case, factor)
     pole = CONTROL_PERIOD / (case["estimate.lag"] + CONTROL_PERIOD)
-    seen = {}
+    estimated = {}
     for channel, (name, value) in enumerate((("f", f_now), ("s", s_now))):
         noise = case[f"estimate.noise_{name}"] * white_noise(x["tick"], channel)
         measured = value * (1 + case[f"estimate.bias_{name}"]) + noise
-        seen[name] = x[f"{name}_hat"] + pole * (measured - x[f"{name}_hat"])
+        estimated[name] = x[f"{name}_hat"] + pole * (measured - x[f"{name}_hat"])
     gain = case | {"adhesion.torque_per_adhesion": case["load"] * case["radius"]}
-    f_hat, s_hat = ([seen[name]] * 2 for name in ("f", "s"))
+    f_hat, s_hat = ([estimated[name]] * 2 for name in ("f", "s"))
     u, stored, segment = base_torque(f_hat, s_hat, f_star, x["v"], x, gain, case["tau_max"])
 
     w_, v_, u_ = ca.SX.sym("w"), ca.SX.sym("v"), ca.SX.sym("u")
@@ -101,7 +101,7 @@ def _cycle() -> ca.Function:
     for _ in range(_SUBSTEPS):
         faster, stiffness, f = rate(w, v, u, factor, case_)
         w, v = w + h * faster / (1 - h * stiffness), v + h * case["gravity"] * f
-    new = stored | {"w": w, "v": v, "f_hat": seen["f"], "s_hat": seen["s"], "tick": x["tick"] + 1}
+    new = stored | {"w": w, "v": v, "f_hat": estimated["f"], "s_hat": estimated["s"], "tick": x["tick"] + 1}
     outputs = ca.vertcat(f_now, s_now, u, x["v"], segment)
     inputs = [state, f_star, factor, case_]
     return ca.Function("bare_wheel", inputs, [ca.vertcat(*(new[name] for name in _STATE)), outputs], {"cse": True})

@@ -78,9 +78,9 @@ class ClosedLoop:
         self.columns = (*outputs, *control.signature.record)
         self.sensed = [outputs.index(name) for name in law.MEASURED]
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
-        self._seen = None
+        self._estimated = None
         if control.signature.sensed:
-            self._seen, self._read = self._places(law.SEEN), self._places(law.READ)
+            self._estimated, self._read = self._places(law.ESTIMATED), self._places(law.READ)
         self._base, self._estimates = self._places(("u",))[:, 0], self._places(law.ESTIMATES)
         self.memory, self._gains = np.zeros(len(control.signature.memory)), np.array(control.gains)
         self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.signature.record))
@@ -150,13 +150,13 @@ class ClosedLoop:
 
         With sensors, as the law saw them in the cycle before.
         """
-        if self._seen is None or not self.cycles:
+        if self._estimated is None or not self.cycles:
             return self.car.outputs[self._states]
-        return self.memory[self._seen]
+        return self.memory[self._estimated]
 
     def readings(self) -> np.ndarray | None:
         """What sensors read of both gears last, shape (2, 3), see `law.READ`; None without sensors or at first."""
-        return None if self._seen is None or not self.cycles else self.memory[self._read]
+        return None if self._estimated is None or not self.cycles else self.memory[self._read]
 
     def base_torques(self) -> np.ndarray:
         """Base torque per wheel of front and rear gear (N m), shape (2,)."""
