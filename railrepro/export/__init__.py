@@ -1,1 +1,1 @@
-"""Controllers and the car for others: C that needs nothing else, and units of FMI 2.0."""
+"""Controllers and the car for others: C that needs nothing else, and FMUs (FMI 2.0)."""

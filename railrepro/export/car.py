@@ -1,4 +1,4 @@
-"""The car as a co-simulation unit of FMI 2.0. Serves the paper's section Simulation Environment."""
+"""The car as an FMU (FMI 2.0). Serves the paper's section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from railrepro.car import equations, stepper
 from railrepro.car.component import DERAILED, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.export.unit import Unit, constant, unit_file, write_unit
+from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -18,7 +18,7 @@ _LARGEST_STATE = 1e7
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
-    """Write the car on a route as a co-simulation unit of FMI for this platform.
+    """Write the car on a route as a co-simulation FMU for this platform.
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
     communication step must be a whole number of ms; route, contact table and vehicle are built in. A torque that is no
@@ -40,13 +40,11 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     InputError
         Without C compiler, with an impossible speed, or where the file cannot be written.
     """
-    path = unit_file(path)  # refused before the car is built
+    path = fmu_file(path)  # refused before the car is built
     car = SteppedCar(route, speed, vehicle)
     text = codegen.source_text(stepper.functions()) + stepper.c_text() + _constants(car)
-    unit = Unit(
-        "car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE
-    )
-    return write_unit(path, unit, text, Path(__file__).with_name("car_unit.c").read_text())
+    fmu = Fmu("car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE)
+    return write_fmu(path, fmu, text, Path(__file__).with_name("car_fmu.c").read_text())
 
 
 def _constants(car: SteppedCar) -> str:

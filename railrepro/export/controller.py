@@ -1,7 +1,7 @@
-"""Export of controllers: as C that needs nothing else, and as units of FMI 2.0 for co-simulation.
+"""Export of controllers: as C that needs nothing else, and as FMUs (FMI 2.0) for co-simulation.
 
 What is exported is the 1 kHz law of both gears (lateral law, adhesion law, allocation, with sensors also their filter)
-with the road, and before it the predictive controllers at their own period. It measures what the car's unit puts out
+with the road, and before it the predictive controllers at their own period. It measures what the car's FMU puts out
 and gives the four torques; a master that steps the controller before the car, each by 1 ms, gives the trajectory of
 `simulate.run`.
 """
@@ -23,7 +23,7 @@ from railrepro.control import lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.solvers import riccati
 from railrepro.errors import InputError
-from railrepro.export.unit import Unit, constant, unit_file, write_unit
+from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
 from railrepro.files import write
 from railrepro.model.control_model import STATES
 from railrepro.model.forecast import nominal_values
@@ -89,13 +89,13 @@ class Export:
         return file
 
     def write_fmu(self, path: Path | str) -> Path:
-        """Write a unit of FMI 2.0 for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
-        path = unit_file(path)
+        """Write an FMU (FMI 2.0) for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
+        path = fmu_file(path)
         description = "Controller of two running gears with independently rotating wheels"
-        unit = Unit("controller", description, TORQUES, law.MEASURED, _LARGEST)
+        fmu = Fmu("controller", description, TORQUES, law.MEASURED, _LARGEST)
         sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}
         sizes |= {"INPUT_TEXT": f'"what is measured must be a number of at most {_LARGEST:g}"'}
-        return write_unit(path, unit, self.source() + _defines(sizes), (_HERE / "controller_unit.c").read_text())
+        return write_fmu(path, fmu, self.source() + _defines(sizes), (_HERE / "controller_fmu.c").read_text())
 
     def _constants(self, control: law.ControlLaw) -> str:
         """Sizes, road and gains of the law."""

@@ -1,18 +1,18 @@
-/* What all units share after their own C: unit_t with `inputs`, outputs `y` and `host`; connect, reset, begin and advance.
+/* What all FMUs share after their own C: fmu_t with `inputs`, outputs `y` and `host`; connect, reset, begin and advance.
    fmi2.c follows and only translates. Value references: outputs, then inputs. */
 
 typedef struct {
   host_t host;
-  unit_t unit;
+  fmu_t fmu;
 } instance_t;
 
 static status_t complain(instance_t *i, const char *text) { return report(&i->host, STATUS_ERROR, text); }
 
-/* NULL, and a sentence, where the token is not that of the unit. */
+/* NULL, and a sentence, where the token is not that of the FMU. */
 static instance_t *instantiate(const char *token, host_t host) {
-  if (!token || strcmp(token, GUID)) return report(&host, STATUS_ERROR, "the GUID is not that of this unit"), NULL;
+  if (!token || strcmp(token, GUID)) return report(&host, STATUS_ERROR, "the GUID is not that of this FMU"), NULL;
   instance_t *i = calloc(1, sizeof(instance_t));
-  if (i) i->host = host, i->unit.host = &i->host, connect(&i->unit), reset(&i->unit);
+  if (i) i->host = host, i->fmu.host = &i->host, connect(&i->fmu), reset(&i->fmu);
   return i;
 }
 
@@ -20,7 +20,7 @@ static status_t get_numbers(instance_t *i, const unsigned references[], size_t n
   for (size_t k = 0; k < n; ++k) {
     const unsigned r = references[k];
     if (r >= N_OUTPUT + N_INPUT) return complain(i, "unknown value reference");
-    values[k] = r < N_OUTPUT ? i->unit.y[r] : i->unit.inputs[r - N_OUTPUT];
+    values[k] = r < N_OUTPUT ? i->fmu.y[r] : i->fmu.inputs[r - N_OUTPUT];
   }
   return STATUS_OK;
 }
@@ -30,7 +30,7 @@ static status_t set_numbers(instance_t *i, const unsigned references[], size_t n
     const unsigned r = references[k];
     if (r < N_OUTPUT || r >= N_OUTPUT + N_INPUT) return complain(i, "only " INPUTS_TEXT " can be set");
     if (!(fabs(values[k]) <= LARGEST_INPUT)) return complain(i, INPUT_TEXT);
-    i->unit.inputs[r - N_OUTPUT] = values[k];
+    i->fmu.inputs[r - N_OUTPUT] = values[k];
   }
   return STATUS_OK;
 }
@@ -39,5 +39,5 @@ static status_t do_step(instance_t *i, double step) {
   const double count = step / PERIOD, steps = floor(count + 0.5);
   if (!(steps >= 1 && steps <= 1e9 && fabs(count - steps) <= 1e-6))
     return complain(i, "the communication step must be a whole number of ms");
-  return advance(&i->unit, (casadi_int)steps);
+  return advance(&i->fmu, (casadi_int)steps);
 }

@@ -1,5 +1,5 @@
-/* What all units share before their own C: where a unit speaks to its importer. Starts after
-   call.h and the constants of a unit, UNIT its name. */
+/* What all FMUs share before their own C: where an FMU speaks to its importer. Starts after
+   call.h and the constants of an FMU, FMU_NAME its name. */
 
 #include <stdlib.h>
 

@@ -17,7 +17,7 @@ typedef struct {
 } fmi2CallbackFunctions;
 
 static void tell(const host_t *host, status_t status, const char *category, const char *text) {
-  ((fmi2Logger)host->logger)(host->environment, UNIT, (fmi2Status)status, category, text);
+  ((fmi2Logger)host->logger)(host->environment, FMU_NAME, (fmi2Status)status, category, text);
 }
 
 const char *fmi2GetTypesPlatform(void) { return "default"; }
@@ -27,7 +27,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 fmi2Component fmi2Instantiate(fmi2String name, int type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
   const host_t host = {tell, callbacks ? (void (*)(void))callbacks->logger : NULL, callbacks ? callbacks->environment : NULL};
-  if (type != 1) return report(&host, STATUS_ERROR, "this unit is for co-simulation only"), NULL;
+  if (type != 1) return report(&host, STATUS_ERROR, "this FMU is for co-simulation only"), NULL;
   return instantiate(guid, host);
 }
 void fmi2FreeInstance(fmi2Component c) { free(c); }
@@ -35,9 +35,9 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean t, fmi2Real tol, fmi
   return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return begin(&((instance_t *)c)->unit), fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return begin(&((instance_t *)c)->fmu), fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { return reset(&((instance_t *)c)->unit), fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) { return reset(&((instance_t *)c)->fmu), fmi2OK; }
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]) {
   return (fmi2Status)get_numbers(c, r, n, v);
 }

@@ -1,23 +1,23 @@
-/* A controller as a unit of FMI. Starts after controller.c, fmi.h; fmi.c follows. */
+/* A controller as an FMU. Starts after controller.c, fmi.h; fmi.c follows. */
 
 typedef struct {
   double inputs[N_INPUT], y[N_OUTPUT];
   controller_t controller;
   const host_t *host;
-} unit_t;
+} fmu_t;
 
-static void connect(unit_t *u) {}
+static void connect(fmu_t *u) {}
 
-static void reset(unit_t *u) {
+static void reset(fmu_t *u) {
   memset(u->inputs, 0, sizeof u->inputs);
   memset(u->y, 0, sizeof u->y);
   controller_reset(&u->controller);
 }
 
-static void begin(unit_t *u) {}
+static void begin(fmu_t *u) {}
 
 /* What is measured is held for all cycles of a step. */
-static status_t advance(unit_t *u, casadi_int steps) {
+static status_t advance(fmu_t *u, casadi_int steps) {
   memcpy(u->controller.measured, u->inputs, sizeof u->controller.measured);
   for (casadi_int k = 0; k < steps; ++k)
     if (controller_step(&u->controller)) return report(u->host, STATUS_ERROR, "the control law failed");

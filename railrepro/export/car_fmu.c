@@ -1,4 +1,4 @@
-/* The car as a unit of FMI. Starts after car.c, fmi.h and the constants of the exported route, contact table and vehicle;
+/* The car as an FMU. Starts after car.c, fmi.h and the constants of the exported route, contact table and vehicle;
    fmi.c follows. */
 
 enum { LOOKUPS = BODIES + WHEELS, POINTERS = 16, INTEGERS = 256, WORK = 65536 };
@@ -14,14 +14,14 @@ typedef struct {
   car_t car;
   int told;
   const host_t *host;
-} unit_t;
+} fmu_t;
 
-static call_t bind(unit_t *u, int function, casadi_fn evaluate) {
+static call_t bind(fmu_t *u, int function, casadi_fn evaluate) {
   return (call_t){evaluate, u->in[function], u->out[function], u->integers, u->work};
 }
 
-/* Let the generated functions share the buffers of the unit. */
-static void connect(unit_t *u) {
+/* Let the generated functions share the buffers of the FMU. */
+static void connect(fmu_t *u) {
   const double *in[3][6] = {{u->x, u->rows, PARAMETERS},
                             {u->x, u->inputs, u->rows, u->contacts, PARAMETERS},
                             {u->x, u->inputs, u->rows, u->contacts, PARAMETERS, &u->period}};
@@ -36,7 +36,7 @@ static void connect(unit_t *u) {
                    u->places, u->lookups, LOOKUPS, u->x, u->next, N_STATE};
 }
 
-static void reset(unit_t *u) {
+static void reset(fmu_t *u) {
   memcpy(u->x, START, sizeof u->x);
   memset(u->inputs, 0, sizeof u->inputs);
   memset(u->rows, 0, sizeof u->rows);
@@ -46,9 +46,9 @@ static void reset(unit_t *u) {
 }
 
 /* Outputs before the first step. */
-static void begin(unit_t *u) { car_measure(&u->car); }
+static void begin(fmu_t *u) { car_measure(&u->car); }
 
-static status_t advance(unit_t *u, casadi_int steps) {
+static status_t advance(fmu_t *u, casadi_int steps) {
   if (car_run(&u->car, steps, LARGEST_STATE) < steps)
     return report(u->host, STATUS_ERROR, "a state of the car left all bounds");
   car_measure(&u->car);

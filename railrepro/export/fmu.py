@@ -1,6 +1,6 @@
-"""From C source text to a unit of FMI 2.0 for co-simulation, for this platform.
+"""From C source text to an FMU (FMI 2.0) for co-simulation, for this platform.
 
-What a unit does stands in its own C (`unit_t`, connect, reset, begin, advance) between fmi.h and fmi.c; fmi2.c
+What an FMU does stands in its own C (`fmu_t`, connect, reset, begin, advance) between fmi.h and fmi.c; fmi2.c
 translates to the standard.
 """
 
@@ -25,8 +25,8 @@ from railrepro.schema import location
 
 
 @dataclass(frozen=True)
-class Unit:
-    """What the description of a unit says.
+class Fmu:
+    """What the description of an FMU says.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Unit:
 
     @property
     def identifier(self) -> str:
-        """Name of the unit among others."""
+        """Name of the FMU among others."""
         return f"railrepro_{self.name}"
 
 
@@ -54,8 +54,8 @@ def constant(name: str, values: np.ndarray) -> str:
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
 
-def unit_file(path: Path | str) -> Path:
-    """A file that a unit can be written to.
+def fmu_file(path: Path | str) -> Path:
+    """A file that an FMU can be written to.
 
     Raises
     ------
@@ -68,19 +68,19 @@ def unit_file(path: Path | str) -> Path:
     return file
 
 
-def write_unit(path: Path | str, unit: Unit, text: str, own: str) -> Path:
-    """Compile and pack a unit.
+def write_fmu(path: Path | str, fmu: Fmu, text: str, model: str) -> Path:
+    """Compile and pack an FMU.
 
     Parameters
     ----------
     path : path
         The .fmu file.
-    unit : Unit
+    fmu : Fmu
     text : str
-        C source with call.h, generated functions and constants; INPUTS_TEXT says what can be set, INPUT_TEXT what a
-        refused value gets as an answer.
-    own : str
-        C source of the unit.
+        C source with call.h, generated functions and constants. It defines INPUTS_TEXT (names of the inputs, for
+        error messages) and INPUT_TEXT (message for an input out of range).
+    model : str
+        C source of the FMU's model: type fmu_t, functions connect, reset, begin and advance.
 
     Raises
     ------
@@ -88,16 +88,16 @@ def write_unit(path: Path | str, unit: Unit, text: str, own: str) -> Path:
         Where the file cannot be written.
     """
     begin, shared, version = (Path(__file__).with_name(name).read_text() for name in ("fmi.h", "fmi.c", "fmi2.c"))
-    numbers = {"N_INPUT": len(unit.inputs), "LARGEST_INPUT": float(unit.largest).hex(), "UNIT": f'"{unit.name}"'}
+    numbers = {"N_INPUT": len(fmu.inputs), "LARGEST_INPUT": float(fmu.largest).hex(), "FMU_NAME": f'"{fmu.name}"'}
     text += "".join(f"#define {name} {value}\n" for name, value in numbers.items())
-    around = f"{begin}{own}{shared}{version}"
-    guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{around}{_description(unit, '')}"))
+    around = f"{begin}{model}{shared}{version}"
+    guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{around}{_description(fmu, '')}"))
     text += f'\n#define GUID "{guid}"\n{around}'
     suffix = "dylib" if sys.platform == "darwin" else "so"
     compiled, packed = codegen.build(text, portable=True), io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.write(compiled, f"binaries/{_system()}/{unit.identifier}.{suffix}")
-        archive.writestr("modelDescription.xml", _description(unit, guid))
+        archive.write(compiled, f"binaries/{_system()}/{fmu.identifier}.{suffix}")
+        archive.writestr("modelDescription.xml", _description(fmu, guid))
     write(Path(path), packed.getvalue())
     return Path(path)
 
@@ -107,11 +107,11 @@ def _system() -> str:
     return {"linux": "linux64", "darwin": "darwin64"}.get(sys.platform, sys.platform + platform.machine()[-2:])
 
 
-def _variables(unit: Unit) -> list[tuple[dict[str, str], dict[str, str]]]:
+def _variables(fmu: Fmu) -> list[tuple[dict[str, str], dict[str, str]]]:
     """Attributes of each variable, and those of its number; value references count outputs first, then inputs."""
-    limits = {"min": f"{-unit.largest:g}", "max": f"{unit.largest:g}", "start": "0"}
-    names: list[tuple] = [(name, "output", {}) for name in unit.outputs] + [
-        (name, "input", limits) for name in unit.inputs
+    limits = {"min": f"{-fmu.largest:g}", "max": f"{fmu.largest:g}", "start": "0"}
+    names: list[tuple] = [(name, "output", {}) for name in fmu.outputs] + [
+        (name, "input", limits) for name in fmu.inputs
     ]
     return [
         ({"variability": "continuous", "name": name, "valueReference": str(i), "causality": causality}, number)
@@ -119,24 +119,24 @@ def _variables(unit: Unit) -> list[tuple[dict[str, str], dict[str, str]]]:
     ]
 
 
-def _description(unit: Unit, guid: str) -> str:
+def _description(fmu: Fmu, guid: str) -> str:
     """modelDescription.xml."""
-    named = {"fmiVersion": "2.0", "modelName": unit.identifier, "guid": guid, "numberOfEventIndicators": "0"}
-    own = {"description": unit.description, "generationTool": "railrepro", "variableNamingConvention": "structured"}
+    named = {"fmiVersion": "2.0", "modelName": fmu.identifier, "guid": guid, "numberOfEventIndicators": "0"}
+    own = {"description": fmu.description, "generationTool": "railrepro", "variableNamingConvention": "structured"}
     root = ElementTree.Element("fmiModelDescription", named | own)
     can = {"canHandleVariableCommunicationStepSize": "true", "canGetAndSetFMUstate": "false"}
-    ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": unit.identifier} | can)
+    ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": fmu.identifier} | can)
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusError", "logStatusWarning"):
         ElementTree.SubElement(categories, "Category", name=name)
     step = str(CONTROL_PERIOD)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=step)
     variables = ElementTree.SubElement(root, "ModelVariables")
-    for attributes, number in _variables(unit):
+    for attributes, number in _variables(fmu):
         ElementTree.SubElement(ElementTree.SubElement(variables, "ScalarVariable", attributes), "Real", number)
     structure = ElementTree.SubElement(root, "ModelStructure")
     for kind in ("Outputs", "InitialUnknowns"):
         unknowns = ElementTree.SubElement(structure, kind)
-        for index in range(1, len(unit.outputs) + 1):
+        for index in range(1, len(fmu.outputs) + 1):
             ElementTree.SubElement(unknowns, "Unknown", index=str(index))
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode")
