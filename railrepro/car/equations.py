@@ -5,7 +5,7 @@ absolute, in track-frame components; angular velocities are absolute, in body ax
 centrifugal, Coriolis, cant, inclination and gyroscopic terms are exact and no second derivative of the track is needed.
 
 State: per body the coordinates of `kinematics.COORDINATES`, wheel speeds `w` (traction-positive, rad/s), motor torques
-`tau` (traction-positive, N m); `INDEX` has the place of each. Input: torque commands of `WHEELS` (N m). Output: named
+`tau` (traction-positive, N m); `INDEX` has the index of each. Input: torque commands of `WHEELS` (N m). Output: named
 in `Car.outputs`. Signs as in the documentation: x forward, y right, z down; yaw to the right, pitch nose up, roll right
 side down.
 
@@ -41,9 +41,9 @@ STATES = (
     *(f"tau.{wheel}" for wheel in WHEELS),
 )
 INDEX = {name: i for i, name in enumerate(STATES)}
-"""Place of each state in the state vector."""
+"""Index of each state in the state vector."""
 FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
-"""Points of the car body floor and their places along the body over the distance of the gears."""
+"""Points of the car body floor and their positions along the body over the distance of the gears."""
 CONTACT_COLUMNS = len(CELL_COLUMNS)
 _GROUPS = {
     "body": ("mass", "inertia_x", "inertia_y", "inertia_z", "cg_height", "gear_spacing", "floor_height"),
@@ -80,7 +80,7 @@ HOLDING_SPEED = 0.2
 
 
 def indices(*names: str) -> list[int]:
-    """Places of the named states in the state vector."""
+    """Indices of the named states in the state vector."""
     return [INDEX[name] for name in names]
 
 
@@ -330,8 +330,8 @@ def _floor(body: Body, feels: dict[str, ca.SX], par: dict[str, ca.SX]) -> dict[s
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rigid body).
     """
     out: dict[str, ca.SX] = {}
-    for point, place in FLOOR.items():
-        lever = ca.vertcat(place * par["body.gear_spacing"], 0, par["body.cg_height"] - par["body.floor_height"])
+    for point, position in FLOOR.items():
+        lever = ca.vertcat(position * par["body.gear_spacing"], 0, par["body.cg_height"] - par["body.floor_height"])
         swing = ca.cross(feels["turning"], lever) + ca.cross(body.w, ca.cross(body.w, lever))
         out |= {
             f"{point}.a{axis}": value for axis, value in zip("xyz", ca.vertsplit(feels["force"] + swing), strict=True)
@@ -370,8 +370,8 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
     state = dict.fromkeys(STATES, 0.0)
     half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
     sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
-    places = {"body": (p - half, sink - vehicle.body.cg_height), "front": (p, axle), "rear": (p - 2 * half, axle)}
-    for name, (s, z) in places.items():
+    positions = {"body": (p - half, sink - vehicle.body.cg_height), "front": (p, axle), "rear": (p - 2 * half, axle)}
+    for name, (s, z) in positions.items():
         state |= {f"{name}.s": s, f"{name}.z": z, f"{name}.vx": speed}
     state |= {f"w.{wheel}": speed / (contact["rolling_radius"] - drop) for wheel in WHEELS}
     return np.array(list(state.values()))

@@ -14,7 +14,7 @@ from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS
 
 COORDINATES = ("s", "y", "z", "psi", "pitch", "phi", "vx", "vy", "vz", "wx", "wy", "wz")
-"""State of a body: place in its own track section (m); yaw, pitch and roll against the track frame (rad); absolute
+"""State of a body: position in its own track section (m); yaw, pitch and roll against the track frame (rad); absolute
 velocity in track-frame components (m/s); absolute angular velocity in body axes (rad/s)."""
 
 

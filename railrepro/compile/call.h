@@ -16,9 +16,9 @@ typedef struct {
 } lookup_t;
 typedef struct { double *to; const double *from; casadi_int n; } copy_t;
 
-/* Row of the cell that holds a place; the first or last one outside the table, also for a place that is not a number. */
-static const double *row_at(const double *cells, double place, double start, double step, casadi_int n, casadi_int width) {
-  double cell = floor((place - start) / step);
+/* Row of the cell that holds coordinate p; outside the table the first or last one, the first also where p is NaN. */
+static const double *row_at(const double *cells, double p, double start, double step, casadi_int n, casadi_int width) {
+  double cell = floor((p - start) / step);
   if (!(cell > 0)) cell = 0;
   if (cell > (double)(n - 1)) cell = (double)(n - 1);
   return cells + (casadi_int)cell * width;

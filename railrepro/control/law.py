@@ -51,8 +51,8 @@ ESTIMATES = ("f_hat_0", "f_hat_1", "s_hat_0", "s_hat_1")
 GUIDANCE_FADE = 1.0
 """Speed below which the differential torque fades (m/s): a wheel that stands cannot steer."""
 _RECORDED = ("u_d", "du", "tau_long", "f_star", "segment", "y_ref")
-"""The set point `y_ref` is that at the true place of the gear, from which errors are counted; controllers use the set
-point at the place that they believe, which with sensors is recorded as `estimated.y_ref`."""
+"""The set point `y_ref` is that at the true position of the gear, from which errors are counted. With sensors the
+controllers use the set point at the estimated position, recorded as `estimated.y_ref`."""
 _OF_BODY = {"psi_CB": "psi_Tr", "dpsi_dp_CB": "dpsi_dp"}
 """Of `lateral.ROAD`, what holds at the car body, as the mean of what holds at its gears."""
 RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
@@ -288,7 +288,7 @@ def function(signature: LawSignature) -> ca.Function:
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
     sight = _Sensed if signature.sensed else _Exact
     gears = [sight(g, y, _named(COLUMNS, rows[:, g]), held[g], old, gain) for g in range(len(GEARS))]
-    tracks = [_track_ahead(gear.cell, gear.place) for gear in gears]
+    tracks = [_track_ahead(gear.cell, gear.position) for gear in gears]
     front, rear = tracks
     body = {to: (front[name] + rear[name]) / 2 for to, name in _OF_BODY.items()}
 
@@ -347,7 +347,7 @@ class _Exact:
     def __init__(self, g: int, y: dict, cell: dict, held: ca.SX, old: dict, gain: dict):
         self.index, self.name, self.y, self.cell, self.held, self.gain = g, GEARS[g], y, cell, held, gain
         self.truth = dict(zip(STATES, (y[name] for name in MEASURED_STATES[self.name]), strict=True))
-        self.own, self.ticks, self.place = _part(old, self.name), old["ticks"], self.truth["x"]
+        self.own, self.ticks, self.position = _part(old, self.name), old["ticks"], self.truth["x"]
 
     def look(self, track_ahead: dict) -> tuple[dict, dict]:
         """States by name, and estimates of adhesion and slip: scaled, noisy and lagging copies of the true values."""
@@ -382,7 +382,7 @@ class _Sensed(_Exact):
         self._readings, lines = sense(exact, self.ticks, g, self._gain, self._line)
         self._stored = {f"sensor.{name}": value for name, value in lines.items()}
         until = CONTROL_PERIOD * self._gain["command"]
-        self.place = self._readings["p"] + until * self._readings["v"]
+        self.position = self._readings["p"] + until * self._readings["v"]
 
     def look(self, track_ahead: dict) -> tuple[dict, dict]:
         """See `_Exact.look`."""
@@ -391,7 +391,7 @@ class _Sensed(_Exact):
             self._readings, sent_before, track_ahead, self.ticks, self._gain, _part(self.own, "filter")
         )
         state = {name: estimated[name] for name in ("xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")}
-        state |= {"x": self.place, "psi_Ax": track_ahead["psi_Tr"] + estimated["psi_TrAx"]}
+        state |= {"x": self.position, "psi_Ax": track_ahead["psi_Tr"] + estimated["psi_TrAx"]}
         self._stored |= {f"estimated.{name}": state[name] for name in STATES}
         planes = self._readings["y_ahead"], self._readings["y_behind"]
         read = sum(planes) / 2, (planes[0] - planes[1]) / self._gain["base"], self._readings["psidot_Ax"]

@@ -51,16 +51,16 @@ ESTIMATES = ("y_TrAx", "psi_TrAx", "psidot_Ax", "xdot", "f_le", "f_ri", "s_le", 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
     """Continuous system matrix (5, 5) of the lateral filter at a speed (m/s), and how its readings follow (3, 5)."""
-    place = {name: i for i, name in enumerate(LATERAL)}
+    index = {name: i for i, name in enumerate(LATERAL)}
     a, c = np.zeros((5, 5)), np.zeros((3, 5))
     inertia = vehicle.gear.inertia_z
     rolling = 2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius
-    a[place["y"], [place["psi"], place["beta"]]] = speed
-    a[place["psi"], place["r"]] = 1.0
-    a[place["r"], place["psi"]] = -(vehicle.suspension.yaw_stiffness + rolling * vehicle.gamma * speed) / inertia
-    a[place["r"], place["beta"]] = -rolling * vehicle.gamma * speed / inertia
-    a[place["r"], place["r"]] = -vehicle.suspension.yaw_damping / inertia
-    c[0, place["y"]] = c[1, place["psi"]] = c[2, place["r"]] = c[2, place["bias"]] = 1.0
+    a[index["y"], [index["psi"], index["beta"]]] = speed
+    a[index["psi"], index["r"]] = 1.0
+    a[index["r"], index["psi"]] = -(vehicle.suspension.yaw_stiffness + rolling * vehicle.gamma * speed) / inertia
+    a[index["r"], index["beta"]] = -rolling * vehicle.gamma * speed / inertia
+    a[index["r"], index["r"]] = -vehicle.suspension.yaw_damping / inertia
+    c[0, index["y"]] = c[1, index["psi"]] = c[2, index["r"]] = c[2, index["bias"]] = 1.0
     return a, c
 
 

@@ -26,7 +26,7 @@ void controller_reset(controller_t *c) {
 /* One control cycle: from `measured` to `torque`; not 0 when the law fails. */
 int controller_step(controller_t *c) {
   for (int g = 0; g < GEARS; ++g) {
-    const double *row = row_at(CELLS, c->measured[PLACES[g]], CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
+    const double *row = row_at(CELLS, c->measured[POSITIONS[g]], CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
     memcpy(c->rows + g * N_CELL_COLUMNS, row, N_CELL_COLUMNS * sizeof(double));
   }
 #ifdef PLAN_STEPS

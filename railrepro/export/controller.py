@@ -104,9 +104,9 @@ class Export:
         sizes |= _work("LAW", [control.function])
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
         sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}
-        places = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
-        text = _places("MEASURED", law.MEASURED) + _places("TORQUE", TORQUES)
-        text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("PLACES", places)
+        positions = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
+        text = _index_enum("MEASURED", law.MEASURED) + _index_enum("TORQUE", TORQUES)
+        text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("POSITIONS", positions)
         cells = self.route.cells.copy()
         if lateral.split(self.guidance)[1] is None:
             cells[:, ~_read(control.function)] = 0.0
@@ -172,12 +172,12 @@ def _defines(values: dict) -> str:
 def _read(function: ca.Function) -> np.ndarray:
     """Which columns of a cell the torques and memory of a law depend on, and where it begins; bool, (len(COLUMNS),)."""
     rows = function.index_in("rows")
-    places = [p for output in range(2) for p in function.jac_sparsity(output, rows).get_triplet()[1]]
-    return np.isin(np.arange(len(COLUMNS)), [INDEX["p"], *(place % len(COLUMNS) for place in places)])
+    used = [i for output in range(2) for i in function.jac_sparsity(output, rows).get_triplet()[1]]
+    return np.isin(np.arange(len(COLUMNS)), [INDEX["p"], *(i % len(COLUMNS) for i in used)])
 
 
-def _places(prefix: str, names: tuple[str, ...]) -> str:
-    """C enumeration of the places of named values, MEASURED_FRONT_P and so on."""
+def _index_enum(prefix: str, names: tuple[str, ...]) -> str:
+    """C enumeration of the indices of named values, MEASURED_FRONT_P and so on."""
     return f"enum {{ {', '.join(f'{prefix}_{name.replace(chr(46), chr(95)).upper()}' for name in names)} }};\n"
 
 

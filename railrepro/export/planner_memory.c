@@ -18,8 +18,8 @@ typedef struct {
 } planner_memory_t;
 
 static void planner_reset(planner_memory_t *m, int gear) {
-  static const casadi_fn functions[FUNCTIONS] = {preview_place,   preview_stage,     riccati_terminal, riccati_backward,
-                                                 riccati_forward, barrier_stiffness, barrier_terminal, barrier_backward,
+  static const casadi_fn functions[FUNCTIONS] = {preview_position, preview_stage,     riccati_terminal, riccati_backward,
+                                                 riccati_forward,  barrier_stiffness, barrier_terminal, barrier_backward,
                                                  barrier_again};
   memset(m, 0, sizeof *m);
   call_t calls[FUNCTIONS];

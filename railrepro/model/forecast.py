@@ -58,7 +58,7 @@ def functions() -> tuple[ca.Function, ca.Function]:
 
     Returns
     -------
-    place : casadi.Function
+    position : casadi.Function
         (x_hat[6], u_d, t, nominal) -> track coordinates of this and of the other gear (m).
     stage : casadi.Function
         (x_hat[6], u_d, t, nominal, cell here, cell there) -> x_d[6], theta[9]; cells are rows of a `Route`.
@@ -71,7 +71,7 @@ def functions() -> tuple[ca.Function, ca.Function]:
     gain, partner, mass = ca.vertsplit(vehicle)
     position, speed = _motion(x_hat, u_d, t, gain)
     inputs = [x_hat, u_d, t, vehicle]
-    place = ca.Function("preview_place", inputs, [ca.vertcat(position, position + partner)])
+    positions = ca.Function("preview_position", inputs, [ca.vertcat(position, position + partner)])
     here, there = (dict(zip(COLUMNS, ca.vertsplit(cell), strict=True)) for cell in cells)
     y_ref, slope, bend = reference_in(here, position)
     psi, kappa, phi, dphi, eps, deps = track_in(here, position)
@@ -81,7 +81,7 @@ def functions() -> tuple[ca.Function, ca.Function]:
     x_d = {"x": position, "psi_Ax": slope + psi, "xdot": speed, "psidot_Ax": (bend + kappa) * speed}
     x_d |= {"y_TrAx": y_ref, "psi_TrAx": slope}
     results = [ca.vertcat(*(x_d[name] for name in STATES)), ca.vertcat(*(theta[name] for name in THETA))]
-    return place, ca.Function("preview_stage", [*inputs, *cells], results, {"cse": True})
+    return positions, ca.Function("preview_stage", [*inputs, *cells], results, {"cse": True})
 
 
 def forecast(route: Route, nominal: np.ndarray, x_hat: np.ndarray, u_d: float, period: float, steps: int) -> Forecast:
@@ -99,10 +99,10 @@ def forecast(route: Route, nominal: np.ndarray, x_hat: np.ndarray, u_d: float, p
     period, steps : float, int
         Time step T (s) and number of steps L.
     """
-    place, stage = functions()
+    position, stage = functions()
     t = period * np.arange(steps + 1)[None, :]
     wide = [np.tile(np.reshape(value, (-1, 1)), steps + 1) for value in (x_hat, u_d)]
     arguments = [*wide, t, np.tile(nominal[:, None], steps + 1)]
-    places = np.array(place(*arguments))
-    x_d, theta = stage(*arguments, *(route.rows_at(p).T for p in places))
+    positions = np.array(position(*arguments))
+    x_d, theta = stage(*arguments, *(route.rows_at(p).T for p in positions))
     return Forecast(np.array(x_d).T, np.array(theta).T)

@@ -80,8 +80,8 @@ class ClosedLoop:
         self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
         self._estimated = None
         if control.signature.sensed:
-            self._estimated, self._read = self._places(law.ESTIMATED), self._places(law.READ)
-        self._base, self._estimates = self._places(("u",))[:, 0], self._places(law.ESTIMATES)
+            self._estimated, self._read = self._indices(law.ESTIMATED), self._indices(law.READ)
+        self._base, self._estimates = self._indices(("u",))[:, 0], self._indices(law.ESTIMATES)
         self.memory, self._gains = np.zeros(len(control.signature.memory)), np.array(control.gains)
         self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.signature.record))
         self._measured, self._margins = np.zeros(len(law.MEASURED)), np.zeros(len(law.MARGINS))
@@ -96,8 +96,8 @@ class ClosedLoop:
         self.functions = self.car.functions | {"law": control_law}
         self._driver, self._loop = _library(), self._structure(control_law)
 
-    def _places(self, names: tuple[str, ...]) -> np.ndarray:
-        """Places of named states of both gears in the memory of the law, shape (2, len(names))."""
+    def _indices(self, names: tuple[str, ...]) -> np.ndarray:
+        """Indices of named states of both gears in the memory of the law, shape (2, len(names))."""
         memory = self.control.signature.memory
         return np.array([[memory.index(f"{gear}.{name}") for name in names] for gear in law.GEARS])
 
@@ -118,8 +118,8 @@ class ClosedLoop:
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
-            place = ctypes.c_void_p(rows.ctypes.data)
-            done = self._driver.loop_run(ctypes.byref(self._loop), ctypes.c_longlong(len(rows)), place)
+            address = ctypes.c_void_p(rows.ctypes.data)
+            done = self._driver.loop_run(ctypes.byref(self._loop), ctypes.c_longlong(len(rows)), address)
             self.cycles += done
             self.ended = done < len(rows)
             blocks.append(rows[: done + 1])

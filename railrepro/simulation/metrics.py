@@ -110,8 +110,8 @@ def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step
 
 def _detrended(values: np.ndarray) -> np.ndarray:
     """Values less their straight line of least squares."""
-    place = np.linspace(-1, 1, values.size)
-    return values - np.polyval(np.polyfit(place, values, 1), place)
+    abscissa = np.linspace(-1, 1, values.size)
+    return values - np.polyval(np.polyfit(abscissa, values, 1), abscissa)
 
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:

@@ -5,7 +5,7 @@ decreases (m), `rate` the samples per second (Hz). `ride_summary` takes the seri
 of the trade appear. The source of a number stands with it: *read* in a public document that quotes the standard,
 *recalled* from the standard. The standards themselves were not at hand.
 
-Two kinds of filter. Forces are low-passed forwards and backwards (no phase), so that peaks keep their place on the
+Two kinds of filter. Forces are low-passed forwards and backwards (no phase), so that peaks keep their position on the
 track and those of different wheels can be added. Comfort weightings run forwards only: the standards give a transfer
 function, a second pass would square it, and root mean squares do not see the phase.
 

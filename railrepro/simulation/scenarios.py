@@ -29,7 +29,7 @@ FLANGEWAY = 8.0
 STEEPEST_RAMP = 10.0
 """Steepest cant ramp (mm/m), three times what railways allow; wheels lift on steeper ones."""
 _PERIOD = Annotated[Number, between(2 * route.CELL, 1e5, "m")]
-_PLACE = Annotated[Number, between(-1e5, 1e5, "m")]
+_POSITION = Annotated[Number, between(-1e5, 1e5, "m")]
 _FADE = Annotated[Number, above(0.0, 1e5, "m")]
 _SHARES = Annotated[tuple, steps("share", 0.0, 1.0)]
 
@@ -48,8 +48,8 @@ class Sine:
     kind: Literal["sine"]
     amplitude_mm: _AMPLITUDE
     period_m: _PERIOD
-    start_m: _PLACE
-    end_m: _PLACE | None = None
+    start_m: _POSITION
+    end_m: _POSITION | None = None
     fade_m: _FADE | None = None
 
     def __post_init__(self) -> None:
@@ -64,8 +64,8 @@ class Sweep:
     amplitude_mm: _AMPLITUDE
     period_start_m: _PERIOD
     period_end_m: _PERIOD
-    start_m: _PLACE
-    end_m: _PLACE
+    start_m: _POSITION
+    end_m: _POSITION
     fade_m: _FADE | None = None
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 /* A sample of a predictive controller of one gear without allocation: the linear time-variant problem, real-time iteration
    of the nonlinear one, or its iterations until they converge. A sample has a largest time: active sets that do not settle
    are found by a limited number of interior points; when these fail, or a value is not finite, the plan of the sample
-   before serves, one step later. Starts after riccati.c, interior.c and the places of track parameters by name (THETA_…). */
+   before serves, one step later. Starts after riccati.c, interior.c and the indices of track parameters by name (THETA_…). */
 
 enum { LINEAR, REAL_TIME, CONVERGED };
 enum { MOST_ITERATIONS = 30 };

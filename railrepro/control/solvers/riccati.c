@@ -1,6 +1,6 @@
 /* One sample of a predictive controller: forecast, linearise along the horizon, solve the quadratic problem by a Riccati
    recursion inside an active-set loop, repeat. Knows nothing of railways: generated functions and tables of cells.
-   All arrays are row-major, one row per stage. Starts after call.h, lanes.h, the places of
+   All arrays are row-major, one row per stage. Starts after call.h, lanes.h, the indices of
    states and tuning by name (STATE_…, TUNING_…), the numbers of states N, of track parameters N_THETA, of columns of a
    cell N_CELL and of entries N_A of the matrix A, and the prediction model prediction_lanes. */
 
@@ -10,7 +10,7 @@ typedef struct {
   casadi_int steps, n_cells, most_sets;
   double cell_start, cell_step;
   const double *cells;
-  call_t place, preview, terminal, backward, forward, barrier_stiffness, barrier_terminal, barrier_backward, barrier_again;
+  call_t position, preview, terminal, backward, forward, barrier_stiffness, barrier_terminal, barrier_backward, barrier_again;
   /* inputs: measured state, nominal vehicle of the forecast and of the model, tuning; base torque, bound of the
      differential torque, printed switch */
   const double *x_hat, *nominal, *par, *tuning;
@@ -45,8 +45,8 @@ int horizon_forecast(const horizon_t *h) {
   for (casadi_int k = 0; k <= h->steps; ++k) {
     double t = (double)k * h->tuning[TUNING_period], at[2];
     const double *where[] = {h->x_hat, &h->u_d, &t, h->nominal};
-    double *place[] = {at};
-    if (call(&h->place, where, 4, place, 1)) return 1;
+    double *position[] = {at};
+    if (call(&h->position, where, 4, position, 1)) return 1;
     const double *ahead[] = {h->x_hat, &h->u_d, &t, h->nominal, cell_at(h, at[0]), cell_at(h, at[1])};
     double *stage[] = {h->x_d + k * N, h->theta + k * N_THETA};
     if (call(&h->preview, ahead, 6, stage, 2)) return 1;

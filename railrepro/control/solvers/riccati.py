@@ -36,7 +36,7 @@ _FIELDS = (
     *("du", "slope", "fixed", "side", *_OF_BOUNDS, "stands", "passes"),
 )
 _CALLS = (
-    *("place", "preview", "terminal", "backward", "forward"),
+    *("position", "preview", "terminal", "backward", "forward"),
     *("barrier_stiffness", "barrier_terminal", "barrier_backward", "barrier_again"),
 )
 
