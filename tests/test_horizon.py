@@ -127,7 +127,7 @@ def test_no_sample_on_poor_rail_falls_back(name, solver):
 
     cone = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
     scenario = scenarios.load_scenario("adhesion_loss")
-    run = simulate.run(scenario, replace(built, kind=Counting), plant_vehicle=cone)
+    run = simulate.run(scenario, replace(built, controller=Counting), plant_vehicle=cone)
     assert run.failed and not any(record.fallback for guided in run.controllers for record in guided.stats)
     if solver == "rti":  # the last problem of a converged sample starts from its solution
         assert np.mean(np.array(most) > MOST_SETS) > 0.02

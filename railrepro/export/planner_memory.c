@@ -10,7 +10,7 @@ typedef struct {
   double x_next[STEPS * N], a[STEPS * N_A], b[STEPS * N], cost_matrix[(STEPS + 1) * N * N], cost_vector[(STEPS + 1) * N];
   double feedback[STEPS * N], feedforward[STEPS], dx[(STEPS + 1) * N], du[STEPS], slope[STEPS], fixed[STEPS];
   double side[STEPS + 1], inner[BOUNDS * STEPS], slack[BOUNDS * STEPS], multiplier[BOUNDS * STEPS];
-  double slack_step[BOUNDS * STEPS], multiplier_step[BOUNDS * STEPS], target[BOUNDS * STEPS], stands[BOUNDS * (STEPS + 1)], passes;
+  double slack_step[BOUNDS * STEPS], multiplier_step[BOUNDS * STEPS], target[BOUNDS * STEPS], barrier[BOUNDS * (STEPS + 1)], passes;
   const double *arg[FUNCTIONS][PLAN_ARG];
   double *res[FUNCTIONS][PLAN_RES];
   casadi_int iw[FUNCTIONS][PLAN_IW + 1];
@@ -29,7 +29,7 @@ static void planner_reset(planner_memory_t *m, int gear) {
                      m->x_hat, NOMINAL + gear * N_NOMINAL, MODEL, TUNING, 0, 0, AFFINE,
                      m->x_d, m->theta, m->x, m->u, m->x_next, m->a, m->b, m->cost_matrix, m->cost_vector,
                      m->feedback, m->feedforward, m->dx, m->du, m->slope, m->fixed, m->side,
-                     m->inner, m->slack, m->multiplier, m->slack_step, m->multiplier_step, m->target, m->stands,
+                     m->inner, m->slack, m->multiplier, m->slack_step, m->multiplier_step, m->target, m->barrier,
                      &m->passes};
   m->p = (planner_t){&m->h, m->x_hat, m->plan, OBSERVER, TORQUE_LIMIT, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
 }

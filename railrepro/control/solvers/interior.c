@@ -25,13 +25,13 @@ static double rigid_slack(const horizon_t *h, casadi_int i, casadi_int k) {
 
 /* Weights and slopes of the recursion that lead slack times multiplier to their targets. */
 static void stand_for_bounds(const horizon_t *h, const double *softness) {
-  memset(h->stands, 0, (h->steps + 1) * BOUNDS * sizeof(double));
+  memset(h->barrier, 0, (h->steps + 1) * BOUNDS * sizeof(double));
   EACH_BOUND {
-    double *stands = h->stands + (i < LATERAL ? k * BOUNDS : (k + 1) * BOUNDS + LATERAL);
+    double *barrier = h->barrier + (i < LATERAL ? k * BOUNDS : (k + 1) * BOUNDS + LATERAL);
     const double slack = h->slack[at], multiplier = h->multiplier[at];
     const double wide = slack + multiplier * softness[i], weight = multiplier / wide;
-    stands[0] += weight;
-    stands[1] += SIGN[i] * (multiplier + (h->target[at] - multiplier * slack) / wide) - weight * h->inner[at];
+    barrier[0] += weight;
+    barrier[1] += SIGN[i] * (multiplier + (h->target[at] - multiplier * slack) / wide) - weight * h->inner[at];
   }
 }
 
@@ -39,12 +39,12 @@ static void stand_for_bounds(const horizon_t *h, const double *softness) {
 static int interior_step(const horizon_t *h, const double *softness, int again) {
   casadi_int last = h->steps;
   stand_for_bounds(h, softness);
-  const double *end[] = {h->x + last * N, h->x_d + last * N, h->stands + last * BOUNDS, h->tuning};
+  const double *end[] = {h->x + last * N, h->x_d + last * N, h->barrier + last * BOUNDS, h->tuning};
   double *cost[] = {h->cost_matrix + last * N * N, h->cost_vector + last * N};
   if (call(&h->barrier_terminal, end, 4, cost, 2)) return 1;
   for (casadi_int k = last; k-- > 0;) {
     const double *in[] = {h->cost_matrix + (k + 1) * N * N, h->cost_vector + (k + 1) * N, h->x + (k + 1) * N,
-                          h->x_next + k * N, h->a + k * N_A, h->b + k * N, h->u + k, h->stands + k * BOUNDS, h->x + k * N,
+                          h->x_next + k * N, h->a + k * N_A, h->b + k * N, h->u + k, h->barrier + k * BOUNDS, h->x + k * N,
                           h->x_d + k * N, h->tuning};
     double *all[] = {h->cost_matrix + k * N * N, h->cost_vector + k * N, h->feedback + k * N, h->feedforward + k};
     double *changed[] = {h->cost_vector + k * N, h->feedforward + k};

@@ -78,7 +78,7 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
 
 @stored
 def barrier(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
-    """The same where weights and slopes stand for the bounds, `stands`: of the torque, then of the lateral position.
+    """The recursion with barrier terms for the bounds: weight and slope for the torque, then for the lateral position.
 
     Returns
     -------
@@ -87,23 +87,23 @@ def barrier(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function
     n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
     v = {name: ca.SX.sym(name, n) for name in ("p", "x_plus", "x_next", "b", "x", "x_d")}
     u, matrix, a = ca.SX.sym("u"), ca.SX.sym("P", n, n), ca.SX.sym("A", sparsity)
-    stands, tuning, slack = ca.SX.sym("stands", 4), ca.SX.sym("tuning", len(TUNING)), ca.SX.sym("slack")
+    terms, tuning, slack = ca.SX.sym("barrier", 4), ca.SX.sym("tuning", len(TUNING)), ca.SX.sym("slack")
     t = Tuning.of(tuning)
     stiffness, _ = _halved(slack_cost(slack, t), slack)
 
     def of_state(cost):
         hessian, gradient = _halved(cost(v["x"], v["x_d"], 0, t), v["x"])
-        hessian[Y, Y] += stands[2]
-        gradient[Y] += stands[3]
+        hessian[Y, Y] += terms[2]
+        gradient[Y] += terms[3]
         return hessian, gradient
 
     effort, effort_slope = _halved(effort_cost(u, t), u)
-    of_torque = effort + stands[0], effort_slope + stands[1]
+    of_torque = effort + terms[0], effort_slope + terms[1]
     found = _back(matrix, v["p"], a, v["b"], v["x_next"] - v["x_plus"], of_state(stage_cost), of_torque)
-    inputs = [matrix, v["p"], v["x_plus"], v["x_next"], a, v["b"], u, stands, v["x"], v["x_d"], tuning]
+    inputs = [matrix, v["p"], v["x_plus"], v["x_next"], a, v["b"], u, terms, v["x"], v["x_d"], tuning]
     return (
         ca.Function("barrier_stiffness", [tuning], [stiffness]),
-        ca.Function("barrier_terminal", [v["x"], v["x_d"], stands, tuning], of_state(terminal_cost), {"cse": True}),
+        ca.Function("barrier_terminal", [v["x"], v["x_d"], terms, tuning], of_state(terminal_cost), {"cse": True}),
         ca.Function("barrier_backward", inputs, found, {"cse": True}),
         ca.Function("barrier_again", inputs, [found[1], found[3]], {"cse": True}),
     )

@@ -23,7 +23,7 @@ typedef struct {
   double *cost_matrix, *cost_vector, *feedback, *feedforward, *dx, *du, *slope, *fixed, *side;
   /* interior.c: of every bound step of what it bounds, slack and multiplier, their steps, and what their product shall
      become; weights and slopes that stand for the bounds in the recursion */
-  double *inner, *slack, *multiplier, *slack_step, *multiplier_step, *target, *stands;
+  double *inner, *slack, *multiplier, *slack_step, *multiplier_step, *target, *barrier;
   /* recursions that the last problem took */
   double *passes;
 } horizon_t;

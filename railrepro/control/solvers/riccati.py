@@ -33,7 +33,7 @@ MOST_SETS = 8
 _OF_BOUNDS = ("inner", "slack", "multiplier", "slack_step", "multiplier_step", "target")
 _FIELDS = (
     *("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector", "feedback", "feedforward", "dx"),
-    *("du", "slope", "fixed", "side", *_OF_BOUNDS, "stands", "passes"),
+    *("du", "slope", "fixed", "side", *_OF_BOUNDS, "barrier", "passes"),
 )
 _CALLS = (
     *("position", "preview", "terminal", "backward", "forward"),
@@ -131,7 +131,7 @@ class Horizon:
         shapes |= {"cost_matrix": (steps + 1, _N**2), "cost_vector": (steps + 1, _N)}
         shapes |= {"feedback": (steps, _N), "feedforward": (steps,), "dx": (steps + 1, _N)}
         shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,), "passes": (1,)}
-        shapes |= dict.fromkeys(_OF_BOUNDS, (4, steps)) | {"stands": (steps + 1, 4)}
+        shapes |= dict.fromkeys(_OF_BOUNDS, (4, steps)) | {"barrier": (steps + 1, 4)}
         self.x_hat, self.cells = np.zeros(_N), np.ascontiguousarray(cells)
         self._inputs = nominal.astype(float), parameters.astype(float), settings.tuning()
         for name in _FIELDS:
