@@ -25,6 +25,7 @@ from typing import Annotated
 
 from railrepro import code, parent_death, paths, reads, schema
 from railrepro.errors import InputError
+from railrepro.evidence.report.sentences import false_in
 from railrepro.evidence.runs import store
 from railrepro.files import alone, move, scratch, write, written
 from railrepro.schema import Number, above, between
@@ -294,6 +295,8 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
             with _environment(staging):
                 failure = _execute(notebook, parameters, output, keep_going)
             taken = _taken(staging / "reads", notebook)
+            if not failure and (false := _false(output)) and _is_committed(notebook, parameters, taken):
+                failure = f"{_counted(false)} with the committed values: {' | '.join(false)}"
             missing = [product for product in notebook.products if not (staging / product).exists()]
             failure = failure or (f"did not write {missing[0]}, which chain.toml declares" if missing else "")
             for other in notebooks.values():
@@ -311,6 +314,36 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     if failure:
         raise InputError(f"{notebook.name}: {failure}")
     return taken
+
+
+def _false(executed: Path) -> list[str]:
+    """False sentences of an executed notebook; none where there is no such file."""
+    return false_in(json.loads(executed.read_text(encoding="utf-8"))["cells"]) if executed.is_file() else []
+
+
+def _counted(false: list[str]) -> str:
+    return "1 sentence does not hold" if len(false) == 1 else f"{len(false)} sentences do not hold"
+
+
+def _is_committed(notebook: Notebook, parameters: dict, taken: Reads) -> bool:
+    """Whether its parameters and what it reads, but for products of the chain, are those of the last commit.
+
+    Where no Git answers they count as changed.
+    """
+
+    def git(*arguments: str) -> subprocess.CompletedProcess:
+        return subprocess.run(["git", "-C", str(paths.ROOT), *arguments], capture_output=True, text=True)
+
+    given = set(taken) - {product for one in chain().values() for product in one.products}
+    if parameters != notebook.parameters or (given and git("status", "--porcelain", "--", *sorted(given)).stdout):
+        return False
+    committed = git("show", f"HEAD:{paths.NOTEBOOKS.name}/{notebook.path.name}").stdout
+    return bool(committed) and _values(json.loads(committed)["cells"]) == _values(cells(notebook))
+
+
+def _values(content: list[dict]) -> list[str]:
+    """Sources of the cells that hold the parameters of a notebook."""
+    return ["".join(cell["source"]) for cell in content if "parameters" in cell.get("metadata", {}).get("tags", [])]
 
 
 def _short(path: Path) -> str:
@@ -376,6 +409,9 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
                 return _run_stale(notebooks, [n for n in notebooks.values() if n.name in wanted], jobs)
             finally:
                 _write_manifests(notebooks)
+                for name in sorted(wanted):
+                    if false := _false(paths.BUILD / "notebooks" / f"{name}.ipynb"):
+                        _say(f"{name}: {_counted(false)} with these values")
 
 
 def _run_stale(notebooks: dict[str, Notebook], wanted: list[Notebook], jobs: int) -> int:

@@ -17,15 +17,17 @@ _KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
 
 
 def strip(path: Path) -> None:
-    """Remove outputs, execution counts and metadata but tags; tag the cells that the book folds."""
+    """Remove outputs, execution counts and metadata but tags; fold the cells that a reader may skip."""
     notebook = nbformat.read(path, 4)
     clearing = ClearOutputPreprocessor(), ClearMetadataPreprocessor(preserve_cell_metadata_mask={("tags",)})
     for step in clearing:
         notebook, _ = step.preprocess(notebook, {})
     for cell in notebook.cells:
         tags = [tag for tag in cell.metadata.get("tags", []) if tag != folding.FOLDED]
-        tags += [folding.FOLDED] * (cell.cell_type == "code" and folding.is_folded(cell.source))
-        cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
+        folded = cell.cell_type == "code" and folding.is_folded(cell.source)
+        tags += [folding.FOLDED] * folded
+        hidden = {"jupyter": {"source_hidden": True}} if folded else {}  # the same in JupyterLab
+        cell.metadata = nbformat.from_dict(({"tags": tags} if tags else {}) | hidden)
     notebook.metadata = nbformat.from_dict({"kernelspec": _KERNEL, "language_info": {"name": "python"}})
     nbformat.write(notebook, path)
 

@@ -6,8 +6,10 @@ import ast
 import re
 
 FOLDED = "hide-input"
-"""Tag of cells that the book folds: they draw, or only check."""
-_DRAWS = re.compile(r"\bplt\.\w|\bsave_figure\(|\.(?:plot|semilog[xy]|loglog|scatter|subplots|set_[xy]label)\(")
+"""Tag of cells that the book folds: they draw, say sentences, or only check."""
+_DRAWS = re.compile(
+    r"\bsentences\(\)|\bplt\.\w|\bsave_figure\(|\.(?:plot|semilog[xy]|loglog|scatter|subplots|set_[xy]label)\("
+)
 
 
 def _checks(node: ast.stmt) -> bool:
@@ -24,7 +26,7 @@ def _body(source: str) -> list[ast.stmt]:
 
 
 def is_folded(source: str) -> bool:
-    """Whether a code cell draws, or has nothing but asserts."""
+    """Whether a code cell draws, says sentences, or has nothing but asserts."""
     body = _body(source)
     return bool(_DRAWS.search(source)) or (bool(body) and all(map(_checks, body)))
 

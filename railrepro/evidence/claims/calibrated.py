@@ -94,6 +94,17 @@ def load(path: Path | str | None = None) -> dict[str, Choice]:
     return choices
 
 
+def table(*names: str) -> pd.DataFrame:
+    """Some choices as a chapter shows them."""
+    rows = {
+        name: [str(choice.nominal), str(choice.value), choice.unit, str(choice.range), ", ".join(choice.statements)]
+        for name, choice in load().items()
+        if name in names
+    }
+    columns = ["uncalibrated", "calibrated", "unit", "literature", "chosen for"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+
+
 def setup(values: Mapping[str, Any]) -> ProbeSetup:
     """Car, controllers and experiments with some choices; what is not named is that of the uncalibrated car.
 

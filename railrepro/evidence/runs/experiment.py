@@ -222,6 +222,8 @@ def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame
     """Every `stride`-th row of one gear with the unit in each column's name (contract of data/results)."""
     rows = series.iloc[::stride]
     columns = {"t_s": rows["t_s"]} | {new: rows[f"{gear}.{old}"] for old, new in _SERIES.items()}
+    creepage = rows[f"{gear}_ri.nu_y"] + rows[f"{gear}_le.nu_y"]
+    columns |= {"creep_rad": -creepage / 2}  # the angle between heading and motion
     columns |= {
         name.format(side): rows[f"{gear}_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()
     }

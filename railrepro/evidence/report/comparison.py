@@ -1,0 +1,222 @@
+"""Runs of several controllers side by side: drive, tabulate and draw them. Chapters are written with these verbs.
+
+A study is the same with lists: `compare("sine_tracking", PAPER_TRIO, speed_kmh=[80, 160])` drives each controller at
+each speed. Runs that were driven once are read from the store.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, with_r_times
+from railrepro.evidence.claims import calibrated
+from railrepro.evidence.claims.probe import ProbeSetup
+from railrepro.evidence.claims.statements import BRAKE, T3
+from railrepro.evidence.report import figures
+from railrepro.evidence.report.sentences import sentences
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.experiment import run_all
+from railrepro.simulation.scenarios import Scenario, load_scenario
+
+__all__ = ["Comparison", "calibrated", "compare", "figures", "sentences"]  # one line imports what a chapter needs
+QUANTITIES = {
+    **{"rmse_mm": ("rmse_y", 1e3), "rmse_rear_mm": ("rmse_y_rear", 1e3), "drift_mm": ("mean_error_last_third", 1e3)},
+    **{"largest_error_mm": ("largest_error", 1e3), "delay_m": ("delay", 1.0), "effort_Nm": ("effort_du", 1.0)},
+    **{"largest_slip_permille": ("largest_slip", 1e3), "stopping_distance_m": ("stopping_distance", 1.0)},
+}
+"""Quantities of a run with their unit -> column of its row (SI) and factor; any other column has its own name."""
+PANELS = {
+    "y": ("$y$ (mm)", ["y_m"], 1e3, "y_ref_m"),
+    "error": ("error (mm)", ["error_m"], 1e3, ""),
+    "yaw": ("yaw angle (mrad)", ["psi_ax_rad"], 1e3, ""),
+    "creep": ("creep angle (mrad)", ["creep_rad"], 1e3, ""),
+    "du": (r"$\Delta u$ (N m)", ["du_Nm"], 1.0, ""),
+    "torque": ("right torque (N m)", ["tau_ri_Nm"], 1.0, ""),
+    "torques": ("torques (kN m)", ["tau_ri_Nm", "tau_le_Nm"], 1e-3, ""),
+    "adhesion": ("adhesion (-)", ["fx_ri", "fx_le"], 1.0, "f_star"),
+    "slip": ("slip (‰)", ["sx_ri", "sx_le"], -1e3, ""),
+    "speed": ("speed (km/h)", ["v_mps"], 3.6, ""),
+}
+"""Panels of a figure: label of the axis, columns of the series (right before left wheel), factor, set point."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs side by side.
+
+    Attributes
+    ----------
+    rows : DataFrame
+        One row per run: its labels and metrics (SI), whether it failed, warnings.
+    series : DataFrame
+        Kept rows of all runs with their labels.
+    labels : tuple of str
+        Columns by which the runs differ.
+    """
+
+    rows: pd.DataFrame
+    series: pd.DataFrame
+    labels: tuple[str, ...]
+
+    def __getitem__(self, quantity: str) -> pd.Series:
+        """One number per run, by labels; see `QUANTITIES`."""
+        column, factor = QUANTITIES.get(quantity, (quantity, 1.0))
+        found = self.rows.set_index(list(self.labels))[column].rename(quantity)
+        return found if factor == 1.0 else factor * found
+
+    def of(self, *chosen: str) -> Comparison:
+        """Only the runs of some controllers (or cases)."""
+        name = self.labels[-1]
+        return Comparison(
+            self.rows[self.rows[name].isin(chosen)], self.series[self.series[name].isin(chosen)], self.labels
+        )
+
+    def table(self, *quantities: str) -> pd.DataFrame:
+        """Quantities of all runs, one row each."""
+        return pd.DataFrame({name: self[name] for name in quantities})
+
+    def data(self, *panels: str) -> pd.DataFrame:
+        """What `plot` draws: all labels, track coordinate and the columns of the panels."""
+        named = [name for name in ("car", "setting", "scenario", "controller", *self.labels) if name in self.series]
+        drawn = [name for panel in panels for name in (PANELS[panel][3], *PANELS[panel][1]) if name]
+        return self.series[list(dict.fromkeys([*named, "p_m", *drawn]))]
+
+    def plot(self, *panels: str, columns: str = "", height: float = 1.3) -> tuple[Figure, np.ndarray]:
+        """Draw quantities over the track coordinate, one row of panels each.
+
+        Parameters
+        ----------
+        panels : str
+            See `PANELS`.
+        columns : str
+            Label whose values stand side by side, as "car"; empty has one column.
+        height : float
+            Of a row (in).
+
+        Returns
+        -------
+        figure : Figure
+        axes : ndarray of Axes, shape (panels, columns)
+        """
+        shown = self.rows[columns].unique() if columns else [""]
+        width = figures.WIDTH if len(shown) == 1 else 2.6
+        grid = {"sharex": True, "sharey": "row", "squeeze": False}
+        figure, axes = figures.new_figure(len(panels), len(shown), height=height, width=width, **grid)
+        for column, value in zip(axes.T, shown, strict=True):
+            runs = self.series[self.series[columns] == value] if columns else self.series
+            self._draw(column, panels, runs, [name for name in self.labels if name != columns] or ["controller"])
+            column[0].set_title(f"{value} {columns}" if columns == "car" else str(value), fontsize=8)
+            column[-1].set_xlabel("track coordinate (m)")
+        for axis, panel in zip(axes[:, 0], panels, strict=True):
+            axis.set_ylabel(PANELS[panel][0])
+        entries = axes[0, 0].get_legend_handles_labels()
+        figure.legend(*entries, ncols=4 if len(shown) > 1 else 2, loc="outside upper center")
+        return figure, axes
+
+    def _draw(self, axes: np.ndarray, panels: Sequence[str], series: pd.DataFrame, labels: list[str]) -> None:
+        """Draw runs into the panels of a column: the right wheel as its controller, the left one paler."""
+        drawn: list[str] = []
+        for values, run in series.groupby(labels, sort=False):
+            name = run["controller"].iloc[0]
+            look = figures.CONTROLLER_STYLE[name]
+            if labels != ["controller"]:  # other runs of the same controller differ by the style of their line
+                look = look | {"label": ", ".join(map(str, values)), "linestyle": _DASHES[drawn.count(name) % 4]}
+            drawn.append(name)
+            for axis, panel in zip(axes, panels, strict=True):
+                _, (first, *second), factor, _ = PANELS[panel]
+                for column in second:
+                    axis.plot(run["p_m"], factor * run[column], **look | {"alpha": 0.4, "label": None})
+                axis.plot(run["p_m"], factor * run[first], **look)
+        for axis, panel in zip(axes, panels, strict=True):
+            if reference := PANELS[panel][3]:
+                axis.plot(run["p_m"], PANELS[panel][2] * run[reference], **figures.CONTROLLER_STYLE["set point"])
+
+
+_DASHES = ("-", "--", ":", "-.")
+_OF_SCENARIO = {field.name for field in fields(Scenario)}
+
+
+def compare(
+    scenario: str | Scenario | list | Mapping[str, Scenario], controllers: Sequence[str] | Mapping[str, str | dict],
+    setting: str | list = PAPER, *, car: Mapping[str, ProbeSetup] | None = None, solver: str = "rti",
+    noise_seed: int = 101, stride: int = 20, **changes,
+) -> Comparison:  # fmt: skip
+    """Drive controllers through a scenario, each in every combination of what is given as a list.
+
+    Parameters
+    ----------
+    scenario : str or Scenario
+        Entry of data/scenarios.toml or one of one's own; a list, or names of one's own -> scenario.
+    controllers : sequence of str, or mapping
+        Keys of `CONTROLLERS`; or names of runs -> key, or -> {"controller": key, "r_times": factor on R, fields of
+        `Experiment`}.
+    setting : str
+        Of comparison: which tuned sets; in `loop` with sensors.
+    car : mapping, optional
+        Names of cars -> set-ups with controllers and scenarios of their own (`calibrated.cars()`).
+    solver : str
+        Of NMPC: rti, gauss_newton or ipopt.
+    noise_seed : int
+        Of the sensors in the setting `loop`.
+    stride : int
+        Every n-th millisecond is kept.
+    changes
+        Fields of `Scenario`, a list for a value each; and fields of `Experiment` for all runs.
+    """
+    cases = dict(controllers) if isinstance(controllers, Mapping) else {name: name for name in controllers}
+    scenarios = scenario if isinstance(scenario, Mapping) else {_name(one): one for one in _listed(scenario)}
+    varied = {name: value for name, value in changes.items() if isinstance(value, list)}
+    grid = {"car": list(car or [""]), "setting": _listed(setting), "scenario": list(scenarios), **varied}
+    experiments = []
+    for *values, case in product(*grid.values(), cases):
+        of = dict(zip(grid, values, strict=True))
+        given = changes | {name: of[name] for name in varied}
+        more = {name: value for name, value in given.items() if name not in _OF_SCENARIO}
+        more |= cases[case] if isinstance(cases[case], dict) else {"controller": cases[case]}
+        name = more.pop("controller")
+        setup = car[of["car"]] if car else _tuned(name, of["setting"], noise_seed)
+        factor = more.pop("r_times", None)
+        if factor is not None:
+            factor = factor(setup) if callable(factor) else factor
+            more["parameters"] = with_r_times(setup.parameters[name], factor)
+        driven = _driven(scenarios[of["scenario"]], setup if car else None)
+        driven = driven.but(**{name: value for name, value in given.items() if name in _OF_SCENARIO})
+        label = {key: value for key, value in of.items() if key != "scenario"} | {"case": case}
+        more = {"options": CONTROLLERS[name].quick and {"solver": solver}} | more
+        experiments.append(setup.experiment(driven, name, label=label, stride=stride, **more))
+    rows, series = run_all(experiments, "runs")
+    assert series is not None, "a stride keeps rows"
+    series = series.assign(error_m=series["y_m"] - series["y_ref_m"])
+    last = "case" if isinstance(controllers, Mapping) else "controller"
+    return Comparison(rows, series, (*(name for name, values in grid.items() if len(values) > 1), last))
+
+
+def _listed(given) -> list:
+    return given if isinstance(given, list) else [given]
+
+
+def _name(scenario: str | Scenario) -> str:
+    return scenario if isinstance(scenario, str) else scenario.name
+
+
+def _driven(scenario: str | Scenario, setup: ProbeSetup | None) -> Scenario:
+    """A scenario by name, as the set-up of a car has those of Figs. 6 and 9."""
+    if isinstance(scenario, Scenario):
+        return scenario
+    if setup is None:
+        return load_scenario(scenario)
+    special = {T3: lambda: setup.curve(Path()), BRAKE: setup.braking}
+    return special.get(scenario, lambda: load_scenario(scenario).but(good=setup.good))()
+
+
+def _tuned(controller: str, setting: str, noise_seed: int) -> ProbeSetup:
+    """The nominal car with a controller as it is tuned in a setting."""
+    sensors = {"seed": noise_seed} if setting == LOOP else {}
+    return ProbeSetup({controller: tuning.load(controller, setting)["parameters"]}, setting, sensors=sensors)

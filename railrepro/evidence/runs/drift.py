@@ -1,0 +1,45 @@
+"""Steady error of a controller in a curve, from its gains and the creep angle of the wheels.
+
+The wheels carry the unbalanced side force by rolling at an angle to the track. A controller whose model rolls ideally
+takes the angle for a motion and steers against it, until its position error demands as much torque the other way:
+y - y_ref = -(k1 / k0) v psi_creep.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from railrepro.contact.table import middle_patch
+from railrepro.control.ndi import NDI
+from railrepro.control.registry import tuned
+from railrepro.model.control_model import PSI_AX, PSI_TRAX, STATES, XDOT, X, Y
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+
+def gain_ratio(controller: str, setting: str, speed: float) -> float:
+    """Return k1 / k0 (s): the torque per rate over the torque per displacement, at a speed (m/s).
+
+    NDI has it in its gains; a predictive controller is asked twice on a straight track.
+    """
+    guidance = tuned(controller, setting=setting)
+    if isinstance(guidance, NDI):
+        return guidance.gains()["k1"] / guidance.gains()["k0"]
+    straight = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=3.6 * speed)
+    asked, centred, small = guidance(load_vehicle(), straight.route(), 0), np.zeros(len(STATES)), 1e-4
+    centred[[X, XDOT]] = 100.0, speed
+    displaced, turned = centred.copy(), centred.copy()
+    displaced[Y] = turned[PSI_AX] = turned[PSI_TRAX] = small
+    return asked.plan(turned, 0.0) / asked.plan(displaced, 0.0) / speed
+
+
+def creep_angle(vehicle: Vehicle, scenario: Scenario) -> float:
+    """Return the angle (rad) at which wheels in the middle of the track carry the side force at the end of a scenario.
+
+    Kalker's linear law with Polach's reduction for small creepage.
+    """
+    _, curvature, cant, *_ = scenario.route().track_at(np.array([scenario.end_m - 20.0]))[:, 0]
+    side = (vehicle.body.mass / 2 + vehicle.gear.mass) * (scenario.speed**2 * curvature - vehicle.gravity * cant)
+    a, b, (_, c22, _) = middle_patch(vehicle)
+    rail = vehicle.adhesion[scenario.good]
+    return float(side / ((rail.k_a + rail.k_s) * vehicle.contact.shear_modulus * a * b * c22))

@@ -1,0 +1,98 @@
+"""Sentences of chapters: what makes one false, what a reader sees, and that a false one fails the chain."""
+
+import json
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_pipeline import (
+    tiny,  # noqa: F401  a checkout with one small notebook
+    write_notebook,
+)
+
+from railrepro.errors import InputError
+from railrepro.evidence.chain import chain
+from railrepro.evidence.report import sentences
+
+SAYS = """from railrepro import paths
+from railrepro.evidence.report.sentences import sentences
+paths.product("data/results/out.csv").write_text("a")
+with sentences() as says:
+    says(f"The value is {value}.", value < 3)
+    says("One over it is positive.", 1 / value > 0)"""
+
+
+@pytest.mark.parametrize(
+    ("conditions", "true"),
+    [
+        ([True], True),
+        ([np.array([True, False])], False),
+        ([pd.Series([True, True]), pd.Series([False])], False),
+        ([pd.DataFrame({"a": [True, True]}), 1 < 2], True),
+        ([[]], False),
+        ([], False),
+        ([np.nan > 1], False),
+    ],
+)
+def test_a_sentence_needs_all_of_its_conditions_and_one_at_least(conditions, true):
+    said = sentences.Sentences()
+    said("It holds.", *conditions)
+    assert said == [("It holds.", true)]
+
+
+def told(folder, capfd):
+    """Exit code of the chain and the last line that it printed."""
+    status = chain.figures()
+    return status, capfd.readouterr().err.splitlines()[-1]
+
+
+def git(folder, *arguments):
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    subprocess.run(["git", *identity, *arguments], cwd=folder, check=True, capture_output=True)
+
+
+def outputs(folder):
+    cells = json.loads((folder / "build/notebooks/01_tiny.ipynb").read_text())["cells"]
+    return "".join("".join(output["data"]["text/markdown"]) for cell in cells for output in cell["outputs"])
+
+
+def test_changed_values_mark_a_sentence_and_the_chain_ends_with_their_number(tiny, capfd):  # noqa: F811
+    write_notebook(tiny / "notebooks", ["", "value = 2", SAYS])
+    git(tiny, "init", "-q")
+    git(tiny, "add", "notebooks")
+    git(tiny, "commit", "-qm", "true")
+    assert told(tiny, capfd) == (0, "01_tiny: done; 0 left")
+    assert outputs(tiny) == "- ✓ The value is 2.\n- ✓ One over it is positive."
+    write_notebook(tiny / "notebooks", ["", "value = 4", SAYS])
+    assert told(tiny, capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
+    assert outputs(tiny).startswith(f"- <mark>**✗ {sentences.MARK}:**</mark> The value is 4.\n- ✓")
+    write_notebook(tiny / "notebooks", ["", "value = 0", SAYS])
+    assert told(tiny, capfd)[1] == "01_tiny: 1 sentence does not hold with these values"
+    assert "need values that are missing (ZeroDivisionError: division by zero)" in outputs(tiny)
+
+
+def test_a_false_sentence_fails_the_chain_with_the_committed_values(tiny, capfd):  # noqa: F811
+    write_notebook(tiny / "notebooks", ["", "value = 4", SAYS])
+    git(tiny, "init", "-q")
+    git(tiny, "add", "notebooks")
+    git(tiny, "commit", "-qm", "false")
+    status, last = told(tiny, capfd)
+    assert status == 1 and not (tiny / "data/results/out.csv").exists()
+    assert "1 sentence does not hold with the committed values: The value is 4." in last
+
+
+def test_an_edited_input_marks_and_an_edited_product_of_the_chain_does_not(tiny, capfd):  # noqa: F811
+    reading = SAYS.replace("value < 3", "(paths.DATA / 'in.txt').read_text() == 'a'")
+    write_notebook(tiny / "notebooks", ["", "value = 2", reading])
+    (tiny / "data/in.txt").write_text("a")
+    git(tiny, "init", "-q")
+    git(tiny, "add", "notebooks", "data")
+    git(tiny, "commit", "-qm", "true")
+    (tiny / "data/in.txt").write_text("b")
+    assert told(tiny, capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
+    git(tiny, "commit", "-qam", "committed")
+    assert chain.figures() == 0
+    chain.find("01_tiny").stamp.unlink()
+    with pytest.raises(InputError, match="1 sentence does not hold with the committed values"):
+        chain.refresh("01_tiny")
