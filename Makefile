@@ -49,7 +49,7 @@ BENCH := .venv/ready-bench-$(LOCK_HASH)
 COMPILER := .venv/ready-compiler-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 == "$(1)"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help setup figures check test test-slow test-all test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
+.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
@@ -77,18 +77,14 @@ check: $(VENV)  ## lint, format, types, order of imports
 test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS)
 
-test-slow: $(VENV)
+test-slow: $(VENV)  ## run the tests that take minutes
 	$(PY) -m pytest -m slow $(PYTEST_JOBS)
-
-test-all: $(VENV)  ## run the tests that take minutes, too
-	@$(MAKE) --no-print-directory test
-	@$(MAKE) --no-print-directory test-slow
 
 test-extras: $(BENCH)  ## install the group `bench` and run its tests: Exudyn, Gymnasium
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/test_gym_env.py
 
-faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files; SHORT=1 fewer
-	$(PY) tests/faults.py $(if $(SHORT),--short)
+faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files
+	$(PY) -m pytest -m slow tests/test_faults.py
 
 lab: $(VENV)  ## open the notebooks in JupyterLab; LAB="--no-browser --ip=0.0.0.0" passes options on, as in a container
 	$(PY) -m jupyterlab --notebook-dir=notebooks $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)

@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from chapters import write_notebook
 
 from railrepro import code, paths
 from railrepro.compile import cache, graphs
@@ -157,14 +158,7 @@ RUN = "from railrepro.evidence.chain import chain; chain.refresh('01_fade')"
 
 
 def test_a_chapter_that_ran_while_the_code_was_edited_is_stale_and_a_stale_one_names_the_module(copy):
-    tags = [{}, {"tags": ["parameters"]}, {}]
-    cells = [
-        {"cell_type": "code", "id": f"c{i}", "metadata": tag, "source": text, "outputs": [], "execution_count": None}
-        for i, (text, tag) in enumerate(zip(CHAPTER, tags, strict=True))
-    ]
-    kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
-    book = {"cells": cells, "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}
-    (copy / "notebooks/01_fade.ipynb").write_text(json.dumps(book))
+    write_notebook(copy / "notebooks", CHAPTER, "01_fade")
     entry = '[[notebook]]\nname = "01_fade"\ntitle = "fade"\nwrites = ["data/fade.csv"]\n'
     (copy / "notebooks/chain.toml").write_text(entry)
     first = python(copy, RUN)

@@ -8,6 +8,7 @@ import sys
 import types
 
 import pytest
+from chapters import write_notebook
 
 from railrepro import code, paths
 from railrepro.errors import InputError
@@ -19,17 +20,6 @@ CELLS = [
     "value = 1  # anything",
     "path = paths.product('data/results/out.csv')\npath.write_text(f'a\\n{value}\\n')\nprint(value)",
 ]
-
-
-def write_notebook(folder, cells, name="01_tiny"):
-    entries = []
-    for i, source in enumerate(cells):
-        tags = {"tags": ["parameters"]} if i == 1 else {}
-        cell = {"cell_type": "code", "id": f"c{i}", "metadata": tags, "source": source}
-        entries.append(cell | {"outputs": [], "execution_count": None})
-    metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
-    content = {"cells": entries, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
-    (folder / f"{name}.ipynb").write_text(json.dumps(content))
 
 
 SCENARIOS = paths.DATA / "scenarios.toml"

@@ -1,12 +1,12 @@
 """Verification: every product is compared whatever one notebook says, and other compilers are other cache entries."""
 
-import json
 import os
 import subprocess
 import sys
 
 import pandas as pd
 import pytest
+from chapters import write_notebook
 
 from railrepro import paths
 from railrepro.compile import codegen
@@ -37,16 +37,6 @@ writes = ["data/two.csv"]
 WRITE = "from railrepro import paths\npaths.product('data/{}').write_text('{}')"
 
 
-def notebook(folder, name, cells):
-    def cell(i, source):
-        empty = {"metadata": {}, "outputs": [], "execution_count": None}
-        return {"cell_type": "code", "id": f"c{i}", "source": source} | empty
-
-    metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
-    content = {"cells": [cell(*c) for c in enumerate(cells)], "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
-    (folder / f"{name}.ipynb").write_text(json.dumps(content))
-
-
 @pytest.fixture
 def checkout(tmp_path, monkeypatch):
     """Two notebooks; the first fails between its products."""
@@ -59,8 +49,8 @@ def checkout(tmp_path, monkeypatch):
     (folder / "chain.toml").write_text(CHAIN)
     rows = "a,loose,seconds\\n1,100,1\\n3,{},9\\n"
     cells = [WRITE.format("one.csv", rows.format("200.5")), "assert False, 'odd'", WRITE.format("late.csv", "a\\n1\\n")]
-    notebook(folder, "01_one", cells)
-    notebook(folder, "02_two", [WRITE.format("two.csv", "a\\n1\\n2.5\\n")])
+    write_notebook(folder, cells, "01_one")
+    write_notebook(folder, [WRITE.format("two.csv", "a\\n1\\n2.5\\n")], "02_two")
     committed = {"one": "a,loose,seconds\n1,100,1\n3,200,2\n", "late": "a\n1\n", "two": "a\n1\n2\n"}
     for name, text in committed.items():
         (tmp_path / "data" / f"{name}.csv").write_text(text)

@@ -1,0 +1,15 @@
+"""Small notebooks for tests of the chain."""
+
+import json
+
+
+def write_notebook(folder, cells, name="01_tiny"):
+    """A notebook of code cells; the second one, if any, holds the parameters."""
+    entries = []
+    for i, source in enumerate(cells):
+        tags = {"tags": ["parameters"]} if i == 1 else {}
+        cell = {"cell_type": "code", "id": f"c{i}", "metadata": tags, "source": source}
+        entries.append(cell | {"outputs": [], "execution_count": None})
+    metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    content = {"cells": entries, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+    (folder / f"{name}.ipynb").write_text(json.dumps(content))
