@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import pytest
 from chapters import write_notebook
@@ -15,7 +16,7 @@ from chapters import write_notebook
 from railrepro import code, paths
 from railrepro.compile import cache, graphs
 from railrepro.errors import InputError
-from railrepro.evidence.runs import executor, experiment, store
+from railrepro.evidence.runs import executor, store
 
 SNIPPETS = {
     "x = 1\n": "x = 1",
@@ -199,16 +200,17 @@ def test_an_edited_process_looks_nothing_up_and_stores_nothing(tmp_path, monkeyp
 
 STUDY = """
 import sys
+from functools import partial
 from railrepro import code
 from railrepro.errors import InputError
 from railrepro.evidence.runs import store
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import executor, ordered_map, work
 code.version()
 print("now", flush=True)
 sys.stdin.readline()
 try:
     with executor() as pool:
-        print(len(ordered_map(pool, store.digest, [1, 2], "x", quiet=True)))
+        print(len(ordered_map(pool, partial(work, store.digest), [1, 2], "x", quiet=True)))
 except InputError as error:
     print(error)
 """
@@ -224,14 +226,14 @@ def test_workers_that_start_after_an_edit_are_refused(copy, edited, said):
 
 
 def test_a_worker_with_other_code_is_refused(monkeypatch):
-    task, asked = experiment._call, executor._code(experiment._call)
-    assert executor._here(task, asked, []) == ([], {})
+    task, asked = store.digest, executor._code(store.digest)
+    assert executor._checked(asked, task, 1) == store.digest(1)
     for other in (("another version", asked[1]), (asked[0], {}), (None, None)):
         with pytest.raises(InputError, match="imported other code of railrepro"):
-            executor._elsewhere(task, other, [])
+            executor._checked(other, task, 1)
     monkeypatch.setattr(code, "version", lambda: None)
     with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="imported other code"):
-        executor.ordered_map(pool, task, ["anything"], "x", quiet=True)
+        executor.ordered_map(pool, partial(executor.work, task), ["anything"], "x", quiet=True)
 
 
 @pytest.mark.parametrize("name", ["RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"])

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from threading import Thread
 
@@ -14,7 +15,7 @@ import pytest
 from railrepro import paths, threads
 from railrepro.errors import InputError
 from railrepro.evidence.runs import executor as executors
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.threads import one_thread
 
 
@@ -71,16 +72,16 @@ def test_the_number_of_threads_is_given_back():
 def test_a_killed_worker_is_told_in_one_sentence(monkeypatch):
     monkeypatch.setenv("RAILREPRO_WORKERS", "2")
     with pytest.raises(InputError, match="was killed"), executor() as pool:
-        ordered_map(pool, end_itself, [1, 2], "killed", quiet=True)
+        ordered_map(pool, partial(work, end_itself), [1, 2], "killed", quiet=True)
     with executor() as pool:
-        assert ordered_map(pool, sleeper, [0.0, 0.1], "again", quiet=True) == [0.0, 0.1]
+        assert ordered_map(pool, partial(work, sleeper), [0.0, 0.1], "again", quiet=True) == [0.0, 0.1]
 
 
 def test_a_script_without_guard_is_told_what_to_do(tmp_path):
     script = tmp_path / "own.py"
     script.write_text(
-        "from railrepro.evidence.runs.executor import executor, ordered_map\n"
-        "with executor() as pool:\n    ordered_map(pool, abs, [1, 2], 'own', quiet=True)\n"
+        "from railrepro.evidence.runs.executor import executor, ordered_map, work\n"
+        "with executor() as pool:\n    ordered_map(pool, lambda x: work(abs, x), [1, 2], 'own', quiet=True)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}
     done = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True, text=True)
@@ -156,8 +157,8 @@ def cluster(tmp_path, monkeypatch):
 def test_a_lost_cluster_is_told_in_one_sentence(lost, cluster, tmp_path, capfd):
     thread = cluster.kill_at_work(tmp_path, *lost)
     with pytest.raises(InputError, match="are lost; start them and run again"), executor() as pool:
-        assert ordered_map(pool, sleeper, [0.01, 0.02], "first", quiet=True) == [0.01, 0.02]
-        ordered_map(pool, held_up, [(str(tmp_path), i) for i in range(8)], "lost", quiet=True)
+        assert ordered_map(pool, partial(work, sleeper), [0.01, 0.02], "first", quiet=True) == [0.01, 0.02]
+        ordered_map(pool, partial(work, held_up), [(str(tmp_path), i) for i in range(8)], "lost", quiet=True)
     thread.join()
     assert "Traceback" not in "".join(capfd.readouterr())
 
@@ -165,6 +166,8 @@ def test_a_lost_cluster_is_told_in_one_sentence(lost, cluster, tmp_path, capfd):
 def test_a_lost_worker_changes_nothing(cluster, tmp_path):
     thread = cluster.kill_at_work(tmp_path, 1)
     with executor() as pool:
-        found = ordered_map(pool, held_up, [(str(tmp_path), i) for i in range(8)], "one lost", quiet=True)
+        found = ordered_map(
+            pool, partial(work, held_up), [(str(tmp_path), i) for i in range(8)], "one lost", quiet=True
+        )
     thread.join()
     assert found == list(range(8))

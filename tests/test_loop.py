@@ -30,7 +30,8 @@ def test_means_are_over_the_seeds(monkeypatch):
     monkeypatch.setattr(loop, "SEEDS", (201, 202))
     with executor() as pool:
         table = loop.table([case], pool)
-    errors = [loop._call((case, "ndi_feedforward", seed))["error_mm"] for seed in (201, 202)]
+    runs = [case.experiment("ndi_feedforward", seed).measured(loop.followed) for seed in (201, 202)]
+    errors = [row["error_mm"] for row, _ in runs]
     assert table["error_mm"].item() == pytest.approx(np.mean(errors)) and table["seeds"].item() == 2
     assert table["spread_mm"].item() == pytest.approx(np.std(errors, ddof=1)) and errors[0] != errors[1]
     assert table["failed"].item() == 0

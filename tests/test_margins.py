@@ -87,13 +87,27 @@ def test_margins_of_hand_made_curves():
 
 
 @pytest.mark.parametrize(("quantity", "breaks_at", "expected"), [("delay", 6.5e-3, 6e-3), ("gain", 1.55, 1.5)])
-def test_the_largest_value_that_is_survived_is_found(monkeypatch, quantity, breaks_at, expected):
-    monkeypatch.setattr(margins.Survival, "_fails", lambda self, value: value > breaks_at)
-    assert margins.Survival("equal", "ndi", "dry", quantity)() == pytest.approx(expected)
-    monkeypatch.setattr(margins.Survival, "_fails", lambda self, value: False)
-    assert margins.Survival("equal", "ndi", "dry", quantity)() == margins.QUANTITIES[quantity].largest
-    monkeypatch.setattr(margins.Survival, "_fails", lambda self, value: True)
-    assert np.isnan(margins.Survival("equal", "ndi", "dry", quantity)())
+def test_the_largest_value_that_is_survived_is_found(quantity, breaks_at, expected):
+    searched = margins.QUANTITIES[quantity]
+    assert margins.survived(lambda value: value > breaks_at, searched) == pytest.approx(expected)
+    assert margins.survived(lambda value: False, searched) == searched.largest
+    assert np.isnan(margins.survived(lambda value: True, searched))
+
+
+@pytest.mark.parametrize(("setting", "perfect"), [("equal", True), ("loop", False)])
+def test_what_is_worsened_reaches_the_run(setting, perfect, monkeypatch):
+    driven = []
+
+    def measured(experiment, _):
+        driven.append(experiment)
+        return {"failed": True}, None
+
+    monkeypatch.setattr(margins.Experiment, "measured", measured)
+    for quantity in margins.QUANTITIES:
+        margins.largest(setting, "ndi", "poor", quantity)
+    assert [one.sensors.get("perfect", False) for one in driven] == [perfect] * 3
+    assert [one.scenario.name for one in driven] == ["adhesion_loss"] * 3 and driven[1].plant == {"drive.lag": 5e-3}
+    assert driven[0].sensors["inverter.delay"] == 0.0 and driven[2].sensors["inverter.gain"] == 1.0
 
 
 def test_wrong_sensors_are_told():

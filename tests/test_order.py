@@ -14,10 +14,11 @@ from railrepro.track.alignment import Alignment, Segment, alignments
 from railrepro.vehicle.parameters import load_vehicle
 
 SCENARIO = load_scenario(order.SCENARIO)
+KEYS = ["axis", "value", "setting", "controller", "seed"]
 
 
 def built(axis, value, controller="ndi", seed=0):
-    return order.case(axis, value, "equal", controller, seed).experiment(SCENARIO)
+    return order.experiment(axis, value, "equal", controller, seed)
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.4333, 1.0])
@@ -53,7 +54,7 @@ def test_a_nominal_value_moves_nothing(axis, value):
     assert value in order.AXES[axis].values
     one = built(axis, value)
     assert one.parameters == tuning.load("ndi", "equal")["parameters"]
-    assert one.car() == load_vehicle() and not one.sensors and not one.vehicle and one.scenario is SCENARIO
+    assert one.car() == load_vehicle() and not one.sensors and not one.vehicle and one.scenario == SCENARIO
 
 
 def test_stiffness_is_that_of_the_car_alone_and_profiles_too():
@@ -72,7 +73,7 @@ def test_delay_and_noise_begin_where_the_filter_ends():
 
 
 def test_only_noise_is_driven_with_several_seeds():
-    seeds = pd.DataFrame([vars(one) for one in order.cases()]).groupby(["axis", "value"])["seed"].unique()
+    seeds = pd.DataFrame(order.cases(), columns=KEYS).groupby(["axis", "value"])["seed"].unique()
     assert set(seeds["noise", 1.0]) == set(seeds["car", "S1002, loop"]) == set(order.SEEDS)
     assert set(seeds["delay", 1.0]) == set(seeds["car", "S1002, filter"]) == {0}
 
@@ -80,5 +81,5 @@ def test_only_noise_is_driven_with_several_seeds():
 def test_a_run_that_leaves_the_rail_has_no_error(monkeypatch):
     cone = {"plant": {"contact.profile": "cone"}}  # no flange holds it
     monkeypatch.setitem(order.AXES, "bandwidth", replace(order.AXES["bandwidth"], change=lambda value: cone))
-    row = order.case("bandwidth", 4.0, "paper", "ndi")()
+    row = order.row("bandwidth", 4.0, "paper", "ndi")
     assert row["failed"] and "derailed" in row["ended"] and "rmse_mm" not in row

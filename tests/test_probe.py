@@ -9,6 +9,7 @@ from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.runs import tuning
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -37,7 +38,7 @@ def test_gyroscopic_torque_on_the_cant_ramp_of_t3():
     # v^2/R - 0.4333 m/s2 is balanced by a cant that rises along 423 m; J_Wy 60 kg m2, b 1.5 m
     v = 280 / 3.6
     cant_rate = np.arcsin((v**2 / 4250 - 0.4333) / 9.81) / 423
-    found = probe.gyroscopic_torque(load_vehicle(), load_scenario("curve_entry_T3"))
+    found = probe.gyroscopic_torque(load_vehicle(), v, load_track("T3"))
     assert found == pytest.approx(-2 * 60.0 * v**2 * cant_rate / 1.5, rel=0.01)
 
 
@@ -159,8 +160,12 @@ def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting,
         return values | ({} if measure is probe.braked else {"failed": 0.0}), None
 
     monkeypatch.setattr(probe.Experiment, "measured", measured)
-    rows = probe.Nominal(setting, 0, probe.SEEDS[0])()
-    assert {row[5] for row in rows} == {setting}
+    rows = probe.nominal([setting], quiet=True)
+    assert set(rows["setting"]) == {setting} and set(rows["swarm"]) == {0, 1, 2}
+    braked = rows[rows["scenario"] == probe.BRAKE]
+    assert set(braked["swarm"]) == {0} and braked["seed"].nunique() == 1, "once per setting"
+    made.clear()
+    probe.probe(probe.nominal_setup(setting, 0, probe.SEEDS[0]), (*probe.PARTS, *probe.ONCE))
     assert {e.controller for e in made} == set(PAPER_TRIO) and len(made) > 70
     for experiment in made:
         own = tuning.load(experiment.controller, setting)["parameters"]

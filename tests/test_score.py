@@ -221,7 +221,7 @@ def test_cases_that_draws_have_in_common_are_driven_once(monkeypatch):
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     driven = []
 
-    def mapped(pool, task, arguments, title, quiet=False, stored=False):
+    def mapped(pool, task, arguments, title, quiet=False):
         driven.append(len(arguments))
         return [dict(ANCHORS) if task is limit.anchors else each.head() | {"failure": "left"} for each in arguments]
 

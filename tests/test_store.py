@@ -1,7 +1,9 @@
 """The store of results: no stored row outlives the code and data that made it, and none is lost without a reason."""
 
 import math
+import os
 from dataclasses import replace
+from operator import call
 
 import numpy as np
 import pandas as pd
@@ -9,12 +11,14 @@ import pytest
 
 from railrepro.errors import InputError
 from railrepro.evidence.claims import probe
-from railrepro.evidence.runs import experiment, store, swarm, tuning
+from railrepro.evidence.runs import executor as executors
+from railrepro.evidence.runs import experiment, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, run_all
 from railrepro.own.slip import SlipSettings
 from railrepro.simulation import metrics
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.track.alignment import alignments
 
 SHORT = Experiment(load_scenario("curve_entry_T3").but(end_m=8.0), "ndi", stride=100)
 
@@ -68,6 +72,8 @@ CHANGES = {
     "substeps": lambda e: replace(e, substeps=2),
     "adhesion law": lambda e: replace(e, adhesion=SlipSettings()),
     "share": lambda e: replace(e, fixed_share=0.1),
+    "alignment": lambda e: replace(e, alignment=alignments()["T3"]),
+    "other alignment": lambda e: replace(e, alignment=alignments()["T4"]),
     "series": lambda e: replace(e, stride=50),
     "controller": lambda e: replace(e, controller="ndi_feedforward"),
 }
@@ -151,33 +157,35 @@ def test_stored_experiments_start_no_worker(folder, monkeypatch):
         def submit(self, *_):
             pytest.fail("a worker was asked")
 
-    results = ordered_map(NoPool(), experiment._call, experiments[:2], "again", quiet=True, stored=True)
+    results = ordered_map(NoPool(), call, experiments[:2], "again", quiet=True)
     assert [row["n"] for row, _ in results] == [0, 1] and len(list(folder.rglob("*.npz"))) == 2
     experiments[2]()
     more, _ = run_all(experiments, "more", quiet=True)
     assert more[:2].equals(pd.DataFrame([row for row, _ in first])) and len(list(folder.rglob("*.npz"))) == 3
 
 
-def test_an_evaluation_of_a_swarm_is_known_or_missing_as_a_whole(folder):
+def test_the_runs_of_an_evaluation_are_stored_one_by_one(folder, runs):
     task = tuning.load_task()
     run = replace(task.runs[2], scenario=task.runs[2].scenario.but(end_m=20.0))
     evaluation = swarm.Evaluation("ndi", replace(task, runs=(run, replace(run, sensors={"seed": 1}))))
     poles = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
-    with store.only_stored(), pytest.raises(store.Missing):
-        evaluation(poles)
     cost = evaluation(poles)
-    with store.only_stored():
-        assert evaluation(poles) == cost and math.isfinite(cost[0])
+    next(folder.rglob("*.npz")).unlink()
+    assert evaluation(poles) == cost and math.isfinite(cost[0]) and len(runs) == 3
 
 
-def test_what_a_machine_elsewhere_computes_is_stored_here(folder):
-    with store.collected() as new:
-        row, _ = SHORT()
-    assert not list(folder.rglob("*.npz")) and len(new) == 1
-    for name, content in new.items():
-        store.put(name, content)
-    with store.only_stored():
-        assert repr(SHORT()[0]) == repr(row)
+def test_what_a_worker_computes_is_stored_by_who_asked(folder, monkeypatch):
+    """The worker has no folder, as one on another machine."""
+    monkeypatch.setenv("RAILREPRO_WORKERS", "1")
+    executors._processes.cache_clear()
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("RAILREPRO_STORE", "off")
+        with executor() as pool:
+            pool.submit(os.getpid).result()
+    with executor() as pool:
+        ((row, _),) = ordered_map(pool, call, [SHORT], "elsewhere", quiet=True)
+    monkeypatch.setattr(Experiment, "run", lambda self: pytest.fail("it is stored"))
+    assert repr(SHORT()[0]) == repr(row)
 
 
 def test_a_controller_of_a_users_file_is_not_stored(folder, monkeypatch):
@@ -189,7 +197,7 @@ def test_a_controller_of_a_users_file_is_not_stored(folder, monkeypatch):
 def test_the_executor_and_the_store_give_the_same(folder, monkeypatch):
     monkeypatch.setenv("RAILREPRO_WORKERS", "2")
     with executor() as pool:
-        results = ordered_map(pool, experiment._call, [SHORT, SHORT], "two", quiet=True, stored=True)
+        results = ordered_map(pool, call, [SHORT, SHORT], "two", quiet=True)
     assert repr(results[0][0]) == repr(SHORT()[0])
 
 

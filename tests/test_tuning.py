@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from railrepro.control.ndi import NDI
 from railrepro.control.registry import INVERSIONS, OURS, SHOWN
 from railrepro.errors import InputError
 from railrepro.evidence.runs import swarm, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import simulate
 
@@ -163,7 +164,7 @@ def test_a_dask_cluster_gives_the_same(monkeypatch):
     ) as cluster:
         monkeypatch.setenv("RAILREPRO_DASK", cluster.scheduler_address)
         with executor() as pool:
-            assert ordered_map(pool, square, [1, 2, 3], "squares", quiet=True) == [1, 4, 9]
+            assert ordered_map(pool, partial(work, square), [1, 2, 3], "squares", quiet=True) == [1, 4, 9]
             evaluation = swarm.Evaluation("ndi", short_task())
             parameters = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
             there = ordered_map(pool, evaluation, [parameters], "there", quiet=True)[0]
@@ -172,7 +173,8 @@ def test_a_dask_cluster_gives_the_same(monkeypatch):
 
 WORKERS = """
 import fcntl, sys, time
-from railrepro.evidence.runs.executor import executor, ordered_map
+from functools import partial
+from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
 def hold(path):
     with open(path, "w") as file:
@@ -180,7 +182,7 @@ def hold(path):
         time.sleep(600)
 if __name__ == "__main__":
     with executor() as pool:
-        ordered_map(pool, hold, sys.argv[1:], "hold", quiet=True)
+        ordered_map(pool, partial(work, hold), sys.argv[1:], "hold", quiet=True)
 """
 
 

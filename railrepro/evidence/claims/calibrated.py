@@ -12,7 +12,7 @@ Serves the paper's section Multi-Body Simulation Results.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -173,16 +173,6 @@ def judged(world: ProbeSetup, speeds: Iterable[int] = SPEEDS, parts: Iterable[st
     return pd.DataFrame(rows, columns=["statement", "value", "above", "below", "margin", "holds"])
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A judgement that can be sent to a worker: values of the choices -> the table of `judged`."""
-
-    values: tuple[tuple[str, Any], ...]
-
-    def __call__(self) -> pd.DataFrame:
-        return judged(setup(dict(self.values)))
-
-
 def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]]:
     """Each choice put back alone: name, what it is put back to, and the values of all choices then."""
     values = {name: choice.value for name, choice in choices.items()}
@@ -198,15 +188,6 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
     return values | {name: min(value, _LARGEST.get(name, np.inf)) for name, value in moved.items()}
 
 
-def _call(task: Judged) -> pd.DataFrame:
-    return task()
-
-
-def _all_judged(cases: Iterable[Mapping[str, Any]], title: str, quiet: bool = False) -> list[pd.DataFrame]:
-    with executor() as pool:
-        return ordered_map(pool, _call, [Judged(tuple(case.items())) for case in cases], title, quiet, stored=True)
-
-
 def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     """Tables by the end of their names.
 
@@ -217,7 +198,8 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
     moves = [(size, draw) for size in SIZES for draw in range(draws)]
     cases = [values, *(case for *_, case in one_back), *(perturbed(choices, size, draw) for size, draw in moves)]
-    whole, *rest = _all_judged(cases, "calibrated car", quiet)
+    with executor() as pool:
+        whole, *rest = ordered_map(pool, lambda case: judged(setup(case)), cases, "calibrated car", quiet)
     rows = []
     for (name, back, _), found in zip(one_back, rest, strict=False):
         falls = set(whole.loc[whole["holds"], "statement"]) - set(found.loc[found["holds"], "statement"])

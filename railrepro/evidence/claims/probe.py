@@ -9,11 +9,9 @@ Serves the paper's section Multi-Body Simulation Results.
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -52,8 +50,8 @@ from railrepro.evidence.runs.experiment import Experiment, tidy
 from railrepro.files import write
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
-from railrepro.track.alignment import alignments
-from railrepro.track.table import build_table, load_track, write_table
+from railrepro.track.alignment import Alignment, alignments
+from railrepro.track.table import Track, build_table, load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
@@ -163,22 +161,24 @@ class ProbeSetup:
         point = base.set_point | self.brake_sweep
         return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=point)
 
-    def curve(self, folder: Path) -> Scenario:
-        """Curve entry on T3 with the clothoid and sweep of this world."""
+    def curve(self) -> Scenario:
+        """Curve entry on T3 with the sweep of this world; its track may be `stretched`."""
         base = load_scenario(T3).but(good=self.good)
         point = base.set_point | {
             "amplitude_mm": self.amplitude_mm,
             "period_start_m": self.period_start_m,
             "period_end_m": self.period_end_m,
         }
+        return base.but(set_point=point)
+
+    def stretched(self) -> Alignment | None:
+        """T3 with the clothoid of this world; None where that is ours."""
         if self.clothoid_factor == 1.0:
-            return base.but(set_point=point)
+            return None
         original = alignments()["T3"]
         straight, clothoid, *rest = original.segments
         clothoid = replace(clothoid, length=clothoid.length * self.clothoid_factor)
-        file = folder / "T3.csv"
-        write_table(build_table(replace(original, segments=(straight, clothoid, *rest))), file)
-        return base.but(track=str(file), set_point=point)
+        return replace(original, segments=(straight, clothoid, *rest))
 
 
 Rows = list[tuple[str, str, str, float]]
@@ -187,21 +187,18 @@ Rows = list[tuple[str, str, str, float]]
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SPEEDS) -> Rows:
     """Drive a world and measure it: rows in SI; a failed run has only `failed`."""
-    rows: Rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for part in parts:
-            rows += {
-                "curve": lambda: _curve(world, Path(folder)),
-                "curves": lambda: [row for i in (1, 2, 4) for row in _lateral(world, _straightforward(world, i))],
-                "sine": lambda: [row for speed in speeds for row in _sine(world, speed)],
-                "loss": lambda: _loss(world),
-                "brake": lambda: _brake(world),
-                "causes": lambda: _causes(world),
-                "sudden": lambda: _sudden(world),
-                "share": lambda: _allocated(world) + _uninformed(world),
-                "rails": lambda: _rails(world),
-            }[part]()
-    return rows
+    drive: dict[str, Callable[[], Rows]] = {
+        "curve": lambda: _curve(world),
+        "curves": lambda: [row for i in (1, 2, 4) for row in _lateral(world, _straightforward(world, i))],
+        "sine": lambda: [row for speed in speeds for row in _sine(world, speed)],
+        "loss": lambda: _loss(world),
+        "brake": lambda: _brake(world),
+        "causes": lambda: _causes(world),
+        "sudden": lambda: _sudden(world),
+        "share": lambda: _allocated(world) + _uninformed(world),
+        "rails": lambda: _rails(world),
+    }
+    return [row for part in parts for row in drive[part]()]
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
@@ -294,12 +291,13 @@ def _lateral(world: ProbeSetup, scenario: Scenario, label: str = "") -> Rows:
     return rows
 
 
-def _curve(world: ProbeSetup, folder: Path) -> Rows:
-    scenario = world.curve(folder)
+def _curve(world: ProbeSetup) -> Rows:
+    scenario, stretched = world.curve(), world.stretched()
     rows, series = _rows(T3, NOTHING, nothing(scenario)), {}
-    expected = gyroscopic_torque(load_vehicle(**world.vehicle), scenario)
+    track = Track("T3", build_table(stretched)) if stretched else load_track(scenario.track)
+    expected = gyroscopic_torque(load_vehicle(**world.vehicle), scenario.speed, track)
     for name in PAPER_TRIO:
-        values, table = world.experiment(scenario, name).measured(entering)
+        values, table = world.experiment(scenario, name, alignment=stretched).measured(entering)
         if table is not None:
             series[name] = table
             values |= {"gyroscopic_share": values.pop("torque_step") / expected}
@@ -440,10 +438,10 @@ def _uninformed(world: ProbeSetup) -> Rows:
     return _rows(BRAKE, UNINFORMED, _braked(world, world.braking(), "nmpc", nmpc, changes={"informed": False}))
 
 
-def gyroscopic_torque(vehicle: Vehicle, scenario: Scenario) -> float:
-    """Differential torque that balances the rolling axle on the cant ramp of a curve entry (N m)."""
-    dphi = load_track(scenario.track).interpolate(200.0)[3, 0]
-    moment = -2 * vehicle.wheel.spin_inertia * scenario.speed / vehicle.wheel.radius * dphi * scenario.speed
+def gyroscopic_torque(vehicle: Vehicle, speed: float, track: Track) -> float:
+    """Differential torque that balances the rolling axle on the cant ramp of a curve entry (N m); speed in m/s."""
+    dphi = track.interpolate(200.0)[3, 0]
+    moment = -2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * dphi * speed
     return float(moment * vehicle.wheel.radius / vehicle.gear.contact_base)
 
 
@@ -529,11 +527,15 @@ def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
     return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
 
 
-@dataclass(frozen=True)
-class Nominal:
-    """The uncalibrated car with the tuned sets of a setting and swarm; picklable.
+SEEDS = (101, 102, 103)
+"""Noise for judging; tuning has others."""
+COLUMNS = ("scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed")
 
-    Attributes
+
+def nominal_setup(setting: str, rank: int, seed: int) -> ProbeSetup:
+    """The uncalibrated car with the tuned sets of a setting.
+
+    Parameters
     ----------
     setting : str
     rank : int
@@ -541,30 +543,12 @@ class Nominal:
     seed : int
         Of noise and biases, in the setting `loop`.
     """
-
-    setting: str
-    rank: int
-    seed: int
-
-    def __call__(self) -> list[tuple]:
-        parameters = {}
-        for name in PAPER_TRIO:
-            tuned = tuning.load(name, self.setting)
-            swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
-            parameters[name] = swarms[self.rank]["parameters"] if self.rank < len(swarms) else tuned["parameters"]
-        sensors = {"seed": self.seed} if self.setting == tuning.LOOP else {}
-        world = ProbeSetup(parameters, self.setting, sensors=sensors)
-        # braking takes most of the time: once per setting
-        parts = (*PARTS, *ONCE) if self.rank == 0 and self.seed in (0, SEEDS[0]) else PARTS[:-1]
-        return [(*row, UNITS.get(row[2], "-"), self.setting, self.rank, self.seed) for row in probe(world, parts)]
-
-
-SEEDS = (101, 102, 103)
-"""Noise for judging; tuning has others."""
-
-
-def _call(task):
-    return task()
+    parameters = {}
+    for name in PAPER_TRIO:
+        tuned = tuning.load(name, setting)
+        swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
+        parameters[name] = swarms[rank]["parameters"] if rank < len(swarms) else tuned["parameters"]
+    return ProbeSetup(parameters, setting, sensors={"seed": seed} if setting == tuning.LOOP else {})
 
 
 def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> pd.DataFrame:
@@ -572,11 +556,18 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> p
     tasks = []
     for each in settings:
         seeds = SEEDS if each == tuning.LOOP else (0,)
-        tasks += [Nominal(each, 0, seed) for seed in seeds] + [Nominal(each, rank, seeds[0]) for rank in (1, 2)]
+        for rank, seed in [(0, seed) for seed in seeds] + [(rank, seeds[0]) for rank in (1, 2)]:
+            # braking takes most of the time: once per setting
+            parts = (*PARTS, *ONCE) if rank == 0 and seed == seeds[0] else PARTS[:-1]
+            tasks += [(each, rank, seed, part) for part in parts]
+
+    def driven(task: tuple[str, int, int, str]) -> list[tuple]:
+        *which, part = task
+        return [(*row, UNITS.get(row[2], "-"), *which) for row in probe(nominal_setup(*which), (part,))]
+
     with executor() as pool:
-        found = ordered_map(pool, _call, tasks, "nominal", quiet, stored=True)
-    columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
-    return pd.DataFrame([row for rows in found for row in rows], columns=columns)
+        found = ordered_map(pool, driven, tasks, "nominal", quiet)
+    return pd.DataFrame([row for rows in found for row in rows], columns=list(COLUMNS))
 
 
 def main(settings: Sequence[str] = ()) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -212,7 +211,7 @@ def _driven(scenario: str | Scenario, setup: ProbeSetup | None) -> Scenario:
         return scenario
     if setup is None:
         return load_scenario(scenario)
-    special = {T3: lambda: setup.curve(Path()), BRAKE: setup.braking}
+    special = {T3: setup.curve, BRAKE: setup.braking}
     return special.get(scenario, lambda: load_scenario(scenario).but(good=setup.good))()
 
 

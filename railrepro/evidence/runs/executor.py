@@ -1,5 +1,7 @@
-"""One executor for all parallel studies: local processes, or a Dask cluster when configured.
+"""Parallel studies: plain functions side by side, whose runs go to local processes or to a Dask cluster.
 
+`ordered_map` calls a function of each argument in a thread of its own. What such a function hands to `work` is computed
+by a process; results are looked up and stored by the caller (`store`), so that a worker needs neither disk nor folder.
 Set `RAILREPRO_DASK=tcp://host:port` to use a running Dask scheduler; without it, one process per core is used
 (`RAILREPRO_WORKERS` changes the number). Results never depend on the choice, because seeds belong to the task.
 """
@@ -14,7 +16,15 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from typing import NoReturn
@@ -23,16 +33,23 @@ from tqdm import tqdm
 
 from railrepro import code
 from railrepro.errors import InputError
-from railrepro.evidence.runs import store
 
-BATCH = 32
-"""Most arguments of one task on a cluster, which needs some milliseconds for each task."""
 PATIENCE = 15.0
 """Time without scheduler or worker after which a cluster is lost (s)."""
 _LOOK = 1.0
 """Time between two looks at the cluster (s)."""
 _UNGUARDED = 77
 """Exit code of a local process that was to start processes while it read the script that had started it."""
+
+
+class _Around(threading.local):
+    """What a thread of `ordered_map` works for."""
+
+    pool: Executor | None = None
+    ended: threading.Event
+
+
+_around = _Around()
 
 
 @contextmanager
@@ -121,23 +138,19 @@ def _follow_the_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def ordered_map(
-    pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False, stored: bool = False
-) -> list:
-    """Evaluate `task` on each argument with a progress bar.
+def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
+    """Call `task` with each argument, side by side, with a progress bar.
 
     Parameters
     ----------
     pool : Executor
     task : callable
-        Picklable function of one argument.
+        Function of one argument; what it hands to `work` is computed by the processes of the pool.
     arguments : sequence
     title : str
         Text of the progress bar.
     quiet : bool
         No progress bar.
-    stored : bool
-        The task simulates only through `store`: what is there is not sent to a worker.
 
     Returns
     -------
@@ -150,38 +163,73 @@ def ordered_map(
         When a local process was killed or runs other code, a script is not guarded against being read by the local
         processes, or the Dask scheduler or all its workers are lost for `PATIENCE`.
     """
-    known = _known(task, arguments) if stored else {}
-    missing = [i for i in range(len(arguments)) if i not in known]
-    local = isinstance(pool, ProcessPoolExecutor)
-    size = 1 if local else min(BATCH, -(-len(missing) // (2 * _workers(pool))) or 1)
-    batches = [missing[i : i + size] for i in range(0, len(missing), size)]
-    work = partial(_here if local else _elsewhere, task, _code(task))
+    ended = threading.Event()
+    threads = ThreadPoolExecutor(2 * _workers(pool))  # so that each process finds its next run waiting
     try:
-        futures = {pool.submit(work, [arguments[i] for i in batch]): batch for batch in batches}
-        waiting, seen = set(futures), time.monotonic()
-        with tqdm(total=len(arguments), initial=len(known), desc=title, disable=quiet, leave=False) as bar:
-            while waiting:
-                done, waiting = wait(waiting, _LOOK)
-                for future in done:
-                    results, new = future.result()
-                    for name, content in new.items():
-                        store.put(name, content)
-                    known |= zip(futures[future], results, strict=True)
-                    bar.update(len(results))
-                if done or _there(pool):
-                    seen = time.monotonic()
-                elif time.monotonic() - seen > PATIENCE:
-                    raise InputError(_LOST)
-        return [known[i] for i in range(len(arguments))]
+        futures = [threads.submit(_called, pool, ended, task, argument) for argument in arguments]
+        _follow(pool, futures, title, quiet)
+        return [future.result() for future in futures]
     except (BrokenExecutor, CancelledError) as error:
-        _ended(pool, error)
+        _lost(pool, error)
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error
         raise
+    finally:
+        ended.set()
+        threads.shutdown(wait=False, cancel_futures=True)
 
 
-def _ended(pool: Executor, error: Exception) -> NoReturn:
+def _follow(pool: Executor, futures: list[Future], title: str, quiet: bool) -> None:
+    """Show how many are done until all are; raise what the first that fails raises."""
+    waiting, seen = set(futures), time.monotonic()
+    with tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
+        while waiting:
+            done, waiting = wait(waiting, _LOOK, "FIRST_COMPLETED")
+            for future in done:
+                future.result()
+            bar.update(len(done))
+            if done or _there(pool):
+                seen = time.monotonic()
+            elif time.monotonic() - seen > PATIENCE:
+                raise InputError(_LOST)
+
+
+def _called(pool: Executor, ended: threading.Event, task: Callable, argument):
+    """Result of a task, in a thread."""
+    _around.pool, _around.ended = pool, ended
+    return task(argument)
+
+
+def work(function: Callable, *arguments):
+    """Result of a function of a module, from a process of the pool within `ordered_map`, else computed here."""
+    if _around.pool is None:
+        return function(*arguments)
+    future = _around.pool.submit(_checked, _code(function), function, *arguments)
+    while not wait([future], _LOOK).done:
+        if _around.ended.is_set():  # whoever waits for this has gone; a lost cluster never answers
+            raise CancelledError
+    return future.result()
+
+
+Code = tuple[str | None, dict[str, str] | None]
+
+
+def _code(function: Callable) -> Code:
+    """Code that this process imported, as far as a function can reach it."""
+    function = function.func if isinstance(function, partial) else function
+    module = getattr(function, "__module__", "")
+    return code.version(), code.reached(f"from {module} import {module}")
+
+
+def _checked(asked: Code, function: Callable, *arguments):
+    """Result of a function; InputError where this process imported other code than was asked."""
+    if None in asked or _code(function) != asked:
+        raise InputError(_OTHER_CODE)
+    return function(*arguments)
+
+
+def _lost(pool: Executor, error: Exception) -> NoReturn:
     """Raise why an executor gave up."""
     if not isinstance(pool, ProcessPoolExecutor):
         raise InputError(_LOST) from error
@@ -192,47 +240,12 @@ def _ended(pool: Executor, error: Exception) -> NoReturn:
     raise InputError(_KILLED) from error
 
 
-def _known(task: Callable, arguments: Sequence) -> dict[int, object]:
-    """Results that need nothing but what is stored, by position."""
-    known: dict[int, object] = {}
-    if store.folder() is None:
-        return known
-    with store.only_stored():
-        for i, argument in enumerate(arguments):
-            with suppress(store.Missing):
-                known[i] = task(argument)
-    return known
-
-
-Code = tuple[str | None, dict[str, str] | None]
-
-
-def _code(task: Callable) -> Code:
-    """Code that this process imported, as far as a task can reach it."""
-    function = task.func if isinstance(task, partial) else task
-    module = getattr(function, "__module__", "")
-    return code.version(), code.reached(f"from {module} import {module}")
-
-
-def _here(task: Callable, asked: Code, batch: list) -> tuple[list, dict[str, bytes]]:
-    """Results of a batch; a local process stores by itself. InputError where it imported other code than was asked."""
-    if None in asked or _code(task) != asked:
-        raise InputError(_OTHER_CODE)
-    return [task(argument) for argument in batch], {}
-
-
-def _elsewhere(task: Callable, asked: Code, batch: list) -> tuple[list, dict[str, bytes]]:
-    """Results of a batch, and what the client is to store: the disk of another machine goes with it."""
-    with store.collected() as new:
-        return _here(task, asked, batch)[0], new
-
-
 def _workers(pool: Executor) -> int:
     """Number of the processes of a pool, at least 1."""
-    if isinstance(pool, ProcessPoolExecutor):
-        return getattr(pool, "_max_workers", 1)
     client = getattr(pool, "_client", None)
-    return max(1, len(client.scheduler_info(n_workers=-1)["workers"])) if client is not None else 1
+    if client is None:
+        return getattr(pool, "_max_workers", 1)
+    return max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
 
 
 _KILLED = "a process of the study was killed, by the system when memory ran out or by a user; run again to resume"

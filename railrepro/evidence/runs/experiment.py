@@ -6,9 +6,13 @@ Notebooks and studies are lists of these; the executor decides where they run, a
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from operator import call
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,13 +25,14 @@ from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.errors import InputError
 from railrepro.estimation import sensors
 from railrepro.evidence.runs import preview, store, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.schema import require
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
+from railrepro.track.alignment import Alignment
 from railrepro.track.rough import fit, rough_track
 from railrepro.track.route import CELL
-from railrepro.track.table import load_track
+from railrepro.track.table import build_table, load_track, write_table
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 _SERIES = {
@@ -56,6 +61,8 @@ class Experiment:
         Vehicle parameters changed for car and controllers, and for the car alone (`parameters.load_vehicle`).
     adhesion, estimate, fixed_share
         See `simulate.run`.
+    alignment : Alignment, optional
+        Track in place of that of the scenario.
     irregular : dict
         Arguments of `rough_track` besides the coordinates; empty is an ideal track.
     preview : dict
@@ -87,6 +94,7 @@ class Experiment:
     adhesion: LongitudinalLaw | None = None
     estimate: EstimateSettings | None = None
     fixed_share: float = 0.0
+    alignment: Alignment | None = None
     irregular: dict = field(default_factory=dict)
     preview: dict = field(default_factory=dict)
     sensors: dict = field(default_factory=dict)
@@ -128,19 +136,31 @@ class Experiment:
     def run(self) -> simulate.Run:
         """The simulation itself."""
         rough, line = self.rails()
-        return simulate.run(
-            self.scenario,
-            guidance(self.controller, self.tuned(), self.options, **self.changes),
-            irregularities=rough,
-            line=line,
-            sensors=sensors.readings(**self.sensors) if self.sensors else None,
-            substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
-            vehicle=load_vehicle(**self.vehicle),
-            plant_vehicle=self.car(),
-            adhesion=self.adhesion,
-            estimate=self.estimate,
-            fixed_share=self.fixed_share,
-        )
+        with self._laid() as scenario:
+            return simulate.run(
+                scenario,
+                guidance(self.controller, self.tuned(), self.options, **self.changes),
+                irregularities=rough,
+                line=line,
+                sensors=sensors.readings(**self.sensors) if self.sensors else None,
+                substeps=1 + bool(self.ride and self.irregular) if self.substeps is None else self.substeps,
+                vehicle=load_vehicle(**self.vehicle),
+                plant_vehicle=self.car(),
+                adhesion=self.adhesion,
+                estimate=self.estimate,
+                fixed_share=self.fixed_share,
+            )
+
+    @contextmanager
+    def _laid(self) -> Iterator[Scenario]:
+        """The scenario, on its own track or on `alignment`."""
+        if self.alignment is None:
+            yield self.scenario
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / f"{self.alignment.name}.csv"
+            write_table(build_table(self.alignment), file)
+            yield self.scenario.but(track=str(file))
 
     def key(self, measure: Measure) -> str | None:
         """Key of what a function measures of this run (`store.key`); None when it cannot be stored.
@@ -151,8 +171,8 @@ class Experiment:
         if self.controller not in CONTROLLERS or not _is_ours(CONTROLLERS[self.controller].build):
             return None  # of a user's file
         scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
-        track = load_track(self.scenario.track_file())
-        scenario["track"] = track.table.to_numpy(), track.design_speed
+        track = None if self.alignment else load_track(self.scenario.track_file())
+        scenario["track"] = (track.table.to_numpy(), track.design_speed) if track else self.alignment
         plan = self.tuned(), self.options, self.changes, self.adhesion, self.estimate, self.fixed_share
         sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
         believed = load_vehicle(**self.vehicle)
@@ -164,7 +184,7 @@ class Experiment:
         return store.key(measure.__module__, name, self.controller, scenario, cars, wheels, plan, more)
 
     def measured(self, measure: Measure) -> store.Entry:
-        """What a function measures of this run, from the store where it is there.
+        """What a function measures of this run: from the store where it is there, else by a worker (`executor.work`).
 
         Parameters
         ----------
@@ -172,7 +192,7 @@ class Experiment:
             (Run, Experiment) -> row of plain values and table of numbers or None; a function of a module, which uses
             of the experiment what `key` holds.
         """
-        return store.entry(self.key(measure), lambda: measure(self.run(), self))
+        return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
         """Row of metrics and the kept series, see `row`."""
@@ -244,8 +264,8 @@ def _values(run: simulate.Run, experiment: Experiment) -> store.Entry:
     return experiment.values(run), tidy(run.series, experiment.stride) if experiment.stride else None
 
 
-def _call(experiment: Experiment) -> store.Entry:
-    return experiment()
+def _measured(experiment: Experiment, measure: Measure) -> store.Entry:
+    return measure(experiment.run(), experiment)
 
 
 def run_all(
@@ -269,7 +289,7 @@ def run_all(
         Kept series with the column `controller`, or None.
     """
     with executor() as pool:
-        results = ordered_map(pool, _call, experiments, title, quiet, stored=True)
+        results = ordered_map(pool, call, experiments, title, quiet)
     stored = [
         series.assign(controller=experiment.controller)
         for experiment, (_, series) in zip(experiments, results, strict=True)

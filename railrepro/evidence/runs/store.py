@@ -14,8 +14,7 @@ import os
 import platform
 import sys
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -33,10 +32,6 @@ _NUMERICS = ("RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
 """Environment variables that choose flags of the compiler and kernels of NumPy, BLAS and the mathematical library."""
 Entry = tuple[dict, pd.DataFrame | None]
 """A row of plain values, and a table of numbers or None."""
-
-
-class Missing(Exception):
-    """Nothing is stored, and nothing is to be computed (`only_stored`)."""
 
 
 def _plain(value) -> object:
@@ -128,78 +123,19 @@ def _unpacked(content: bytes) -> Entry:
     return row, table
 
 
-_collected: dict[str, bytes] | None = None
-_only = False
+def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
+    """What is stored under a key (see `key`), else what `compute` gives, stored while the code is that of the key.
 
-
-@contextmanager
-def collected() -> Iterator[dict[str, bytes]]:
-    """Hand over what is stored in a block, key -> content, instead of writing it: a worker elsewhere has no folder."""
-    global _collected
-    before, _collected = _collected, {}
-    try:
-        yield _collected
-    finally:
-        _collected = before
-
-
-@contextmanager
-def only_stored() -> Iterator[None]:
-    """`entry` raises `Missing` in a block instead of computing."""
-    global _only
-    before, _only = _only, True
-    try:
-        yield
-    finally:
-        _only = before
-
-
-def put(name: str, content: bytes) -> None:
-    """Store the content of an entry whole or not at all."""
-    if _collected is not None:
-        _collected[name] = content
-    elif (place := folder()) is not None:
-        write(place / name[:2] / f"{name[2:]}.npz", content)
-
-
-def _content(name: str) -> bytes | None:
-    """Stored content; None when there is none of this user."""
-    if _collected is not None and name in _collected:
-        return _collected[name]
-    place = folder()
-    return None if place is None else cache.own_file(place / name[:2] / f"{name[2:]}.npz")
-
-
-def entry(name: str | None, compute) -> Entry:
-    """What is stored under a key, else what `compute` gives, which is stored while the code is that of the key.
-
-    Parameters
-    ----------
-    name : str or None
-        See `key`.
-    compute : callable
-        () -> row and table or None. Values of the row are plain, columns of the table numbers.
-
-    Returns
-    -------
-    row : dict
-    table : DataFrame or None
-
-    Raises
-    ------
-    Missing
-        Within `only_stored`, when there is no entry.
+    Values of its row are plain, columns of its table numbers.
     """
-    content = None if name is None else _content(name)
+    place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.npz"
+    content = None if place is None else cache.own_file(place)
     if content is not None:
         try:
             return _unpacked(content)
         except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, RecursionError):
             pass  # broken
-    if _only:
-        raise Missing(name)
-    row, table = compute()
-    content = _packed(row, table)
-    if name is not None and code.unchanged():
-        put(name, content)
+    content = _packed(*compute())
+    if place is not None and code.unchanged():
+        write(place, content)
     return _unpacked(content)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -58,7 +57,7 @@ def run_cost(parts: dict, cost: dict) -> float:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Cost of parameter sets of one controller; picklable, so that any executor can run it."""
+    """Cost of parameter sets of one controller; its runs go to the executor around."""
 
     controller: str
     task: Task
@@ -89,10 +88,6 @@ class Evaluation:
         return sum(costs) / number, parts
 
 
-def _cost(evaluation: Evaluation, particle: tuple[dict, float]) -> float:
-    return evaluation(*particle)[0]
-
-
 def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
     """Tune one controller with a swarm per seed; runs of an interrupted tuning are in the store.
 
@@ -118,7 +113,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
 
         def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
             limited = list(zip(particles, limits, strict=True))
-            return ordered_map(pool, partial(_cost, evaluation), limited, controller, quiet=True, stored=True)
+            return ordered_map(pool, lambda particle: evaluation(*particle)[0], limited, controller, quiet=True)
 
         def report(swarm: pso.Swarm, bar=bar) -> None:
             bar.n = swarm.iteration
@@ -133,7 +128,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
         swarms.append(found)
         tables.append(outcome.history.assign(seed=seed))
     best = min(swarms, key=lambda swarm: swarm["cost"])
-    cost, parts = ordered_map(pool, evaluation, [best["parameters"]], controller, quiet=True, stored=True)[0]
+    cost, parts = ordered_map(pool, evaluation, [best["parameters"]], controller, quiet=True)[0]
     return {
         "controller": controller,
         "setting": task.setting,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import pandas as pd
 
 from railrepro.errors import InputError
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.score import card, limit, suite
 from railrepro.evidence.score.entry import Entry
 from railrepro.evidence.score.trial import Trial, call
@@ -64,9 +65,10 @@ def score(
     for _, case in wanted:
         if case not in different:
             different.append(case)
+    trials = [Trial(entry, case) for case in different]
     with executor() as pool:
-        ends = ordered_map(pool, limit.anchors, different, "limits", quiet, stored=True)
-        rows = ordered_map(pool, call, [Trial(entry, case) for case in different], f"score {entry.name}", quiet)
+        ends = ordered_map(pool, limit.anchors, different, "limits", quiet)
+        rows = ordered_map(pool, partial(work, call), trials, f"score {entry.name}", quiet)
     places = [different.index(case) for _, case in wanted]
     found = [rows[k] | ends[k] | {"seed": seed} for k, (seed, _) in zip(places, wanted, strict=True)]
     return card.judged(found)

@@ -157,21 +157,19 @@ def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
     return row | {"activity_Nm": activity, "failed": failed}, None
 
 
-def _call(task: tuple[Case, str, int]) -> dict:
-    case, controller, seed = task
-    return case.experiment(controller, seed).measured(followed)[0]
-
-
 def table(rows: list[Case], pool) -> pd.DataFrame:
     """One row per case and controller: mean and standard deviation over the seeds of the error (mm), runs that failed.
 
     Means are over the runs that kept off the flanges; `failed` counts the others.
     """
     tasks = [(case, name, seed) for case in rows for name in COMPARED for seed in seeds(case)]
-    found = pd.DataFrame(ordered_map(pool, _call, tasks, "loop", stored=True))
-    found = found.assign(
-        kind=[t[0].kind for t in tasks], case=[t[0].name for t in tasks], controller=[t[1] for t in tasks]
-    )
+
+    def driven(task: tuple[Case, str, int]) -> dict:
+        case, name, seed = task
+        head = {"kind": case.kind, "case": case.name, "controller": name}
+        return head | case.experiment(name, seed).measured(followed)[0]
+
+    found = pd.DataFrame(ordered_map(pool, driven, tasks, "loop"))
     grouped = found.groupby(["kind", "case", "controller"], sort=False)
     columns = {"seeds": ("failed", "size"), "failed": ("failed", "sum"), "error_mm": ("error_mm", "mean")}
     columns |= {

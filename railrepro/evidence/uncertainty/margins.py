@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from types import SimpleNamespace
 
 import casadi as ca
@@ -21,7 +22,7 @@ from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, SHOWN
 from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.files import write
 from railrepro.simulation import metrics, simulate
@@ -181,52 +182,36 @@ def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:
     return low
 
 
-@dataclass(frozen=True)
-class Survival:
-    """Largest value of a quantity with which a tuned controller keeps the car off its flanges; picklable."""
+def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
+    """Largest value of a quantity with which a tuned controller keeps the car off its flanges, see `survived`."""
+    name, end = RAILS[rail]
+    scenario, quick = load_scenario(name).but(end_m=end), CONTROLLERS[controller].quick
+    sensors = {"seed": 101} | ({} if setting == tuning.LOOP else {"perfect": True})
 
-    setting: str
-    controller: str
-    rail: str
-    quantity: str
-
-    def __call__(self) -> float:
-        """The value, see `survived`."""
-        return survived(self._fails, QUANTITIES[self.quantity])
-
-    def _fails(self, value: float) -> bool:
-        name, end = RAILS[self.rail]
-        change = QUANTITIES[self.quantity].change(value)
-        sensors = {"seed": 101} | ({} if self.setting == tuning.LOOP else {"perfect": True}) | change.get("sensors", {})
-        quick = CONTROLLERS[self.controller].quick
+    def fails(value: float) -> bool:
+        change = QUANTITIES[quantity].change(value)
         experiment = Experiment(
-            load_scenario(name).but(end_m=end), self.controller, options=quick, setting=self.setting, sensors=sensors,
-            plant=change.get("plant", {}),
+            scenario, controller, options=quick, setting=setting, plant=change.get("plant", {}),
+            sensors=sensors | change.get("sensors", {}),
         )  # fmt: skip
         return experiment.measured(failed)[0]["failed"]
 
+    return survived(fails, QUANTITIES[quantity])
 
-@dataclass(frozen=True)
-class Measured:
-    """Peaks of the sensitivity of a tuned controller at a speed; picklable."""
 
-    setting: str
-    controller: str
-    speed_kmh: float
+def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
+    """Peak and disk margin of the sensitivity of a tuned controller at a speed; inf and 0 of an unstable loop."""
+    around = load_loop() if setting == tuning.LOOP else None
+    read = controller, speed_kmh, tuning.load(controller, setting)["parameters"], around, load_vehicle()
+    key = store.key(__name__, "sensitivity", read)
+    return store.entry(key, lambda: work(_peaks, setting, controller, speed_kmh))[0]
 
-    def __call__(self) -> dict:
-        row = {"setting": self.setting, "controller": self.controller, "speed_kmh": self.speed_kmh}
-        parameters = tuning.load(self.controller, self.setting)["parameters"]
-        around = load_loop() if self.setting == tuning.LOOP else None
-        read = self.controller, self.speed_kmh, parameters, around, load_vehicle()
-        name = store.key(__name__, "sensitivity", read)
-        return row | store.entry(name, self._peaks)[0]
 
-    def _peaks(self) -> store.Entry:
-        guidance = tuning.tuned(self.controller, CONTROLLERS[self.controller].quick, self.setting)
-        found = sensitivity(guidance, self.speed_kmh, {"seed": 101} if self.setting == tuning.LOOP else None)
-        peak, margin = (float("inf"), 0.0) if found is None else (found.peak, found.disk_margin)
-        return {"peak_sensitivity": peak, "disk_margin": margin}, None
+def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
+    guidance = tuning.tuned(controller, CONTROLLERS[controller].quick, setting)
+    found = sensitivity(guidance, speed_kmh, {"seed": 101} if setting == tuning.LOOP else None)
+    peak, margin = (float("inf"), 0.0) if found is None else (found.peak, found.disk_margin)
+    return {"peak_sensitivity": peak, "disk_margin": margin}, None
 
 
 def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
@@ -234,22 +219,16 @@ def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
     return {"failed": run.failed or metrics.reaches_flange(run.series)}, None
 
 
-def _call(task):
-    return task()
-
-
 def main() -> None:
     """Measure all tuned sets and write both tables."""
-    pairs = [(setting, name) for setting in tuning.SETTINGS for name in SHOWN]
-    cases = [Survival(*pair, rail, what) for pair in pairs for rail in RAILS for what in QUANTITIES]
-    loops = [Measured(*pair, speed) for pair in pairs for speed in _KMH]
+    pairs = [*product(tuning.SETTINGS, SHOWN)]
+    survivals = [(*pair, rail, quantity) for pair in pairs for rail in RAILS for quantity in QUANTITIES]
+    loops = [(*pair, speed) for pair in pairs for speed in _KMH]
     with executor() as pool:
-        largest = ordered_map(pool, _call, cases, "margins", stored=True)
-        peaks = ordered_map(pool, _call, loops, "sensitivity", stored=True)
-    rows = [
-        {**vars(case), "largest": value, "unit": QUANTITIES[case.quantity].unit}
-        for case, value in zip(cases, largest, strict=True)
-    ]
-    for name, table in {"margins": rows, "sensitivity": peaks}.items():
-        text = pd.DataFrame(table).to_csv(index=False, float_format="%.6g")
-        write(paths.product(f"data/results/{name}.csv"), text)
+        values = ordered_map(pool, lambda case: largest(*case), survivals, "margins")
+        found = ordered_map(pool, lambda case: peaks(*case), loops, "sensitivity")
+    table = pd.DataFrame(survivals, columns=["setting", "controller", "rail", "quantity"]).assign(largest=values)
+    table["unit"] = [QUANTITIES[name].unit for name in table["quantity"]]
+    measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(found))
+    for name, rows in {"margins": table, "sensitivity": measured}.items():
+        write(paths.product(f"data/results/{name}.csv"), rows.to_csv(index=False, float_format="%.6g"))

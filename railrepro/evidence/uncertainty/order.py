@@ -6,11 +6,8 @@ an interrupted study goes on where it was. Serves the paper's Fig. 6.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from operator import call
-from pathlib import Path
 
 import pandas as pd
 
@@ -19,12 +16,11 @@ from railrepro.control import registry
 from railrepro.errors import InputError
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.uncertainty.robustness import rows as rows_of
 from railrepro.files import write
-from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.alignment import Alignment, alignments, superelevation_angle
-from railrepro.track.table import build_table, write_table
 from railrepro.vehicle.parameters import load_vehicle
 
 SCENARIO = "curve_entry_T3"
@@ -93,56 +89,43 @@ AXES = {
 choice "S1002, filter"."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One run; picklable.
+def experiment(
+    axis: str, value: float | str, setting: str, controller: str, seed: int = 0, scenario: str = SCENARIO
+) -> Experiment:
+    """The run of a tuned set with one thing changed.
 
-    Attributes
+    Parameters
     ----------
     axis : str
         Key of `AXES`.
     value : float or str
+        What it is changed to.
     setting, controller : str
-    parameters : tuple
-        (name, value) of the tuned set.
     seed : int
+        Of the noise, where there is some.
     scenario : str
         Entry of data/scenarios.toml.
     """
+    changed, parameters = dict(AXES[axis].change(value)), tuning.load(controller, setting)["parameters"]
+    if noisy(changed):
+        changed["sensors"] = changed["sensors"] | {"seed": seed}
+    if axis == "bandwidth":
+        parameters = parameters | {name: value * parameters[name] for name in {"pole", "frequency"} & set(parameters)}
+    driven = load_scenario(scenario)
+    if axis == "unbalanced acceleration":
+        changed["alignment"] = canted(alignments()[driven.track], value)
+    quick = registry.CONTROLLERS[controller].quick
+    return Experiment(driven, controller, parameters=parameters, options=quick, **changed)
 
-    axis: str
-    value: float | str
-    setting: str
-    controller: str
-    parameters: tuple[tuple[str, float], ...]
-    seed: int = 0
-    scenario: str = SCENARIO
 
-    def experiment(self, scenario: Scenario) -> Experiment:
-        """The run, on a scenario whose track is laid."""
-        changed = dict(AXES[self.axis].change(self.value))
-        if noisy(changed):
-            changed["sensors"] = changed["sensors"] | {"seed": self.seed}
-        parameters = dict(self.parameters)
-        if self.axis == "bandwidth":
-            parameters |= {name: self.value * parameters[name] for name in ("pole", "frequency") if name in parameters}
-        quick = registry.CONTROLLERS[self.controller].quick
-        return Experiment(scenario, self.controller, parameters=parameters, options=quick, **changed)
-
-    def __call__(self) -> dict:
-        """Numbers of the run; of one that derailed only how it ended."""
-        with tempfile.TemporaryDirectory() as folder:
-            scenario = load_scenario(self.scenario)
-            if self.axis == "unbalanced acceleration":
-                file = Path(folder) / "canted.csv"
-                write_table(build_table(canted(alignments()[scenario.track], self.value)), file)
-                scenario = scenario.but(track=str(file))
-            row, _ = self.experiment(scenario)()
-        own = {"axis": self.axis, "value": self.value, "unit": AXES[self.axis].unit, "setting": self.setting}
-        own |= {"controller": self.controller, "seed": self.seed}
-        numbers = {"rmse_mm": 1e3 * row["rmse_y"], "drift_mm": 1e3 * row["mean_error_last_third"]}
-        numbers |= {"effort_Nm": float(row["effort_du"])}
-        return own | ({} if row["failed"] else numbers) | {"failed": bool(row["failed"]), "ended": row["ended"]}
+def row(axis: str, value: float | str, setting: str, controller: str, seed: int = 0, scenario: str = SCENARIO) -> dict:
+    """Numbers of a run, see `experiment`; of one that derailed only how it ended."""
+    found, _ = experiment(axis, value, setting, controller, seed, scenario)()
+    own = {"axis": axis, "value": value, "unit": AXES[axis].unit, "setting": setting}
+    own |= {"controller": controller, "seed": seed}
+    numbers = {"rmse_mm": 1e3 * found["rmse_y"], "drift_mm": 1e3 * found["mean_error_last_third"]}
+    numbers |= {"effort_Nm": float(found["effort_du"])}
+    return own | ({} if found["failed"] else numbers) | {"failed": bool(found["failed"]), "ended": found["ended"]}
 
 
 def noisy(changed: dict) -> bool:
@@ -159,25 +142,20 @@ def canted(track: Alignment, acceleration: float) -> Alignment:
     return replace(track, segments=(start, replace(ramp, phi=(0.0, angle)), replace(arc, phi=(angle, angle))))
 
 
-def case(axis: str, value: float | str, setting: str, controller: str, seed: int = 0, scenario: str = SCENARIO) -> Case:
-    """A run with a tuned set."""
-    tuned = tuple(tuning.load(controller, setting)["parameters"].items())
-    return Case(axis, value, setting, controller, tuned, seed, scenario)
-
-
-def cases(axes: Sequence[str] = tuple(AXES), settings: Sequence[str] = SETTINGS) -> list[Case]:
-    """All runs of some axes."""
-    found = []
-    for axis in axes:
-        for each in settings:
-            for name in AXES[axis].controllers:
-                for value in AXES[axis].values:
-                    seeds = SEEDS if noisy(AXES[axis].change(value)) else (0,)
-                    found += [case(axis, value, each, name, seed) for seed in seeds]
-    return found
+def cases(axes: Sequence[str] = tuple(AXES), settings: Sequence[str] = SETTINGS) -> list[tuple]:
+    """All runs of some axes, as arguments of `row`."""
+    return [
+        (axis, value, setting, name, seed)
+        for axis in axes
+        for setting in settings
+        for name in AXES[axis].controllers
+        for value in AXES[axis].values
+        for seed in (SEEDS if noisy(AXES[axis].change(value)) else (0,))
+    ]
 
 
 def main() -> None:
     """Drive all of them and write the table."""
-    rows = rows_of(call, cases(), "where the order turns")
+    with executor() as pool:
+        rows = ordered_map(pool, lambda case: row(*case), cases(), "where the order turns")
     write(paths.product("data/results/order_turns.csv"), pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))

@@ -40,12 +40,6 @@ SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
 """What the studies drive, in variations."""
 
 
-def rows(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list[dict]:
-    """Rows of a study, on the executor; runs of an interrupted one are in the store."""
-    with executor() as pool:
-        return ordered_map(pool, task, arguments, title, quiet, stored=True)
-
-
 def _held(run: simulate.Run, experiment: Experiment) -> store.Entry:
     names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed_at_m")
     values = experiment.values(run)
@@ -90,7 +84,8 @@ def stability(
             experiments.append(
                 Experiment(scenario, OURS, own, tuning.load(OURS, tuning.EQUAL)["parameters"], adhesion=slip)
             )
-    return pd.DataFrame(rows(_row, experiments, "stability", quiet))
+    with executor() as pool:
+        return pd.DataFrame(ordered_map(pool, _row, experiments, "stability", quiet))
 
 
 OPEN = (
@@ -298,9 +293,10 @@ def robustness(setting: str, count: int = SAMPLES, quiet: bool = False) -> tuple
     schema.require("samples", count, schema.between(1, 4096), whole=True)
     tuning.load_task(setting=setting)
     samples = draw(count, settings=(setting,))
-    table = pd.DataFrame(rows(evaluate, samples, f"robustness, {setting}", quiet))
-    found = candidates(table, samples)
-    return table, confirmed(found, lambda single: rows(evaluate, single, f"one at a time, {setting}", quiet))
+    with executor() as pool:
+        table = pd.DataFrame(ordered_map(pool, evaluate, samples, f"robustness, {setting}", quiet))
+        found, title = candidates(table, samples), f"one at a time, {setting}"
+        return table, confirmed(found, lambda single: ordered_map(pool, evaluate, single, title, quiet))
 
 
 def main(studies: Sequence[str] = (), samples: int | None = None) -> None:
