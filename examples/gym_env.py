@@ -22,7 +22,7 @@ import numpy as np
 
 from railrepro.control import lateral
 from railrepro.control.law import GEARS, LawSettings
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.model.control_model import PSI_TRAX, PSIDOT_AX, XDOT, X, Y
 from railrepro.simulation import simulate

@@ -44,7 +44,7 @@ FACADE = {
     "export_fmu": "railrepro.export.car.export_fmu",
     "Export": "railrepro.export.controller.Export",
     "metrics": "railrepro.simulation.metrics",
-    "InputError": "railrepro.errors.InputError",
+    "InputError": "railrepro.data.InputError",
 }
 """Names of the package and where they live."""
 __all__ = ["FACADE", "__version__", *FACADE]

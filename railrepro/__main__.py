@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 import sys
 
-from railrepro.errors import InputError, report_errors
-from railrepro.evidence.commands import parser
+from railrepro.data import InputError
+from railrepro.evidence.commands import parser, report_errors
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -15,7 +15,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code, see `errors.report_errors`; 2 after wrong arguments. What is no number is printed.
+        Exit code, see `evidence.commands.report_errors`; 2 after wrong arguments. What is no number is printed.
     """
     chosen = vars(parser().parse_args(arguments))
     module, _, name = chosen.pop("call").partition(":")

@@ -203,10 +203,6 @@ def table_csv(column=None, row=None, value=None, drop=(), scale=None, order="", 
     return file(table.to_csv(index=False, sep=separator), load_track)
 
 
-def rough_of(**channels):
-    return irregularity.check(rough(**channels))
-
-
 def at_the_end():
     car = SteppedCar("T5", 100.0, CONES)
     for name in ("body.s", "front.s", "rear.s"):

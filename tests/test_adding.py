@@ -60,7 +60,7 @@ CONTROLLER = (
 DRIVE = """
 import numpy as np
 from railrepro.control.registry import SHOWN
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.report import claims
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario

@@ -12,7 +12,7 @@ import pytest
 from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import table as tables

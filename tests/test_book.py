@@ -11,7 +11,7 @@ from urllib.parse import unquote
 import pytest
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.chain import book, chain, folding, pages
 from railrepro.evidence.chain.chain import cells
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal, Results, best_swarms, seeds_spread
 from railrepro.evidence.report import claims, prose

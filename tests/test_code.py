@@ -15,7 +15,7 @@ from chapters import write_notebook
 
 from railrepro import code, paths
 from railrepro.compile import cache, graphs
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs import executor, store
 
 SNIPPETS = {
@@ -202,7 +202,6 @@ STUDY = """
 import sys
 from functools import partial
 from railrepro import code
-from railrepro.errors import InputError
 from railrepro.evidence.runs import store
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 code.version()

@@ -11,7 +11,7 @@ from rolling import rolling
 from railrepro.contact import creep
 from railrepro.contact.fastsim import fastsim
 from railrepro.contact.table import CELL_COLUMNS, cone_patch, contact_table, in_cell
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.vehicle.parameters import load_vehicle
 
 A, B = 6.28e-3, 7.02e-3  # the ellipse of the published peaks

@@ -7,7 +7,7 @@ import pytest
 from railrepro.car.component import SteppedCar
 from railrepro.contact.table import contact_table
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.model import control_model as rolling
 from railrepro.own import creep_model
 from railrepro.own.creep_model import KNOWN, SHIFTS, STATES, Creep, creep_at, lateral_model, shifts

@@ -10,7 +10,7 @@ from test_symmetry import drive_with, mirrored, turned
 
 from railrepro.contact.table import contact_table
 from railrepro.control.registry import tuned
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.own import creep_gains, creep_mpc
 from railrepro.own.creep_gains import ALERT, FAST, CreepSettings, Schedule, _riccati, gains

@@ -13,7 +13,7 @@ from threading import Thread
 import pytest
 
 from railrepro import paths, threads
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs import executor as executors
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.threads import one_thread

@@ -12,7 +12,7 @@ from railrepro.control import law
 from railrepro.control.law import LawSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.export.car import export_fmu
 from railrepro.export.controller import TORQUES, Export

@@ -7,7 +7,7 @@ import pytest
 from railrepro import __main__ as command
 from railrepro import paths
 from railrepro.control.registry import PAPER_TRIO
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.claims import calibrated, probe
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.report import flips

@@ -12,7 +12,7 @@ from units import Instance, fmpy
 
 from railrepro.car.component import DERAILED
 from railrepro.compile import codegen
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.export import car as car_export
 from railrepro.export.car import export_fmu
 from railrepro.vehicle.parameters import load_vehicle

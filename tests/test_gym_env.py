@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
 

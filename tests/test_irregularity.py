@@ -6,7 +6,7 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs.preview import known, planned_line
 from railrepro.simulation.ride import D2, band_standard_deviation
 from railrepro.track import defects

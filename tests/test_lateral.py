@@ -11,7 +11,7 @@ from railrepro import paths
 from railrepro.control import lateral, law, ndi
 from railrepro.control.mpc import NMPC
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.model.control_model import STATES, THETA, X, Y, control_model
 from railrepro.simulation import scenarios, simulate
 from railrepro.vehicle.parameters import load_vehicle

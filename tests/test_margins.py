@@ -7,7 +7,7 @@ from scipy import linalg
 from railrepro.car.component import SteppedCar
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.uncertainty import margins
 from railrepro.evidence.uncertainty.margins import FREQUENCIES, Sensitivity
 from railrepro.vehicle.parameters import load_vehicle

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.model import derivation, linearised, multipliers
 from railrepro.model.control_model import control_model, discretise, kept_as_printed
 from railrepro.vehicle.parameters import load_vehicle

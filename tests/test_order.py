@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty import order
 from railrepro.simulation.scenarios import load_scenario

@@ -11,7 +11,7 @@ import pytest
 from chapters import write_notebook
 
 from railrepro import code, paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.chain import book, chain, cleaning
 from railrepro.evidence.runs import store
 

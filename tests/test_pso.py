@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs.pso import Dimension, Swarm, minimise
 
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from railrepro import __version__, paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.report.page import Page
 
 README = (paths.ROOT / "README.md").read_text()

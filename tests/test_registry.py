@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from railrepro.control import registry
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.report import figures
 from railrepro.evidence.runs import tuning
 

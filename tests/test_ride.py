@@ -8,7 +8,7 @@ from scipy import signal
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.contact.table import contact_table
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.simulation import ride
 from railrepro.track import route
 from railrepro.track.table import load_track

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from railrepro import paths, schema
-from railrepro.errors import InputError
+from railrepro import paths
+from railrepro.data import InputError
+from railrepro.data import read as read_file
 from railrepro.evidence.chain import chain, compare
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import tuning
@@ -137,7 +138,7 @@ def broken_file_is_answered(data, folder):
     elif name.endswith(".csv"):
         file.write_text(broken_table(data.draw))
     else:
-        content = broken_content(data.draw, schema.read(paths.ROOT / name))
+        content = broken_content(data.draw, read_file(paths.ROOT / name))
         file.write_text(json.dumps(content) if name.endswith(".json") else toml(content))
     found = read(name, file)
     assert not re.search(r"\bnan\b", repr(found))

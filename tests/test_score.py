@@ -9,7 +9,7 @@ import pytest
 
 from railrepro import __main__ as command
 from railrepro import code, paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.score import card, leaderboard, limit, run, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry, known, load_class
 from railrepro.evidence.score.trial import Trial

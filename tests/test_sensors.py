@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.estimation import sensors
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, SIGNALS, Readings, load_loop
 

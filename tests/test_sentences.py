@@ -11,7 +11,7 @@ from test_pipeline import (
     write_notebook,
 )
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.chain import chain
 from railrepro.evidence.report import sentences
 

@@ -12,7 +12,7 @@ from railrepro.control.law import GEARS, MEASURED_STATES
 from railrepro.control.mpc import NMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.simulation import closed_loop, metrics, scenarios, simulate
 from railrepro.track import defects

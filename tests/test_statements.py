@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, Evidence, Finding, MissingEvidence
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.claims import probe
 from railrepro.evidence.runs import executor as executors
 from railrepro.evidence.runs import experiment, swarm, tuning

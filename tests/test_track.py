@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from spoiling import set_cell
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.track.alignment import alignments, superelevation
 from railrepro.track.table import Track, build_table, load_track, read_table, write_table
 

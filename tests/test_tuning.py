@@ -16,7 +16,7 @@ import pytest
 from railrepro import paths
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import INVERSIONS, OURS, SHOWN
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs import swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment

@@ -10,7 +10,7 @@ from chapters import write_notebook
 
 from railrepro import paths
 from railrepro.compile import codegen
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.chain import chain, compare, verify
 from railrepro.evidence.chain.compare import Comparison
 

@@ -19,8 +19,7 @@ from railrepro.car import equations
 from railrepro.car.stepper import CarStepper
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.table import ContactTable, contact_table
-from railrepro.errors import InputError
-from railrepro.schema import above, between, require
+from railrepro.data import InputError, above, between, require
 from railrepro.track.route import Route, lay
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle

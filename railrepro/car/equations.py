@@ -27,7 +27,7 @@ from railrepro.car.suspension import Suspension
 from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
 from railrepro.compile.codegen import share_reciprocals, stored
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.track import route
 from railrepro.vehicle.parameters import Vehicle
 

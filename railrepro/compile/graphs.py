@@ -2,26 +2,23 @@
 
 A stored graph belongs to the code that built it. Its key is the version of the library (`code.version`; `evidence` is
 above it and cannot reach a graph), those of Python and of the packages that compute, and the arguments. A graph with
-another key, one that is broken, open to others or not the user's own is built again. It is data, never code.
+another key, one that is broken, open to others or not the user's own is built again.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
+import pickle
 import sys
 import zlib
 from collections.abc import Callable
 from functools import lru_cache, wraps
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import casadi as ca
-
-from railrepro import code, files
+from railrepro import code
 from railrepro.compile import cache
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 
-_KINDS = {"tuple": tuple, "list": list}
 Built = TypeVar("Built")
 
 
@@ -31,8 +28,8 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     Parameters
     ----------
     build : callable
-        Of arguments whose `repr` distinguishes them, and of nothing else but code; it gives CasADi functions, texts,
-        numbers, and tuples, lists and dictionaries of them.
+        Of arguments whose `repr` distinguishes them, and of nothing else but code; it gives CasADi functions and
+        anything else that can be pickled.
 
     Raises
     ------
@@ -58,16 +55,15 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
             return build(*arguments)
         content = cache.own_file(file)
         if content is not None and content[:128] == _head(key, content[128:]):
-            return _plain(json.loads(zlib.decompress(content[128:])))
+            return pickle.loads(zlib.decompress(content[128:]))
         built = build(*arguments)
-        if not code.unchanged():
-            return built
-        packed = zlib.compress(json.dumps(_packed(built)).encode(), 1)
-        try:
-            files.write(file, _head(key, packed) + packed)
-            file.chmod(0o644)
-        except (InputError, OSError):
-            pass  # it is built again next time
+        if code.unchanged():
+            packed = zlib.compress(pickle.dumps(built), 1)
+            try:
+                write(file, _head(key, packed) + packed)
+                file.chmod(0o644)
+            except (InputError, OSError):
+                pass  # it is built again next time
         return built
 
     return look
@@ -76,27 +72,3 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
 def _head(key: str, packed: bytes) -> bytes:
     """Key and digest of what follows, 128 characters."""
     return f"{key}{hashlib.sha256(packed).hexdigest()}".encode()
-
-
-def _packed(value: Any) -> Any:
-    """A value as JSON has it."""
-    if isinstance(value, ca.Function):
-        return {"function": value.serialize()}
-    if isinstance(value, dict):
-        return {"dict": [[key, _packed(entry)] for key, entry in value.items()]}
-    for name, kind in _KINDS.items():
-        if isinstance(value, kind):
-            return {name: [_packed(entry) for entry in value]}
-    return value
-
-
-def _plain(value: Any) -> Any:
-    """What `_packed` packed."""
-    if not isinstance(value, dict):
-        return value
-    ((name, entry),) = value.items()
-    if name == "function":
-        return ca.Function.deserialize(entry)
-    if name == "dict":
-        return {key: _plain(each) for key, each in entry}
-    return _KINDS[name](_plain(each) for each in entry)

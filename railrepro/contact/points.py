@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline, make_smoothing_spline
 
-from railrepro import schema
+from railrepro import data
 from railrepro.contact import profiles
-from railrepro.errors import InputError
+from railrepro.data import InputError
 
 PARTS = ("wheel", "rail")
 _STEP = 1e-4
@@ -70,7 +70,7 @@ def read_pair(path: Path | str) -> Pair:
         A column that is missing, an unknown part, anything but numbers, another unit, points that do not cover what
         touches or do not lie in order; one sentence.
     """
-    file = schema.location(path)
+    file = data.location(path)
     try:
         content = file.read_bytes()
         table = pd.read_csv(file)

@@ -26,8 +26,7 @@ from railrepro import paths
 from railrepro.contact import normal, profiles
 from railrepro.contact.creep import elementary, kalker_coefficients, spin_coefficient
 from railrepro.contact.points import STANDARD, Pair, read_pair
-from railrepro.errors import InputError
-from railrepro.schema import require
+from railrepro.data import InputError, require
 from railrepro.vehicle.parameters import Vehicle
 
 _LINEAR = (

@@ -15,7 +15,7 @@ from typing import ClassVar
 import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.schema import Quantity, between, require
+from railrepro.data import Quantity, between, require
 
 _RANGES: dict[str, Quantity | type] = {
     **dict.fromkeys(("raise_step", "lower_step", "drop_step"), between(0.0, 1e9, "N m per ms")),

@@ -17,8 +17,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from railrepro.errors import InputError
-from railrepro.schema import above, is_number, require
+from railrepro.data import InputError, above, is_number, require
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 

@@ -22,10 +22,10 @@ from railrepro.compile import codegen
 from railrepro.control import lateral
 from railrepro.control.adhesion import AdhesionSettings, LongitudinalLaw
 from railrepro.control.allocation import allocate
+from railrepro.data import between, require
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
 from railrepro.model.control_model import STATES
-from railrepro.schema import between, require
 from railrepro.track.route import COLUMNS, irregularity_in, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 

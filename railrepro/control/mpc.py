@@ -17,10 +17,9 @@ import numpy as np
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
-from railrepro.errors import InputError
+from railrepro.data import InputError, between, require
 from railrepro.model.control_model import control_model, kept_as_printed
 from railrepro.model.forecast import Forecast, nominal_values
-from railrepro.schema import between, require
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 

@@ -15,8 +15,7 @@ from types import SimpleNamespace
 import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.errors import InputError
-from railrepro.schema import is_number
+from railrepro.data import InputError, is_number
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
-from railrepro.errors import InputError
+from railrepro.data import InputError, above, between, is_number, require
 from railrepro.model.control_model import (
     INPUTS,
     PSI_TRAX,
@@ -34,7 +34,6 @@ from railrepro.model.control_model import (
 )
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
-from railrepro.schema import above, between, is_number, require
 
 TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "lateral_bound", "bound_weight")
 """Entries of a tuning vector: what the statement takes from `MPCSettings`, for solvers of any kind."""

@@ -14,13 +14,12 @@ from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
-from railrepro.errors import InputError
+from railrepro.data import InputError, above, is_number, require
 from railrepro.model.control_model import STATES
-from railrepro.schema import above, is_number, require
 
 TUNED = "data/tuned"
 SETTINGS = ("paper", "equal", "loop")
@@ -199,7 +198,7 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
         others = " and ".join(name for name in known if name != setting)
         where = f", but in the setting {others}" if others else "; `make tune` makes it"
         raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}{where}")
-    content = schema.read(file)
+    content = data.read(file)
     table = content if isinstance(content, dict) else {}
     found = table.get("controller"), table.get("setting")
     if found != (controller, setting) or not isinstance(table.get("parameters"), dict):
@@ -223,7 +222,7 @@ def parameters(controller: str, setting: str = PAPER) -> dict:
         raise InputError(f"setting {reprlib.repr(setting)} is not known; there are {sorted(SETTINGS)}")
     file = paths.source("data/tuning.toml")
     try:
-        designed = schema.read(file)["setting"][setting].get("designed", {})
+        designed = data.read(file)["setting"][setting].get("designed", {})
     except (KeyError, AttributeError) as error:
         raise InputError(f"{file.name}: the tables [setting.paper] and so on are needed ({error})") from error
     return designed[controller] if controller in designed else read(controller, setting)["parameters"]

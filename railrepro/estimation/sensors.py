@@ -14,7 +14,7 @@ from typing import Annotated
 import casadi as ca
 import numpy as np
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.vehicle.parameters import Parameter, loaded
 
@@ -31,15 +31,15 @@ _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
 
-def _upto(high: float, unit: str, usual: tuple[float, float] = (0.0, math.inf)) -> Parameter:
-    return Parameter(0.0, high, unit, closed=True, usual=usual)
+def _upto(high: float, unit: str) -> Parameter:
+    return Parameter(0.0, high, unit, closed=True)
 
 
 _PERIOD = Annotated[float, _upto(0.1, "s")]
 _DROPOUT = Annotated[float, _upto(0.9, "-")]
 
 
-@schema.table
+@data.table
 class Lateral:
     """Displacement of the axle against the rails in planes `base` apart."""
 
@@ -51,21 +51,21 @@ class Lateral:
     dropout: _DROPOUT
 
 
-@schema.table
+@data.table
 class Rate:
     """Angular velocity: the gyroscope of the carrier, or the speed of a wheel.
 
-    The usual range distinguishes rad/s from degrees per second.
+    Its range refuses numbers in degrees per second.
     """
 
-    noise: Annotated[float, _upto(1.0, "rad/s", (1e-5, 0.1))]
-    bias: Annotated[float, _upto(1.0, "rad/s", (1e-6, 0.05))]
-    resolution: Annotated[float, _upto(0.1, "rad/s", (1e-7, 0.01))]
+    noise: Annotated[float, _upto(0.1, "rad/s")]
+    bias: Annotated[float, _upto(0.1, "rad/s")]
+    resolution: Annotated[float, _upto(0.1, "rad/s")]
     period: _PERIOD
     dropout: _DROPOUT
 
 
-@schema.table
+@data.table
 class Speed:
     """Speed along the track."""
 
@@ -76,7 +76,7 @@ class Speed:
     dropout: _DROPOUT
 
 
-@schema.table
+@data.table
 class Position:
     """Position along the track, reported for the present moment."""
 
@@ -87,7 +87,7 @@ class Position:
     dropout: _DROPOUT
 
 
-@schema.table
+@data.table
 class Latency:
     """Age of the readings and time from a command to the inverter."""
 
@@ -95,7 +95,7 @@ class Latency:
     command: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
 
 
-@schema.table
+@data.table
 class Inverter:
     """What becomes of a command that arrived, unknown to controllers and filter: a further delay, and a gain."""
 
@@ -103,7 +103,7 @@ class Inverter:
     gain: Annotated[float, Parameter(0.0, 10.0, "-")]
 
 
-@schema.table
+@data.table
 class Filter:
     """Process noise of the filter as spectral densities, and lags of what it hands on, see `observers`."""
 
@@ -115,7 +115,7 @@ class Filter:
     speed_lag: Annotated[float, _upto(1.0, "s")]
 
 
-@schema.table
+@data.table
 class Adhesion:
     """What the adhesion law needs behind noise, see `railrepro.control.adhesion.AdhesionSettings`."""
 
@@ -124,7 +124,7 @@ class Adhesion:
     noise_speed: Annotated[float, _upto(200.0, "m/s")]
 
 
-@schema.table
+@data.table
 class Loop:
     """All that stands between the car and its controllers; the numbers live in data/sensors.toml."""
 
@@ -176,12 +176,12 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     InputError
         One sentence naming file, key, what was found and what is allowed.
     """
-    return loaded(Loop, schema.location(path, paths.source("data/sensors.toml")), overrides)[0]
+    return loaded(Loop, data.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
     """Sensors of a run: those of `load_loop`, or perfect ones behind the same inverter."""
-    schema.require("sensors: perfect", perfect, bool)
+    data.require("sensors: perfect", perfect, bool)
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
@@ -201,12 +201,12 @@ class Readings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        schema.require("Readings: loop", self.loop, Loop)
-        schema.require("Readings: seed", self.seed, schema.between(0, math.inf), whole=True)
+        data.require("Readings: loop", self.loop, Loop)
+        data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> dict[str, float]:
         """Run-time numbers of a gear (0 front, 1 rear) by name."""
-        schema.require("Readings: gear", gear, schema.between(0, 1), whole=True)
+        data.require("Readings: gear", gear, data.between(0, 1), whole=True)
         draw = np.random.default_rng((self.seed, gear))
         gains: dict[str, float] = {}
         for signal, group in _GROUP.items():

@@ -22,12 +22,10 @@ from railrepro.compile import codegen
 from railrepro.control import lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.solvers import riccati
-from railrepro.errors import InputError
+from railrepro.data import InputError, location, require, write
 from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
-from railrepro.files import write
 from railrepro.model.control_model import STATES
 from railrepro.model.forecast import nominal_values
-from railrepro.schema import location, require
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 

@@ -19,9 +19,7 @@ import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.errors import InputError
-from railrepro.files import write
-from railrepro.schema import location
+from railrepro.data import InputError, location, write
 
 
 @dataclass(frozen=True)

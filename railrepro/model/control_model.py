@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.compile.codegen import stored
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.model.parameters import DISCREPANCIES, PARAMETERS
 from railrepro.vehicle.parameters import Vehicle
 

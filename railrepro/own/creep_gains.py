@@ -20,9 +20,8 @@ from math import copysign, log
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from railrepro.errors import InputError
+from railrepro.data import InputError, between, require
 from railrepro.own.creep_model import LEAST_SPEED, STATES, UNKNOWN, Creep, lateral_model
-from railrepro.schema import between, require
 from railrepro.vehicle.parameters import Vehicle
 
 READ = ("y", "psi", "r")

@@ -37,8 +37,7 @@ from scipy.linalg import expm
 
 from railrepro.contact.creep import polach, spin_moment
 from railrepro.contact.table import contact_table
-from railrepro.errors import InputError
-from railrepro.schema import above, between, require
+from railrepro.data import InputError, above, between, require
 from railrepro.vehicle.parameters import Vehicle
 
 STATES = ("y", "vy", "psi", "r", "E", "tau", "yb", "vb", "phib", "wb")

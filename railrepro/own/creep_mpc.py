@@ -24,12 +24,11 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.table import contact_table
 from railrepro.control.lateral import SlowController
 from railrepro.control.mpc import Solve
-from railrepro.errors import InputError
+from railrepro.data import InputError, require
 from railrepro.model import control_model as model
 from railrepro.model.forecast import nominal_values
 from railrepro.own.creep_gains import ALERT, READ, CreepSettings, delay_of, schedule
 from railrepro.own.creep_model import KNOWN, LEAST_SPEED, SHIFTS, STATES, UNKNOWN, Creep, creep_at, shifts
-from railrepro.schema import require
 from railrepro.track.route import CELL, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.adhesion import LongitudinalLaw
-from railrepro.schema import above, between, require
+from railrepro.data import above, between, require
 
 _RANGES = {
     "raise_step": between(0.0, 1e9, "N m per ms"),

@@ -12,8 +12,7 @@ import scipy
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
-from railrepro.errors import InputError
-from railrepro.schema import above, require
+from railrepro.data import InputError, above, require
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
 

@@ -19,8 +19,7 @@ import pandas as pd
 import scipy
 
 from railrepro.car.equations import FLOOR, GEARS, WHEELS
-from railrepro.errors import InputError
-from railrepro.schema import is_number
+from railrepro.data import InputError, is_number
 from railrepro.simulation.metrics import FLANGE_ANGLE
 from railrepro.track.irregularity import D1, sampling
 from railrepro.vehicle.parameters import Vehicle

@@ -13,17 +13,17 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from railrepro import paths, schema
-from railrepro.errors import InputError
+from railrepro import data, paths
+from railrepro.data import InputError, Number, above, between, steps
 from railrepro.reads import Entries
-from railrepro.schema import Number, above, between, steps
 from railrepro.track import route
 from railrepro.track.alignment import CANT_BASE
 from railrepro.track.table import Track, load_track
 from railrepro.vehicle.parameters import Vehicle
 
-_AMPLITUDE = Annotated[Number, between(-20.0, 20.0, "mm", usual=(0.05, 20.0))]
-"""Beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm); a cone has no flange, but derails at 30 mm."""
+_AMPLITUDE = Annotated[Number, above(0.01, 20.0, "mm", signed=True)]
+"""Up to beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm; a cone has none, but derails at 30 mm), and more than
+what is stated in metres by mistake."""
 FLANGEWAY = 8.0
 """Lateral displacement at which S1002 on 60E1 surely touches with its flange (mm)."""
 STEEPEST_RAMP = 10.0
@@ -34,14 +34,14 @@ _FADE = Annotated[Number, above(0.0, 1e5, "m")]
 _SHARES = Annotated[tuple, steps("share", 0.0, 1.0)]
 
 
-@schema.table
+@data.table
 class NoSetPoint:
     """The gear is to follow the centre line."""
 
     kind: Literal["none"]
 
 
-@schema.table
+@data.table
 class Sine:
     """Sinusoidal set point, see `route.sine`."""
 
@@ -56,7 +56,7 @@ class Sine:
         _check_order(self.start_m, self.end_m)
 
 
-@schema.table
+@data.table
 class Sweep:
     """Sine sweep, see `route.sweep`."""
 
@@ -80,10 +80,10 @@ def _check_order(start: float, end: float | None) -> None:
 if TYPE_CHECKING:
     _SET_POINT = dict[str, Any]
 else:  # checked as one of these, and kept as the table that it is
-    _SET_POINT = Annotated[NoSetPoint | Sine | Sweep, Field(discriminator="kind"), schema.AS_GIVEN]
+    _SET_POINT = Annotated[NoSetPoint | Sine | Sweep, Field(discriminator="kind"), data.AS_GIVEN]
 
 
-@schema.table
+@data.table
 class Scenario:
     """One experiment; see the head of data/scenarios.toml for the fields and their units."""
 
@@ -127,7 +127,7 @@ class Scenario:
 
     def but(self, **changes) -> Scenario:
         """A copy with some fields changed, checked like a file."""
-        return schema.build(Scenario, vars(self) | changes, "scenario")
+        return data.build(Scenario, vars(self) | changes, "scenario")
 
     def check(self, vehicle: Vehicle) -> None:
         """Refuse wrong fields, adhesion sets that a vehicle lacks, set points beyond its flangeway (InputError)."""
@@ -213,12 +213,12 @@ def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
     InputError
         One sentence naming file, scenario, key, what was found and what is allowed.
     """
-    file = schema.location(path, paths.source("data/scenarios.toml"))
-    content = schema.read(file)
+    file = data.location(path, paths.source("data/scenarios.toml"))
+    content = data.read(file)
     for name, entry in content.items():
         if isinstance(entry, dict) and entry.setdefault("name", name) != name:
             raise InputError(f"{file.name}: [{name}] has the name {entry['name']!r}; its own key is its name")
-    return Entries(schema.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
+    return Entries(data.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
 
 
 def load_scenario(name: str, path: Path | str | None = None) -> Scenario:

@@ -19,10 +19,9 @@ from railrepro.contact.table import contact_table
 from railrepro.control import lateral, law
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import GEARS
-from railrepro.errors import InputError
+from railrepro.data import InputError, between, require
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
-from railrepro.schema import between, require
 from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY
 from railrepro.simulation.scenarios import Scenario

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from railrepro import paths, schema
-from railrepro.errors import InputError
+from railrepro import data, paths
+from railrepro.data import InputError, Number, above, between
 from railrepro.reads import Entries
-from railrepro.schema import Number, above, between
 
 GRAVITY = 9.81
 CANT_BASE = 1.5
@@ -70,7 +69,7 @@ def superelevation(angle: float) -> float:
     return CANT_BASE * math.sin(angle)
 
 
-@schema.table
+@data.table
 class CurveEntry:
     """Curve entry of data/tracks.toml: straight, clothoid, arc; the cant leaves the unbalanced acceleration."""
 
@@ -101,7 +100,7 @@ class CurveEntry:
         return Alignment(name, segments, self.design_speed_kmh / 3.6)
 
 
-@schema.table
+@data.table
 class SegmentEntry:
     """Segment of data/tracks.toml; a key that is missing stays as at the end of the segment before."""
 
@@ -118,11 +117,11 @@ class SegmentEntry:
         return Segment(self.length_m, (kappa, end_kappa), (phi, end_phi), (eps, end_eps))
 
 
-@schema.table
+@data.table
 class SegmentsEntry:
     """Track of data/tracks.toml that lists its segments."""
 
-    segments: Annotated[tuple[SegmentEntry, ...], schema.NOT_EMPTY]
+    segments: Annotated[tuple[SegmentEntry, ...], data.NOT_EMPTY]
     design_speed_kmh: Annotated[Number, SPEED] | None = None
 
     def alignment(self, name: str) -> Alignment:
@@ -136,10 +135,10 @@ class SegmentsEntry:
 
 def alignments(path: Path | str | None = None) -> dict[str, Alignment]:
     """Alignments of a TOML file (default data/tracks.toml) by name; InputError with one sentence on wrong entries."""
-    file = schema.location(path, paths.source("data/tracks.toml"))
+    file = data.location(path, paths.source("data/tracks.toml"))
     found: dict = {}
-    for name, entry in schema.read(file).items():
+    for name, entry in data.read(file).items():
         piecewise = isinstance(entry, dict) and "segments" in entry
         kind: Any = dict[str, SegmentsEntry] if piecewise else dict[str, CurveEntry]
-        found |= schema.build(kind, {name: entry}, file.name)
+        found |= data.build(kind, {name: entry}, file.name)
     return Entries({name: entry.alignment(name) for name, entry in found.items()}, "data/tracks.toml")

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from railrepro.errors import InputError
-from railrepro.schema import between, require
+from railrepro.data import InputError, between, require
 from railrepro.track.irregularity import CHANNELS, LARGEST, smooth_step, track_centre
 
 _HEIGHT = between(-LARGEST, LARGEST, "m")

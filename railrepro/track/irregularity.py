@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import reprlib
-import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,9 +16,8 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from railrepro import paths, schema
-from railrepro.errors import InputError
-from railrepro.schema import Number, above, between, require
+from railrepro import data, paths
+from railrepro.data import InputError, Number, above, between, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channels in the order of their random generators, with their columns."""
@@ -27,7 +25,6 @@ FLANGEWAY = {"lateral_m": (-0.020, 0.020), "gauge_m": (-0.010, 0.035)}
 """What wheels can follow (m); more than the flangeway takes is refused."""
 LARGEST = 0.1
 """Largest number of any channel; beyond it the unit is wrong."""
-_USUAL = {"vertical_m": (0.05, "m"), "crosslevel_rad": (0.025, "rad")}
 D1 = 3.0, 25.0
 """Wavelengths (m) in which EN 13848-1 judges level and alignment."""
 
@@ -46,12 +43,12 @@ _MOST_POINTS = 2**24
 """Most points of the synthesis, 128 MiB a channel."""
 
 
-@schema.table
+@data.table
 class Quality:
     """Entry of data/irregularities.toml, see there."""
 
-    level_mm: Annotated[Number, above(0.0, 20.0, "mm", usual=(0.05, 20.0))]
-    alignment_mm: Annotated[Number, above(0.0, 20.0, "mm", usual=(0.05, 20.0))]
+    level_mm: Annotated[Number, above(0.05, 20.0, "mm")]
+    alignment_mm: Annotated[Number, above(0.05, 20.0, "mm")]
     confidence: Literal["VV", "V", "D", "R", "A"]
 
 
@@ -111,8 +108,8 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
 
 def track_quality(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
     """Standard deviations of level and alignment of one rail in D1 (m) by name; default data/irregularities.toml."""
-    file = schema.location(path, paths.source("data/irregularities.toml"))
-    content = schema.build(dict[str, Quality], schema.read(file), file.name)
+    file = data.location(path, paths.source("data/irregularities.toml"))
+    content = data.build(dict[str, Quality], data.read(file), file.name)
     for name in set(content) & set(_ERRI):
         raise InputError(f"{file.name}: [{name}] has the name of a spectrum of ERRI B176, another one is needed")
     return {name: (entry.level_mm * 1e-3, entry.alignment_mm * 1e-3) for name, entry in content.items()}
@@ -226,18 +223,6 @@ def check(frame: pd.DataFrame) -> None:
             row = int(np.argmin(inside))
             raise InputError(
                 f"irregularities: {column} = {values.iloc[row]:g} at p = {p[row]:g} m, {low:g} to {high:g} is allowed"
-            )
-    doubt(frame, "irregularities")
-
-
-def doubt(frame: pd.DataFrame, where: str) -> None:
-    """Warn of magnitudes that no track in service has, as of another unit."""
-    for column, (most, unit) in _USUAL.items():
-        largest = float(frame[column].abs().max())
-        if largest > most:
-            warnings.warn(
-                f"{where}: {column} of {largest:g} is unusual, up to {most:g} {unit} is usual: is it in {unit}?",
-                stacklevel=4,
             )
 
 

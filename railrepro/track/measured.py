@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro import schema
-from railrepro.errors import InputError
-from railrepro.track.irregularity import CHANNELS, FLANGEWAY, LARGEST, doubt
+from railrepro import data
+from railrepro.data import InputError
+from railrepro.track.irregularity import CHANNELS, FLANGEWAY, LARGEST
 from railrepro.track.table import read_numbers, refuse
 
 _GAP = 1.5
@@ -51,10 +51,10 @@ def read_irregularities(
         Missing column, anything but a finite number, p_m not increasing or with a gap, wrong unit, beyond the
         flangeway, shorter than the run, sampled too coarsely; one sentence naming file and row.
     """
-    file = schema.location(path)
-    schema.require("chainage", chainage, schema.between(-1e7, 1e7, "m"))
-    schema.require("shortest", shortest, schema.above(0.0, 1e5, "m"))
-    schema.require("length", length or 0.0, schema.between(0.0, 1e7, "m"))
+    file = data.location(path)
+    data.require("chainage", chainage, data.between(-1e7, 1e7, "m"))
+    data.require("shortest", shortest, data.above(0.0, 1e5, "m"))
+    data.require("length", length or 0.0, data.between(0.0, 1e7, "m"))
     frame = read_numbers(file, ("p_m", *CHANNELS.values()))
     frame["p_m"] -= chainage
     p = frame["p_m"].to_numpy()
@@ -67,7 +67,6 @@ def read_irregularities(
     for column, low, high, hint in ranges:
         outside = (frame[column] < low) | (frame[column] > high)
         refuse(file.name, frame[column], outside, f"{low:g} to {high:g} is allowed{hint}")
-    doubt(frame, file.name)
     if length is not None and (p[0] > 0 or p[-1] < length):
         raise InputError(
             f"{file.name}: p_m goes from {p[0]:g} to {p[-1]:g} m, the run needs 0 to {length:g} m; `chainage` shifts it"

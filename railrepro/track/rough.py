@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.track import defects as defects_
 from railrepro.track.irregularity import CHANNELS, check, coordinates, faded, irregularities
 from railrepro.track.measured import read_irregularities

@@ -19,8 +19,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from railrepro.errors import InputError
-from railrepro.schema import require
+from railrepro.data import InputError, require
 from railrepro.track.irregularity import CHANNELS, check
 from railrepro.track.table import Track
 

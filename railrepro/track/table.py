@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro import paths, schema
-from railrepro.errors import InputError
+from railrepro import data, paths
+from railrepro.data import InputError
 from railrepro.track.alignment import CANT_BASE, Alignment, alignments
 
 STEP = 0.5
@@ -211,7 +211,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
         A quantity that is missing or there twice, anything but a finite number, points that do not increase, magnitudes
         beyond what railways build (wrong unit), and single rows that stand out.
     """
-    file = schema.location(path)
+    file = data.location(path)
     there = set(head(file))
     columns = {quantity: [c for c in names if c in there] for quantity, names in _QUANTITIES.items()}
     for quantity, found in columns.items():

@@ -28,7 +28,7 @@ from scipy.special import elliprd
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.track.alignment import Alignment
 from railrepro.vehicle.parameters import Vehicle
 

@@ -26,10 +26,10 @@ from railrepro.control import problem as ocp
 from railrepro.control.problem import TUNING, MPCSettings, Problem, Tuning
 from railrepro.control.registry import mpc_settings
 from railrepro.control.solvers.ipopt import COST, SCALE, SLACK, UNIT
-from railrepro.errors import report_errors
+from railrepro.data import write
 from railrepro.evidence.bench import speed
+from railrepro.evidence.commands import report_errors
 from railrepro.evidence.runs import tuning
-from railrepro.files import write
 from railrepro.model.control_model import STATES, THETA
 from railrepro.model.parameters import PARAMETERS
 from railrepro.vehicle.parameters import Vehicle, load_vehicle

@@ -19,8 +19,8 @@ from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.car.equations import INDEX, WHEELS
 from railrepro.contact.table import ContactTable, contact_table
-from railrepro.errors import report_errors
-from railrepro.files import write
+from railrepro.data import write
+from railrepro.evidence.commands import report_errors
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 BUMP_STOP_MM = (25.0, 30.0, 60.0, 65.0)

@@ -21,9 +21,9 @@ from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.ndi import NDI
-from railrepro.errors import InputError, report_errors
+from railrepro.data import InputError, write
+from railrepro.evidence.commands import report_errors
 from railrepro.evidence.report.agreement import AGREEMENT
-from railrepro.files import write
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route

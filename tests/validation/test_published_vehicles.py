@@ -11,7 +11,7 @@ from published import BOGIE, critical_speed, lateral
 from railrepro.car.component import SteppedCar
 from railrepro.car.equations import indices
 from railrepro.contact.table import ContactTable, contact_table
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.vehicle.parameters import load_vehicle
 
 RIGID = {"contact.profile": "cone", "gear.axle_damping": 1e8}

@@ -12,7 +12,7 @@ import second_opinion
 
 from railrepro.contact.creep import polach, spin_coefficient, spin_moment
 from railrepro.contact.table import cone_patch
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.track.alignment import Alignment, Segment, alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.table import Track, build_table

@@ -33,11 +33,10 @@ from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.registry import WITH_OBSERVER, mpc_settings
 from railrepro.control.solvers import riccati
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.runs import pso, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.files import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
 from railrepro.simulation.closed_loop import ClosedLoop

@@ -8,10 +8,10 @@ import shutil
 from pathlib import Path
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.chain import pages
 from railrepro.evidence.chain.chain import chain, find
-from railrepro.files import write, written
+from railrepro.evidence.chain.files import written
 
 
 def html() -> Path:

@@ -23,12 +23,12 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Annotated
 
-from railrepro import code, parent_death, paths, reads, schema
-from railrepro.errors import InputError
+from railrepro import code, data, paths, reads
+from railrepro.data import InputError, Number, above, alone, between, write
+from railrepro.evidence.chain import parent_death
+from railrepro.evidence.chain.files import move, scratch, written
 from railrepro.evidence.report.sentences import false_in
 from railrepro.evidence.runs import store
-from railrepro.files import alone, move, scratch, write, written
-from railrepro.schema import Number, above, between
 
 SUFFIXES = ("png", "csv")
 Reads = dict[str, list[str]]
@@ -39,7 +39,7 @@ EDITED = "an input was edited while it ran"
 _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
 
 
-@schema.table
+@data.table
 class Notebook:
     """One entry of the chain; see the head of notebooks/chain.toml."""
 
@@ -48,8 +48,8 @@ class Notebook:
     after: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
-    parameters: dict[str, schema.Free] = field(default_factory=dict)
-    test_parameters: dict[str, schema.Free] = field(default_factory=dict)
+    parameters: dict[str, data.Free] = field(default_factory=dict)
+    test_parameters: dict[str, data.Free] = field(default_factory=dict)
     minutes: Annotated[Number, above(0.0, 1e4, "min")] = 1.0
     seed: Annotated[int, between(0, 2**63)] | None = None
 
@@ -74,12 +74,12 @@ class Notebook:
         return paths.BUILD / "stamps" / f"{self.name}.json"
 
 
-@schema.table
+@data.table
 class _File:
     """Content of notebooks/chain.toml."""
 
     notebook: tuple[Notebook, ...] = ()
-    verify: dict[str, schema.Free] = field(default_factory=dict)
+    verify: dict[str, data.Free] = field(default_factory=dict)
     """See `compare`."""
 
 
@@ -88,7 +88,7 @@ def chain(file: Path | None = None) -> dict[str, Notebook]:
     file = file or paths.NOTEBOOKS / "chain.toml"
     found: dict[str, Notebook] = {}
     maker: dict[str, str] = {}
-    for one in schema.build(_File, schema.read(file), file.name).notebook:
+    for one in data.build(_File, data.read(file), file.name).notebook:
         for other in one.after:
             if other not in found:
                 raise InputError(f"{file.name}: {one.name} is after {other!r}, which is not above it")

@@ -10,9 +10,8 @@ import matplotlib.image
 import numpy as np
 import pandas as pd
 
-from railrepro import paths, schema
-from railrepro.errors import InputError
-from railrepro.schema import Number, between
+from railrepro import data, paths
+from railrepro.data import InputError, Number, between
 
 SUFFIXES = (".csv", ".png")
 """Kinds of products that are compared; the other formats of a figure hold the same."""
@@ -23,7 +22,7 @@ VALUE, KINDS = "value", ("metric", "quantity")
 _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 
-@schema.table
+@data.table
 class Own:
     """Entry [[verify.own]] of notebooks/chain.toml: tolerance of a column of a table, in the rows of a query or all."""
 
@@ -34,7 +33,7 @@ class Own:
     rows: str = ""
 
 
-@schema.table
+@data.table
 class Tolerance:
     """Table [verify] of notebooks/chain.toml, see there."""
 
@@ -47,10 +46,10 @@ class Tolerance:
 def verify_tolerance(path: Path | None = None) -> dict:
     """Tolerances of a comparison of two runs, the table [verify] of chain.toml."""
     file = path or paths.NOTEBOOKS / "chain.toml"
-    content = schema.read(file)
+    content = data.read(file)
     if "verify" not in content:
         raise InputError(f"{file.name}: the group [verify] is missing")
-    known = schema.build(dict[str, Annotated[Tolerance, schema.AS_GIVEN]], {"verify": content["verify"]}, file.name)
+    known = data.build(dict[str, Annotated[Tolerance, data.AS_GIVEN]], {"verify": content["verify"]}, file.name)
     return cast(dict, known["verify"])
 
 

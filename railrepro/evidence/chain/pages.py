@@ -13,7 +13,7 @@ from pathlib import Path
 import pandas as pd
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.chain import folding
 from railrepro.evidence.chain.chain import Notebook
 from railrepro.evidence.runs.tuning import SETTINGS

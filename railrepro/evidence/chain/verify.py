@@ -12,11 +12,11 @@ from pathlib import Path
 
 from railrepro import paths
 from railrepro.compile import cache
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.chain import compare
 from railrepro.evidence.chain.chain import Notebook, chain, run
+from railrepro.evidence.chain.files import written
 from railrepro.evidence.runs import store
-from railrepro.files import written
 
 _NO_SIMD = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR AVX2 FMA3"
 VARIANTS = {

@@ -19,15 +19,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.control.registry import PAPER_TRIO, with_r_times
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.probe import SPEEDS, ProbeSetup, probe
 from railrepro.evidence.claims.statements import MPC, NDI, REPRODUCED, Evidence, MissingEvidence, Statement
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.files import write
 
 PARTS = ("curve", "sine", "loss", "brake")
 """What Figs. 6 to 9 show, see `probe.PARTS`."""
@@ -38,7 +37,7 @@ _SETUP = {field.name for field in fields(ProbeSetup)} - {"parameters", "setting"
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
-@schema.table
+@data.table
 class Choice:
     """One entry of data/paper_like.toml.
 
@@ -71,22 +70,22 @@ class Choice:
     def __post_init__(self):
         for name in ("value", "instead"):
             given = getattr(self, name)
-            if given is not None and schema.is_number(given) != schema.is_number(self.nominal):
+            if given is not None and data.is_number(given) != data.is_number(self.nominal):
                 raise ValueError(f"has {name} = {given!r} for nominal = {self.nominal!r}; both are of one kind")
-        pair = isinstance(self.range, list) and len(self.range) == 2 and all(map(schema.is_number, self.range))
+        pair = isinstance(self.range, list) and len(self.range) == 2 and all(map(data.is_number, self.range))
         if not pair and self.range != "free":
             raise ValueError(f'has range = {self.range!r}; two numbers or "free" are needed')
 
     @property
     def changed(self) -> bool:
         """Whether a number differs from the nominal one."""
-        return schema.is_number(self.value) and self.value != self.nominal
+        return data.is_number(self.value) and self.value != self.nominal
 
 
 def load(path: Path | str | None = None) -> dict[str, Choice]:
     """The choices by name (default data/paper_like.toml); InputError with one sentence on wrong entries."""
-    file = schema.location(path, paths.source("data/paper_like.toml"))
-    choices = schema.build(dict[str, Choice], schema.read(file), file.name)
+    file = data.location(path, paths.source("data/paper_like.toml"))
+    choices = data.build(dict[str, Choice], data.read(file), file.name)
     try:
         setup({name: choice.value for name, choice in choices.items()}).car()
     except (InputError, TypeError) as error:

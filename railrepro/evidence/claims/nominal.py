@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.claims.statements import Evidence
 from railrepro.evidence.runs import tuning
 

@@ -22,7 +22,7 @@ from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.claims.statements import (
     BETWEEN,
     BRAKE,
@@ -47,7 +47,6 @@ from railrepro.evidence.claims.statements import (
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, tidy
-from railrepro.files import write
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.track.alignment import Alignment, alignments

@@ -17,9 +17,9 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.control.registry import EMPHASIS, PAPER_TRIO, r_times
-from railrepro.errors import InputError
+from railrepro.data import InputError
 
 REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE = "reproduced", "partly", "tie", "not reproduced", "not testable"
 VERDICTS = (REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE)
@@ -133,7 +133,7 @@ class Evidence:
         return speeds
 
 
-@schema.table
+@data.table
 class Statement:
     """Entry of data/claims.toml, see its head."""
 
@@ -145,11 +145,11 @@ class Statement:
     notebook: str
     evidence: str = ""
     control: str = ""
-    above: schema.Plain | None = None
-    below: schema.Plain | None = None
-    partly_above: schema.Plain | None = None
-    partly_below: schema.Plain | None = None
-    paper: schema.Plain | None = None
+    above: data.Plain | None = None
+    below: data.Plain | None = None
+    partly_above: data.Plain | None = None
+    partly_below: data.Plain | None = None
+    paper: data.Plain | None = None
 
     def __post_init__(self):
         file = f"figures/{self.evidence}.png" if self.evidence.startswith("fig") else self.evidence
@@ -188,8 +188,8 @@ def _within(value: float, above: float | None, below: float | None, tie: float) 
 
 def load(path: Path | str | None = None) -> dict[str, Statement]:
     """Statements of a TOML file (default data/claims.toml) by id; InputError with one sentence on wrong entries."""
-    file = schema.location(path, paths.source("data/claims.toml"))
-    found = schema.build(dict[str, Statement], schema.read(file), file.name)
+    file = data.location(path, paths.source("data/claims.toml"))
+    found = data.build(dict[str, Statement], data.read(file), file.name)
     for identity, statement in found.items():
         if identity not in VALUES and statement.kind == "statement":
             raise InputError(f"{file.name}: [{identity}] has no function in railrepro/evidence/claims/statements.py")

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
+from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE, Finding, MissingEvidence
 from railrepro.evidence.report.prose import Prose, table_file
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
-from railrepro.files import write
 
 STORED = "data/verdicts.csv"
 HEADLINE = tuning.PAPER

@@ -13,9 +13,9 @@ from typing import Annotated
 
 import pandas as pd
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.control.registry import PAPER_TRIO
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import Evidence, MissingEvidence
@@ -24,14 +24,14 @@ from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
 
 
-@schema.table
+@data.table
 class Question:
     """Entry of data/answers.toml, see its head."""
 
     asks: str
-    sets: Annotated[tuple[str, ...], schema.NOT_EMPTY]
-    parts: Annotated[tuple[str, ...], schema.NOT_EMPTY]
-    answer: tuple[schema.Free, ...] = ()
+    sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
+    parts: Annotated[tuple[str, ...], data.NOT_EMPTY]
+    answer: tuple[data.Free, ...] = ()
     unit: str = ""
 
     def __post_init__(self):
@@ -44,8 +44,8 @@ class Question:
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
     """The questions of a file (default data/answers.toml) by name; InputError with one sentence on what is wrong."""
-    file = schema.location(path, paths.source("data/answers.toml"))
-    return schema.build(dict[str, Question], schema.read(file), file.name)
+    file = data.location(path, paths.source("data/answers.toml"))
+    return data.build(dict[str, Question], data.read(file), file.name)
 
 
 def setup(given: Mapping[str, object]) -> probe.ProbeSetup:

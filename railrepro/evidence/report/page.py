@@ -15,13 +15,12 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.report import claims, flips
 from railrepro.evidence.report.prose import Prose, link
 from railrepro.evidence.runs import tuning
-from railrepro.files import write
 
 MARKS = {"reproduced": "✓", "fragile": "✓?", "partly": "◐", "tie": "=", "not reproduced": "✗", "not testable": "–"}
 CALIBRATED = {"yes": "✓", "no": "✗", "": ""}

@@ -17,9 +17,9 @@ import jinja2
 import numpy as np
 import pandas as pd
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.car.equations import BODIES, COORDINATES, WHEELS
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import REPRODUCED, Evidence, Finding, MissingEvidence
@@ -37,12 +37,12 @@ CALLABLE = (
 """Methods of `Prose` that templates and conditions may call."""
 
 
-@schema.table
+@data.table
 class Thesis:
     """Entry of data/theses.toml: a sentence, and the conditions that must all be true for it to be said."""
 
     says: str
-    true: Annotated[tuple[str, ...], schema.NOT_EMPTY]
+    true: Annotated[tuple[str, ...], data.NOT_EMPTY]
     role: Literal["summary", "why", "holds_if", "readme"]
     of: tuple[str, ...] = ()
 
@@ -50,7 +50,7 @@ class Thesis:
 def load() -> dict[str, Thesis]:
     """Read all sentences by name, in their order."""
     file = paths.source(FILE)
-    found = schema.build(dict[str, Thesis], schema.read(file), file.name)
+    found = data.build(dict[str, Thesis], data.read(file), file.name)
     known = statements.load()
     for name, thesis in found.items():
         for identity in thesis.of:

@@ -32,7 +32,7 @@ from typing import NoReturn
 from tqdm import tqdm
 
 from railrepro import code
-from railrepro.errors import InputError
+from railrepro.data import InputError
 
 PATIENCE = 15.0
 """Time without scheduler or worker after which a cluster is lost (s)."""

@@ -22,11 +22,10 @@ from railrepro.contact.points import read_pair
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import EstimateSettings
 from railrepro.control.registry import CONTROLLERS, guidance
-from railrepro.errors import InputError
+from railrepro.data import InputError, require
 from railrepro.estimation import sensors
 from railrepro.evidence.runs import preview, store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map, work
-from railrepro.schema import require
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.alignment import Alignment

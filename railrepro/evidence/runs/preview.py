@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from railrepro.errors import InputError
-from railrepro.schema import above, between, require
+from railrepro.data import InputError, above, between, require
 from railrepro.track.irregularity import sampling
 
 

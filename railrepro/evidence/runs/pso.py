@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from railrepro.errors import InputError
-from railrepro.schema import between, is_number, require
+from railrepro.data import InputError, between, is_number, require
 
 CONSTRICTION, ATTRACTION = 0.7298, 2.05
 

@@ -24,8 +24,7 @@ import pandas as pd
 
 from railrepro import code, paths
 from railrepro.compile import cache
-from railrepro.errors import InputError
-from railrepro.files import write
+from railrepro.data import InputError, write
 
 FOLDER = "RAILREPRO_STORE"
 _NUMERICS = ("RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "GLIBC_TUNABLES")

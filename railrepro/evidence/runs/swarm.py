@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from railrepro import __version__, paths
 from railrepro.control.registry import CONTROLLERS
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs import pso, store
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment

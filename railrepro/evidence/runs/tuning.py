@@ -19,15 +19,30 @@ from typing import Annotated, Any, Literal
 import pandas as pd
 from pydantic import AfterValidator
 
-from railrepro import paths, schema
+from railrepro import paths
 from railrepro.control.registry import CONTROLLERS, EQUAL, PAPER, TUNED, guidance, read
 from railrepro.control.registry import LOOP as LOOP  # for those who take the settings from here
 from railrepro.control.registry import SETTINGS as SETTINGS
-from railrepro.errors import InputError
+from railrepro.data import (
+    AS_GIVEN,
+    DISTINCT,
+    NOT_EMPTY,
+    Flag,
+    Free,
+    InputError,
+    Number,
+    Plain,
+    above,
+    between,
+    build,
+    is_number,
+    location,
+    table,
+    write,
+)
+from railrepro.data import read as read_file
 from railrepro.estimation.sensors import Inverter, load_loop
 from railrepro.evidence.runs import pso, store
-from railrepro.files import write
-from railrepro.schema import Number, above, between
 from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -89,17 +104,17 @@ class Task:
         return [name for name in self.dimensions if name not in self.designed]
 
 
-@schema.table
+@table
 class Budget:
     """Size of a search, see data/tuning.toml."""
 
     particles: COUNT
     iterations: COUNT
     patience: COUNT
-    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
+    seeds: Annotated[tuple[SEED, ...], NOT_EMPTY, DISTINCT]
 
 
-@schema.table
+@table
 class Cost:
     """Scales of the cost, see data/tuning.toml."""
 
@@ -111,26 +126,26 @@ class Cost:
     failure: Annotated[Number, above(0.0, 1e9)]
 
 
-@schema.table
+@table
 class RunEntry:
     """A run in data/tuning.toml; keys that it does not name itself belong to its scenario."""
 
     scenario: str
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
     seed: SEED
-    irregular: dict[str, schema.Free] = field(default_factory=dict)
-    plant: dict[str, schema.Plain] = field(default_factory=dict)
-    inverter: dict[str, schema.Plain] = field(default_factory=dict)
+    irregular: dict[str, Free] = field(default_factory=dict)
+    plant: dict[str, Plain] = field(default_factory=dict)
+    inverter: dict[str, Plain] = field(default_factory=dict)
 
 
-@schema.table
+@table
 class SettingEntry:
     """Setting in data/tuning.toml."""
 
-    sensors: schema.Flag
-    runs: Annotated[tuple[str, ...], schema.NOT_EMPTY, schema.DISTINCT]
-    designed: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
-    start: dict[str, dict[str, schema.Plain]] = field(default_factory=dict)
+    sensors: Flag
+    runs: Annotated[tuple[str, ...], NOT_EMPTY, DISTINCT]
+    designed: dict[str, dict[str, Plain]] = field(default_factory=dict)
+    start: dict[str, dict[str, Plain]] = field(default_factory=dict)
 
 
 def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
@@ -138,62 +153,62 @@ def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
     if set(bounds) == {"same_as"}:
         return str(bounds["same_as"])
     for name, bound in bounds.items():
-        if not (isinstance(bound, list) and len(bound) in (2, 3) and all(map(schema.is_number, bound[:2]))):
+        if not (isinstance(bound, list) and len(bound) in (2, 3) and all(map(is_number, bound[:2]))):
             raise ValueError(f"has {name} = {reprlib.repr(bound)}, [low, high, scale] is needed")
     return [pso.Dimension(name, *bound) for name, bound in bounds.items()]
 
 
-@schema.table
+@table
 class Origin:
     """Where a tuned set comes from: budget of the search, version, and what it was tuned for."""
 
     particles: COUNT
     iterations: COUNT
     patience: COUNT
-    seeds: Annotated[tuple[SEED, ...], schema.NOT_EMPTY]
+    seeds: Annotated[tuple[SEED, ...], NOT_EMPTY]
     data: str
     version: str
 
 
-@schema.table
+@table
 class SwarmResult:
     """What one swarm found."""
 
     seed: SEED
     cost: Annotated[Number, between(0.0, 1e9)]
     evaluations: COUNT
-    parameters: dict[str, schema.Plain]
+    parameters: dict[str, Plain]
 
 
-@schema.table
+@table
 class TunedSet:
     """Content of a file in data/tuned."""
 
     controller: str
     setting: Literal["paper", "equal", "loop"]
-    parameters: dict[str, schema.Plain]
+    parameters: dict[str, Plain]
     cost: Annotated[Number, between(0.0, 1e9)]
-    runs: tuple[dict[str, schema.Free], ...]
-    swarms: Annotated[tuple[SwarmResult, ...], schema.NOT_EMPTY]
+    runs: tuple[dict[str, Free], ...]
+    swarms: Annotated[tuple[SwarmResult, ...], NOT_EMPTY]
     origin: Origin
 
 
-@schema.table
+@table
 class TaskFile:
     """Content of data/tuning.toml."""
 
-    budget: Annotated[Budget, schema.AS_GIVEN]
-    cost: Annotated[Cost, schema.AS_GIVEN]
-    run: Annotated[dict[str, RunEntry], schema.NOT_EMPTY]
-    setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], schema.NOT_EMPTY]
-    controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], schema.NOT_EMPTY]
-    budget_of: dict[str, Annotated[Budget, schema.AS_GIVEN]] = field(default_factory=dict)
+    budget: Annotated[Budget, AS_GIVEN]
+    cost: Annotated[Cost, AS_GIVEN]
+    run: Annotated[dict[str, RunEntry], NOT_EMPTY]
+    setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], NOT_EMPTY]
+    controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], NOT_EMPTY]
+    budget_of: dict[str, Annotated[Budget, AS_GIVEN]] = field(default_factory=dict)
 
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     """The tuning task of a TOML file (default data/tuning.toml) in some setting; InputError on wrong entries."""
-    file = schema.location(path, paths.source("data/tuning.toml"))
-    content = schema.build(TaskFile, schema.read(file), file.name)
+    file = location(path, paths.source("data/tuning.toml"))
+    content = build(TaskFile, read_file(file), file.name)
     if setting not in content.setting:
         raise InputError(
             f"{file.name}: setting {reprlib.repr(setting)} is not known; there are {sorted(content.setting)}"
@@ -239,7 +254,7 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
     if entry.scenario not in known:
         raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
-    scenario = schema.build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
+    scenario = build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
     sensors = {}
     if sensed or entry.inverter:
         sensors = {"seed": entry.seed} | {f"inverter.{key}": value for key, value in entry.inverter.items()}
@@ -257,7 +272,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
     count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
     same; `is_current` says so, and 05_tuning recomputes its cost.
     """
-    tracks, rails = (schema.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
+    tracks, rails = (read_file(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
     sets = sorted({name for run in task.runs for name in (run.scenario.good, run.scenario.poor)})
     car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
     runs = []
@@ -308,7 +323,7 @@ def load(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
     if controller in task.designed:
         return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
     content, name = read(controller, setting, folder), f"{controller}.json"
-    schema.build(TunedSet, content, name)
+    build(TunedSet, content, name)
     if controller not in task.dimensions:
         raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
     searched = {dimension.name for dimension in task.dimensions[controller]}

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from railrepro import paths
 from railrepro.control import lateral
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.score import card, run, suite
 from railrepro.evidence.score.entry import entry
-from railrepro.files import write
 
 
 def main(controller: str | None = None, seed: int | None = None, small: bool = False, describe: bool = False) -> None:

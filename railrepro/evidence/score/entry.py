@@ -19,9 +19,8 @@ import numpy as np
 
 from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, Controller
-from railrepro.errors import InputError
+from railrepro.data import InputError, location
 from railrepro.evidence.runs import tuning
-from railrepro.schema import location
 from railrepro.track.irregularity import CHANNELS
 from railrepro.track.route import INDEX, Route
 

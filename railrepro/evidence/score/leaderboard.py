@@ -15,12 +15,11 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.control.registry import SHOWN
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.score import card, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry
 from railrepro.evidence.score.run import check, score
-from railrepro.files import write
 
 BEGIN, END = "<!-- leaderboard -->", "<!-- end of leaderboard -->"
 LEADERBOARD = "data/results/leaderboard.csv"

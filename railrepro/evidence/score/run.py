@@ -7,12 +7,11 @@ from functools import partial
 
 import pandas as pd
 
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.score import card, limit, suite
 from railrepro.evidence.score.entry import Entry
 from railrepro.evidence.score.trial import Trial, call
-from railrepro.schema import between, require
 from railrepro.simulation.scenarios import load_scenario
 
 FIRST_LOOK = 30.0

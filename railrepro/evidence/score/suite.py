@@ -14,7 +14,7 @@ from typing import Annotated
 import casadi as ca
 import numpy as np
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
 from railrepro.estimation.sensors import late
@@ -42,18 +42,18 @@ LOST, _LARGEST = "lost_cycles", 1e12
 """Memory of `CountedLaw`, and the torque (N m) from which one counts as not finite."""
 
 
-@schema.table
+@data.table
 class Draws:
     """Content of data/score.toml."""
 
     published: SEED
-    ranked: Annotated[tuple[SEED, ...], schema.NOT_EMPTY, schema.DISTINCT]
+    ranked: Annotated[tuple[SEED, ...], data.NOT_EMPTY, data.DISTINCT]
 
 
 @lru_cache
 def draws() -> Draws:
     """The published seed, and those that the leaderboard ranks by."""
-    return schema.build(Draws, schema.read(paths.source("data/score.toml")), "score.toml")
+    return data.build(Draws, data.read(paths.source("data/score.toml")), "score.toml")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from railrepro.compile.codegen import CompilerError
 from railrepro.control.registry import CONTROLLERS, guidance
-from railrepro.errors import InputError
+from railrepro.data import InputError
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.score import suite
 from railrepro.evidence.score.entry import Entry, fault, load_class, made, register

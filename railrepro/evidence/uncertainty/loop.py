@@ -14,12 +14,12 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.control.registry import CONTROLLERS, OURS
+from railrepro.data import write
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.uncertainty import limit
-from railrepro.files import write
 from railrepro.own.creep_gains import CreepSettings
 from railrepro.own.creep_model import STATES, UNKNOWN, creep_at
 from railrepro.own.creep_mpc import CreepGuide

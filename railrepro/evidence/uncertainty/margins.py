@@ -20,11 +20,11 @@ from railrepro import paths
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, SHOWN
+from railrepro.data import write
 from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.files import write
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import Vehicle, load_vehicle

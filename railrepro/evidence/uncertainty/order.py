@@ -13,12 +13,11 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.control import registry
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.files import write
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.alignment import Alignment, alignments, superelevation_angle
 from railrepro.vehicle.parameters import load_vehicle

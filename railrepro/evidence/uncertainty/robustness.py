@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from railrepro import paths, schema
+from railrepro import data, paths
 from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_times
-from railrepro.errors import InputError
+from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import PARTS, ProbeSetup, probe
@@ -26,7 +26,6 @@ from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.runs.swarm import driven, run_cost
-from railrepro.files import write
 from railrepro.own.slip import SlipSettings
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -290,7 +289,7 @@ def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: flo
 
 def robustness(setting: str, count: int = SAMPLES, quiet: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Samples in a setting; shares with what decides, confirmed by changing one parameter at a time."""
-    schema.require("samples", count, schema.between(1, 4096), whole=True)
+    data.require("samples", count, data.between(1, 4096), whole=True)
     tuning.load_task(setting=setting)
     samples = draw(count, settings=(setting,))
     with executor() as pool:

@@ -1,17 +1,12 @@
-"""Processes that end with those who started them, also when these were killed; run as a script it holds one command.
-
-As a script it is used without the library: `python parent_death.py PARENT COMMAND …`.
-"""
+"""Processes that end with those who started them, also when these were killed."""
 
 from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 
 LEADER = "RAILREPRO_LEADER"
@@ -66,50 +61,3 @@ def follow_make() -> None:
     leader = os.environ.get(LEADER, "")
     if leader.isdigit():
         follow(int(leader), lambda: os.kill(os.getpid(), signal.SIGINT))
-
-
-def run(command: Sequence[str], seconds: float) -> tuple[int, str]:
-    """Run a command that ends with this process, and all that it starts with it.
-
-    Parameters
-    ----------
-    command : sequence of str
-    seconds : float
-        Time limit (s).
-
-    Returns
-    -------
-    code : int
-    told : str
-        What it wrote to stderr.
-
-    Raises
-    ------
-    TimeoutError
-        When it takes longer.
-    """
-    held = [sys.executable, "-I", "-S", __file__, str(os.getpid()), *command]
-    process = subprocess.Popen(
-        held, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
-    )
-    try:
-        _, on_stderr = process.communicate(timeout=seconds)
-    except BaseException as error:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        if isinstance(error, subprocess.TimeoutExpired):
-            raise TimeoutError(f"took longer than {seconds:g} s") from None
-        raise
-    return process.returncode, on_stderr.decode(errors="replace")
-
-
-def _hold(parent: int, command: Sequence[str]) -> int:
-    follow(parent, lambda: os.killpg(0, signal.SIGKILL))
-    return subprocess.call(command)
-
-
-if __name__ == "__main__":
-    try:
-        sys.exit(_hold(int(sys.argv[1]), sys.argv[2:]))
-    except OSError as error:
-        sys.exit(f"{error}")

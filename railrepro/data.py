@@ -1,0 +1,289 @@
+"""Data in and out: TOML and JSON to checked, frozen dataclasses, and files that are written whole or not at all.
+
+A class marked with `table` states keys, types and defaults once; `above`, `between` and `steps` add unit and range to a
+number, `__post_init__` what holds between keys. pydantic checks. Wrong input of any kind is an `InputError`: one
+sentence with file, key, what was found and what is needed.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import functools
+import itertools
+import json
+import math
+import numbers
+import os
+import pickle
+import reprlib
+import sys
+import threading
+import tomllib
+import typing
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import pydantic
+from pydantic_core import core_schema
+
+Number = int | float
+
+
+class InputError(ValueError):
+    """Input that is refused; the message names file, row or key, what was found and what is allowed, in one line."""
+
+    def __init__(self, message: str):
+        super().__init__(" ".join(message.splitlines()))
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite real number; truth values are none."""
+    real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    return real and abs(value) <= sys.float_info.max
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Unit and range of a number, as metadata of an annotated `float`, `int` (whole) or `Number` (kept as it is).
+
+    Attributes
+    ----------
+    low, high : float
+        Range; `high` is inclusive, `low` when `closed`.
+    unit : str
+    closed : bool
+    signed : bool
+        The range holds for the magnitude, the number may have either sign.
+    """
+
+    low: float
+    high: float
+    unit: str
+    closed: bool = False
+    signed: bool = False
+
+    def __get_pydantic_core_schema__(self, source, handler):
+        def checked(value):
+            self.check(value, whole=source is int)
+            return float(value) if source is float else value
+
+        return core_schema.no_info_plain_validator_function(checked)
+
+    def check(self, value: Any, whole: bool = False) -> None:
+        """Refuse what is no (whole) number in the range with a ValueError."""
+        real = isinstance(value, numbers.Integral if whole else numbers.Real) and not isinstance(value, bool)
+        too_long = isinstance(value, int) and not is_number(value)
+        size: Any = abs(value) if real and self.signed else value
+        if not real or too_long or not self.low <= size <= self.high or (size == self.low and not self.closed):
+            raise ValueError(f"is {reprlib.repr(value)}, {self._needed(whole)} is needed")
+
+    def _needed(self, whole: bool) -> str:
+        number = f"a{' whole' * whole} number{' of either sign' * self.signed}"
+        upto = f" up to {self.high:g}" if math.isfinite(self.high) else ""
+        return f"{number} {'from' if self.closed else 'above'} {self.low:g}{upto} {self.unit}".rstrip()
+
+
+def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
+    """Numbers above `low` and up to `high`."""
+    return Quantity(low, high, unit, signed=signed)
+
+
+def between(low: float, high: float, unit: str = "") -> Quantity:
+    """Numbers from `low` to `high`."""
+    return Quantity(low, high, unit, closed=True)
+
+
+def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole: bool = False) -> None:
+    """Refuse (InputError) what is no (whole) number in a range, or no instance of a class; `what` names it."""
+    if isinstance(allowed, Quantity):
+        try:
+            allowed.check(value, whole)
+        except ValueError as fault:
+            raise InputError(f"{what} {fault}") from None
+    elif not isinstance(value, allowed):
+        names = " or ".join(kind.__name__ for kind in (allowed if isinstance(allowed, tuple) else (allowed,)))
+        raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {names} is needed")
+
+
+Plain = Annotated[Number, between(-1e12, 1e12)]
+"""A number without unit."""
+NOT_EMPTY = pydantic.Field(min_length=1)
+"""Lists and tables with at least one entry."""
+Flag = Annotated[bool, pydantic.Strict()]
+"""True or false, nothing that stands for it."""
+AS_GIVEN = pydantic.WrapValidator(lambda value, validate: (validate(value), value)[1])
+"""Checked against the annotated class, but kept as the table that it is."""
+
+
+def _distinct(values):
+    for value in values:
+        if values.count(value) > 1:
+            raise ValueError(f"has {value!r} {values.count(value)} times, once is needed")
+    return values
+
+
+DISTINCT = pydantic.AfterValidator(_distinct)
+"""Lists without repetitions."""
+
+
+def _finite(value):
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
+        _finite(item)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"has {value}, finite numbers are needed")
+    return value
+
+
+Free = Annotated[Any, pydantic.AfterValidator(_finite)]
+"""Any value without numbers that are not finite."""
+
+
+def steps(name: str, low: float, high: float) -> pydantic.BeforeValidator:
+    """Lists of [p_m, value] with increasing p_m (m) and values from `low` to `high`, read as tuples of tuples."""
+
+    def checked(points):
+        pairs = isinstance(points, list | tuple) and all(isinstance(p, list | tuple) and len(p) == 2 for p in points)
+        if (
+            not pairs
+            or not all(is_number(p) and is_number(value) and low <= value <= high for p, value in points)
+            or not all(before[0] < after[0] for before, after in itertools.pairwise(points))
+        ):
+            needed = f"[p_m, {name}] pairs with increasing p_m and a {name} from {low:g} to {high:g} are needed"
+            raise ValueError(f"is {reprlib.repr(points)}, {needed}")
+        return tuple(map(tuple, points))
+
+    return pydantic.BeforeValidator(checked)
+
+
+def _known_keys(cls: type, value):
+    """Refuse what is no table, unknown keys and missing ones, before the values are looked at."""
+    known = {field.name: field.default is field.default_factory for field in fields(cls)}
+    if isinstance(value, cls):
+        return value
+    if not isinstance(value, dict):
+        raise ValueError(f"is {reprlib.repr(value)}, a table with the keys {sorted(known)} is needed")
+    unknown = sorted(value.keys() - known)
+    missing = [key for key, needed in known.items() if needed and key not in value]
+    if unknown:
+        raise ValueError(f"has the unknown key {unknown[0]!r}; allowed are {sorted(known)}")
+    if missing:
+        raise ValueError(f"lacks the key {missing[0]!r}")
+    return value
+
+
+@typing.dataclass_transform(frozen_default=True)
+def table(cls: type) -> type:
+    """Make a frozen dataclass that a table of a file is read into; unknown and missing keys are refused."""
+    cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
+    return dataclass(frozen=True)(cls)
+
+
+def location(path: Path | str | None, default: Path | None = None) -> Path:
+    """A file by its path, or the default for None; InputError for anything but a path."""
+    if path is None and default is not None:
+        return default
+    if not isinstance(path, str | Path):
+        raise InputError(f"{reprlib.repr(path)} is no path of a file")
+    return Path(path)
+
+
+def read(path: Path) -> Any:
+    """Content of a TOML or (by its suffix) JSON file; InputError when it cannot be read or is empty."""
+    kind = "JSON" if path.suffix == ".json" else "TOML"
+    try:
+        content = pickle.loads(_parsed(path.read_text(encoding="utf-8"), kind))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path.name}: cannot be read as {kind} ({error})") from error
+    if not content:
+        raise InputError(f"{path.name}: is empty")
+    return content
+
+
+@functools.lru_cache(maxsize=32)
+def _parsed(text: str, kind: str) -> bytes:
+    """Content of a file, packed: its reader may change what it gets, and every run reads the same few files."""
+    return pickle.dumps(json.loads(text) if kind == "JSON" else tomllib.loads(text))
+
+
+@functools.lru_cache
+def _adapter(kind: type) -> pydantic.TypeAdapter:
+    return pydantic.TypeAdapter(kind)
+
+
+def build(kind: type, content: Any, where: str) -> Any:
+    """Check content of a file and make it into a class.
+
+    Parameters
+    ----------
+    kind : type
+        Class marked with `table`, or `dict[str, such a class]` for a file of named tables.
+    content : Any
+        What `read` gave, or changes of it.
+    where : str
+        File that the sentence names.
+
+    Raises
+    ------
+    InputError
+        One sentence on the first fault: file, key, what was found, what is allowed.
+    """
+    try:
+        return _adapter(kind).validate_python(content)
+    except pydantic.ValidationError as error:
+        finding = error.errors(include_url=False)[0]
+    place = ".".join(_keys(content, finding["loc"]))
+    own = finding.get("ctx", {}).get("error")
+    fault = own or f"{finding['msg']}, found {reprlib.repr(finding['input'])}"
+    raise InputError(f"{where}: {place}{'' if own or not place else ':'} {fault}".replace(":  ", ": "))
+
+
+def _keys(content: Any, location: tuple) -> Iterator[str]:
+    """Keys on the way to a fault; an entry of a list by its name, or its number from 1 on.
+
+    pydantic also names the class of a union that it tried, which is no key and left out.
+    """
+    for step in location:
+        try:
+            content = content[step]
+        except (KeyError, IndexError, TypeError):
+            continue
+        named = isinstance(content, dict) and isinstance(content.get("name"), str)
+        yield str(step) if isinstance(step, str) else content["name"] if named else str(step + 1)
+
+
+def write(path: Path, content: str | bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    InputError
+        When it cannot be written; what was there is intact.
+    """
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            scratch.write_bytes(content.encode() if isinstance(content, str) else content)
+            os.replace(scratch, path)
+        finally:
+            scratch.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); what was there is intact") from error
+
+
+@contextmanager
+def alone(lock: Path, wait: bool = True) -> Iterator[bool]:
+    """Hold a lock file against other processes; a process that dies lets it go. The file stays.
+
+    Without `wait` it gives False at once when another process holds the lock.
+    """
+    with open(lock, "a") as guard:
+        try:
+            fcntl.flock(guard, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+            return
+        yield True
