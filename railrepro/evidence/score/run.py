@@ -7,7 +7,7 @@ from functools import partial
 
 import pandas as pd
 
-from railrepro.data import InputError
+from railrepro.data import InputError, between, require
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.score import card, limit, suite
 from railrepro.evidence.score.entry import Entry
