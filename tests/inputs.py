@@ -4,18 +4,13 @@
 import inspect
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
-import pandas as pd
 
 from railrepro import (
-    LTVMPC,
     NDI,
     NMPC,
     CreepMPC,
     Export,
-    Readings,
-    Scenario,
     SteppedCar,
     Vehicle,
     export_fmu,
@@ -30,30 +25,17 @@ from railrepro import (
     tuned,
 )
 from railrepro.contact.points import read_pair
-from railrepro.contact.table import contact_table
 from railrepro.control import lateral
-from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.law import EstimateSettings, LawSettings
-from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import guidance
-from railrepro.estimation.sensors import readings
 from railrepro.evidence.chain import chain, compare
 from railrepro.evidence.claims import calibrated, statements
-from railrepro.evidence.report import flips
-from railrepro.evidence.runs import experiment, preview, pso, tuning
-from railrepro.evidence.score.entry import entry, load_class, made
-from railrepro.evidence.uncertainty import robustness
+from railrepro.evidence.runs import preview, pso, tuning
 from railrepro.own.creep_gains import CreepSettings
-from railrepro.own.creep_model import Creep
-from railrepro.own.slip import SlipSettings
-from railrepro.simulation import ride
-from railrepro.simulation.scenarios import load_scenarios
 from railrepro.track import defects, irregularity, measured
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track
 from railrepro.track.table import build_table, read_table
-from railrepro.vehicle.parameters import describe
 
 nan, inf = np.nan, np.inf
 folder = Path()
@@ -62,7 +44,6 @@ WAY = np.arange(0.0, 100.0, 0.5)
 FLAT = np.zeros((4, WAY.size))
 FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
 SINE = {"kind": "sine", "amplitude_mm": 3, "period_m": 50, "start_m": 0}
-THREE = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
 
 
 def scenario(**changes):
@@ -187,20 +168,15 @@ ROUGH = "p_m,lateral_m,vertical_m,crosslevel_rad,gauge_m\n"
 GOOD = "".join(f"{p},0,0,0,0\n" for p in range(20))
 
 
-def table_csv(column=None, row=None, value=None, drop=(), scale=None, order="", rows=60, separator=",", rename=None):
+def table_csv(column=None, row=None, value=None, scale=None):
     """Read the table of a track with one thing changed."""
-    table = read_table(paths.ROOT / "data/tracks/T3.csv").iloc[100 : 100 + rows].reset_index(drop=True)
+    table = read_table(paths.ROOT / "data/tracks/T3.csv").iloc[100:160].reset_index(drop=True)
     if column:
         table[column] = table[column].astype(object)
         table.loc[row, column] = value.strip('"')
-    table = table.drop(columns=[drop] if drop else []).rename(columns=rename or {})
     for name, factor in (scale or {}).items():
         table[name] *= factor
-    if order == "reversed":
-        table = table[::-1]
-    if order == "twice":
-        table = table.loc[np.repeat(table.index, 2)]
-    return file(table.to_csv(index=False, sep=separator), load_track)
+    return file(table.to_csv(index=False), load_track)
 
 
 def at_the_end():
@@ -213,7 +189,3 @@ def at_the_end():
 def edited_chain(old, new):
     """Read the list of chapters with a passage replaced."""
     return edited("../notebooks/chain.toml", old, new, lambda path: (chain.chain(path), compare.verify_tolerance(path)))
-
-
-def chain_file(text):
-    return file(text, chain.chain, "chain.toml")

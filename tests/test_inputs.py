@@ -7,7 +7,6 @@ what a command says. A piece with … stands for several, in their order.
 
 import functools
 import importlib
-import json
 import os
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import tomllib
 import types
 import typing
 import warnings
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -34,15 +33,15 @@ from railrepro.control.law import EstimateSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
 from railrepro.data import InputError, Quantity, build, read
-from railrepro.estimation.sensors import Loop, load_loop
+from railrepro.estimation.sensors import Loop
 from railrepro.evidence.chain import parent_death, verify
 from railrepro.evidence.runs import tuning
 from railrepro.own.creep_gains import CreepSettings
 from railrepro.own.slip import SlipSettings
-from railrepro.simulation.scenarios import Scenario, Sine, Sweep, load_scenarios
+from railrepro.simulation.scenarios import Scenario
 from railrepro.track import irregularity
-from railrepro.track.alignment import CurveEntry, SegmentEntry, SegmentsEntry, alignments
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
+from railrepro.track.alignment import CurveEntry, SegmentsEntry
+from railrepro.vehicle.parameters import Vehicle
 
 TABLE = tomllib.loads(Path(__file__).with_name("inputs.toml").read_text(encoding="utf-8"))
 
@@ -225,61 +224,6 @@ def test_settings_of_controllers_refuse_what_is_no_number_of_a_possible_size(kin
             assert f" {name} " in str(refused.value) and len(str(refused.value).splitlines()) == 1
 
 
-SWEPT = {
-    "vehicle.toml": load_vehicle,
-    "sensors.toml": load_loop,
-    "scenarios.toml": load_scenarios,
-    "tracks.toml": alignments,
-    "irregularities.toml": irregularity.track_quality,
-}
-WRONG = {"a text": "text", "nan": np.nan, "inf": np.inf, "absurd": -1e15, "a list": [], "a table": {}}
-OPTIONAL = {
-    field.name
-    for kind in (Scenario, Sine, Sweep, SegmentEntry, SegmentsEntry)
-    for field in fields(kind)
-    if not field.default is field.default_factory is MISSING
-}
-
-
-def leaves(content):
-    """Every table of a file with each of its keys that is no table; of a parameter, which has six, its value only."""
-    keys = ["value"] if "symbol" in content and content["symbol"] != "m_CB" else list(content)
-    for key in keys:
-        yield from leaves(content[key]) if isinstance(content[key], dict) else [(content, key)]
-
-
-@pytest.mark.parametrize("name", SWEPT)
-def test_every_key_of_every_file_is_checked(name, tmp_path):
-    """Each key with a value of every wrong kind, missing, and beside an unknown one: a sentence with file and key."""
-    content, file = read(paths.ROOT / "data" / name), tmp_path / f"{name}.json"
-
-    def answer():
-        file.write_text(json.dumps(content))
-        try:
-            SWEPT[name](file)
-        except InputError as refused:
-            said = str(refused)
-            assert said.startswith(f"{file.name}: ") and len(said.splitlines()) == 1, said
-            return said
-        return None
-
-    assert answer() is None
-    for holder, key in leaves(content):
-        right = dict(holder)
-        for what, value in WRONG.items():
-            holder[key] = value
-            said = answer()
-            same = type(value) is type(right[key]) and what in ("a text", "a list")
-            assert said or same or (key == "radius_m" and what in ("inf", "absurd")), f"{key} may be {what}"
-        del holder[key]
-        said = answer()
-        assert key in OPTIONAL if said is None else key in said or "lacks the key" in said, f"without {key}: {said}"
-        holder |= {key: right[key], "colour": 1}
-        assert "colour" in (answer() or ""), f"an unknown key beside {key}"
-        holder.clear()
-        holder |= right
-
-
 COMMANDS = ["tune", "probe", "robustness", "margins", "order", "bench", "report",
             "score", "leaderboard", "chain"]  # fmt: skip
 
@@ -317,13 +261,6 @@ def test_only_a_folder_of_its_own_is_emptied(tmp_path):
         verify.emptied(made)
         assert [file.name for file in made.iterdir()] == [verify.MARK]
         (made / "old.csv").touch()
-
-
-def test_verify_into_a_folder_of_somebody_leaves_it_as_it_is(tmp_path, capsys):
-    (tmp_path / "chapter.tex").touch()
-    assert command.main(["chain", "verify", "--quick", "--into", str(tmp_path)]) == 1
-    assert "holds files that no run of railrepro wrote" in capsys.readouterr().err
-    assert [file.name for file in tmp_path.iterdir()] == ["chapter.tex"]
 
 
 def test_a_compiler_that_there_is_not_is_told(monkeypatch):
