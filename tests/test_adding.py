@@ -5,11 +5,8 @@ import re
 import shutil
 import subprocess
 import sys
-import types
 
-import pandas as pd
 import pytest
-import scipy
 
 from railrepro import paths
 from railrepro.evidence.runs import tuning
@@ -195,16 +192,3 @@ def origin(tmp_path, monkeypatch):
         return tuning.origin("ndi", tuning.load_task(setting="loop"), load_vehicle())
 
     return changed
-
-
-def test_the_lines_for_excel_and_matlab_do_what_they_say(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    page = (paths.NOTEBOOKS / "book/adding.md").read_text(encoding="utf-8")
-    excel, matlab = re.findall(r"`(run\.series\.to_excel[^`]*|scipy\.io\.savemat[^`]*)`", page)
-    series = pd.DataFrame({"t_s": [0.0, 1e-3], "front.y": [1e-3, 2e-3]})
-    names = {"run": types.SimpleNamespace(series=series), "scipy": scipy}
-    eval(matlab, names)
-    assert scipy.io.loadmat("run.mat")["front_y"].ravel().tolist() == [1e-3, 2e-3]
-    pytest.importorskip("openpyxl")
-    eval(excel, names)
-    assert pd.read_excel("run.xlsx").equals(series)

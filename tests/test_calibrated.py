@@ -71,15 +71,6 @@ def test_the_curve_entry_is_the_papers_with_margin():
     assert found["holds"].all() and found["margin"].min() > 0.05
 
 
-def test_the_committed_tables_hold_all_statements():
-    found = pd.read_csv(paths.source("data/results/paper_like.csv"))
-    assert tuple(sorted(found["statement"])) == tuple(sorted(calibrated.MATCHED)) and found["holds"].all()
-    back = pd.read_csv(paths.source("data/results/paper_like_alone.csv"))
-    assert list(back["choice"]) == list(CHOICES)
-    for name, falls in zip(back["choice"], back["falls"].fillna(""), strict=True):
-        assert set(falls.split()) <= set(CHOICES[name].statements), name
-
-
 @pytest.mark.slow
 def test_all_statements_hold_and_the_maximum_and_the_stop_lie_where_the_paper_has_them():
     setup = calibrated.paper_like()

@@ -158,16 +158,6 @@ def test_sway_of_the_body_in_an_arc(track, clearance):
     assert log["body.y"] - versine == pytest.approx(-(deflection + BELOW * roll), rel=0.02)
 
 
-def test_derived_springs_and_dampers_are_those_of_their_source():
-    """The sources of vehicle.toml: 0.6 Hz and damping ratio 0.3 laterally, 1.0 Hz and 0.2 vertically, on 13 t."""
-    for stiffness, damping, frequency, ratio in (
-        (SPRING.k_y, SPRING.c_y, 0.6, 0.3),
-        (SPRING.k_z, SPRING.c_z, 1.0, 0.2),
-    ):
-        found = hand_modes([BODY.mass / 2], np.array([[2 * stiffness]]), np.array([[2 * damping]]))
-        assert found == pytest.approx(np.array([[frequency, ratio]]), rel=0.02)
-
-
 WORN = load_vehicle(**{"contact.profile": "s1002"})
 
 

@@ -2,7 +2,6 @@
 
 import re
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -26,15 +25,6 @@ def test_every_statement_has_a_predicate_and_every_predicate_a_statement():
     assert all(statement.notebook for statement in known.values())
     for statement in known.values():
         assert (paths.NOTEBOOKS / f"{statement.notebook}.ipynb").exists()
-
-
-def test_rules_can_be_read_blind():
-    """Neither verdicts nor reasons stand in the file of the rules."""
-    content = (paths.ROOT / "data/claims.toml").read_text()
-    assert not re.search(r"^(verdict|why|holds_if)", content, re.MULTILINE)
-    words = "|".join(claims.ORDER)
-    assert not re.search(rf'"({words})"', content)
-    assert set(claims.stored()["id"]) == set(statements.load())
 
 
 @needs_results
@@ -92,16 +82,6 @@ def test_a_condition_that_cannot_be_evaluated_is_told(condition, sentence, nomin
 
 
 @needs_results
-def test_the_contract_of_the_table(table):
-    head = "id paper_ref statement kind setting paper_value measured_value unit verdict share share_low share_high"
-    assert list(table.columns[:14]) == [*head.split(), "why", "evidence"]
-    assert set(table["verdict"]) <= {"reproduced", "partly", "not reproduced", "not testable"}
-    assert {"judged", "calibrated"} <= set(table)
-    assert set(table["setting"]) <= {"", "paper", "equal", "loop"}
-    assert set(table["id"]) == set(statements.load())
-
-
-@needs_results
 def test_verdicts_are_those_that_were_stored_on_purpose(table):
     assert claims.changed(table) == []
 
@@ -115,20 +95,6 @@ def test_a_click_leads_from_statement_to_figure_cell_and_table(table, nominal):
     judged = table.query("verdict != 'not testable'")
     assert (judged["data"] != "").all(), "also where nobody stayed on the rail"
     assert all(f"]({path})" in page for data in judged["data"] for path in data.split())
-
-
-@needs_results
-def test_a_number_leads_to_the_table_that_has_it(nominal):
-    for setting, controller in (("paper", "nmpc"), ("equal", "nmpc_observer"), ("paper", "ndi")):
-        name = nominal.table_of(setting, "curve_entry_T3", controller, "rmse_y")
-        rows = nominal.results(name).query("scenario == 'curve_entry_T3' and metric == 'rmse_y'")
-        assert len(rows[(rows["setting"] == setting) & (rows["controller"] == controller)]), name
-    assert nominal.table_of("equal", "curve_entry_T3", "nmpc_observer", "rmse_y") == "settings_metrics"
-    assert nominal.table_of("paper", "curve_entry_T3", "nmpc", "rmse_y") == "nominal_metrics"
-    lost = Nominal(Handed([("curve_entry_T3", "nmpc", "failed_at_m", 90.0, "m", "loop", 1, 0)]))
-    assert Prose(lost).q("loop", "curve_entry_T3", "nmpc", "rmse_y", "mm") == (
-        "[derailed](data/results/settings_metrics.csv)"
-    )
 
 
 @needs_results
@@ -159,17 +125,6 @@ def test_what_is_not_reproduced_says_why(table, nominal):
     ]
     assert (rows["why"] != "").all()
     assert set(table[table["judged"] == "reproduced"]["why"]) == {""}
-
-
-@needs_results
-def test_a_study_that_has_not_run_is_told_with_its_command(monkeypatch):
-    optional = Results.optional
-    monkeypatch.setattr(
-        Results, "optional", lambda self, name: None if name.startswith("robustness") else optional(self, name)
-    )
-    nominal = Nominal()
-    page = Page(claims.evaluate(nominal), nominal).replication()
-    assert "the robustness study (`make study`) has not run" in page
 
 
 @needs_results
@@ -326,32 +281,9 @@ def test_a_verdict_is_fragile_where_the_interval_of_its_share_is_not_above_one_h
     assert row["verdict"] == {"fragile": "partly"}.get(expected, expected)
 
 
-def test_missing_results_are_told_in_one_sentence():
-    with pytest.raises(InputError, match=r"nothing.csv: is missing; `make figures` makes it"):
-        Results()("nothing")
-
-
 @needs_results
 def test_a_number_of_the_prose_is_that_of_its_table(nominal):
     value = 1e3 * nominal.evidence("equal")("curve_entry_T3", "nmpc", "rmse_y")
     place = "{{ q('equal', 'curve_entry_T3', 'nmpc', 'rmse_y', 'mm') }}"
     assert Prose(nominal, linked=False).text(place) == f"{value:.3g} mm"
     assert Prose(nominal).text(place) == f"[{value:.3g} mm](data/results/nominal_metrics.csv)"
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "shown"),
-    [(0.0012345, "mm", "1.23 mm"), (0.28, "%", "28 %"), (3853.04, "", "3853"), (3543.44, "", "3543.4"),
-     (float("inf"), "m", "derailed"), (float("nan"), "m", "n/a")],
-)  # fmt: skip
-def test_a_number_is_shown_with_three_digits_and_its_unit(value, unit, shown):
-    assert prose.quantity(value, unit) == shown
-
-
-@needs_results
-def test_thirds_of_the_samples_are_those_of_what_was_drawn(nominal):
-    samples = nominal.results("robustness_samples").query("setting == 'paper'")
-    third = samples.iloc[np.argsort(samples["r_brake"].to_numpy())[: len(samples) // 3]]
-    ahead = claims.shares(third).set_index("id").loc["C31", "share"]
-    assert Prose(nominal).share_of_third("C31", "r_brake") == pytest.approx(100 * ahead)
-    assert Prose(nominal).share_of_third("C31", "r_brake", largest=True) < 50 * ahead

@@ -89,13 +89,6 @@ def test_a_script_without_guard_is_told_what_to_do(tmp_path):
     assert done.stderr.splitlines()[-1].endswith('must stand below if __name__ == "__main__":')
 
 
-@pytest.mark.parametrize("workers", ["0", "-1", "two", "²", "1e3", "100000"])
-def test_a_number_of_workers_that_is_none_is_refused(workers, monkeypatch):
-    monkeypatch.setenv("RAILREPRO_WORKERS", workers)
-    with pytest.raises(InputError, match="RAILREPRO_WORKERS"), executor():
-        pass
-
-
 class Cluster:
     """A scheduler and two workers as processes."""
 

@@ -12,7 +12,6 @@ from railrepro.control import law
 from railrepro.control.law import LawSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
-from railrepro.data import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.export.car import export_fmu
 from railrepro.export.controller import TORQUES, Export
@@ -123,18 +122,3 @@ def test_the_c_names_its_inputs_and_holds_what_the_law_needs():
         assert listed == [name.replace(".", "_").upper() for name in names]
     cells = {key: len(each.split("CELLS[")[1].split(";")[0]) for key, each in {"law": text, "mpc": whole}.items()}
     assert cells["law"] < 0.8 * cells["mpc"]
-
-
-def test_what_is_written_in_python_cannot_be_taken_away():
-    class Own:
-        period = 0.005
-
-        def __init__(self, vehicle, route, gear):
-            pass
-
-        def plan(self, x_hat, u_d):
-            return 0.0
-
-    for guide in (Own, guidance("nmpc", MPC)):
-        with pytest.raises(InputError, match="export: .* is no 1 kHz law"):
-            Export(guide, SCENARIO.route()).source()

@@ -108,23 +108,6 @@ def test_memory_that_is_not_declared_is_refused():
         lateral.signature(Forgetful(lambda q: 0.0))
 
 
-@pytest.mark.parametrize(
-    ("torque", "sentence"),
-    [
-        (lambda q: 0.0, r"torque\(\) gave memory \[\], declared is \['past'\]"),
-        (lambda q: (0.0, {"past": 0.0}, 1), r"returned \(0.0, .*\), a torque or \(torque, memory"),
-        (lambda q: (0.0, 0.0), r"returned \(0.0, 0.0\), a torque or"),
-        (lambda q: [0.0, {"past": 0.0}], r"torque\(\) gave memory \[\], declared"),
-        (lambda q: (0.0, {"past": ca.SX.zeros(1, 2)}), r"memory 'past' is an expression of shape \(1, 2\)"),
-    ],
-)
-def test_a_torque_without_its_memory_is_refused(torque, sentence):
-    own = Own(None)
-    own.torque = torque
-    with pytest.raises(InputError, match=f"law Own: .*{sentence}"):
-        lateral.signature(own)
-
-
 def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
     class Both(lateral.ZeroOrderHold):
         def __call__(self, vehicle, route, gear):

@@ -42,11 +42,6 @@ def test_delay_has_the_sign_of_coming_after(shift):
     assert metrics.delay(waves(shift)) == pytest.approx(shift, rel=0.03, abs=0.11)
 
 
-def test_delay_knows_neither_trend_nor_place():
-    assert metrics.delay(waves(3.0, start=250.0, trend=1e-5)) == pytest.approx(3.0, abs=0.35)
-    assert metrics.delay(waves(3.0, gear="rear"), "rear") == pytest.approx(3.0, abs=0.11)
-
-
 def test_delay_looks_as_far_as_asked_and_not_beyond_half_of_the_series():
     assert metrics.delay(waves(12.0), longest=20.0) == pytest.approx(12.0, abs=0.35)
     assert abs(metrics.delay(waves(12.0), longest=5.0)) <= 5.0
@@ -90,21 +85,8 @@ def test_saturated_share_counts_rows_with_a_motor_at_its_limit():
     )
 
 
-def test_saturation_begins_at_the_limit_not_at_half_of_it():
-    series = frame(front__tau_long=[3990.0, 3995.0, 3996.0, 3997.0, 4000.0], front__du=[0.0] * 5)
-    assert metrics.saturated_share(series, 4000.0) == pytest.approx(3 / 5)
-
-
 def test_stopping_distance():
     assert metrics.stopping_distance(frame(front__p=[10.0, 400.0, 960.5])) == 950.5
-
-
-@pytest.mark.parametrize(
-    ("value", "floor", "expected"),
-    [(0.002, 1e-6, 0.01), (-0.2, 1e-6, 1.0), (1e-9, 1e-6, 1e-6), (5.0, 1.0, 10.0), (0.1, 1e-6, 0.1), (0.0, 1e-3, 1e-3)],
-)
-def test_order_of_magnitude_is_the_next_power_of_ten(value, floor, expected):
-    assert metrics.order_of_magnitude(value, floor) == pytest.approx(expected)
 
 
 def test_summary_of_a_lateral_run():

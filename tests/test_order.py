@@ -3,18 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from railrepro.data import InputError
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty import order
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.track.alignment import Alignment, Segment, alignments
+from railrepro.track.alignment import alignments
 from railrepro.vehicle.parameters import load_vehicle
 
 SCENARIO = load_scenario(order.SCENARIO)
-KEYS = ["axis", "value", "setting", "controller", "seed"]
 
 
 def built(axis, value, controller="ndi", seed=0):
@@ -31,12 +28,6 @@ def test_cant_leaves_the_unbalanced_acceleration_and_moves_nothing_else(accelera
     assert ramp.kappa == before.segments[1].kappa
     if acceleration == 0.4333:
         assert arc.phi == pytest.approx(before.segments[2].phi)
-
-
-def test_a_track_without_design_speed_is_refused():
-    level = (0.0, 0.0)
-    with pytest.raises(InputError, match="has no design speed"):
-        order.canted(Alignment("mine", (Segment(1.0, level, level, level),) * 3), 0.2)
 
 
 def test_bandwidth_moves_all_poles_of_an_inversion_by_one_factor():
@@ -70,12 +61,6 @@ def test_delay_and_noise_begin_where_the_filter_ends():
     assert noise["seed"] == 102 and noise["gyro.noise"] == pytest.approx(2 * 0.004)
     silent = {key for key, value in noise.items() if value == 0.0}
     assert {"lateral.bias", "gyro.bias", "position.bias", "latency.measurement", "latency.command"} <= silent
-
-
-def test_only_noise_is_driven_with_several_seeds():
-    seeds = pd.DataFrame(order.cases(), columns=KEYS).groupby(["axis", "value"])["seed"].unique()
-    assert set(seeds["noise", 1.0]) == set(seeds["car", "S1002, loop"]) == set(order.SEEDS)
-    assert set(seeds["delay", 1.0]) == set(seeds["car", "S1002, filter"]) == {0}
 
 
 def test_a_run_that_leaves_the_rail_has_no_error(monkeypatch):

@@ -68,11 +68,6 @@ def test_executed_notebooks_are_identical_bytes(tiny):
     assert not (tiny / "data/results/out.csv").exists()
 
 
-def test_unknown_parameter_is_refused_before_running(tiny):
-    with pytest.raises(InputError, match=r"unknown parameter 'valeu'; the notebook has \['value'\]"):
-        chain.run(chain.find("01_tiny"), {"valeu": 3}, tiny, tiny / "build")
-
-
 @pytest.mark.parametrize(
     ("last", "sentence"),
     [
@@ -89,15 +84,6 @@ def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence)
     assert "\n" not in str(failed.value)
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
     assert not list((tiny / "build").glob("staging/*/*"))
-
-
-def test_a_read_only_checkout_is_told_in_one_sentence(tiny, monkeypatch):
-    def refuse(*_args, **_kwargs):
-        raise PermissionError(13, "denied", "build/x")
-
-    monkeypatch.setattr("pathlib.Path.mkdir", refuse)
-    with pytest.raises(InputError, match="build/x: cannot be written"):
-        chain.run(chain.find("01_tiny"), {}, tiny, tiny / "build" / "nb")
 
 
 ENTRY = '[[notebook]]\nname = "{}"\ntitle = "x"\nwrites = ["{}"]\nafter = {}\n'

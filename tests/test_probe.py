@@ -172,10 +172,3 @@ def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting,
         swept = {key for key, value in experiment.parameters.items() if own[key] != value}
         assert experiment.setting == setting and swept <= SCALED
         assert bool(experiment.sensors) == (setting == tuning.LOOP)
-
-
-def test_a_failed_run_tells_only_that_it_failed():
-    parameters = {"pole": 60.0, "frequency": 60.0, "damping": 0.05}
-    world = probe.ProbeSetup({"ndi": parameters}, vehicle={"drive.lag": 0.05}, profile="cone")  # no flange holds it
-    run = world.experiment(load_scenario("sine_tracking").but(end_m=200.0), "ndi").run()
-    assert probe.lateral(run) == {"failed": 1.0}

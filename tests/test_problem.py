@@ -92,41 +92,6 @@ def test_nonlinear_program_has_the_stated_cost_bound_and_dynamics(case):
     assert sides.max() == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("name", ["q_diag", "r", "q_terminal", "lateral_bound", "bound_weight"])
-def test_each_weight_counts_in_the_cost(case, name):
-    problem, controller, _ = case
-    changed = replace(
-        SETTINGS, **{name: tuple(1.1 * np.array(Q)) if name == "q_diag" else 1.1 * getattr(SETTINGS, name)}
-    )
-    costs = [replace(problem, settings=s).cost(controller.horizon.x, controller.horizon.u) for s in (SETTINGS, changed)]
-    assert abs(costs[1] / costs[0] - 1) > 1e-6
-
-
-@pytest.mark.parametrize("discretisation", ["euler", "rk4"])
-def test_printed_linear_model_is_the_tangent_without_its_affine_term(case, discretisation):
-    """x+ = A x + B u of the paper: a first-degree form, whose derivatives are those of the step itself (D6)."""
-    problem, _, _ = case
-    step, n = dynamics("corrected", discretisation), len(STATES)
-    at = np.array([*problem.x_hat, 250.0, -800.0])
-    at[STATES.index("y_TrAx")], at[STATES.index("psi_TrAx")] = 4e-3, 2e-3
-
-    def after(point, affine):
-        found = step(point[:n], point[n], point[n + 1], problem.ahead.theta[0], problem.parameters, 0.01, affine)
-        return [np.array(value) for value in found]
-
-    size = np.array([1.0, 1e-3, 0.1, 1e-3, 1e-4, 1e-4, 1.0, 1.0])
-    tangent = np.transpose(
-        [(after(at + d, 1.0)[0] - after(at - d, 1.0)[0]).ravel() / (2 * d.sum()) for d in np.diag(size)]
-    )
-    reported, a, b = after(at, 1.0)
-    scale = 1e-6 * np.abs(tangent * size).max(axis=1)
-    assert (np.abs(np.hstack([a, b]) - tangent[:, : n + 1]) * size[: n + 1] < scale[:, None]).all()
-    printed, *same = after(at, 0.0)
-    assert np.array_equal(same[0], a) and np.array_equal(same[1], b)
-    assert printed.ravel() == pytest.approx(tangent @ at, rel=1e-6, abs=1e-9)
-    assert np.abs(printed - reported).max() > 1e-4
-
-
 def test_a_roll_out_holds_each_torque_for_one_step_of_the_model(case):
     problem, _, _ = case
     step = dynamics("corrected", "rk4")

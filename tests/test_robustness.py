@@ -34,12 +34,6 @@ def test_creep_slopes_of_both_rails_are_sampled_and_reach_the_car(key):
     assert getattr(sample.world().car().adhesion[rail], name) == sample.world().vehicle[key]
 
 
-def test_rails_that_are_not_driven_are_not_sampled():
-    names = {d.name for d in robustness.prior()}
-    assert not [name for name in names if "wet" in name or "very_poor" in name]
-    assert {"adhesion.dry.mu0", "adhesion.poor.mu0", "r_loss", "r_brake", "r_second"} <= names
-
-
 def test_what_a_sample_does_not_name_stays_nominal():
     world = robustness.Sample(0, "paper", (("r_loss", 30.0), ("adhesion.poor.k_s over k_a", 0.5))).world()
     assert (world.r_loss, world.r_brake, world.profile, world.ltv) == (30.0, 1.0, "", "ltv_mpc_printed")
@@ -119,11 +113,6 @@ def test_what_decides_is_told_without_what_only_moves_with_it_and_without_chance
     for seed in range(10):
         chance = pd.Series(np.random.default_rng(seed).permutation(held))
         assert robustness._deciding(factors, chance) == []
-
-
-def test_tables_of_an_older_form_tell_nothing():
-    assert robustness.shares(pd.DataFrame({"number": [0], "nmpc.curve": [1.0]})).empty
-    assert robustness.shares(None).empty
 
 
 @pytest.mark.slow

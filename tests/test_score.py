@@ -88,24 +88,6 @@ def test_the_template_is_driven_with_the_numbers_of_its_setting(pid):
     assert loop["rmse_y"] > 1.2 * pid["rmse_y"]
 
 
-def test_a_slow_controller_is_told_what_it_wants(tmp_path):
-    file = tmp_path / "own.py"
-    wanted = (
-        "assert self.told[0].shape == (2,)\n        return 0.0\n    def notice(self, *what): self.told = what\n    "
-        "def read(self, values, delay): assert values.shape == (3,) and delay > 0; self.seen = values"
-    )
-    file.write_text(SLOW.format(wanted))
-    short = CASE.scenario.but(end_m=10.0)
-    row = Trial(Entry("own.py", str(file)), suite.Case("short", "equal", short))()
-    assert row["failure"] == ""
-    file.write_text(SLOW.format("return 0.0 * self.seen[0]\n    def read(self, *what): self.seen = what[0]"))
-    row = Trial(Entry("own.py", str(file)), suite.Case("short", "loop", short, sensors={"seed": 1}))()
-    assert "has no attribute 'seen'" in row["failure"]  # there are no readings before the first sample
-    file.write_text(SLOW.format("return 0.0\n    def read(self, *what): raise ValueError(len(what[0]))"))
-    row = Trial(Entry("own.py", str(file)), suite.Case("short", "loop", short, sensors={"seed": 1}))()
-    assert "(Mine.read): ValueError: 3" in row["failure"]
-
-
 def test_a_controller_knows_neither_friction_nor_irregularities():
     route = load_scenario("braking").but(poor_share=suite._PATCH, end_m=700.0).route()
     rough = Route(np.ones_like(route.cells), route.length)
@@ -261,12 +243,6 @@ def test_the_leaderboard_ranks_by_the_ranked_draws(monkeypatch, tmp_path):
     assert leaderboard.markdown(table).split("\n")[3] == "| `ndi` | 64 | 3.16 | 80 | 64 | 64 | – | 0 | 1.25 | 1 | – |"
 
 
-@pytest.mark.parametrize("wrong", ["nobody", "examples", "examples/nobody.py"])
-def test_what_is_no_controller_is_refused(wrong):
-    with pytest.raises(InputError, match="is neither a file nor a registered controller"):
-        entry(wrong)
-
-
 @pytest.mark.parametrize("name", ["a|b.py", "a`b.py", "a b.py", "<b>.py", "mine", "a\nb.py", "ndi"])
 def test_names_that_tables_cannot_show_are_refused(name, tmp_path):
     (tmp_path / name).write_text("")
@@ -309,30 +285,6 @@ def board(monkeypatch, tmp_path):
     return asked
 
 
-def test_a_finished_controller_of_the_leaderboard_is_not_scored_again(board, tmp_path, monkeypatch):
-    mine = str(tmp_path / "mine.py")
-    leaderboard.main(["ndi", mine])
-    whole = (tmp_path / "data/results/board.csv").read_bytes()
-    leaderboard.main(["ndi", mine])
-    assert board == ["ndi", "mine.py"] and (tmp_path / "data/results/board.csv").read_bytes() == whole
-    (tmp_path / "mine.py").write_text(LAW.format("return 1, {}"))
-    leaderboard.main(["ndi", mine])
-    assert board == ["ndi", "mine.py", "mine.py"]
-    for file in (tmp_path / "store").rglob("*.npz"):
-        file.write_bytes(file.read_bytes()[:-40])
-    leaderboard.main(["ndi"])
-    assert board[3:] == ["ndi"]
-    monkeypatch.setattr(code, "reached", lambda _: {"library": "another one"})
-    leaderboard.main(["ndi"])
-    assert board[4:] == ["ndi"]
-    (tmp_path / "data/theses.toml").write_text("# a text of the report\n")
-    leaderboard.main(["ndi"])
-    assert board[5:] == []
-    (tmp_path / "data/sensors.toml").write_text((paths.ROOT / "data/sensors.toml").read_text() + "# other\n")
-    leaderboard.main(["ndi"])
-    assert board[5:] == ["ndi"]
-
-
 def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_path):
     leaderboard.main(["ndi"])
     leaderboard.main([str(tmp_path / "mine.py")])
@@ -342,10 +294,3 @@ def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_pa
     text = (tmp_path / leaderboard.PAGE).read_text()
     assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
     assert "| `mine.py` | 34 | 3.16 | 50 | 34 | 34 | – | 0 | 1.25 | 1 | – |" in text
-
-
-def test_a_page_without_a_place_for_the_leaderboard_is_refused_and_nothing_is_written(board, tmp_path):
-    (tmp_path / leaderboard.PAGE).write_text("nothing\n")
-    with pytest.raises(InputError, match=r"benchmark.md: the lines .* are missing"):
-        leaderboard.main(["ndi"])
-    assert not (tmp_path / "data/results/board.csv").exists()

@@ -46,18 +46,6 @@ def test_a_row_is_read_again_to_the_last_bit(folder, runs):
     pd.testing.assert_frame_equal(series, stored, check_exact=True)
 
 
-def test_stored_and_computed_rows_are_equal(folder, monkeypatch):
-    SHORT()
-    stored, series = SHORT()
-    monkeypatch.setenv("RAILREPRO_STORE", "off")
-    computed, own = SHORT()
-    assert {name: type(value) for name, value in stored.items()} == {
-        name: float if isinstance(value, float) else type(value) for name, value in computed.items()
-    }
-    assert all(a == b or (a != a and b != b) for a, b in zip(stored.values(), computed.values(), strict=True))
-    pd.testing.assert_frame_equal(series, own, check_exact=True)
-
-
 CHANGES = {
     "speed": lambda e: replace(e, scenario=e.scenario.but(speed_kmh=279.0)),
     "track": lambda e: replace(e, scenario=e.scenario.but(track="T4")),
@@ -99,18 +87,6 @@ def test_the_points_of_a_wheel_profile_are_in_the_key(tmp_path):
         one.key(probe.following)
 
 
-@pytest.mark.parametrize("name", sorted(experiment.CONTROLLERS))
-def test_every_registered_controller_is_stored(name):
-    assert replace(SHORT, controller=name).key(probe.following) is not None
-
-
-def test_names_that_change_nothing_are_not(tmp_path):
-    labelled = replace(SHORT, label={"case": "other"}, scenario=replace(SHORT.scenario, name="other"))
-    resolved = replace(SHORT, parameters=tuning.load("ndi")["parameters"], setting="loop")
-    assert labelled.key(probe.following) == resolved.key(probe.following) == SHORT.key(probe.following)
-    assert replace(SHORT, sensors={"seed": 1}).key(probe.following) != SHORT.key(probe.following)
-
-
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"junk" * 100, None])
 def test_broken_entries_are_computed_anew(content, folder, runs):
     row, _ = SHORT()
@@ -119,14 +95,6 @@ def test_broken_entries_are_computed_anew(content, folder, runs):
     file.write_bytes(whole[: len(whole) // 2] if content is None else content)
     assert repr(SHORT()[0]) == repr(row) and len(runs) == 2
     assert file.read_bytes() == whole
-
-
-def test_entries_that_others_can_write_are_computed_anew(folder, runs):
-    SHORT()
-    (file,) = folder.rglob("*.npz")
-    file.chmod(0o666)
-    SHORT()
-    assert len(runs) == 2
 
 
 def test_pickled_content_is_never_loaded(folder):

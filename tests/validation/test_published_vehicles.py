@@ -10,8 +10,7 @@ from published import BOGIE, critical_speed, lateral
 
 from railrepro.car.component import SteppedCar
 from railrepro.car.equations import indices
-from railrepro.contact.table import ContactTable, contact_table
-from railrepro.data import InputError
+from railrepro.contact.table import contact_table
 from railrepro.vehicle.parameters import load_vehicle
 
 RIGID = {"contact.profile": "cone", "gear.axle_damping": 1e8}
@@ -239,24 +238,3 @@ def test_car_rolls_on_the_table_that_it_is_given():
         car.step(steps=200)
     assert np.abs(as_angle.state[indices("front.y")]) > 5e-4
     assert as_table.state == pytest.approx(as_angle.state, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (lambda frame: frame.drop(columns="c23"), "column c23 is missing"),
-        (lambda frame: frame.assign(c11=np.nan), "finite numbers on a uniform grid"),
-        (lambda frame: frame.drop(index=7), "finite numbers on a uniform grid"),
-        (lambda frame: frame.iloc[:1], "finite numbers on a uniform grid"),
-        (lambda frame: frame[frame["shift_m"] > 0], "both sides of zero"),
-    ],
-)
-def test_wrong_contact_tables_are_refused(change, sentence):
-    frame = change(contact_table("cone", load_vehicle()).frame)
-    with pytest.raises(InputError, match=sentence):
-        SteppedCar("T5", 40.0, table=ContactTable("mine", frame))
-
-
-def test_what_is_no_contact_table_is_refused():
-    with pytest.raises(InputError, match="class ContactTable is needed"):
-        SteppedCar("T5", 40.0, table="cone")
