@@ -41,7 +41,7 @@ ifndef RAILREPRO_LEADER
 endif
 
 # The folder is part of it: a moved or copied clone installs itself again.
-LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | sha256sum | cut -c1-16)
+LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | cksum | tr -cd 0-9)
 VENV := .venv/ready-$(LOCK_HASH)
 # Other groups of the lock come on top, where they are needed.
 BOOK := .venv/ready-book-$(LOCK_HASH)
@@ -52,7 +52,7 @@ INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --requ
 .PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
 
 help:  ## list the targets
-	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | sort | expand -t 12
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
 	@echo "figNN       one figure with what it needs, for example make fig06"
 
 # As many notebooks at a time as the caller says with -j.
@@ -86,8 +86,16 @@ test-extras: $(BENCH)  ## install the group `bench` and run its tests: Exudyn, G
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files
 	$(PY) -m pytest -m slow tests/test_faults.py
 
-lab: $(VENV)  ## open the notebooks in JupyterLab; LAB="--no-browser --ip=0.0.0.0" passes options on, as in a container
-	$(PY) -m jupyterlab --notebook-dir=notebooks $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
+# Without news and check for updates, and saved on request only: what is saved is a change to git.
+LAB_SETTINGS = {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}, \
+  "@jupyterlab/docmanager-extension:plugin": {"autosave": false}}
+
+lab: $(VENV)  ## open the chapters in JupyterLab; LAB="--no-browser --ip=0.0.0.0" passes options on, as in a container
+	@mkdir -p $(JUPYTER_CONFIG_DIR)/labconfig
+	@echo '$(LAB_SETTINGS)' > $(JUPYTER_CONFIG_DIR)/labconfig/default_setting_overrides.json
+	@echo "What chapters write goes to build/tried. Nothing is saved by itself; \`make strip\` takes the outputs out of saved ones."
+	$(PY) -m jupyterlab --notebook-dir=. --LabApp.default_url="/lab/tree/notebooks/00_first_run.ipynb?file-browser-path=/" \
+	  --LanguageServerManager.autodetect=False $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
 
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another random seed
 	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
@@ -122,7 +130,7 @@ study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (lon
 	$(PY) -m railrepro loop
 	$(PY) -m railrepro order
 
-html: figures $(BOOK)  ## the book: executed notebooks, report and library reference, in build/html
+html: $(BOOK)  ## the book in build/html: executed notebooks (runs those that are missing), report, library reference
 	$(PY) -m railrepro chain html
 
 script: $(VENV)  ## a chapter as a Python script in build/scripts: NB=06

@@ -21,7 +21,10 @@ import signal
 import sys
 from typing import Any
 
-from railrepro import code  # noqa: F401  before all others: it notes what this process imports
+if sys.platform == "win32":
+    raise ImportError("railrepro runs on Linux, on Windows in WSL, the Windows Subsystem for Linux")
+
+from railrepro import code  # noqa: E402, F401  before all others: it notes what this process imports
 
 __version__ = "1.0.0"
 

@@ -147,10 +147,17 @@ def test_a_statement_has_one_row_with_its_verdict_in_each_setting():
     )
 
 
-def test_a_book_without_executed_notebooks_is_refused(monkeypatch, tmp_path):
+def test_the_book_runs_only_notebooks_that_were_never_executed(monkeypatch, tmp_path):
     monkeypatch.setattr(paths, "BUILD", tmp_path)
-    with pytest.raises(InputError, match="there is no executed notebook; `make figures` makes it"):
+    names = list(chain.chain())
+    (tmp_path / "notebooks").mkdir()
+    for name in names[1:]:
+        (tmp_path / f"notebooks/{name}.ipynb").touch()
+    ran = []
+    monkeypatch.setattr(book, "figures", lambda absent: ran.extend(absent) or 1)
+    with pytest.raises(InputError, match="needs every notebook executed"):
         book.html()
+    assert ran == names[:1]
 
 
 @pytest.mark.slow

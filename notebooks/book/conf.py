@@ -1,5 +1,6 @@
 """Settings of the book; `make html` writes its source to build/book and calls Sphinx with this file."""
 
+import os
 import re
 from importlib.util import find_spec
 from pathlib import Path
@@ -51,8 +52,14 @@ html_title = "railrepro"
 html_css_files = ["book.css"]
 html_show_sphinx = False
 html_copy_source = False
-# Summaries would be fetched, which a browser refuses between files.
-html_show_search_summary = False
+
+# Where the book is published, it says how to run it; without a repository there is no address.
+if repository := os.environ.get("GITHUB_REPOSITORY"):
+    _binder = f"https://mybinder.org/v2/gh/{repository}/HEAD?labpath=notebooks/00_first_run.ipynb"
+    html_theme_options = {
+        "announcement": f'<a href="{_binder}">Run the chapters in the browser</a>, without an installation (Binder)',
+        "source_repository": f"https://github.com/{repository}",
+    }
 
 # One page of the library reference per sub-package.
 apidoc_modules = [

@@ -5,17 +5,32 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import sys
 from pathlib import Path
 
 from railrepro import paths
 from railrepro.data import InputError, write
 from railrepro.evidence.chain import pages
-from railrepro.evidence.chain.chain import chain, find
+from railrepro.evidence.chain.chain import chain, figures, find, why_stale
 from railrepro.evidence.chain.files import written
 
 
 def html() -> Path:
-    """The book in build/html; returns its first page. InputError without executed notebooks, or when Sphinx warns."""
+    """Make the book in build/html of the executed notebooks; returns its first page.
+
+    Notebooks that were never executed are run first; of stale ones the last run is shown, and they are named.
+
+    Raises
+    ------
+    InputError
+        When a notebook fails, or Sphinx warns.
+    """
+    absent = [notebook.name for notebook in chain().values() if not pages.file(notebook).exists()]
+    if absent and figures(absent):
+        raise InputError("the book needs every notebook executed, see the lines above")
+    stale = [notebook.name for notebook in chain().values() if why_stale(notebook)]
+    if stale:
+        print(f"the book shows earlier runs of {', '.join(stale)}; `make figures` renews them", file=sys.stderr)
     source = _source(paths.BUILD / "book")
     folder = paths.BUILD / "html"
     try:

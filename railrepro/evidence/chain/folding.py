@@ -31,6 +31,12 @@ def is_folded(source: str) -> bool:
     return bool(_DRAWS.search(source)) or (bool(body) and all(map(_checks, body)))
 
 
+def only_imports(source: str) -> bool:
+    """Whether a code cell does nothing but import."""
+    body = _body(source)
+    return bool(body) and all(isinstance(node, ast.Import | ast.ImportFrom) for node in body)
+
+
 def split(source: str) -> tuple[str, str]:
     """Code of a cell without its asserts, and these."""
     lines = source.split("\n")

@@ -56,18 +56,22 @@ def prose(content: dict) -> str:
     return "\n".join(cell["source"] for cell in content["cells"] if cell["cell_type"] == "markdown")
 
 
+def file(notebook: Notebook) -> Path:
+    """Where the executed notebook is kept."""
+    return paths.BUILD / "notebooks" / f"{notebook.name}.ipynb"
+
+
 def executed(notebook: Notebook) -> dict:
     """Content of an executed notebook, sources as single strings, its number in the title; InputError without one."""
-    file = paths.BUILD / "notebooks" / f"{notebook.name}.ipynb"
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(file(notebook).read_text(encoding="utf-8"))
         for cell in content["cells"]:
             cell["source"] = "".join(cell["source"])
         first = content["cells"][0]
         title = re.compile(r"^# (?:\[Re\] |Beyond the paper: )?(.)")
         first["source"] = title.sub(lambda m: f"# {notebook.name[:2]} {m[1].upper()}", first["source"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: there is no executed notebook; `make figures` makes it") from error
+        raise InputError(f"{file(notebook)}: there is no executed notebook; `make figures` makes it") from error
     return content
 
 
@@ -144,11 +148,17 @@ def _with_figures(cell: dict) -> list[dict]:
     shown = [_markdown(_figure(name), name) for name in saved]
     if folding.is_folded(cell["source"]):
         return [cell | {"outputs": stored, "metadata": {"tags": [folding.FOLDED]}}, *shown]
+    if folding.only_imports(cell["source"]):
+        return [cell | {"metadata": _folded("Imports")}]
     code, checks = folding.split(cell["source"])
     head = [cell | {"source": code, "outputs": stored}, *shown]
-    prompts = dict.fromkeys(("code_prompt_show", "code_prompt_hide"), "Checks of this cell")
-    folded = {"id": f"{cell['id']}-checks", "metadata": {"tags": [folding.FOLDED], "mystnb": prompts}, "source": checks}
+    folded = {"id": f"{cell['id']}-checks", "metadata": _folded("Checks of this cell"), "source": checks}
     return [*head, cell | {"outputs": []} | folded] if checks else head
+
+
+def _folded(prompt: str) -> dict:
+    """Metadata of a code cell that is shown when its prompt is opened."""
+    return {"tags": [folding.FOLDED], "mystnb": dict.fromkeys(("code_prompt_show", "code_prompt_hide"), prompt)}
 
 
 def _is_figure(output: dict) -> bool:
