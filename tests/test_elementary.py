@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from railrepro.car import stepper
+from railrepro.car import component
 from railrepro.compile import cache, codegen
 from railrepro.control import law
 from railrepro.control.ndi import NDI
@@ -129,7 +129,7 @@ def test_bits_do_not_depend_on_the_optimisation(options):
 def test_generated_code_does_without_the_system_s_functions():
     if shutil.which("nm") is None:
         pytest.skip("there is no nm")
-    loaded = [stepper.library(), riccati._library("corrected", "rk4")]
+    loaded = [component.library(), riccati._library("corrected", "rk4")]
     limits = {"lateral_limit": 1.0, "track_end": 1.0, "stop_speed": 0.0}
     loaded.append(law.control_law(load_vehicle(), NDI(), **limits).library())
     for library in loaded:

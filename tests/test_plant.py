@@ -41,12 +41,12 @@ def start(
     **lay,
 ):
     """A control cycle at rest state (or `state`) on a named track."""
-    table = contact_table(vehicle.contact.profile, vehicle)
     way = route.lay(load_track(track), reference, **lay)
     control = law.control_law(vehicle, ndi, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
-    parameters = equations.parameter_vector(vehicle) if parameters is None else parameters
-    state = equations.rest_state(vehicle, table, speed) if state is None else state
-    return closed_loop.ClosedLoop(parameters, table, way, control, state)
+    car = SteppedCar(way, speed, vehicle)
+    car.parameters[:] = car.parameters if parameters is None else parameters
+    car.state[:] = car.state if state is None else state
+    return closed_loop.ClosedLoop(car, control)
 
 
 def frame(rows, coupled):
@@ -158,8 +158,7 @@ def test_left_and_right_curves_mirror_in_every_state_and_output(vehicle, profile
     for sign, geometry in ((1, track), (-1, replace(track, table=flipped))):
         way = route.lay(geometry, route.sweep(sign * 2e-3, 150, 60, 25, 500))
         control = law.control_law(vehicle, NDI(), lateral_limit=0.03, track_end=500.0, stop_speed=-1.0)
-        rest = equations.rest_state(vehicle, table, 280 * KMH)
-        coupled = closed_loop.ClosedLoop(equations.parameter_vector(vehicle), table, way, control, rest)
+        coupled = closed_loop.ClosedLoop(SteppedCar(way, 280 * KMH, vehicle, table=table), control)
         log = frame(coupled.run(3000), coupled)
         runs.append((dict(zip(equations.STATES, coupled.state, strict=True)), log))
     (right, right_log), (left, left_log) = runs

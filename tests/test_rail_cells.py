@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from railrepro.car import stepper
+from railrepro.car import component
 from railrepro.control.ndi import NDI
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import ride, simulate
@@ -72,7 +72,7 @@ def test_half_the_cells_and_half_the_steps_move_no_figure_by_a_percent(rough, pr
     assert two == pytest.approx(fine, rel=0.002)
     half = route.CELL / 2
     monkeypatch.setattr(route, "CELL", half)
-    monkeypatch.setattr(stepper, "CELL", half)
+    monkeypatch.setattr(component, "CELL", half)
     monkeypatch.setattr(route, "_geometry", route._geometry.__wrapped__)
     halved = figures(irregularities(np.arange(0.0, 199.75, half), "en_B_300"), profile, 4)
     assert fine == pytest.approx(halved, rel=0.01)

@@ -17,10 +17,8 @@ TORQUE = np.array([300.0, -300.0, 150.0, -150.0])
 
 def test_stepping_gives_what_the_closed_loop_gives():
     car = SteppedCar("T3", 50.0)
-    way, vehicle = route.lay(load_track("T3")), load_vehicle()
-    control = law.control_law(vehicle, None, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
-    start = equations.rest_state(vehicle, car.table, 50.0)
-    coupled = closed_loop.ClosedLoop(equations.parameter_vector(vehicle), car.table, way, control, start)
+    control = law.control_law(load_vehicle(), None, lateral_limit=0.03, track_end=car.route.length, stop_speed=-1.0)
+    coupled = closed_loop.ClosedLoop(SteppedCar("T3", 50.0), control)
     coupled.held[:] = 20.0
     log = coupled.run(500)
     for row in log:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from railrepro.car import equations, stepper
-from railrepro.car.component import DERAILED, LARGEST_TORQUE, SteppedCar
+from railrepro.car import component, equations
+from railrepro.car.component import DERAILED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
@@ -13,8 +13,6 @@ from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
 _INPUTS = tuple(f"tau_{wheel}" for wheel in equations.WHEELS)
-_LARGEST_STATE = 1e7
-"""Beyond it no state is meaningful (SI)."""
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
@@ -42,7 +40,7 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     """
     path = fmu_file(path)  # refused before the car is built
     car = SteppedCar(route, speed, vehicle)
-    text = codegen.source_text(stepper.functions()) + stepper.c_text() + _constants(car)
+    text = codegen.source_text(component.functions()) + component.c_text() + _constants(car)
     fmu = Fmu("car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE)
     return write_fmu(path, fmu, text, Path(__file__).with_name("car_fmu.c").read_text())
 
@@ -56,7 +54,7 @@ def _constants(car: SteppedCar) -> str:
     sizes |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
     grids = {"CELL_START": car.route.cells[0, INDEX["p"]], "CELL_STEP": CELL}
     grids |= {"CONTACT_START": car.table.start, "CONTACT_STEP": car.table.step, "PERIOD": CONTROL_PERIOD}
-    grids |= {"LARGEST_STATE": _LARGEST_STATE, "DERAILED": DERAILED}
+    grids |= {"LARGEST_STATE": LARGEST_STATE, "DERAILED": DERAILED}
     outputs = equations.car().outputs
     sizes |= {"FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}
     text = '\n#define INPUTS_TEXT "the four torques"\n'

@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from railrepro.car import equations
-from railrepro.car.stepper import CarStepper
+from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import law
-from railrepro.track.route import Route
 
 _BLOCK = 10_000
 """Control cycles whose log is allocated at once."""
@@ -55,11 +54,10 @@ class ClosedLoop:
 
     Attributes
     ----------
-    car : CarStepper
-        The car with its buffers.
+    car : SteppedCar
     control : ControlLaw
     state : ndarray
-        Plant state, see `CarStepper`, also for the parameters; writable.
+        Plant state, that of the car; writable.
     held : ndarray, shape (2,)
         Differential torques of a slower lateral controller, front and rear (N m); writable.
     memory : ndarray
@@ -70,8 +68,9 @@ class ClosedLoop:
         The functions behind a control cycle by name, on shared buffers: coordinates, output, law, step.
     """
 
-    def __init__(self, car_parameters, table, route: Route, control: law.ControlLaw, state, substeps: int = 1):
-        self.car = CarStepper(car_parameters, table, route, state, substeps)
+    def __init__(self, car: SteppedCar, control: law.ControlLaw):
+        self.car = car
+        car.look_up()
         self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
         self.control, self.cycles, self.ended = control, 0, False
         outputs = self.car.model.outputs
@@ -142,7 +141,7 @@ class ClosedLoop:
         return self.car.inputs()
 
     def measure(self) -> np.ndarray:
-        """Outputs at the present state, in the order of `CarStepper.model.outputs`."""
+        """Outputs at the present state, in the order of `SteppedCar.model.outputs`."""
         return self.car.measure()
 
     def measured_states(self) -> np.ndarray:
@@ -151,7 +150,7 @@ class ClosedLoop:
         With sensors, as the law saw them in the cycle before.
         """
         if self._estimated is None or not self.cycles:
-            return self.car.outputs[self._states]
+            return self.car.measured[self._states]
         return self.memory[self._estimated]
 
     def readings(self) -> np.ndarray | None:
@@ -167,7 +166,7 @@ class ClosedLoop:
         return self.memory[self._estimates].reshape(len(law.GEARS), 2, 2)
 
     def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
-        outputs = self.car.outputs
+        outputs = self.car.measured
         sensed = [_copy(outputs[j : j + 1], self._measured[i : i + 1]) for i, j in enumerate(self.sensed)]
         logged = [_copy(outputs), _copy(self._record)]
         carried = [_copy(self._next_memory, self.memory)]

@@ -13,13 +13,12 @@ import numpy as np
 import pandas as pd
 
 from railrepro.car import equations
-from railrepro.car.component import DERAILED
+from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.contact.table import contact_table
 from railrepro.control import lateral, law
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import GEARS
-from railrepro.data import InputError, between, require
+from railrepro.data import InputError, require
 from railrepro.estimation.sensors import Readings
 from railrepro.model.control_model import X
 from railrepro.simulation.closed_loop import ClosedLoop
@@ -50,7 +49,7 @@ class Run:
     controllers : tuple
         The slower lateral controllers of front and rear gear, if any, with their solver statistics.
     state : ndarray
-        Plant state at the end, see `CarStepper`.
+        Plant state at the end, in the order of `equations.STATES`.
     memory : dict
         States of the law at the end by name, see `law.LawSignature.memory`.
     """
@@ -95,7 +94,7 @@ def run(
     irregularities, line : optional
         See `railrepro.track.route.lay`.
     substeps : int
-        Steps of the car in a millisecond, see `CarStepper`.
+        Steps of the car in a millisecond, see `SteppedCar`.
 
     Returns
     -------
@@ -115,7 +114,6 @@ def run(
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
     settings = law.LawSettings(adhesion, estimate, fixed_share, sensors)
-    require("substeps", substeps, between(1, 10_000), whole=True)
     route = checked_route(scenario, body, irregularities, line)
     lateral_law, factory = lateral.split(guidance)
     latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()
@@ -168,12 +166,10 @@ def start(
     body : Vehicle
         The car itself.
     """
-    table = contact_table(body.contact.profile, body)
     limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, settings, **limits)
-    parameters = equations.parameter_vector(body, scenario.good, scenario.poor)
-    state = equations.rest_state(body, table, scenario.speed)
-    return ClosedLoop(parameters, table, route, control, state, substeps)
+    car = SteppedCar(route, scenario.speed, body, scenario.good, scenario.poor, substeps=substeps)
+    return ClosedLoop(car, control)
 
 
 def _longest(route: Route, scenario: Scenario, columns: int) -> int:

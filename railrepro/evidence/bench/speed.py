@@ -24,8 +24,8 @@ from tqdm import tqdm
 
 from railrepro import paths
 from railrepro.car import equations
+from railrepro.car.component import SteppedCar
 from railrepro.compile import codegen
-from railrepro.contact.table import contact_table
 from railrepro.control import law
 from railrepro.control import problem as ocp
 from railrepro.control.mpc import LTVMPC, NMPC
@@ -318,12 +318,9 @@ def _loop(scenario, vehicle: Vehicle, rough=None, cycles: int = 1000) -> tuple[C
 
 
 def _closed_loop(scenario, vehicle: Vehicle, rough=None) -> ClosedLoop:
-    table = contact_table(vehicle.contact.profile, vehicle)
     limits = {"lateral_limit": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
     control = law.control_law(vehicle, NDI(), **limits)
-    parameters = equations.parameter_vector(vehicle, scenario.good, scenario.poor)
-    state = equations.rest_state(vehicle, table, scenario.speed)
-    return ClosedLoop(parameters, table, scenario.route(rough), control, state)
+    return ClosedLoop(SteppedCar(scenario.route(rough), scenario.speed, vehicle, scenario.good, scenario.poor), control)
 
 
 def executor_speed(particles: int = 24, rounds: int = 2) -> pd.DataFrame:
