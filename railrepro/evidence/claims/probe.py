@@ -143,8 +143,9 @@ class ProbeSetup:
         driver = self.ltv if controller == "ltv_mpc_printed" else controller
         return Experiment(
             scenario, driver, parameters=parameters or self.parameters[controller], setting=self.setting,
-            options=more.pop("options", CONTROLLERS[controller].quick), changes=changes, vehicle=self.vehicle,
-            plant=self._plant() | more.pop("plant", {}), sensors=self.sensors, **more,
+            options=more.pop("options", CONTROLLERS[controller].quick), changes=changes,
+            vehicle=self.vehicle | more.pop("vehicle", {}), plant=self._plant() | more.pop("plant", {}),
+            sensors=more.pop("sensors", self.sensors), **more,
         )  # fmt: skip
 
     def car(self) -> Vehicle:

@@ -12,6 +12,7 @@ from string import ascii_lowercase
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -156,3 +157,31 @@ def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
                 box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
                 look = {"fontsize": 7, "color": "0.3", "rotation": 90, "va": "bottom", "bbox": box}
                 axis.annotate(name, (x, 0.0), (2, 3), **place, **look)
+
+
+def draw_map(axis: Axes, table: pd.DataFrame, number: str = "{:.0f}", factor: float = 1.0, **options) -> None:
+    """Draw a table as a map with a number in each field, a cross where it has none; `options` are those of `imshow`."""
+    values = factor * table.to_numpy(float)
+    image = axis.imshow(values, origin="lower", aspect="auto", **{"cmap": "viridis"} | options)
+    for (row, column), value in np.ndenumerate(values):
+        dark = np.isfinite(value) and image.norm(value) < 0.5
+        text = number.format(value) if np.isfinite(value) else "×"
+        axis.text(column, row, text, ha="center", va="center", fontsize=7, color="white" if dark else BLACK)
+    for ticks, names in ((axis.set_xticks, table.columns), (axis.set_yticks, table.index)):
+        ticks(range(len(names)), [name if isinstance(name, str) else f"{name:g}" for name in names])
+    axis.grid(False)
+
+
+def draw_settings(axis: Axes, values: pd.DataFrame, lost: pd.DataFrame | None = None) -> None:
+    """Draw one number per controller (rows) and setting of comparison (columns) as marks, crossed where lost."""
+    faces = {"paper": ("0.35", "white"), "equal": ("0.55", "0.55"), "loop": (BLACK, BLACK)}
+    for shift, (setting, column) in enumerate(values.items()):
+        color, face = faces[setting]
+        rows = np.arange(len(column)) + 0.25 * (shift - 1)
+        look = {"color": color, "markerfacecolor": face, "markersize": 3.5, "linestyle": ""}
+        axis.plot(column, rows, marker=SETTING_MARKERS[setting], label=f"setting {setting}", **look)
+        if lost is not None:
+            axis.plot(column.where(lost[setting]), rows, "x", color=color, markersize=6)
+    axis.set_yticks(range(len(values)), [LOOKS[name].label for name in values.index])
+    if not axis.yaxis_inverted():
+        axis.invert_yaxis()

@@ -1,0 +1,68 @@
+"""Verbs of the chapters: which experiments a comparison drives, and how its numbers are labelled."""
+
+import pandas as pd
+import pytest
+
+from railrepro.evidence.claims import calibrated
+from railrepro.evidence.report import comparison
+from railrepro.evidence.report.comparison import compare
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.experiment import Experiment
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Experiments that a comparison asks for, with rows and series of zeros in place of their runs."""
+    found = []
+
+    def run_all(experiments, _title):
+        found.extend(experiments)
+        rows = [{"controller": one.controller, **one.label, "rmse_y": i} for i, one in enumerate(experiments)]
+        zeros = dict.fromkeys(("p_m", "y_m", "y_ref_m", "tau_ri_Nm", "tau_le_Nm"), 0.0)
+        return pd.DataFrame(rows), pd.DataFrame([row | zeros for row in rows])
+
+    monkeypatch.setattr(comparison, "run_all", run_all)
+    return found
+
+
+def test_a_list_drives_each_of_its_values_and_labels_the_numbers(asked):
+    runs = compare("sine_tracking", ["nmpc", "ndi"], ["paper", "equal"], speed_kmh=[80, 160], end_m=30.0)
+    assert len(asked) == 8 and {one.scenario.end_m for one in asked} == {30.0}
+    last = asked[-1]
+    assert (last.controller, last.setting, last.scenario.speed_kmh) == ("ndi", "equal", 160)
+    assert last.parameters == tuning.load("ndi", "equal")["parameters"]
+    assert runs.labels == ("setting", "speed_kmh", "controller")
+    assert runs["rmse_mm"].loc[("equal", 160, "ndi")] == 7e3
+    assert list(runs.of("ndi").table("rmse_mm")["rmse_mm"]) == [1e3, 3e3, 5e3, 7e3]
+
+
+def test_a_variant_has_its_factor_on_r_and_its_own_fields(asked):
+    cases = {
+        "soft": {"controller": "nmpc", "r_times": lambda car: car.r_second},
+        "late": {"controller": "ndi", "substeps": 2},
+    }
+    runs = compare("braking", cases, car=calibrated.cars())
+    soft, late = asked[:2]
+    setup = calibrated.paper_like()
+    assert soft.parameters["r"] == pytest.approx(setup.r_second * setup.parameters["nmpc"]["r"], rel=1e-12, abs=0.0)
+    assert soft.scenario == setup.braking() and late.substeps == 2 and runs.labels == ("car", "case")
+
+
+def test_sensors_belong_to_the_setting_loop_and_the_solver_to_nmpc(asked):
+    compare("sine_tracking", ["nmpc", "ndi"], ["equal", "loop"], solver="gauss_newton", noise_seed=7)
+    assert [one.sensors for one in asked] == [{}, {}, {"seed": 7}, {"seed": 7}]
+    assert [one.options for one in asked] == [{"solver": "gauss_newton"}, {}] * 2
+
+
+def test_the_car_of_a_reader_is_that_of_the_run(asked):
+    compare("sine_tracking", ["ndi"], vehicle={"gear.mass": 2000.0})
+    assert asked[0].car().gear.mass == 2000.0
+
+
+def test_a_figure_has_a_column_per_car_and_both_wheels_where_a_panel_shows_them(asked):
+    runs = compare("curve_entry_T3", ["nmpc", "ndi"], car=calibrated.cars())
+    figure, axes = runs.plot("y", "torques", columns="car")
+    assert axes.shape == (2, 2) and len(axes[0, 0].lines) == 3 and len(axes[1, 1].lines) == 4
+    assert [axis.get_title() for axis in axes[0]] == ["calibrated car", "uncalibrated car"]
+    assert list(runs.data("y")) == ["car", "setting", "controller", "p_m", "y_ref_m", "y_m"]
+    assert isinstance(asked[0], Experiment)
