@@ -10,6 +10,7 @@ from railrepro.control.registry import PAPER_TRIO
 from railrepro.data import InputError
 from railrepro.evidence.claims import calibrated, probe
 from railrepro.evidence.claims.nominal import Nominal
+from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.report import flips
 from railrepro.evidence.runs import tuning
 
@@ -29,7 +30,7 @@ def given(**answers):
 
 
 def test_answers_reach_the_car_the_controllers_and_the_experiments():
-    world = flips.setup(
+    world = setup(
         given(friction=[0.11], poles=[42.0, 42.0], sweep=[4.0, 160.0, 70.0], profile=["s1002"], r_brake=[5.0, 4.0])
         | given(brake_sweep=[3.0, 100.0, 20.0])
     )
@@ -38,20 +39,16 @@ def test_answers_reach_the_car_the_controllers_and_the_experiments():
     assert (world.amplitude_mm, world.period_start_m, world.period_end_m) == (4.0, 160.0, 70.0)
     assert (world.r_brake, world.r_second) == (5.0, 4.0) and world.braking().set_point["period_end_m"] == 20.0
     assert world.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"], "what is not answered stays"
-    equal = flips.setup(given(tuning_runs=["equal"]))
+    equal = setup({}, given(tuning_runs=["equal"])["setting"])
     assert equal.parameters == {name: tuning.load(name, "equal")["parameters"] for name in PAPER_TRIO}
-    assert flips.setup({}) == calibrated.uncalibrated()
+    assert setup({}) == calibrated.uncalibrated()
 
 
 def test_each_question_sets_what_there_is():
     of_probe = {field.name: field.default for field in fields(probe.ProbeSetup)}
     for question in flips.load().values():
-        for target in question.sets:
-            kind, _, key = target.partition(":")
-            nominal = {"vehicle": None, "setup": of_probe.get(key), "brake_sweep": 3.0, "setting": "paper"}
-            value = nominal.get(kind, tuning.load(kind, "paper")["parameters"].get(key) if kind in PAPER_TRIO else None)
-            if value is not None:
-                flips.setup({target: value}).car()
+        for target in set(question.sets) - {"setting"}:
+            setup({target: of_probe.get(target, 0.5)}).car()
 
 
 def test_only_what_depends_on_an_answer_is_driven(monkeypatch):
@@ -92,11 +89,11 @@ def test_a_wrong_file_is_told_in_a_sentence(old, new, sentence, tmp_path):
 
 
 def test_an_answer_that_nothing_has_or_the_car_refuses_is_told_before_anything_runs():
-    for wrong in ("setup:colour", "colour", "pid:gain"):
+    for wrong in ("colour", "pid:gain", "vehicle:drive.lag"):
         with pytest.raises(InputError, match="which nothing has"):
-            flips.setup({wrong: 1.0})
+            setup({wrong: 1.0})
     with pytest.raises(InputError, match=r"drive\.torque"):
-        flips.setup({"vehicle:drive.torque": 1.0})
+        setup({"drive.torque": 1.0}).car()
 
 
 def test_the_command_prints_what_flips(monkeypatch, capsys, tmp_path):

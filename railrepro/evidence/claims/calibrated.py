@@ -12,7 +12,6 @@ Serves the paper's section Multi-Body Simulation Results.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +19,17 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.control.registry import PAPER_TRIO, with_r_times
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.probe import SPEEDS, ProbeSetup, probe
-from railrepro.evidence.claims.statements import MPC, NDI, REPRODUCED, Evidence, MissingEvidence, Statement
-from railrepro.evidence.runs import tuning
+from railrepro.evidence.claims.probe import SPEEDS, probe
+from railrepro.evidence.claims.setup import ProbeSetup, setup
+from railrepro.evidence.claims.statements import REPRODUCED, Evidence, MissingEvidence, Statement
 from railrepro.evidence.runs.executor import executor, ordered_map
 
 PARTS = ("curve", "sine", "loss", "brake")
 """What Figs. 6 to 9 show, see `probe.PARTS`."""
 SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
-_LTV_R, _POLE = "ltv_mpc_printed.r", "ndi.pole"
-_SETUP = {field.name for field in fields(ProbeSetup)} - {"parameters", "setting", "vehicle", "sensors"}
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
@@ -102,25 +98,6 @@ def table(*names: str) -> pd.DataFrame:
     }
     columns = ["uncalibrated", "calibrated", "unit", "literature", "chosen for"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=columns)
-
-
-def setup(values: Mapping[str, Any]) -> ProbeSetup:
-    """Car, controllers and experiments with some choices; what is not named is that of the uncalibrated car.
-
-    Parameters
-    ----------
-    values : mapping
-        Fields of `ProbeSetup`, "ndi.pole" (triple, rad/s), "ltv_mpc_printed.r" (LTV-MPC takes the weights of NMPC with
-        R times this), and dotted keys of the vehicle.
-    """
-    parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
-    if _LTV_R in values:
-        parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[_LTV_R])
-    if _POLE in values:
-        parameters[NDI] = {"pole": values[_POLE], "frequency": values[_POLE], "damping": 1.0}
-    own = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items() if name in _SETUP}
-    car = {name: value for name, value in values.items() if name not in _SETUP | {_LTV_R, _POLE}}
-    return ProbeSetup(parameters, vehicle=car, **own)
 
 
 def cars() -> dict[str, ProbeSetup]:

@@ -10,7 +10,6 @@ Serves the paper's section Multi-Body Simulation Results.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import casadi as ca
@@ -21,8 +20,9 @@ from railrepro import paths
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.registry import CONTROLLERS, EMPHASIS, PAPER_TRIO, with_r_times
+from railrepro.control.registry import EMPHASIS, PAPER_TRIO, with_r_times
 from railrepro.data import InputError, write
+from railrepro.evidence.claims.setup import ProbeSetup
 from railrepro.evidence.claims.statements import (
     BETWEEN,
     BRAKE,
@@ -49,7 +49,6 @@ from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, tidy
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
-from railrepro.track.alignment import Alignment, alignments
 from railrepro.track.table import Track, build_table, load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -81,104 +80,6 @@ UNITS = {
     **dict.fromkeys(("torque_later", "stopping_distance", "rail_rmse_y"), "m"),
     "effort_du": "N m",
 }
-
-
-@dataclass(frozen=True)
-class ProbeSetup:
-    """A car, its controllers, and what the paper leaves open about its experiments.
-
-    Attributes
-    ----------
-    parameters : dict
-        Controller -> tuning parameters.
-    setting : str
-        Setting of comparison that these belong to.
-    vehicle : dict
-        Changed parameters of car and controllers.
-    profile, good : str
-        Profiles of the car's wheels, when others than the nominal ones; adhesion set of a good rail.
-    variant : str
-        Control model of the predictive controllers, "corrected" or "printed".
-    amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
-        Set point of Fig. 6; length of the clothoid of T3 over ours.
-    sensors : dict
-        See `Experiment.sensors`.
-    brake_kmh : float
-        Speed at which braking begins.
-    r_factors, poles : tuple of float
-        Sweeps while braking: R of NMPC over its own there, triple poles of NDI (rad/s).
-    r_second : float
-        Second setting of NMPC in Fig. 9, R over the first.
-    r_loss, r_brake : float
-        R of NMPC in Figs. 8 and 9, over that of Figs. 6 and 7.
-    brake_sweep : dict
-        Entries of the set point of Fig. 9 that are changed.
-    ltv : str
-        What drives as LTV-MPC: "ltv_mpc_printed", or "ltv_mpc" which keeps its affine term.
-    """
-
-    parameters: dict[str, dict]
-    setting: str = tuning.PAPER
-    vehicle: dict = field(default_factory=dict)
-    profile: str = ""
-    good: str = "dry"
-    variant: str = "corrected"
-    amplitude_mm: float = 3.0
-    period_start_m: float = 150.0
-    period_end_m: float = 40.0
-    clothoid_factor: float = 1.0
-    sensors: dict = field(default_factory=dict)
-    brake_kmh: float = 160.0
-    r_factors: tuple[float, ...] = (1.0, 10**0.5, 10.0, 10**1.5, 100.0)
-    poles: tuple[float, ...] = (8.0, 15.0, 25.0, 40.0, 60.0)
-    r_second: float = 10.0
-    r_loss: float = 1.0
-    r_brake: float = 1.0
-    brake_sweep: dict = field(default_factory=dict)
-    ltv: str = "ltv_mpc_printed"
-
-    def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
-        """A run of one of the controllers, with its own parameters unless others are given."""
-        changes = ({"variant": self.variant} if CONTROLLERS[controller].preview else {}) | more.pop("changes", {})
-        driver = self.ltv if controller == "ltv_mpc_printed" else controller
-        return Experiment(
-            scenario, driver, parameters=parameters or self.parameters[controller], setting=self.setting,
-            options=more.pop("options", CONTROLLERS[controller].quick), changes=changes,
-            vehicle=self.vehicle | more.pop("vehicle", {}), plant=self._plant() | more.pop("plant", {}),
-            sensors=more.pop("sensors", self.sensors), **more,
-        )  # fmt: skip
-
-    def car(self) -> Vehicle:
-        """The car that is driven."""
-        return load_vehicle(**self.vehicle, **self._plant())
-
-    def _plant(self) -> dict[str, str]:
-        return {"contact.profile": self.profile} if self.profile else {}
-
-    def braking(self) -> Scenario:
-        """Braking to standstill with the sweep of Fig. 9."""
-        base = load_scenario(BRAKE)
-        point = base.set_point | self.brake_sweep
-        return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=point)
-
-    def curve(self) -> Scenario:
-        """Curve entry on T3 with the sweep of this world; its track may be `stretched`."""
-        base = load_scenario(T3).but(good=self.good)
-        point = base.set_point | {
-            "amplitude_mm": self.amplitude_mm,
-            "period_start_m": self.period_start_m,
-            "period_end_m": self.period_end_m,
-        }
-        return base.but(set_point=point)
-
-    def stretched(self) -> Alignment | None:
-        """T3 with the clothoid of this world; None where that is ours."""
-        if self.clothoid_factor == 1.0:
-            return None
-        original = alignments()["T3"]
-        straight, clothoid, *rest = original.segments
-        clothoid = replace(clothoid, length=clothoid.length * self.clothoid_factor)
-        return replace(original, segments=(straight, clothoid, *rest))
 
 
 Rows = list[tuple[str, str, str, float]]

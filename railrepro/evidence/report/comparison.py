@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, with_r_times
 from railrepro.evidence.claims import calibrated
-from railrepro.evidence.claims.probe import ProbeSetup
+from railrepro.evidence.claims.setup import ProbeSetup
 from railrepro.evidence.claims.statements import BRAKE, T3
 from railrepro.evidence.report import figures
 from railrepro.evidence.report.sentences import sentences

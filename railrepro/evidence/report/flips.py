@@ -6,7 +6,6 @@ Answers change the set-up of the probe of the setting `paper`; only the parts th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
 from itertools import cycle
 from pathlib import Path
 from typing import Annotated
@@ -14,10 +13,10 @@ from typing import Annotated
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.control.registry import PAPER_TRIO
 from railrepro.data import InputError
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.nominal import Nominal
+from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.claims.statements import Evidence, MissingEvidence
 from railrepro.evidence.report.claims import graded
 from railrepro.evidence.runs import tuning
@@ -48,22 +47,6 @@ def load(path: Path | str | None = None) -> dict[str, Question]:
     return data.build(dict[str, Question], data.read(file), file.name)
 
 
-def setup(given: Mapping[str, object]) -> probe.ProbeSetup:
-    """Car, controllers and experiments with some answers by what they set; the rest stays nominal."""
-    left = dict(given)
-    tuned_in = str(left.pop("setting", tuning.PAPER))
-    parameters = {name: dict(tuning.load(name, tuned_in)["parameters"]) for name in PAPER_TRIO}
-    changes: dict[str, dict] = {"vehicle": {}, "setup": {}, "brake_sweep": {}} | parameters
-    for target, value in left.items():
-        kind, _, key = target.partition(":")
-        if kind not in changes or (kind == "setup" and key not in {field.name for field in fields(probe.ProbeSetup)}):
-            raise InputError(f"an answer sets {target!r}, which nothing has")
-        changes[kind][key] = value
-    world = probe.ProbeSetup(parameters, tuned_in, vehicle=changes["vehicle"], brake_sweep=changes["brake_sweep"])
-    world.car()  # so that a value which the car refuses stops it before anything runs
-    return replace(world, **changes["setup"])
-
-
 def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) -> pd.DataFrame:
     """Verdicts on `paper` before and after some answers: id, statement, before, after.
 
@@ -72,9 +55,11 @@ def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) ->
     given = {
         key: value for each in answered.values() for key, value in zip(each.sets, cycle(each.answer), strict=False)
     }
-    world = setup(given)
+    setting = given.pop("setting", tuning.PAPER)
+    probed = setup(given, setting)
+    probed.car()  # so that a value which the car refuses stops it before anything runs
     needed = {part for question in answered.values() for part in question.parts}
-    rows = probe.probe(world, [part for part in probe.PARTS if part in needed]) if driven is None else driven
+    rows = probe.probe(probed, [part for part in probe.PARTS if part in needed]) if driven is None else driven
     nominal = Nominal()
     robust = shares(nominal.results.optional("robustness_samples")).set_index(["id", "setting"])
     before = nominal.evidence(tuning.PAPER)

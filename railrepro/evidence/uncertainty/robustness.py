@@ -20,7 +20,8 @@ from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_tim
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
-from railrepro.evidence.claims.probe import PARTS, ProbeSetup, probe
+from railrepro.evidence.claims.probe import PARTS, probe
+from railrepro.evidence.claims.setup import ProbeSetup, setup
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
@@ -123,16 +124,16 @@ class Sample:
     values: tuple[tuple[str, float], ...]
 
     def world(self) -> ProbeSetup:
-        """Car and experiments, without controllers."""
+        """Set up car and experiments, with the tuned sets of the setting."""
         v = dict(self.values)
-        profile = ("cone", "s1002")[int(v.pop(_PROFILE))] if _PROFILE in v else ""
-        ltv = ("ltv_mpc_printed", "ltv_mpc")[int(v.pop(_LTV, 0))]
+        if _PROFILE in v:
+            v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
+        v["ltv"] = ("ltv_mpc_printed", "ltv_mpc")[int(v.pop(_LTV, 0))]
         ratio = v.pop(_RATIO, None)
-        own = {d.name: v.pop(d.name) for d in OPEN if d.name in v and "." not in d.name}
         if ratio is not None:
             nominal = load_vehicle().adhesion["poor"].k_a
             v["adhesion.poor.k_s"] = ratio * v.get("adhesion.poor.k_a", nominal)
-        return ProbeSetup({}, self.setting, v, profile=profile, ltv=ltv, **own)
+        return setup(v, self.setting)
 
 
 def draw(count: int = SAMPLES, seed: int = SEED, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:

@@ -1,0 +1,162 @@
+"""What is probed: car, controllers and experiments, and the one mapping from names to it.
+
+Choices of the calibrated car, answers to open questions and samples of the robustness study are values by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, with_r_times
+from railrepro.data import InputError
+from railrepro.evidence.claims.statements import BRAKE, MPC, NDI, T3
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.experiment import Experiment
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.track.alignment import Alignment, alignments
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+
+@dataclass(frozen=True)
+class ProbeSetup:
+    """A car, its controllers, and what the paper leaves open about its experiments.
+
+    Attributes
+    ----------
+    parameters : dict
+        Controller -> tuning parameters.
+    setting : str
+        Setting of comparison that these belong to.
+    vehicle : dict
+        Changed parameters of car and controllers.
+    profile, good : str
+        Profiles of the car's wheels, when others than the nominal ones; adhesion set of a good rail.
+    variant : str
+        Control model of the predictive controllers, "corrected" or "printed".
+    amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
+        Set point of Fig. 6; length of the clothoid of T3 over ours.
+    sensors : dict
+        See `Experiment.sensors`.
+    brake_kmh : float
+        Speed at which braking begins.
+    r_factors, poles : tuple of float
+        Sweeps while braking: R of NMPC over its own there, triple poles of NDI (rad/s).
+    r_second : float
+        Second setting of NMPC in Fig. 9, R over the first.
+    r_loss, r_brake : float
+        R of NMPC in Figs. 8 and 9, over that of Figs. 6 and 7.
+    brake_sweep : dict
+        Entries of the set point of Fig. 9 that are changed.
+    ltv : str
+        What drives as LTV-MPC: "ltv_mpc_printed", or "ltv_mpc" which keeps its affine term.
+    """
+
+    parameters: dict[str, dict]
+    setting: str = tuning.PAPER
+    vehicle: dict = field(default_factory=dict)
+    profile: str = ""
+    good: str = "dry"
+    variant: str = "corrected"
+    amplitude_mm: float = 3.0
+    period_start_m: float = 150.0
+    period_end_m: float = 40.0
+    clothoid_factor: float = 1.0
+    sensors: dict = field(default_factory=dict)
+    brake_kmh: float = 160.0
+    r_factors: tuple[float, ...] = (1.0, 10**0.5, 10.0, 10**1.5, 100.0)
+    poles: tuple[float, ...] = (8.0, 15.0, 25.0, 40.0, 60.0)
+    r_second: float = 10.0
+    r_loss: float = 1.0
+    r_brake: float = 1.0
+    brake_sweep: dict = field(default_factory=dict)
+    ltv: str = "ltv_mpc_printed"
+
+    def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
+        """A run of one of the controllers, with its own parameters unless others are given."""
+        changes = ({"variant": self.variant} if CONTROLLERS[controller].preview else {}) | more.pop("changes", {})
+        driver = self.ltv if controller == "ltv_mpc_printed" else controller
+        return Experiment(
+            scenario, driver, parameters=parameters or self.parameters[controller], setting=self.setting,
+            options=more.pop("options", CONTROLLERS[controller].quick), changes=changes,
+            vehicle=self.vehicle | more.pop("vehicle", {}), plant=self._plant() | more.pop("plant", {}),
+            sensors=more.pop("sensors", self.sensors), **more,
+        )  # fmt: skip
+
+    def car(self) -> Vehicle:
+        """The car that is driven."""
+        return load_vehicle(**self.vehicle, **self._plant())
+
+    def _plant(self) -> dict[str, str]:
+        return {"contact.profile": self.profile} if self.profile else {}
+
+    def braking(self) -> Scenario:
+        """Braking to standstill with the sweep of Fig. 9."""
+        base = load_scenario(BRAKE)
+        point = base.set_point | self.brake_sweep
+        return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=point)
+
+    def curve(self) -> Scenario:
+        """Curve entry on T3 with the sweep of this world; its track may be `stretched`."""
+        base = load_scenario(T3).but(good=self.good)
+        point = base.set_point | {
+            "amplitude_mm": self.amplitude_mm,
+            "period_start_m": self.period_start_m,
+            "period_end_m": self.period_end_m,
+        }
+        return base.but(set_point=point)
+
+    def stretched(self) -> Alignment | None:
+        """T3 with the clothoid of this world; None where that is ours."""
+        if self.clothoid_factor == 1.0:
+            return None
+        original = alignments()["T3"]
+        straight, clothoid, *rest = original.segments
+        clothoid = replace(clothoid, length=clothoid.length * self.clothoid_factor)
+        return replace(original, segments=(straight, clothoid, *rest))
+
+
+LTV_R, POLE = "ltv_mpc_printed.r", "ndi.pole"
+FIELDS = {one.name for one in fields(ProbeSetup)} - {"parameters", "setting", "vehicle", "sensors"}
+"""Fields of `ProbeSetup` that a value may set."""
+
+
+def setup(values: Mapping[str, Any], setting: str = tuning.PAPER) -> ProbeSetup:
+    """Set up a probe with some values by name; what is not named is that of the uncalibrated car.
+
+    Parameters
+    ----------
+    values : mapping
+        Fields of `ProbeSetup`, "brake_sweep:period_end_m" and its like (set point of Fig. 9), "nmpc:r" and its like
+        (parameter of a controller), "ndi.pole" (triple, rad/s), "ltv_mpc_printed.r" (LTV-MPC takes the weights of NMPC
+        with R times this), and dotted keys of the vehicle.
+    setting : str
+        Setting whose tuned sets are taken.
+
+    Raises
+    ------
+    InputError
+        When nothing has a name. Keys of the vehicle are checked where its car is built.
+    """
+    parameters = {name: dict(tuning.load(name, setting)["parameters"]) for name in PAPER_TRIO}
+    if LTV_R in values:
+        parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[LTV_R])
+    if POLE in values:
+        parameters[NDI] = {"pole": values[POLE], "frequency": values[POLE], "damping": 1.0}
+    vehicle: dict[str, Any] = {}
+    own: dict[str, Any] = {}
+    parts = {**parameters, "brake_sweep": own.setdefault("brake_sweep", {})}
+    for name, value in values.items():
+        part, colon, key = name.partition(":")
+        if name in (LTV_R, POLE):
+            continue  # set above, before single parameters of these controllers
+        if name in FIELDS:
+            own[name] = tuple(value) if isinstance(value, list) else value
+        elif colon and part in parts:
+            parts[part][key] = value
+        elif "." in name and not colon:
+            vehicle[name] = value
+        else:
+            raise InputError(f"{name!r} is set, which nothing has")
+    return ProbeSetup(parameters, setting, vehicle=vehicle, **own)
