@@ -13,14 +13,9 @@ CORES := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc 2>/dev/null ||
 # Notebooks at a time; each has the workers of its share of the processors.
 AT_ONCE := $(shell echo $$(( $(CORES) < 4 ? $(CORES) : 4 )))
 PYTEST_JOBS := -n $(AT_ONCE) --dist worksteal
-export OMP_NUM_THREADS := 1
-export OPENBLAS_NUM_THREADS := 1
 export PYTHONHASHSEED := 0
-# Linear algebra and NumPy take the same path on all processors with AVX2, also on those that know wider registers.
-ifneq ($(shell grep -m1 -wo avx2 /proc/cpuinfo 2>/dev/null),)
-  export OPENBLAS_CORETYPE ?= Haswell
-  export NPY_DISABLE_CPU_FEATURES ?= AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR
-endif
+# What decides the last digits: threads, kernels of NumPy and linear algebra.
+$(foreach variable,$(shell $(PYTHON) -IS railrepro/numerics.py),$(eval export $(variable)))
 export SOURCE_DATE_EPOCH := 1700000000
 export IPYTHONDIR := $(CURDIR)/build/ipython
 export MPLCONFIGDIR := $(CURDIR)/build/matplotlib

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
+from railrepro import numerics
 from railrepro.data import InputError
 from railrepro.evidence.commands import parser, report_errors
 
@@ -18,6 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
         Exit code, see `evidence.commands.report_errors`; 2 after wrong arguments. What is no number is printed.
     """
     chosen = vars(parser().parse_args(arguments))
+    numerics.fix()  # before a command imports NumPy
     module, _, name = chosen.pop("call").partition(":")
     try:
         # outside of `report_errors`: libraries that are interrupted while they are imported fail in ways of their own

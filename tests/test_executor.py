@@ -12,7 +12,7 @@ from threading import Thread
 
 import pytest
 
-from railrepro import paths, threads
+from railrepro import numerics, paths, threads
 from railrepro.data import InputError
 from railrepro.evidence.runs import executor as executors
 from railrepro.evidence.runs.executor import executor, ordered_map, work
@@ -60,6 +60,21 @@ def digest_of_a_product(threads):
 
 def test_linear_algebra_does_not_depend_on_the_number_of_threads():
     assert digest_of_a_product("1") == digest_of_a_product("2")
+
+
+@pytest.mark.parametrize("given", [{}, {"OPENBLAS_CORETYPE": "Nehalem", "OMP_NUM_THREADS": "4"}])
+def test_a_command_fixes_what_decides_the_last_digits_before_numpy_is_loaded(given):
+    script = (
+        "import os, sys; from railrepro.__main__ import main; loaded = 'numpy' in sys.modules\n"
+        "main(['score', '--describe']); print(loaded, *(os.environ.get(name, '') for name in sys.argv[1:]))"
+    )
+    names = [*numerics.ALWAYS, *numerics.WITH_AVX2]
+    bare = {name: value for name, value in os.environ.items() if name not in names} | {"PYTHONPATH": str(paths.ROOT)}
+    done = subprocess.run([sys.executable, "-c", script, *names], env=bare | given, capture_output=True, text=True)
+    wanted = numerics.ALWAYS | dict.fromkeys(numerics.WITH_AVX2, "")
+    if "avx2" in Path("/proc/cpuinfo").read_text():
+        wanted |= numerics.WITH_AVX2 | {name: given[name] for name in given if name in numerics.WITH_AVX2}
+    assert done.stdout.splitlines()[-1] == " ".join(["False", *wanted.values()])
 
 
 def test_the_number_of_threads_is_given_back():

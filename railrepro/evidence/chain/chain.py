@@ -23,7 +23,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Annotated
 
-from railrepro import code, data, paths, reads
+from railrepro import code, data, numerics, paths, reads
 from railrepro.data import InputError, Number, above, alone, between, write
 from railrepro.evidence.chain import parent_death
 from railrepro.evidence.chain.files import move, scratch, written
@@ -204,8 +204,8 @@ def _environment(staging: Path) -> Iterator[None]:
     os.environ |= {f"JUPYTER_{k}_DIR": str(paths.BUILD / "jupyter" / k.lower()) for k in ("CONFIG", "DATA", "RUNTIME")}
     os.environ |= {"IPYTHONDIR": str(paths.BUILD / "ipython"), "MPLCONFIGDIR": str(paths.BUILD / "matplotlib")}
     os.environ |= {"JUPYTER_PATH": "", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
-    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
-    os.environ |= {"PYDEVD_DISABLE_FILE_VALIDATION": "1", reads.LOG: str(staging / "reads")}
+    os.environ |= {"PYTHONHASHSEED": "0", "PYDEVD_DISABLE_FILE_VALIDATION": "1"} | numerics.variables()
+    os.environ[reads.LOG] = str(staging / "reads")
     os.environ |= {"RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT)}
     try:
         yield
@@ -373,9 +373,9 @@ def refresh(name: str) -> None:
         return
     begin, times, own = time.monotonic(), _times(), inputs(notebook, {})
     taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
-    now = _times()
-    same = all(times.get(file) == now.get(file) for file in taken) and own == inputs(find(name), {})
-    found = inputs(notebook, taken) | ({} if same and code.unchanged() else {EDITED: ""})
+    now, found = _times(), inputs(find(name), taken)
+    same = all(times.get(file) == now.get(file) for file in taken) and own.items() <= found.items()
+    found |= {} if same and code.unchanged() else {EDITED: ""}
     stamp = {"reads": taken, "inputs": found, "machine": store.machine(), "products": _products(notebook)}
     write(notebook.stamp, json.dumps(stamp | {"seconds": time.monotonic() - begin}, indent=1))
 
@@ -405,18 +405,24 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
     with written():
         paths.BUILD.mkdir(exist_ok=True)
         with alone(paths.BUILD / "chain.lock"):
+            fresh: set[str] = set()
             try:
-                return _run_stale(notebooks, [n for n in notebooks.values() if n.name in wanted], jobs)
+                return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs, fresh)
             finally:
-                _write_manifests(notebooks)
+                _write_manifests(notebooks, fresh)
                 for name in sorted(wanted):
                     if false := _false(paths.BUILD / "notebooks" / f"{name}.ipynb"):
                         _say(f"{name}: {_counted(false)} with these values")
 
 
-def _run_stale(notebooks: dict[str, Notebook], wanted: list[Notebook], jobs: int) -> int:
+def _run_stale(wanted: list[Notebook], jobs: int, fresh: set[str]) -> int:
+    """Run what is stale of some notebooks, and enter into `fresh` which of them need no run any more."""
     stale = {notebook.name: why for notebook in wanted if (why := why_stale(notebook))}
-    left = {n.name: minutes(n) for n in wanted if n.name in stale or before(notebooks, [n.name]) & set(stale)}
+    left: dict[str, float] = {}  # a product of a stale one may make those after it stale, which are asked again then
+    for notebook in wanted:
+        if notebook.name in stale or set(notebook.after) & set(left):
+            left[notebook.name] = minutes(notebook)
+    fresh |= {notebook.name for notebook in wanted} - set(left)
     if not left:
         _say(f"nothing is stale of {len(wanted)} notebooks")
         return 0
@@ -443,6 +449,7 @@ def _run_stale(notebooks: dict[str, Notebook], wanted: list[Notebook], jobs: int
                     failed = True  # it has said why; those that run go on, no other one starts
                     continue
                 graph.done(name)
+                fresh.add(name)
                 _say(f"{name}: done; {len(left)} left" + (f", {_duration(left, jobs)}" if left else ""))
     finally:
         for process in running.values():  # they were interrupted as this one was, and look after themselves
@@ -466,16 +473,18 @@ def _say(words: str) -> None:
     print(words, file=sys.stderr, flush=True)
 
 
-def _write_manifests(notebooks: dict[str, Notebook]) -> None:
-    """Enter the products of all fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
+def _write_manifests(notebooks: dict[str, Notebook], fresh: set[str]) -> None:
+    """Enter the products of fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
     maker = {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
-    fresh = [(n, known) for n in notebooks.values() if (known := _stamped(n)) and not why_stale(n)]
+    stamps = [(notebooks[name], _stamped(notebooks[name])) for name in fresh]
     for folder in ("data", "figures"):
         file = paths.ROOT / folder / "MANIFEST.csv"
         text = _content(file).decode(errors="replace")
         lines = [line.split(",") for line in text.splitlines()]
         rows = {row[0]: row for row in lines if len(row) == len(_COLUMNS) and maker.get(row[0]) == row[2]}
-        for notebook, known in fresh:
+        for notebook, known in stamps:
+            if known is None or EDITED in known["inputs"]:
+                continue
             digest = _hash(json.dumps(known["inputs"], sort_keys=True).encode())
             rest = [notebook.name, digest, "" if notebook.seed is None else str(notebook.seed)]
             own = {path: content for path, content in known["products"].items() if path.startswith(f"{folder}/")}
