@@ -3,6 +3,7 @@
 import pandas as pd
 import pytest
 
+from railrepro.data import InputError
 from railrepro.evidence.chain import compare
 from railrepro.evidence.report import figures
 
@@ -18,6 +19,21 @@ def test_equal_figures_give_equal_bytes(tmp_path, monkeypatch):
         contents.append([file.read_bytes() for file in files])
     assert len(contents[0]) == 2
     assert contents[0] == contents[1]
+
+
+def test_a_chapter_depends_on_the_looks_that_it_takes(tmp_path, monkeypatch):
+    monkeypatch.setenv("RAILREPRO_READS", str(tmp_path / "log"))
+    figures.new_figure()
+    assert figures.CONTROLLER_STYLE["ndi"]["color"] == "#D55E00" and figures.points("nmpc")["marker"] == "o"
+    taken = {f"data/style.toml\t{name}" for name in ("matplotlib", "ndi", "nmpc")}
+    assert set((tmp_path / "log").read_text().splitlines()) == taken
+
+
+def test_a_colour_that_is_none_is_told(tmp_path):
+    file = tmp_path / "style.toml"
+    file.write_text('[ndi]\nlabel = "NDI"\ncolor = "redish"\nlinestyle = "-"\nmarker = ""\n')
+    with pytest.raises(InputError, match="style.toml: ndi has color = 'redish'"):
+        figures.load(file)
 
 
 @pytest.mark.parametrize(("shift", "outcome"), [(0.0, "same"), (1e-6, "near"), (0.01, "different")])

@@ -1,24 +1,26 @@
-"""One look for all figures, and files that come out byte-identical.
-
-Colours are Okabe-Ito's, one per controller, doubled by line style and marker, so that figures stay readable in grey.
-"""
+"""One look for all figures (data/style.toml), and files that come out byte-identical."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from pathlib import Path
 from string import ascii_lowercase
+from typing import Annotated
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import is_color_like
 from matplotlib.figure import Figure
 from PIL import Image
 
+from railrepro import data as files
 from railrepro import paths
+from railrepro.data import Number, above
+from railrepro.reads import Entries
 
 WIDTH = 3.5
 """Width of a column (in)."""
@@ -27,62 +29,56 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
 )
 _DPI = 250
-BROWN = "#8C6D31"
+_FILE, _MATPLOTLIB = "data/style.toml", "matplotlib"
 
 
-@dataclass(frozen=True)
+@files.table
 class Look:
-    """How a controller is drawn in every figure: by colour, by line style and by marker."""
+    """How a controller is drawn in every figure, see data/style.toml."""
 
     label: str
     color: str
-    linestyle: str | tuple
+    linestyle: files.Free
     marker: str
-    linewidth: float = 1.0
+    linewidth: Annotated[Number, above(0.0, 10.0, "pt")] = 1.0
+
+    def __post_init__(self) -> None:
+        if not is_color_like(self.color):
+            raise ValueError(f"has color = {self.color!r}, a colour of Matplotlib is needed")
+
+    @property
+    def line(self) -> dict:
+        """The same as options of a line."""
+        style = self.linestyle if isinstance(self.linestyle, str) else (self.linestyle[0], tuple(self.linestyle[1]))
+        return {"color": self.color, "linestyle": style, "linewidth": self.linewidth, "label": self.label}
 
 
-LOOKS = {
-    "set point": Look("set point", BLACK, ":", "", 1.2),
-    "nmpc": Look("NMPC", BLUE, "-", "o"),
-    "nmpc_observer": Look("NMPC, offset observer", GREEN, (0, (7, 1.5)), "^"),
-    "ltv_mpc": Look("LTV-MPC", ORANGE, "--", "s"),
-    "ltv_mpc_printed": Look("LTV-MPC as printed", PURPLE, (0, (1, 1)), "d"),
-    "ndi": Look("NDI", RED, "-.", "D"),
-    "ndi_feedforward": Look("NDI, set-point rates", BROWN, (0, (5, 1, 1, 1)), "P"),
-    "ndi_integral": Look("NDI, rates and integral", SKY, (0, (3, 1)), "X"),
-    "creep_mpc": Look("CreepMPC (ours)", BLACK, "-", "*", 1.4),
-}
+def load(path: Path | str | None = None) -> tuple[Entries[Look], Entries[dict]]:
+    """Looks by controller, and the settings of Matplotlib, of a TOML file (default data/style.toml)."""
+    file = files.location(path, paths.source(_FILE))
+    content = files.read(file)
+    settings = {_MATPLOTLIB: content.pop(_MATPLOTLIB, {})}
+    return Entries(files.build(dict[str, Look], content, file.name), _FILE), Entries(settings, _FILE)
+
+
+class _LineStyles:
+    """Looks as options of a line, by controller."""
+
+    def __getitem__(self, name: str) -> dict:
+        return LOOKS[name].line
+
+
+LOOKS, _SETTINGS = load()
 """One look per controller."""
-CONTROLLER_STYLE = {
-    name: {"color": look.color, "linestyle": look.linestyle, "linewidth": look.linewidth, "label": look.label}
-    for name, look in LOOKS.items()
-}
+CONTROLLER_STYLE = _LineStyles()
 """The same as options of a line."""
 SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
 """Of the settings of comparison, where the colour is that of a controller."""
-_STYLE = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "grid.linewidth": 0.3,
-    "grid.alpha": 0.5,
-    "lines.linewidth": 1.0,
-    "figure.constrained_layout.use": True,
-}
 
 
 def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: float = WIDTH, **options):
     """Figure and axes in the common style; `height` is that of one row (in)."""
-    mpl.rcParams.update(_STYLE)
+    mpl.rcParams.update(_SETTINGS[_MATPLOTLIB])
     figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
     plt.close(figure)  # a notebook would show it at the end of the cell that begins it
     return figure, axes
