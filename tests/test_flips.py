@@ -76,9 +76,9 @@ def test_which_verdicts_flip():
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("answer = []", "answer = [1.0, 2.0]", r"\[tuning_runs\] has 2 answers, 1 or 1 are needed"),
-        ('parts = ["loss"]', 'parts = ["lost"]', r"\[r_loss\] has the part 'lost', allowed are curve"),
-        ("asks = ", "ask = ", r"\[tuning_runs\] has the unknown key 'ask'"),
+        ("answer = []", "answer = [1.0, 2.0]", "tuning_runs has 2 answers, 1 or 1 are needed"),
+        ('parts = ["loss"]', 'parts = ["lost"]', "r_loss has the part 'lost', allowed are curve"),
+        ("asks = ", "ask = ", "tuning_runs.*ask"),
     ],
 )
 def test_a_wrong_file_is_told_in_a_sentence(old, new, sentence, tmp_path):
