@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -34,17 +35,24 @@ def test_gains_are_those_that_are_named(vehicle):
     found = stationary_gains(vehicle, load_loop())
     assert set(found) == set(observers.GAINS)
     assert found["wheel.w"] > 0 > found["wheel.force"]
+    late = load_loop(**{"latency.measurement": 4e-3, "latency.command": 3e-3})
+    assert stationary_gains(vehicle, late)["prediction"] == pytest.approx(7e-3)
 
 
 @pytest.mark.parametrize("speed", observers.SPEEDS)
 def test_the_filter_is_stable_and_sees_every_state(vehicle, speed):
+    """Its gains are for the system that `advance` steps on straight track."""
     a, c = lateral_matrices(vehicle, speed)
+    gains = stationary_gains(vehicle, load_loop()) | Readings(load_loop()).gains(0)
+    x, still = ca.SX.sym("x", len(LATERAL)), ("psi_Tr", "psi_CB", "dpsi_dp", "dpsi_dp_CB", "dphi_dp")
+    state = dict.fromkeys(observers.STATES, 0.0) | dict(zip(LATERAL, ca.vertsplit(x), strict=True)) | {"v": speed}
+    following = observers.advance(state, {"le": [0.0] * 21, "ri": [0.0] * 21}, dict.fromkeys(still, 0.0), gains)
+    step = np.array(ca.evalf(ca.jacobian(ca.vertcat(*(following[name] for name in LATERAL)), x)))
+    assert step == pytest.approx(np.eye(5) + 1e-3 * a, abs=1e-12)
     seen = np.vstack([c @ np.linalg.matrix_power(a / np.abs(a).max(), k) for k in range(5)])
     assert np.linalg.matrix_rank(seen * 1e3) == len(LATERAL)
-    gains = stationary_gains(vehicle, load_loop())
     k = observers.SPEEDS.index(speed)
     gain = np.array([[gains[f"lateral.{state}.{read}.{k}"] for read in ("y", "psi", "r")] for state in LATERAL])
-    step = np.eye(5) + 1e-3 * a
     assert np.abs(np.linalg.eigvals(step - step @ gain @ c)).max() < 1
 
 

@@ -126,6 +126,13 @@ def test_share_of_the_poor_set_blends_from_good_to_poor(vehicle):
     assert not np.allclose(ends[0], ends[2], rtol=1e-6)
 
 
+def test_a_driven_wheel_on_the_poor_rail_slips_and_the_other_does_not(vehicle):
+    left = {"poor": (np.ones_like, np.zeros_like), "force": lambda p: np.full_like(p, 1e4)}
+    coupled = start(vehicle, **left)
+    last = frame(coupled.run(1500), coupled).iloc[-1]
+    assert last["front_le.sx"] < 1.5 * last["front_ri.sx"] < 0
+
+
 def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
     pull = {"force": lambda p: np.where(p > 5, 10e3, 0.0)}
     coupled = start(vehicle, "T3", 280 * KMH, NDI(), route.sweep(2e-3, 150, 60, 25, 500), **pull)

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 from spoiling import set_cell
 
 from railrepro.data import InputError
+from railrepro.track import route
 from railrepro.track.alignment import alignments, superelevation
 from railrepro.track.table import Track, build_table, load_track, read_table, write_table
 
@@ -140,3 +141,15 @@ def test_a_track_begins_with_the_heading_of_its_first_row(tmp_path):
     turned = read_table(tmp_path / "turned.csv")
     assert np.allclose(turned["psi_rad"], table["psi_rad"] + 0.4, rtol=0, atol=1e-9)
     assert np.hypot(turned["x_m"], turned["y_m"]).iloc[-1] == pytest.approx(np.hypot(*table[["x_m", "y_m"]].iloc[-1]))
+
+
+def test_a_set_point_comes_and_goes_over_its_fade_without_a_jump_of_three_derivatives():
+    way = route.lay(load_track("T5"), route.sine(2e-3, 150.0, start=100.0, end=480.0, fade=40.0))
+    shape = way.cells[:, [route.INDEX[name] for name in ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")]]
+    place = way.cells[:, route.INDEX["p"]]
+    assert np.abs(shape[(place <= 100) | (place >= 480)]).max() < 1e-15
+    for lower, higher in zip(shape.T[:-1], shape.T[1:], strict=True):
+        assert np.abs(np.diff(lower)).max() < 1.1 * route.CELL * np.abs(higher).max()
+    inside = (place >= 140) & (place <= 440)
+    assert shape[inside, 0] == pytest.approx(2e-3 * np.sin(2 * np.pi * (place[inside] - 100) / 150), abs=1e-15)
+    assert way.reference_at(120.0)[0, 0] == pytest.approx(1e-3 * np.sin(2 * np.pi * 20 / 150))
