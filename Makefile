@@ -76,10 +76,10 @@ test-slow: $(VENV)  ## run the tests that take minutes
 	$(PY) -m pytest -m slow $(PYTEST_JOBS)
 
 test-extras: $(BENCH)  ## install the group `bench` and run its tests: Exudyn, Gymnasium
-	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/test_gym_env.py
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation
 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files
-	$(PY) -m pytest -m slow tests/test_faults.py
+	$(PY) -m pytest -m slow tests/evidence/test_faults.py
 
 # Without news and check for updates, and saved on request only: what is saved is a change to git.
 LAB_SETTINGS = {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}, \

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from test_symmetry import drive_with, mirrored, turned
+from symmetry import drive_with, mirrored, turned
 
 from railrepro.contact.table import contact_table
 from railrepro.control.registry import tuned

@@ -108,7 +108,7 @@ class Cluster:
     """A scheduler and two workers as processes."""
 
     def __init__(self, folder):
-        environment = os.environ | {"PYTHONPATH": f"{paths.ROOT}:{paths.ROOT / 'tests'}"}
+        environment = os.environ | {"PYTHONPATH": f"{paths.ROOT}:{Path(__file__).parent}"}
         start = [
             sys.executable,
             "-m",

@@ -1,43 +1,20 @@
 """The chain: staleness, atomic products, refused parameters, failing cells, determinism, stripped notebooks."""
 
 import json
-import os
 import re
 import shutil
 import sys
 import types
 
 import pytest
-from chapters import write_notebook
+from chapters import CELLS, write_notebook
 
 from railrepro import code, paths
 from railrepro.data import InputError
 from railrepro.evidence.chain import book, chain, cleaning
 from railrepro.evidence.runs import store
 
-CELLS = [
-    "from railrepro import paths",
-    "value = 1  # anything",
-    "path = paths.product('data/results/out.csv')\npath.write_text(f'a\\n{value}\\n')\nprint(value)",
-]
-
-
 SCENARIOS = paths.DATA / "scenarios.toml"
-
-
-@pytest.fixture
-def tiny(tmp_path, monkeypatch):
-    """A checkout with one small notebook."""
-    for folder in ("notebooks", "data", "build"):
-        (tmp_path / folder).mkdir()
-    os.symlink(paths.ROOT / "railrepro", tmp_path / "railrepro")
-    (tmp_path / "environment.lock").write_text("")
-    for name in ("ROOT", "DATA", "FIGURES", "NOTEBOOKS", "BUILD"):
-        monkeypatch.setattr(paths, name, tmp_path if name == "ROOT" else tmp_path / name.lower())
-    text = '[[notebook]]\nname = "01_tiny"\ntitle = "tiny"\nwrites = ["data/results/out.csv"]\n'
-    (tmp_path / "notebooks" / "chain.toml").write_text(text)
-    write_notebook(tmp_path / "notebooks", CELLS)
-    return tmp_path
 
 
 def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):

@@ -6,10 +6,7 @@ import subprocess
 import numpy as np
 import pandas as pd
 import pytest
-from test_pipeline import (
-    tiny,  # noqa: F401  a checkout with one small notebook
-    write_notebook,
-)
+from chapters import write_notebook
 
 from railrepro.data import InputError
 from railrepro.evidence.chain import chain

@@ -2,6 +2,13 @@
 
 import json
 
+CELLS = [
+    "from railrepro import paths",
+    "value = 1  # anything",
+    "path = paths.product('data/results/out.csv')\npath.write_text(f'a\\n{value}\\n')\nprint(value)",
+]
+"""Of the notebook of the fixture `tiny`."""
+
 
 def write_notebook(folder, cells, name="01_tiny"):
     """A notebook of code cells; the second one, if any, holds the parameters."""
