@@ -191,12 +191,11 @@ def coordinates(p) -> np.ndarray:
         found = np.asarray(p)
     except ValueError:  # lists of different length
         found = np.array(None)
-    if found.dtype.kind not in "iuf" or found.ndim != 1 or found.size == 0:
-        raise InputError(f"irregularities: p is {reprlib.repr(p)}, a list of track coordinates (m) is needed")
-    wrong = ~np.isfinite(found) | np.append(False, np.diff(found) <= 0)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError(f"irregularities: p[{row}] is {found[row]}, finite and increasing numbers (m) are needed")
+    numbers = found.dtype.kind in "iuf" and found.ndim == 1 and found.size > 0
+    if not numbers or not np.isfinite(found).all() or (np.diff(found) <= 0).any():
+        raise InputError(
+            f"irregularities: p is {reprlib.repr(p)}, a list of finite and increasing track coordinates (m) is needed"
+        )
     return found.astype(float)
 
 

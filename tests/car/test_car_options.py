@@ -145,7 +145,7 @@ def test_rough_track_adds_defects_and_reads_files(tmp_path):
     plain.to_csv(tmp_path / "measured.csv", index=False)
     middle = (p > 40) & (p < 150)
     assert np.allclose(rough_track(p, file=str(tmp_path / "measured.csv"))[middle], plain[middle], atol=1e-12)
-    with pytest.raises(InputError, match="defect kind 'hole' is not known"):
+    with pytest.raises(InputError, match="defects.1: Input tag 'hole' found using 'kind'"):
         rough_track(p, defects=[{"kind": "hole"}])
 
 

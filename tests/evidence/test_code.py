@@ -201,7 +201,7 @@ def test_an_edited_process_looks_nothing_up_and_stores_nothing(tmp_path, monkeyp
 STUDY = """
 import sys
 from functools import partial
-from railrepro import code
+from railrepro import InputError, code
 from railrepro.evidence.runs import store
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 code.version()

@@ -31,7 +31,7 @@ from railrepro.evidence.chain import chain, compare
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.runs import preview, pso, tuning
 from railrepro.own.creep_gains import CreepSettings
-from railrepro.track import defects, irregularity, measured
+from railrepro.track import rough as rough_
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track
@@ -142,7 +142,7 @@ def line(text):
 
 
 def rails(text, **options):
-    return file(text, lambda path: measured.read_irregularities(path, **options))
+    return file(text, lambda path: rough_.read_irregularities(path, **options))
 
 
 def task(old, new, setting="paper"):

@@ -15,7 +15,7 @@ from railrepro.control.problem import MPCSettings
 from railrepro.data import InputError
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.simulation import closed_loop, metrics, scenarios, simulate
-from railrepro.track import defects
+from railrepro.track.rough import LateralOffset
 from railrepro.track.route import COLUMNS, INDEX, irregularity_in
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -145,7 +145,7 @@ def test_the_delay_that_is_reported_is_the_age_of_the_readings_when_their_torque
 def test_sensors_measure_against_the_rails_wherever_these_lie():
     """A bend of 3 mm to the right and back; the reading is that of the cycle before."""
     p = np.arange(0.0, 80.0, 0.5)
-    rails = defects.lateral_offset(p, 5.0, 30.0, 3e-3, transition=8.0)
+    rails = LateralOffset(5.0, 30.0, 3e-3, transition=8.0).at(p)
     scenario = scenarios.load_scenario("sine_tracking").but(end_m=22.0, set_point={"kind": "none"})
     sensors = Readings(load_loop().perfect())
     run = simulate.run(scenario, lambda v, w, gear: Step(), sensors=sensors, irregularities=rails)

@@ -9,7 +9,6 @@ from scipy.interpolate import CubicSpline
 from railrepro.data import InputError
 from railrepro.evidence.runs.preview import known, planned_line
 from railrepro.simulation.ride import D2, band_standard_deviation
-from railrepro.track import defects
 from railrepro.track.irregularity import (
     CHANNELS,
     faded,
@@ -20,8 +19,7 @@ from railrepro.track.irregularity import (
     track_centre,
     track_quality,
 )
-from railrepro.track.measured import read_irregularities
-from railrepro.track.rough import rough_track
+from railrepro.track.rough import AlignmentFault, Dip, LateralOffset, read_irregularities, rough_track, superpose
 
 COLUMNS = ["p_m", *CHANNELS.values()]
 
@@ -143,22 +141,22 @@ def test_measured_irregularities_are_read_as_written(tmp_path, rough):
 
 def test_dip_of_one_rail_leaves_the_other():
     p = np.arange(0, 100, 0.5)
-    offsets = rails(defects.dip(p, start=40.0, length=10.0, depth=8e-3, rail="le"))
+    offsets = rails(Dip(start=40.0, length=10.0, depth=8e-3, rail="le").at(p))
     assert offsets["vertical_le_m"].max() == pytest.approx(8e-3)
     assert offsets.loc[p == 45.0, "vertical_le_m"].item() == pytest.approx(8e-3)
     assert offsets.loc[p == 42.5, "vertical_le_m"].item() == pytest.approx(4e-3)
     assert (offsets.loc[(p <= 40) | (p >= 50), "vertical_le_m"] == 0).all()
     assert np.abs(offsets.drop(columns=["p_m", "vertical_le_m"])).to_numpy().max() < 1e-17
-    both = defects.dip(p, 40.0, 10.0, 8e-3)
+    both = Dip(40.0, 10.0, 8e-3).at(p)
     assert both["vertical_m"].max() == pytest.approx(8e-3)
     assert (both["crosslevel_rad"] == 0).all()
 
 
 def test_alignment_fault_and_lateral_offset_move_both_rails():
     p = np.arange(0, 200, 0.25)
-    fault = defects.alignment_fault(p, 50.0, 20.0, -5e-3)
+    fault = AlignmentFault(50.0, 20.0, -5e-3).at(p)
     assert fault["lateral_m"].min() == fault.loc[p == 60.0, "lateral_m"].item() == -5e-3
-    offset = defects.lateral_offset(p, 100.0, 60.0, 4e-3, transition=15.0)
+    offset = LateralOffset(100.0, 60.0, 4e-3, transition=15.0).at(p)
     assert np.allclose(offset.loc[(p >= 115) & (p <= 145), "lateral_m"], 4e-3)
     assert offset.loc[p == 107.5, "lateral_m"].item() == pytest.approx(2e-3)
     assert (offset.loc[(p <= 100) | (p >= 160), "lateral_m"] == 0).all()
@@ -171,12 +169,12 @@ def test_alignment_fault_and_lateral_offset_move_both_rails():
 
 def test_superposition_is_the_sum(rough):
     p = rough["p_m"].to_numpy()
-    dip, fault = defects.dip(p, 100.0, 10.0, 5e-3, "ri"), defects.alignment_fault(p, 200.0, 15.0, 2e-3)
-    total = defects.superpose(rough, dip, fault)
+    dip, fault = Dip(100.0, 10.0, 5e-3, "ri").at(p), AlignmentFault(200.0, 15.0, 2e-3).at(p)
+    total = superpose(rough, dip, fault)
     assert np.allclose(total.drop(columns="p_m"), (rough + dip + fault).drop(columns="p_m"), rtol=0, atol=1e-18)
     assert total["p_m"].equals(rough["p_m"])
     with pytest.raises(InputError, match="different p_m"):
-        defects.superpose(rough, fault.iloc[1:])
+        superpose(rough, fault.iloc[1:])
 
 
 def test_known_irregularities_are_shifted_and_scaled_exactly(rough):
@@ -197,7 +195,7 @@ def test_known_irregularities_are_smoothed_by_the_stated_window():
     believed = known(sine(p), smoothing_m=4.0)["lateral_m"]
     gain = np.exp(-2 * (np.pi * 4.0 / 25) ** 2)
     assert np.allclose(believed[inside], gain * wave[inside], rtol=0, atol=1e-3 * 3e-3)
-    with pytest.raises(InputError, match="smoothing_m = -1"):
+    with pytest.raises(InputError, match="smoothing_m is -1"):
         known(sine(p), smoothing_m=-1.0)
 
 
@@ -234,7 +232,7 @@ def test_planned_line_smooths_by_the_stated_gain():
 def test_planned_line_bends_before_a_fault_that_it_foresees():
     """Smoother than the rails that it may not leave, and off the ideal line ahead of the fault."""
     p = np.arange(0, 200, 0.5)
-    fault = defects.alignment_fault(p, 90.0, 20.0, 8e-3)
+    fault = AlignmentFault(90.0, 20.0, 8e-3).at(p)
     line = planned_line(fault, 0.0, 10.0, 4e-3)
     rail = CubicSpline(p, fault["lateral_m"])(p, 2)
     assert line[0, p == 100.0].item() == pytest.approx(4e-3, rel=1e-3)
@@ -246,7 +244,7 @@ def test_measured_irregularities_begin_at_a_chainage(tmp_path):
     rows = pd.DataFrame({"p_m": 12000.0 + np.arange(101), "lateral_m": 1e-3 * np.sin(np.arange(101) / 5)})
     rows = rows.assign(vertical_m=0.0, crosslevel_rad=0.0, gauge_m=0.0)
     rows.to_csv(tmp_path / "mine.csv", index=False)
-    found = rough_track(np.arange(0.0, 50.0), str(tmp_path / "mine.csv"), chainage=12040.0)
+    found = rough_track(np.arange(0.0, 50.0), file=str(tmp_path / "mine.csv"), chainage=12040.0)
     assert found["lateral_m"].iloc[25] == pytest.approx(
         rows["lateral_m"].iloc[65] * smooth_step(np.array(24 / 30)).item()
     )

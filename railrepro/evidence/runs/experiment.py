@@ -29,7 +29,7 @@ from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.alignment import Alignment
-from railrepro.track.rough import fit, rough_track
+from railrepro.track.rough import rough_track
 from railrepro.track.route import CELL
 from railrepro.track.table import build_table, load_track, write_table
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -38,6 +38,7 @@ _SERIES = {
     **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
     **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
 }
+_PREVIEW = {"share", "smoothing_m", "limit", "amplitude_error", "localisation_error_m"}
 _WHEEL = {"tau": "tau_{}_Nm", "fx": "fx_{}", "sx": "sx_{}"}
 
 
@@ -122,11 +123,13 @@ class Experiment:
         """Irregularities, and the line that is planned with what is known of them; None where there is nothing."""
         rough = None
         if self.irregular:
-            if not isinstance(self.irregular, dict):
-                fit("irregular", self.irregular)
+            require("irregular", self.irregular, dict)
             rough = _laid_rough(self.scenario.end_m, json.dumps(self.irregular, sort_keys=True))
         if self.preview:
-            fit("preview", self.preview, _line, preview.known)
+            require("preview", self.preview, dict)
+            unknown = sorted(self.preview.keys() - _PREVIEW)
+            if unknown:
+                raise InputError(f"preview: {unknown[0]!r} is not known; there are {sorted(_PREVIEW)}")
             if rough is None:
                 raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
         said = [json.dumps(given, sort_keys=True) for given in (self.irregular, self.preview)]
