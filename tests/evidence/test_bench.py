@@ -1,12 +1,8 @@
 """All solver paths find the optimum of Ipopt on recorded problems of all scenarios, with and without active bounds."""
 
-from dataclasses import replace
-
-import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro.control.problem import MPCSettings
 from railrepro.control.registry import mpc_settings
 from railrepro.evidence.bench import speed
 from railrepro.evidence.runs import tuning
@@ -55,26 +51,6 @@ def test_real_time_iteration_meets_the_bounds(problem_set):
         assert failures == 0
         bound = recording.problems[0].bound
         assert np.abs(found).max() <= bound + 1e-9
-
-
-@pytest.fixture(scope="module")
-def short():
-    """Two problems with a short horizon in the paper's discretisation, and the same with bounds that act."""
-    vehicle, settings = load_vehicle(), MPCSettings(r=1e-9, steps=5, discretisation="euler")
-    plain = speed.record("curve_entry_T3", settings, vehicle, 2)
-    return vehicle, [plain, speed.tightened(plain)]
-
-
-def test_operations_are_counted_against_the_processor(short):
-    vehicle, (recording, _) = short
-    settings = recording.problems[0].settings
-    table = speed.solver_operations(vehicle, settings, least=1e-4).set_index("part")
-    longer = speed.solver_operations(vehicle, replace(settings, steps=10), least=1e-4).set_index("part")
-    for part in ("linearisation", "recursion"):
-        assert longer["operations"][part] / table["operations"][part] == pytest.approx(2, rel=0.01)
-        assert 0 < table["share_of_limit"][part] < 1.5
-    x = ca.SX.sym("x")
-    assert speed._arithmetic(ca.Function("f", [x], [ca.sin(x) * x + 2])) == 3
 
 
 def test_samples_are_timed_in_closed_loop():

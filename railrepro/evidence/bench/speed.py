@@ -1,16 +1,13 @@
 """Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
 
-`python -m railrepro bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv,
-executor_speed.csv, sample_times.csv and solver_operations.csv of data/results and prints them. Times of
-different machines are never compared; the machine's name stands in each table. Serves the paper's section Evaluation of
-Lateral Control (computation times).
+`python -m railrepro bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv and sample_times.csv of
+data/results and prints them. Times of different machines are never compared; the machine's name stands in each table.
+Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
 
-import ctypes
 import itertools
-import os
 import platform
 import time
 from collections.abc import Callable
@@ -27,15 +24,12 @@ from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.compile import codegen
 from railrepro.control import law
-from railrepro.control import problem as ocp
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.registry import WITH_OBSERVER, mpc_settings
-from railrepro.control.solvers import riccati
 from railrepro.data import InputError, write
-from railrepro.evidence.runs import pso, swarm, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
@@ -57,7 +51,6 @@ KINDS = ("ipopt", "gauss_newton", "rti", "ltv_mpc")
 WINDOW = 32
 """Successive samples recorded per scenario."""
 HORIZONS = (10, 20, 40, 80, 160)
-_LANES = Path(codegen.__file__).with_name("lanes.h")
 _PARTS = {"coordinates": "places", "output": "outputs", "law": "law", "step": "step"}
 
 
@@ -84,16 +77,15 @@ class Recorder(NMPC):
         return super().plan(x_hat, u_d)
 
 
-def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW, hard: bool = False) -> Recording:
-    """Problems of a closed-loop run, from its middle; `hard` see `tightened`."""
+def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW) -> Recording:
+    """Problems of a closed-loop run, from its middle."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
     run = simulate.run(scenario, lambda v, w, g: Recorder(v, w, g, settings), vehicle=vehicle)
     problems = run.controllers[0].problems
     first = len(problems) // 2
-    recording = Recording(name, scenario.route(), tuple(problems[first : first + count]))
-    return tightened(recording) if hard else recording
+    return Recording(name, scenario.route(), tuple(problems[first : first + count]))
 
 
 def tightened(recording: Recording) -> Recording:
@@ -237,39 +229,6 @@ def _least_times(run: simulate.Run, experiment: Experiment, again: int) -> np.nd
     return np.min([seconds for seconds in found if len(seconds) == len(found[0])], axis=0)
 
 
-def _arithmetic(function: ca.Function) -> int:
-    """Floating-point operations of one call; a sine counts as one."""
-    no = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
-    return sum(function.instruction_id(i) not in no for i in range(function.n_instructions()))
-
-
-def solver_operations(vehicle: Vehicle, settings: MPCSettings, least: float = 0.2) -> pd.DataFrame:
-    """Operations and time of one iteration, and what the processor can at most.
-
-    Columns: part, operations, microseconds, gigaflops, share_of_limit (of what the processor can in the same kind of
-    code: several numbers side by side for the linearisation, one by one for the recursion).
-    """
-    recording = record("curve_entry_T3", settings, vehicle, 1)
-    solver, problem = NMPC(vehicle, recording.route, 0, settings), recording.problems[0]
-    solver.plan(problem.x_hat, problem.u_d)
-    horizon, steps = solver.horizon, settings.steps
-    model = ocp.dynamics(settings.variant, settings.discretisation)
-    terminal, backward, forward = riccati.recursion(settings.variant, settings.discretisation)
-    recursion = _arithmetic(terminal) + steps * (_arithmetic(backward) + _arithmetic(forward))
-    text = "".join(file.read_text() for file in (_LANES, Path(__file__).with_name("peak.c")))
-    kernel, rounds = ctypes.CDLL(str(codegen.build(text))), 10_000
-    limits = {name: 24.0 * rounds * wide for name, wide in (("peak_lanes", 4), ("peak_single", 1))}
-    rates = {name: n / _seconds(lambda name=name: getattr(kernel, name)(rounds), least) for name, n in limits.items()}
-    parts = {
-        "linearisation": (steps * _arithmetic(model), _seconds(horizon.linearise, least), "peak_lanes"),
-        "recursion": (recursion, _seconds(horizon.solve, least), "peak_single"),
-    }
-    rows = [{"part": name, "operations": n, "microseconds": 1e6 * t, "gigaflops": 1e-9 * n / t,
-             "share_of_limit": n / t / rates[of]} for name, (n, t, of) in parts.items()]  # fmt: skip
-    words = {"peak_lanes": "limit, four side by side", "peak_single": "limit, one by one"}
-    return pd.DataFrame(rows + [{"part": words[name], "gigaflops": 1e-9 * rate} for name, rate in rates.items()])
-
-
 def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
     """Real-time factors of the car and of the closed loop, and where the time of a control cycle goes."""
     rows, base, per_second = [], scenarios.load_scenario("sine_tracking"), "ms per simulated s"
@@ -323,29 +282,6 @@ def _closed_loop(scenario, vehicle: Vehicle, rough=None) -> ClosedLoop:
     return ClosedLoop(SteppedCar(scenario.route(rough), scenario.speed, vehicle, scenario.good, scenario.poor), control)
 
 
-def executor_speed(particles: int = 24, rounds: int = 2) -> pd.DataFrame:
-    """Wall time of a first swarm of the tuning on one and on all workers (best of `rounds`), and their efficiency."""
-    task, before, rows = tuning.load_task(), os.environ.get("RAILREPRO_WORKERS"), []
-    numbers = (1, os.cpu_count() or 1)
-    for name in ("nmpc", "ndi"):
-        first = pso.Swarm(task.dimensions[name], particles, task.budget["seeds"][0]).ask()
-        evaluation, best = swarm.Evaluation(name, task), dict.fromkeys(numbers, np.inf)
-        for workers in numbers * rounds:
-            os.environ["RAILREPRO_WORKERS"] = str(workers)
-            with executor() as pool:
-                ordered_map(pool, evaluation, first[: 2 * workers], "warm up", quiet=True)
-                begin = time.perf_counter()
-                ordered_map(pool, evaluation, first, f"{name}, {workers} workers")
-                best[workers] = min(best[workers], time.perf_counter() - begin)
-        for workers, seconds in best.items():
-            row = {"controller": name, "workers": workers, "evaluations": particles, "seconds": seconds}
-            rows.append(row | {"efficiency": best[1] / workers / seconds})
-    os.environ.pop("RAILREPRO_WORKERS")
-    if before:
-        os.environ["RAILREPRO_WORKERS"] = before
-    return pd.DataFrame(rows)
-
-
 def machine() -> str:
     """Name of the processor."""
     info = Path("/proc/cpuinfo")
@@ -367,9 +303,7 @@ def main(names: list[str]) -> None:
             [solve_times(vehicle, _of(setting)).assign(setting=setting) for setting in tuning.SETTINGS]
         ),
         "horizon_times": lambda: horizon_times(vehicle, settings),
-        "executor_speed": executor_speed,
         "sample_times": sample_times,
-        "solver_operations": lambda: solver_operations(vehicle, settings),
     }
     unknown = set(names) - set(measures)
     if unknown:
