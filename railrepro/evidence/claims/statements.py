@@ -65,7 +65,7 @@ class Finding:
     value : float
         What is compared with the limits; nan never holds.
     weaker : float or None
-        When this one lies within the limits, the statement holds partly.
+        The same of the easier part of what is compared, see `Statement.judge`.
     tie : float
         Logarithm of the ratio between seeds; a value as near to a limit as that is a tie.
     """
@@ -164,15 +164,19 @@ class Statement:
         return self.control.split("; ") if self.control else []
 
     def judge(self, finding: Finding) -> str:
-        """The verdict on a finding."""
+        """The verdict on a finding: partly where the weaker form of the statement holds.
+
+        That is the easier part of what it compares (`Finding.weaker`), or all of it within the wider limits
+        `partly_above` and `partly_below`; a statement without either has no weaker form.
+        """
         if _within(finding.value, self.above, self.below, finding.tie):
             return REPRODUCED
         if self.tied(finding):
             return TIE
-        weaker = finding.weaker is not None and _within(finding.weaker, self.above, self.below, finding.tie)
-        beyond = self.partly_above is not None or self.partly_below is not None
-        loose = beyond and _within(finding.value, self.partly_above, self.partly_below, 0.0)
-        return PARTLY if weaker or loose else NOT
+        wider = self.partly_above is not None or self.partly_below is not None
+        limits = (self.partly_above, self.partly_below) if wider else (self.above, self.below)
+        value = finding.value if finding.weaker is None else finding.weaker
+        return PARTLY if _within(value, *limits, finding.tie) else NOT
 
     def tied(self, finding: Finding) -> bool:
         """Whether a finding is as near to a limit as seeds differ."""

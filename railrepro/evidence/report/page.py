@@ -183,7 +183,8 @@ class Page:
     def evidence(self, identity: str) -> str:
         """Link a statement to its figure, the notebook cell that makes it and the table that was judged."""
         rule = self.rules[identity]
-        links = [f"[{rule.evidence[:5]}](figures/{rule.evidence}.png)"] if rule.evidence.startswith("fig") else []
+        figure, is_figure, _ = rule.evidence.partition("_")  # fig06_curve_entry is shown as fig06
+        links = [f"[{figure}](figures/{rule.evidence}.png)"] if is_figure and rule.evidence.startswith("fig") else []
         cell = _source(rule.notebook, Path(rule.evidence).name) if rule.evidence else ""
         anchor = f"#cell-id={cell}" if cell else ""
         links.append(f"[{rule.notebook[:2]}](notebooks/{rule.notebook}.ipynb{anchor})")
