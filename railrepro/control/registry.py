@@ -199,9 +199,10 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
         where = f", but in the setting {others}" if others else "; `make tune` makes it"
         raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}{where}")
     content = data.read(file)
-    table = content if isinstance(content, dict) else {}
-    found = table.get("controller"), table.get("setting")
-    if found != (controller, setting) or not isinstance(table.get("parameters"), dict):
+    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
+        raise InputError(f"{file.name}: is {reprlib.repr(content)}, a table with the table parameters is needed")
+    found = content.get("controller"), content.get("setting")
+    if found != (controller, setting):
         raise InputError(
             f"{file.name}: holds a tuned set of {found[0]!r} in the setting {found[1]!r}, {controller!r} in "
             f"{setting!r} is needed"

@@ -317,9 +317,11 @@ def load(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
     Raises
     ------
     InputError
-        When there is none, or when it does not hold a tuned set of this controller.
+        When there is none, when it does not hold a tuned set of this controller, or when it would not be read.
     """
     task = _task_here(setting)
+    if controller in task.designed and folder is not None:
+        raise InputError(f"{controller}: tuning.toml gives its set in the setting {setting!r}, no file is read")
     if controller in task.designed:
         return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
     content, name = read(controller, setting, folder), f"{controller}.json"
