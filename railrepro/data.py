@@ -108,6 +108,26 @@ def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole
         raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {names} is needed")
 
 
+def check_fields(settings: Any) -> None:
+    """Refuse (InputError) a dataclass with a number beyond its annotated range, or a flag or text that is none."""
+    kind = type(settings)
+    for name, (base, allowed) in _declared(kind).items():  # type: ignore[arg-type]
+        require(f"{kind.__name__}: {name}", getattr(settings, name), allowed, whole=base is int)
+
+
+@functools.lru_cache
+def _declared(kind: type) -> dict[str, tuple[type, Quantity | type]]:
+    """Type and range, or type alone, of the fields of a class that `check_fields` looks at."""
+    found: dict[str, tuple[type, Quantity | type]] = {}
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint,)
+        for allowed in (note for note in notes if isinstance(note, Quantity)):
+            found[name] = base, allowed
+        if hint in (bool, str):
+            found[name] = hint, hint
+    return found
+
+
 Plain = Annotated[Number, between(-1e12, 1e12)]
 """A number without unit."""
 NOT_EMPTY = pydantic.Field(min_length=1)

@@ -10,21 +10,14 @@ Serves the paper's section Adhesion Control.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.data import Quantity, between, require
+from railrepro.data import between, check_fields
 
-_RANGES: dict[str, Quantity | type] = {
-    **dict.fromkeys(("raise_step", "lower_step", "drop_step"), between(0.0, 1e9, "N m per ms")),
-    "corridor": between(0.0, 1.0),
-    "filter_time": between(0.0, 10.0, "s"),
-    "dead_zone": between(0.0, 1e9, "1/s"),
-    "noise_speed": between(0.0, 1e3, "m/s"),
-    "active": bool,
-}
+_STEP = Annotated[float, between(0.0, 1e9, "N m per ms")]
 SLOWEST = 1.0
 """Speed below which the dead zone grows no more (m/s)."""
 
@@ -52,49 +45,37 @@ class LongitudinalLaw:
 class AdhesionSettings(LongitudinalLaw):
     """Parameters of the law.
 
-    Attributes
-    ----------
-    raise_step : float
-        Step up in segment I, the paper's p1 (N m per ms).
-    lower_step : float
-        Step down above the corridor, the paper's p2 (N m per ms).
-    drop_step : float
-        Step down in segment III past the maximum (N m per ms).
-    corridor : float
-        Half width of the tolerance corridor around the set point (-).
-    filter_time : float
-        Time constant of the derivative filters (s).
-    dead_zone : float
-        Slip rate below which the switching function is ignored (1/s).
-    noise_speed : float
-        Speed below which the dead zone grows as 1/v, as the noise of a slip made of speeds does (m/s); 0: constant.
-    active : bool
-        False gives the baseline without slip control: the torque follows the demand with `raise_step`.
-
     Raises
     ------
     InputError
         When a value is of another kind or beyond its range.
     """
 
-    raise_step: float = 2.0
-    lower_step: float = 5.0
-    drop_step: float = 15.0
-    corridor: float = 0.003
-    filter_time: float = 5e-3
-    dead_zone: float = 1e-3
-    noise_speed: float = 0.0
+    raise_step: _STEP = 2.0
+    """Step up in segment I, the paper's p1."""
+    lower_step: _STEP = 5.0
+    """Step down above the corridor, the paper's p2."""
+    drop_step: _STEP = 15.0
+    """Step down in segment III past the maximum."""
+    corridor: Annotated[float, between(0.0, 1.0)] = 0.003
+    """Half width of the tolerance corridor around the set point (-)."""
+    filter_time: Annotated[float, between(0.0, 10.0, "s")] = 5e-3
+    """Time constant of the derivative filters."""
+    dead_zone: Annotated[float, between(0.0, 1e9, "1/s")] = 1e-3
+    """Slip rate below which the switching function is ignored."""
+    noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
+    """Speed below which the dead zone grows as 1/v, as the noise of a slip made of speeds does; 0: constant."""
     active: bool = True
+    """False gives the baseline without slip control: the torque follows the demand with `raise_step`."""
     memory: ClassVar[tuple[str, ...]] = ("u", "f_0", "f_1", "s_0", "s_1")
     """Names of the states of the law, see `base_torque`."""
 
     def __post_init__(self) -> None:
-        for name, allowed in _RANGES.items():
-            require(f"AdhesionSettings: {name}", getattr(self, name), allowed)
+        check_fields(self)
 
     def gains(self) -> dict[str, float]:
         """Run-time gains by name."""
-        return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
+        return {f"adhesion.{name}": float(value) for name, value in vars(self).items()}
 
     @staticmethod
     def law(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:

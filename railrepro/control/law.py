@@ -13,6 +13,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -22,7 +23,7 @@ from railrepro.compile import codegen
 from railrepro.control import lateral
 from railrepro.control.adhesion import AdhesionSettings, LongitudinalLaw
 from railrepro.control.allocation import allocate
-from railrepro.data import between, require
+from railrepro.data import between, check_fields, require
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, Readings, arriving, sense, sent
 from railrepro.model.control_model import STATES
@@ -62,32 +63,25 @@ RECORD = tuple(f"{gear}.{name}" for gear in GEARS for name in _RECORDED)
 class EstimateSettings:
     """Quality of the adhesion and slip estimates that the adhesion law sees.
 
-    Attributes
-    ----------
-    noise_f, noise_s : float
-        Standard deviation of white noise per control cycle (-).
-    bias_f, bias_s : float
-        Relative error of scale (-).
-    lag : float
-        Time constant of a first-order lag (s).
-
     Raises
     ------
     InputError
         When a value is no number or beyond its range.
     """
 
-    noise_f: float = 0.0
-    noise_s: float = 0.0
-    bias_f: float = 0.0
-    bias_s: float = 0.0
-    lag: float = 0.0
+    noise_f: Annotated[float, between(0.0, 10.0)] = 0.0
+    """Standard deviation of white noise of the adhesion per control cycle (-)."""
+    noise_s: Annotated[float, between(0.0, 10.0)] = 0.0
+    """The same of the slip (-)."""
+    bias_f: Annotated[float, between(-10.0, 10.0)] = 0.0
+    """Relative error of scale of the adhesion (-)."""
+    bias_s: Annotated[float, between(-10.0, 10.0)] = 0.0
+    """The same of the slip (-)."""
+    lag: Annotated[float, between(0.0, 100.0, "s")] = 0.0
+    """Time constant of a first-order lag."""
 
     def __post_init__(self) -> None:
-        noise, bias = between(0.0, 10.0), between(-10.0, 10.0)
-        ranges = {"noise_f": noise, "noise_s": noise, "bias_f": bias, "bias_s": bias, "lag": between(0.0, 100.0, "s")}
-        for name, allowed in ranges.items():
-            require(f"EstimateSettings: {name}", getattr(self, name), allowed)
+        check_fields(self)
 
     def gains(self) -> dict[str, float]:
         """Run-time gains by name."""

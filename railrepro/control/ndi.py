@@ -11,46 +11,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Annotated
 
 import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.data import InputError, is_number
+from railrepro.data import above, between, check_fields
 
 
 @dataclass(frozen=True)
 class NDI:
-    """The inversion and the error dynamics it gives, a `railrepro.control.lateral.LateralLaw`.
+    """The inversion and the error dynamics it gives, a `railrepro.control.lateral.LateralLaw`."""
 
-    Attributes
-    ----------
-    pole : float
-        Real pole, the integrator's and the fastest of the chain (rad/s).
-    frequency, damping : float
-        Complex pair of the chain: natural frequency (rad/s) and damping ratio (-).
-    integral : float
-        Gain of the position integral relative to `pole` (-); 0 switches integral action off.
-    derivatives : int
-        How many derivatives of the set point are fed forward, 0 (reading of the paper) to 3.
-    """
-
-    pole: float = 30.0
-    frequency: float = 30.0
-    damping: float = 1.0
-    integral: float = 0.0
-    derivatives: int = 0
+    pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
+    """Real pole, the integrator's and the fastest of the chain."""
+    frequency: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
+    """Natural frequency of the complex pair of the chain."""
+    damping: Annotated[float, above(0.0, 1e4)] = 1.0
+    """Damping ratio of the complex pair (-)."""
+    integral: Annotated[float, between(0.0, 1e4)] = 0.0
+    """Gain of the position integral relative to `pole` (-); 0 switches integral action off."""
+    derivatives: Annotated[int, between(0, 3)] = 0
+    """How many derivatives of the set point are fed forward, 0 (reading of the paper) to 3."""
 
     memory = ("integral",)
     """Integral of y* - y (m s)."""
 
     def __post_init__(self) -> None:
-        for name in ("pole", "frequency", "damping", "integral"):
-            value, low = getattr(self, name), 0.0
-            if not (is_number(value) and (value > low or (name == "integral" and value == low)) and value <= 1e4):
-                allowed = "from 0" if name == "integral" else "above 0"
-                raise InputError(f"NDI: {name} = {value!r}, a number {allowed} and up to 10000 is needed")
-        if self.derivatives not in (0, 1, 2, 3) or isinstance(self.derivatives, bool):
-            raise InputError(f"NDI: derivatives = {self.derivatives!r}, one of 0, 1, 2, 3 is needed")
+        check_fields(self)
 
     def gains(self) -> dict[str, float]:
         """Coefficients k0, k1, k2 (1/s^3, 1/s^2, 1/s), integral gain (1/s^4) and feed-forward switches."""

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Generic, NamedTuple, TypeVar
+from typing import Annotated, Generic, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile.codegen import stored
-from railrepro.data import InputError, above, between, is_number, require
+from railrepro.data import InputError, above, between, check_fields, is_number
 from railrepro.model.control_model import (
     INPUTS,
     PSI_TRAX,
@@ -152,76 +152,47 @@ def _curvature(tuning: tuple[float, ...], steps: int) -> Curvature:
     return Curvature(np.vstack([np.tile(on_the_way, (steps - 1, 1)), last]), torque.item(), of_slack.item())
 
 
-_RANGES = {
-    "r": above(0.0, 1e9, "1/(N m)^2"),
-    "q_terminal": between(0.0, 1e9),
-    "period": above(0.0, 1.0, "s"),
-    "steps": between(2, 1000),
-    "lateral_bound": above(0.0, 1.0, "m"),
-    "bound_weight": between(0.0, 1e9),
-    "observer": between(0.0, 1.0),
-}
-
-
 @dataclass(frozen=True)
 class MPCSettings:
-    """Tuning of a predictive controller.
-
-    Attributes
-    ----------
-    q_diag : tuple of 6 floats
-        Diagonal of Q in the order of the states (1/m^2, 1/rad^2, …).
-    r : float
-        Weight R on du^2 (1/(N m)^2).
-    q_terminal : float
-        Factor q of the terminal cost (-).
-    period : float
-        Time step T = sampling time (s).
-    steps : int
-        Horizon length L.
-    discretisation : str
-        See `railrepro.model.control_model.discretise`.
-    variant : str
-        Prediction model and forecast, see `railrepro.model.control_model.control_model`.
-    lateral_bound : float
-        Bound of |y_TrAx| (m).
-    bound_weight : float
-        Weight of its violation relative to the weight of y (-).
-    yielding : bool
-        The differential torque may use the whole motor torque and the base torque yields, as the integration rule has
-        it. False bounds it by what the base torque leaves, as printed, which is nothing when the base torque is at its
-        limit (D10).
-    informed : bool
-        The base torque is known to the forecast and the model; False leaves it out.
-    observer : float
-        Share of the prediction error of y per sample that is taken for a constant angle between where the axle points
-        and where it goes (creep); 0 is the paper's controller, which drifts.
-    """
+    """Tuning of a predictive controller."""
 
     q_diag: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-    r: float = 1e-11
-    q_terminal: float = 1.0
-    period: float = 0.010
-    steps: int = 30
+    """Diagonal of Q in the order of the states (1/m^2, 1/rad^2, …), 6 numbers."""
+    r: Annotated[float, above(0.0, 1e9, "1/(N m)^2")] = 1e-11
+    """Weight R on du^2."""
+    q_terminal: Annotated[float, between(0.0, 1e9)] = 1.0
+    """Factor q of the terminal cost (-)."""
+    period: Annotated[float, above(0.0, 1.0, "s")] = 0.010
+    """Time step T = sampling time, a whole number of ms."""
+    steps: Annotated[int, between(2, 1000)] = 30
+    """Horizon length L."""
     discretisation: str = "rk4"
+    """See `railrepro.model.control_model.discretise`."""
     variant: str = "corrected"
-    lateral_bound: float = 8e-3
-    bound_weight: float = 100.0
+    """Prediction model and forecast, see `railrepro.model.control_model.control_model`."""
+    lateral_bound: Annotated[float, above(0.0, 1.0, "m")] = 8e-3
+    """Bound of |y_TrAx|."""
+    bound_weight: Annotated[float, between(0.0, 1e9)] = 100.0
+    """Weight of its violation relative to the weight of y (-)."""
     yielding: bool = True
+    """The differential torque may use the whole motor torque and the base torque yields, as the integration rule has
+    it. False bounds it by what the base torque leaves, as printed, which is nothing when the base torque is at its
+    limit (D10)."""
     informed: bool = True
-    observer: float = 0.0
+    """The base torque is known to the forecast and the model; False leaves it out."""
+    observer: Annotated[float, between(0.0, 1.0)] = 0.0
+    """Share of the prediction error of y per sample that is taken for a constant angle between where the axle points
+    and where it goes (creep); 0 is the paper's controller, which drifts."""
 
     def __post_init__(self) -> None:
-        for name, allowed in _RANGES.items():
-            require(f"MPC: {name}", getattr(self, name), allowed, whole=name == "steps")
-        for name, kind in (("yielding", bool), ("informed", bool), ("discretisation", str), ("variant", str)):
-            require(f"MPC: {name}", getattr(self, name), kind)
+        check_fields(self)
         if self.period < CONTROL_PERIOD or not round(self.period / CONTROL_PERIOD, 6).is_integer():
-            raise InputError(f"MPC: period = {self.period:g} s, a whole number of ms is needed")
+            raise InputError(f"MPCSettings: period is {self.period:g} s, a whole number of ms is needed")
         q = self.q_diag
         numbers = isinstance(q, tuple | list) and len(q) == len(STATES) and all(map(is_number, q))
         if not numbers or min(q) < 0 or q[Y] <= 0:
-            raise InputError(f"MPC: q_diag is {q!r}, {len(STATES)} weights not below 0, that of y above, are needed")
+            needed = f"{len(STATES)} weights not below 0, that of y above, are needed"
+            raise InputError(f"MPCSettings: q_diag is {q!r}, {needed}")
 
     def tuning(self) -> np.ndarray:
         """What the statement weighs with, shape (len(TUNING),)."""
