@@ -173,3 +173,19 @@ def test_parameters_name_good_and_poor_sets():
     assert (values["adhesion.good.k_a"], values["gravity"], values["wheel.radius"]) == (0.3, 9.81, 0.46)
     usual = dict(zip(equations.PARAMETERS, equations.parameter_vector(vehicle), strict=True))
     assert (usual["adhesion.good.mu0"], usual["adhesion.poor.mu0"]) == (0.55, 0.15)
+
+
+def test_the_end_of_a_turning_floor_is_pulled_towards_the_middle(vehicle):
+    """A yaw rate of 0.5 rad/s and 7 m to the centre of gravity: 1.75 m/s2, which an accelerometer reads."""
+    found = [outputs(vehicle, body__wz=rate) for rate in (0.0, 0.5)]
+    more = [found[1][f"floor_{end}.ax"] - found[0][f"floor_{end}.ax"] for end in ("front", "centre", "rear")]
+    assert more == pytest.approx([-1.75, 0.0, 1.75], abs=1e-6)
+
+
+def test_axle_damping_brakes_the_faster_wheel_and_drives_the_slower_one():
+    vehicle = load_vehicle(**{"gear.axle_damping": 600.0})
+    speeds = equations.indices(*(f"w.{wheel}" for wheel in equations.WHEELS))
+    even, uneven = (np.array(equations.car().rate(*case(vehicle, **wheels))).ravel()[speeds]
+                    for wheels in ({}, {"w__front_le": case(vehicle)[0][speeds[0]] + 1e-6}))  # fmt: skip
+    assert (uneven - even)[1] == pytest.approx(600.0 * 1e-6 / vehicle.wheel.spin_inertia, rel=1e-3)
+    assert (uneven - even)[0] < -0.9 * (uneven - even)[1]
