@@ -15,64 +15,49 @@ Serves the paper's section Simulation Environment. The parts: `kinematics`, `sus
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from railrepro.car.integrator import Stages, rodas3
-from railrepro.car.kinematics import COORDINATES, Body, named
+from railrepro.car.kinematics import Body, Coordinates
+from railrepro.car.outputs import BodyOutputs, FloorOutputs, GearOutputs, Outputs, SuspensionOutputs, WheelOutputs
 from railrepro.car.suspension import Suspension
-from railrepro.car.wheel_rail import ADHESION, Contact, shift_to_flange
+from railrepro.car.wheel_rail import Contact, shift_to_flange
 from railrepro.compile.codegen import share_reciprocals, stored
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.data import InputError
+from railrepro.quantities import GEARS, SIDES, WHEELS, group, listed, names, pack, symbols, unpack
 from railrepro.track import route
-from railrepro.vehicle.parameters import Vehicle
+from railrepro.vehicle.parameters import AdhesionSet, CarBody, Drive, Gear, Vehicle, Wheel, WheelRail
+from railrepro.vehicle.parameters import Suspension as SuspensionData
 
-GEARS = ("front", "rear")
 BODIES = ("body", *GEARS)
-SIDES = ("le", "ri")
-WHEELS = tuple(f"{gear}_{side}" for gear in GEARS for side in SIDES)
-STATES = (
-    *(f"{body}.{name}" for body in BODIES for name in COORDINATES),
-    *(f"w.{wheel}" for wheel in WHEELS),
-    *(f"tau.{wheel}" for wheel in WHEELS),
+CarState = group(
+    "CarState",
+    dict.fromkeys(BODIES, Coordinates),
+    {"w": listed(WHEELS), "tau": listed(WHEELS)},
 )
+"""State of the car: bodies, wheel speeds (rad/s) and motor torques (N m), traction-positive."""
+STATES = names(CarState)
 INDEX = {name: i for i, name in enumerate(STATES)}
 """Index of each state in the state vector."""
 FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
 """Points of the car body floor and their positions along the body over the distance of the gears."""
 CONTACT_COLUMNS = len(CELL_COLUMNS)
-_GROUPS = {
-    "body": ("mass", "inertia_x", "inertia_y", "inertia_z", "cg_height", "gear_spacing", "floor_height"),
-    "gear": ("mass", "inertia_x", "inertia_y", "inertia_z", "contact_base", "axle_damping"),
-    "wheel": ("radius", "spin_inertia"),
-    "suspension": (
-        *(
-            "half_spacing",
-            "height",
-            "k_x",
-            "c_x",
-            "k_y",
-            "c_y",
-            "k_z",
-            "c_z",
-            "link_stiffness",
-            "link_damping",
-        ),
-        *("antiroll_stiffness", "antiroll_damping", "pitch_stiffness", "pitch_damping"),
-        *("yaw_stop_angle", "yaw_stop_stiffness", "bump_clearance", "bump_stiffness"),
-    ),
-    "drive": ("torque_limit", "lag"),
-    "contact": ("shear_modulus", "nominal_load", "normal_damping", "rest_speed"),
-}
-PARAMETERS = (
-    *(f"{group}.{name}" for group, names in _GROUPS.items() for name in names),
-    *(f"adhesion.{share}.{name}" for share in ("good", "poor") for name in ADHESION),
-    "gravity",
+
+
+CarParameters = group(
+    "CarParameters",
+    {"body": CarBody, "gear": Gear, "wheel": Wheel, "suspension": SuspensionData, "drive": Drive, "contact": WheelRail},
+    {"adhesion": group("Rails", {"good": AdhesionSet, "poor": AdhesionSet})},
+    "gravity m/s2",
 )
+"""Run-time parameters of the car, numbers or symbols: `par` in the functions of this package."""
+PARAMETERS = names(CarParameters)
 SLIP_FLOOR = 1.0
 """Speed below which the slip estimate is scaled by this value instead of the speed (m/s)."""
 HOLDING_SPEED = 0.2
@@ -95,14 +80,9 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
     for name in (good, poor):
         if name not in tuple(vehicle.adhesion):
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
-
-    def value(key: str) -> Any:
-        head, *rest = key.split(".")
-        if head == "adhesion":
-            return getattr(vehicle.adhesion[good if rest[0] == "good" else poor], rest[1])
-        return reduce(getattr, key.split("."), vehicle)
-
-    return np.array([value(key) for key in PARAMETERS], dtype=float)
+    sets = vehicle.adhesion[good], vehicle.adhesion[poor]
+    groups = vehicle.body, vehicle.gear, vehicle.wheel, vehicle.suspension, vehicle.drive, vehicle.contact, *sets
+    return np.array([*(value for of in groups for value in pack(of)), vehicle.gravity], dtype=float)
 
 
 @dataclass(frozen=True)
@@ -148,124 +128,107 @@ def car() -> Car:
 
 @dataclass(frozen=True)
 class _Elements:
-    """Bodies of a car and what acts between them, each by name."""
+    """Bodies of a car and what acts between them; wheels, their speeds and torques in the order of `WHEELS`."""
 
-    bodies: dict[str, Body]
-    suspensions: dict[str, Suspension]
-    wheels: dict[str, Contact]
-    speeds: dict[str, ca.SX]
-    torques: dict[str, ca.SX]
+    body: Body
+    gears: list[Body]
+    suspensions: list[Suspension]
+    wheels: list[Contact]
+    speeds: list[ca.SX]
+    torques: list[ca.SX]
 
     @property
     def forces(self) -> tuple:
         """All elements that store energy."""
-        return (*self.suspensions.values(), *self.wheels.values())
+        return (*self.suspensions, *self.wheels)
 
 
-def _elements(state: dict, row: dict, cell: dict, par: dict, stages: Stages) -> _Elements:
-    bodies = {name: Body(name, state, row[name]) for name in BODIES}
-    suspensions = {
-        gear: Suspension(bodies["body"], bodies[gear], end, par, stages)
-        for gear, end in zip(GEARS, (1, -1), strict=True)
-    }
-    speeds, torques = ({wheel: state[f"{name}.{wheel}"] for wheel in WHEELS} for name in ("w", "tau"))
-    wheels = {
-        wheel: Contact(bodies[gear], side, speeds[wheel], cell[wheel], par, stages)
-        for wheel, gear, side in ((f"{gear}_{side}", gear, side) for gear in GEARS for side in SIDES)
-    }
-    return _Elements(bodies, suspensions, wheels, speeds, torques)
+def _elements(state: Any, rows: ca.SX, contacts: ca.SX, par: Any, stages: Stages) -> _Elements:
+    states = zip((state.body, state.front, state.rear), ca.horzsplit(rows), strict=True)
+    body, *gears = (Body(of, row) for of, row in states)
+    suspensions = [Suspension(body, gear, end, par, stages) for gear, end in zip(gears, (1, -1), strict=True)]
+    cells = zip(state.w, ca.horzsplit(contacts), product(gears, SIDES), strict=True)
+    wheels = [Contact(gear, side, speed, cell, par, stages) for speed, cell, (gear, side) in cells]
+    return _Elements(body, gears, suspensions, wheels, state.w, state.tau)
 
 
 @stored
 def _derived() -> dict:
     """Attributes of a `Car`."""
-    x, u = ca.SX.sym("x", len(STATES)), ca.SX.sym("u", len(WHEELS))
+    (x, state), u = symbols(CarState, "x"), ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
-    par_, h = ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("h")
-    state, commands, par, stages = named(STATES, x), named(WHEELS, u), named(PARAMETERS, par_), Stages()
-    row, cell = (dict(zip(names, ca.horzsplit(m), strict=True)) for names, m in ((BODIES, rows), (WHEELS, contacts)))
-    elements, inertias = _elements(state, row, cell, par, stages), _inertias(par)
-    staged, feels = _motion(elements, inertias, commands, par)
+    (par_, par), h, stages = symbols(CarParameters, "par"), ca.SX.sym("h"), Stages()
+    elements = _elements(state, rows, contacts, par, stages)
+    staged, felt_force, felt_rotation = _motion(elements, ca.vertsplit(u), par)
     rate = ca.cse(stages.resolve(staged))
 
-    bodies, wheels = elements.bodies, elements.wheels
+    body, wheels = elements.body, elements.wheels
     x_next, error = rodas3(rate, stages.jacobian(staged, x), x, h)
-    outputs = _outputs(bodies, wheels, elements.speeds, elements.torques, elements.suspensions)
-    outputs |= _floor(bodies["body"], feels, par)
-    energies = _energies(elements, inertias, par)
-    shifts = [shift_to_flange(bodies[wheel.split("_")[0]], wheel.split("_")[1], par) for wheel in WHEELS]
-    look_up = ca.vertcat(*(bodies[name].s for name in BODIES), *shifts)
+    outputs = _outputs(elements, _floor(body, felt_force, felt_rotation, par))
+    energies = _energies(elements, par)
+    shifts = [shift_to_flange(gear, side, par) for gear, side in product(elements.gears, SIDES)]
+    look_up = ca.vertcat(body.s, *(gear.s for gear in elements.gears), *shifts)
     forces = {
         "all": rate,
-        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.moment) for w in wheels.values()))),
-        "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in elements.suspensions.values()))),
+        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.moment) for w in wheels))),
+        "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in elements.suspensions))),
     }
-    inputs, names, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
-    step = ca.Function("car_step", [*inputs, h], [x_next, error], [*names, "h"], ["x_next", "error"], cse)
-    y, energy = stages.resolve(ca.vertcat(*outputs.values())), stages.resolve(ca.vertcat(*energies))
+    inputs, arguments, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
+    step = ca.Function("car_step", [*inputs, h], [x_next, error], [*arguments, "h"], ["x_next", "error"], cse)
+    y, energy = stages.resolve(ca.vertcat(*pack(outputs))), stages.resolve(ca.vertcat(*energies))
     return dict(
         states=STATES,
-        rate=ca.Function("car_rate", inputs, [rate], names, ["dx"]),
+        rate=ca.Function("car_rate", inputs, [rate], arguments, ["dx"]),
         step=share_reciprocals(step),
         coordinates=ca.Function("car_coordinates", [x, rows, par_], [look_up], ["x", "rows", "par"], ["places"]),
-        output=ca.Function("car_output", inputs, [y], names, ["y"], cse),
-        energy=ca.Function("car_energy", inputs, [energy], names, ["energies"], cse),
-        outputs=tuple(outputs),
+        output=ca.Function("car_output", inputs, [y], arguments, ["y"], cse),
+        energy=ca.Function("car_energy", inputs, [energy], arguments, ["energies"], cse),
+        outputs=names(Outputs),
         operations={name: ca.Function(name, inputs, [f], cse).n_instructions() for name, f in forces.items()},
     )
 
 
-def _motion(elements: _Elements, inertias: dict, commands: dict, par: dict) -> tuple[ca.SX, dict]:
+def _motion(elements: _Elements, commands: list, par: Any) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Derivatives of the states, and force per mass and angular acceleration that the car body feels."""
-    bodies, speeds, torques = elements.bodies, elements.speeds, elements.torques
-    body, gravity = bodies["body"], ca.vertcat(0, 0, par["gravity"])
+    speeds, torques, body = elements.speeds, elements.torques, elements.body
+    gravity = ca.vertcat(0, 0, par.gravity)
     carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
-    for gear, suspension in elements.suspensions.items():
-        carried += body.section.rotation.T @ bodies[gear].attitude @ suspension.force_on_upper
+    for gear, suspension in zip(elements.gears, elements.suspensions, strict=True):
+        carried += body.section.rotation.T @ gear.attitude @ suspension.force_on_upper
         moment += suspension.moment_on_upper
-    force = carried + par["body.mass"] * body.section.rotation.T @ gravity
-    derivatives = [body.derivatives(force, moment, *inertias["body"])]
-    feels = {"force": body.rotation.T @ carried / par["body.mass"], "turning": derivatives[0][-3:]}
-    derivatives += [_gear_motion(name, elements, inertias[name], gravity, par) for name in GEARS]
-    coupling = {wheel: par["gear.axle_damping"] * (speeds[_opposite(wheel)] - speeds[wheel]) for wheel in WHEELS}
+    force = carried + par.body.mass * body.section.rotation.T @ gravity
+    derivatives = [body.derivatives(force, moment, *_inertia(par.body))]
+    felt = body.rotation.T @ carried / par.body.mass, derivatives[0][-3:]
+    derivatives += [_gear_motion(g, elements, gravity, par) for g in range(len(GEARS))]
+    opposite = [speeds[i] for i in (1, 0, 3, 2)]
     spin_up = [
-        (torques[wheel] + coupling[wheel] - elements.wheels[wheel].moment[1]) / par["wheel.spin_inertia"]
-        for wheel in WHEELS
+        (torque + par.gear.axle_damping * (other - speed) - wheel.moment[1]) / par.wheel.spin_inertia
+        for torque, other, speed, wheel in zip(torques, opposite, speeds, elements.wheels, strict=True)
     ]
-    lag = [_torque_rate(commands[wheel], speeds[wheel], torques[wheel], par) for wheel in WHEELS]
-    return ca.vertcat(*derivatives, *spin_up, *lag), feels
+    lag = [_torque_rate(*of_wheel, par) for of_wheel in zip(commands, speeds, torques, strict=True)]
+    return ca.vertcat(*derivatives, *spin_up, *lag), *felt
 
 
-def _gear_motion(name: str, elements: _Elements, inertia: tuple, gravity: ca.SX, par: dict) -> ca.SX:
+def _gear_motion(g: int, elements: _Elements, gravity: ca.SX, par: Any) -> ca.SX:
     """Derivatives of the states of a running gear's carrier."""
-    gear, wheels = elements.bodies[name], [f"{name}_{side}" for side in SIDES]
-    suspension = elements.suspensions[name]
-    force = inertia[0] * gear.section.rotation.T @ gravity + gear.rotation @ suspension.force_on_lower
+    gear, suspension, of_gear = elements.gears[g], elements.suspensions[g], slice(2 * g, 2 * g + 2)
+    mass, inertia = _inertia(par.gear)
+    force = mass * gear.section.rotation.T @ gravity + gear.rotation @ suspension.force_on_lower
     moment = suspension.moment_on_lower
-    for wheel in wheels:
-        force += elements.wheels[wheel].force
-        moment += elements.wheels[wheel].moment * ca.vertcat(1, 0, 1) + ca.vertcat(0, elements.torques[wheel], 0)
-    spin = -par["wheel.spin_inertia"] * sum(elements.speeds[wheel] for wheel in wheels)
-    return gear.derivatives(force, moment, *inertia, spin)
+    for wheel, torque in zip(elements.wheels[of_gear], elements.torques[of_gear], strict=True):
+        force += wheel.force
+        moment += wheel.moment * ca.vertcat(1, 0, 1) + ca.vertcat(0, torque, 0)
+    spin = -par.wheel.spin_inertia * sum(elements.speeds[of_gear])
+    return gear.derivatives(force, moment, mass, inertia, spin)
 
 
-def _opposite(wheel: str) -> str:
-    """The other wheel of the same gear."""
-    gear, side = wheel.split("_")
-    return f"{gear}_{SIDES[1 - SIDES.index(side)]}"
+def _inertia(of: Any) -> tuple[ca.SX, ca.SX]:
+    """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) of a body."""
+    return of.mass, ca.vertcat(of.inertia_x, of.inertia_y, of.inertia_z)
 
 
-def _inertias(par: dict[str, ca.SX]) -> dict[str, tuple[ca.SX, ca.SX]]:
-    """Mass (kg) and principal moments of inertia (kg m2, shape (3, 1)) by body."""
-
-    def stated(prefix: str) -> tuple[ca.SX, ca.SX]:
-        return par[f"{prefix}mass"], ca.vertcat(*(par[f"{prefix}inertia_{axis}"] for axis in "xyz"))
-
-    return {"body": stated("body.")} | dict.fromkeys(GEARS, stated("gear."))
-
-
-def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
+def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: Any) -> ca.SX:
     """Time derivative of a motor torque (N m/s): lag behind the command within the torque limit.
 
     A negative command brakes: its torque acts against the rotation, whatever its direction. Near standstill the lag
@@ -274,84 +237,78 @@ def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: dict[str, ca.
 
     Source: Dahl 1968, A Solid Friction Model (torque over angle near rest).
     """
-    limit = par["drive.torque_limit"]
+    limit = par.drive.limit(speed)
     # by comparison, as fmin and fmax would make a limit of a command that is no number
     limited = ca.if_else(command > limit, limit, ca.if_else(command < -limit, -limit, command))
-    turning = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par["wheel.radius"] / HOLDING_SPEED, 1), 1)
+    turning = ca.if_else(limited < 0, ca.fmin(ca.fabs(speed) * par.wheel.radius / HOLDING_SPEED, 1), 1)
     wanted = ca.if_else(speed < 0, ca.fabs(limited), limited)  # a positive command drives forward at any speed
-    return turning * (wanted - torque) / par["drive.lag"]
+    return turning * (wanted - torque) / par.drive.lag
 
 
-def _outputs(bodies, wheels, speeds, torques, suspensions) -> dict[str, ca.SX]:
-    """Measured and logged quantities by name (SI).
-
-    Source: eqs. (parameters) and (kalker): psi_Ax, psi_TrAx, y_TrAx; f_x, s_x.
-    """
-    out: dict[str, ca.SX] = {}
-    for name in GEARS:
-        gear = bodies[name]
-        out |= {
-            f"{name}.p": gear.s,
-            f"{name}.psi_Ax": gear.section.psi + gear.psi,
-            f"{name}.v": gear.sdot,
-            f"{name}.psidot_Ax": gear.section.kappa * gear.sdot + gear.rates["psi"],
-            f"{name}.y": gear.y,
-            f"{name}.psi_TrAx": gear.psi,
-            f"{name}.phi": gear.phi,
-            f"{name}.rail_y": gear.section.lateral,
-        }
-    for wheel, contact in wheels.items():
-        along, across = contact.tangential
-        out |= {
-            f"{wheel}.w": speeds[wheel],
-            f"{wheel}.tau": torques[wheel],
-            f"{wheel}.N": contact.normal,
-            f"{wheel}.Fx": along,
-            f"{wheel}.Fy": across,
-            f"{wheel}.fx": along / (contact.normal + 1),
-            f"{wheel}.sx": contact.sliding[0] / ca.fmax(contact.gear.vx, SLIP_FLOOR),
-            f"{wheel}.nu_x": contact.creepage[0],
-            f"{wheel}.nu_y": contact.creepage[1],
-            f"{wheel}.spin": contact.spin,
-            f"{wheel}.M_spin": contact.spin_moment,
-            f"{wheel}.angle": contact.angle,
-        }
-    for gear, suspension in suspensions.items():
-        out[f"{gear}.yaw_to_body"] = ca.asin(suspension.yaw_sine)
-        out[f"{gear}.sway"] = suspension.sway
-    body = bodies["body"]
-    out |= {f"body.{name}": getattr(body, name) for name in ("s", "y", "z", "psi", "pitch", "phi", "vx")}
-    return out
+def _outputs(elements: _Elements, floor: list) -> Any:
+    gears = [
+        GearOutputs(
+            p=gear.s,
+            psi_Ax=gear.section.psi + gear.psi,
+            v=gear.sdot,
+            psidot_Ax=gear.section.kappa * gear.sdot + gear.rates["psi"],
+            y=gear.y,
+            psi_TrAx=gear.psi,
+            phi=gear.phi,
+            rail_y=gear.section.lateral,
+        )
+        for gear in elements.gears
+    ]
+    wheels = [
+        WheelOutputs(
+            w=speed,
+            tau=torque,
+            N=contact.normal,
+            Fx=contact.tangential[0],
+            Fy=contact.tangential[1],
+            adhesion=contact.tangential[0] / (contact.normal + 1),
+            sx=contact.sliding[0] / ca.fmax(contact.gear.vx, SLIP_FLOOR),
+            nu_x=contact.creepage[0],
+            nu_y=contact.creepage[1],
+            spin=contact.spin,
+            M_spin=contact.spin_moment,
+            angle=contact.angle,
+        )
+        for speed, torque, contact in zip(elements.speeds, elements.torques, elements.wheels, strict=True)
+    ]
+    suspensions = [SuspensionOutputs(ca.asin(of.yaw_sine), of.sway) for of in elements.suspensions]
+    body = elements.body
+    of_body = BodyOutputs(body.s, body.y, body.z, body.psi, body.pitch, body.phi, body.vx)
+    return unpack(Outputs, [entry for of in (*gears, *wheels, *suspensions, of_body, *floor) for entry in pack(of)])
 
 
-def _floor(body: Body, feels: dict[str, ca.SX], par: dict[str, ca.SX]) -> dict[str, ca.SX]:
-    """Accelerations of points of the floor in axes of the car body, as an accelerometer reads them (m/s2).
+def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: Any) -> list:
+    """Accelerations of the points of the floor from force per mass and angular acceleration of the car body.
 
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rigid body).
     """
-    out: dict[str, ca.SX] = {}
-    for point, position in FLOOR.items():
-        lever = ca.vertcat(position * par["body.gear_spacing"], 0, par["body.cg_height"] - par["body.floor_height"])
-        swing = ca.cross(feels["turning"], lever) + ca.cross(body.w, ca.cross(body.w, lever))
-        out |= {
-            f"{point}.a{axis}": value for axis, value in zip("xyz", ca.vertsplit(feels["force"] + swing), strict=True)
-        }
+    out = []
+    for position in FLOOR.values():
+        lever = ca.vertcat(position * par.body.gear_spacing, 0, par.body.cg_height - par.body.floor_height)
+        swing = ca.cross(rotation, lever) + ca.cross(body.w, ca.cross(body.w, lever))
+        out.append(FloorOutputs(*ca.vertsplit(force + swing)))
     return out
 
 
-def _energies(elements: _Elements, inertias: dict, par: dict) -> list[ca.SX]:
+def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
     """Mechanical energy, motor power and losses, for the energy balance."""
     speeds, torques, wheels = elements.speeds, elements.torques, elements.wheels
     energy = sum(force.energy for force in elements.forces)
-    for name, body in elements.bodies.items():
-        mass, inertia = inertias[name]
-        energy += mass * (ca.sumsqr(body.v) / 2 - par["gravity"] * body.position[2])
+    parts: list[tuple[Body, Any]] = [(elements.body, par.body), *((gear, par.gear) for gear in elements.gears)]
+    for body, of in parts:
+        mass, inertia = _inertia(of)
+        energy += mass * (ca.sumsqr(body.v) / 2 - par.gravity * body.position[2])
         energy += ca.dot(inertia, body.w**2) / 2
-    energy += par["wheel.spin_inertia"] * ca.sumsqr(ca.vertcat(*speeds.values())) / 2
-    motor = sum(torques[wheel] * (speeds[wheel] + wheels[wheel].gear.wy) for wheel in WHEELS)
-    creep = sum(wheel.friction_loss for wheel in wheels.values())
+    energy += par.wheel.spin_inertia * ca.sumsqr(ca.vertcat(*speeds)) / 2
+    motor = sum(torque * (w + wheel.gear.wy) for torque, w, wheel in zip(torques, speeds, wheels, strict=True))
+    creep = sum(wheel.friction_loss for wheel in wheels)
     damping = sum(force.dissipation for force in elements.forces)
-    damping += par["gear.axle_damping"] * sum((speeds[f"{g}_le"] - speeds[f"{g}_ri"]) ** 2 for g in GEARS)
+    damping += par.gear.axle_damping * sum((speeds[i] - speeds[i + 1]) ** 2 for i in (0, 2))
     return [energy, motor, damping, creep]
 
 
@@ -367,11 +324,17 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
     cos_angle = 1 / np.hypot(1, contact["slope"])
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle
     drop = (load / contact["normal_stiffness"]) ** (2 / 3) / cos_angle
-    state = dict.fromkeys(STATES, 0.0)
     half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
     sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
-    positions = {"body": (p - half, sink - vehicle.body.cg_height), "front": (p, axle), "rear": (p - 2 * half, axle)}
-    for name, (s, z) in positions.items():
-        state |= {f"{name}.s": s, f"{name}.z": z, f"{name}.vx": speed}
-    state |= {f"w.{wheel}": speed / (contact["rolling_radius"] - drop) for wheel in WHEELS}
-    return np.array(list(state.values()))
+
+    def rolling(s: float, z: float) -> Any:
+        return Coordinates(s, 0.0, z, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    state = CarState(
+        body=rolling(p - half, sink - vehicle.body.cg_height),
+        front=rolling(p, axle),
+        rear=rolling(p - 2 * half, axle),
+        w=[speed / (contact["rolling_radius"] - drop)] * len(WHEELS),
+        tau=[0.0] * len(WHEELS),
+    )
+    return np.array(pack(state))

@@ -10,17 +10,17 @@ from typing import Any
 
 import casadi as ca
 
+from railrepro.quantities import group, named, names, pack
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS
 
-COORDINATES = ("s", "y", "z", "psi", "pitch", "phi", "vx", "vy", "vz", "wx", "wy", "wz")
-"""State of a body: position in its own track section (m); yaw, pitch and roll against the track frame (rad); absolute
-velocity in track-frame components (m/s); absolute angular velocity in body axes (rad/s)."""
-
-
-def named(names: tuple[str, ...], vector: ca.SX) -> dict[str, ca.SX]:
-    """Entries of a symbolic vector by name."""
-    return dict(zip(names, ca.vertsplit(vector), strict=True))
+Coordinates = group(
+    "Coordinates",
+    "s m, y m, z m, psi rad, pitch rad, phi rad, vx m/s, vy m/s, vz m/s, wx rad/s, wy rad/s, wz rad/s",
+)
+"""State of a body: position in its own track section; yaw, pitch and roll against the track frame; absolute velocity in
+track-frame components; absolute angular velocity in body axes."""
+COORDINATES = names(Coordinates)
 
 
 def rotation(axis: str, angle: ca.SX) -> ca.SX:
@@ -37,7 +37,7 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
     """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3).
 
-    Source: eq. (rot_matrix).
+    Source: eq. (1).
     """
     return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
 
@@ -45,7 +45,7 @@ def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
 class Section:
     """Track section at a body: angles, rates per metre, position, irregularities as expressions of s.
 
-    Source: eq. (track), with the rotation of eq. (rot_matrix).
+    Source: eq. (3), with the rotation of eq. (1).
     """
 
     def __init__(self, s: ca.SX, row: ca.SX):
@@ -86,32 +86,18 @@ def section_kinematics() -> ca.Function:
     return ca.Function("section", [s, row], [section.rotation, section.turn_rate, section.position])
 
 
-class Body:
-    """Kinematics and dynamics of one rigid body in its own track section; attributes are named as `COORDINATES`.
+class Body(Coordinates):  # type: ignore[valid-type, misc]
+    """Kinematics and dynamics of one rigid body in its own track section.
 
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rates of the angles, rotating frame).
     """
 
-    s: ca.SX
-    y: ca.SX
-    z: ca.SX
-    psi: ca.SX
-    pitch: ca.SX
-    phi: ca.SX
-    vx: ca.SX
-    vy: ca.SX
-    vz: ca.SX
-    wx: ca.SX
-    wy: ca.SX
-    wz: ca.SX
-
-    def __init__(self, name: str, state: dict[str, ca.SX], row: ca.SX):
-        for coordinate in COORDINATES:
-            setattr(self, coordinate, state[f"{name}.{coordinate}"])
+    def __init__(self, state: Any, row: ca.SX):
+        super().__init__(*pack(state))
         self.section = Section(self.s, row)
         self.rotation = orientation(self.psi, self.pitch, self.phi)
-        self.v = ca.vertcat(self.vx, self.vy, self.vz)
-        self.w = ca.vertcat(self.wx, self.wy, self.wz)
+        self.v: Any = ca.vertcat(self.vx, self.vy, self.vz)
+        self.w: Any = ca.vertcat(self.wx, self.wy, self.wz)
         turn_rate = self.section.turn_rate
         self.sdot = self.vx / (1 + turn_rate[1] * self.z - turn_rate[2] * self.y)
         self.turn = turn_rate * self.sdot

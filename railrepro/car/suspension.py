@@ -5,6 +5,8 @@ Serves the paper's section Simulation Environment; the control model keeps only 
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 
 from railrepro.car.integrator import Stages
@@ -26,9 +28,7 @@ class Stage:
     momentum leaks. The moment on the upper body is collected in axes of the lower one about its own centre of gravity.
     """
 
-    _group = ""
-
-    def __init__(self, upper: Body, lower: Body, par: dict[str, ca.SX], stages: Stages):
+    def __init__(self, upper: Body, lower: Body, par: Any, stages: Stages):
         self._par = par
         relative = lower.attitude.T @ upper.attitude
         offset = lower.attitude.T @ (upper.position - lower.position)
@@ -55,9 +55,6 @@ class Stage:
         held = stages.hold(self.force_on_lower, self.moment_on_lower, self._on_upper)
         self.force_on_lower, self.moment_on_lower, self._on_upper = held
 
-    def _own(self, name: str) -> ca.SX:
-        return self._par[f"{self._group}.{name}"]
-
     def _deflection(self, on_upper: ca.SX, on_lower: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Arm on the upper body, relative displacement of two points and its rate."""
         arm = self._relative @ on_upper
@@ -73,14 +70,14 @@ class Stage:
 
     def _spring_pair(self, on_upper: ca.SX, on_lower: ca.SX, preload: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Left and right spring and damper: their mean at the centre and their difference; returns arm and mean."""
-        own = self._own
-        stiffness = ca.vertcat(own("k_x"), own("k_y"), own("k_z"))
-        damping = ca.vertcat(own("c_x"), own("c_y"), own("c_z"))
+        own = self._par.suspension
+        stiffness = ca.vertcat(own.k_x, own.k_y, own.k_z)
+        damping = ca.vertcat(own.c_x, own.c_y, own.c_z)
         weight = ca.vertcat(0, 0, preload)
         arm, mean, rate = self._deflection(on_upper, on_lower)
         self._act(arm, weight + 2 * stiffness * mean + 2 * damping * rate)
-        lever = own("half_spacing") * self._relative[:, 1]
-        difference = lever - ca.vertcat(0, own("half_spacing"), 0)
+        lever = own.half_spacing * self._relative[:, 1]
+        difference = lever - ca.vertcat(0, own.half_spacing, 0)
         difference_rate = ca.cross(self._upper_turn - self._lower_turn, lever)
         couple = 2 * ca.cross(lever, stiffness * difference + damping * difference_rate)
         self._on_upper += couple
@@ -113,34 +110,32 @@ class Suspension(Stage):
     rods whose lever stands on the car body: they act about z_body x x_carrier, so that with relative roll they also
     turn the carrier in yaw.
 
-    Source: eqs. (Lagrangeb) and (Lagrangec) are its yaw and roll terms for small angles.
+    Source: eqs. (13b) and (13c) are its yaw and roll terms for small angles.
     """
 
-    _group = "suspension"
-
-    def __init__(self, body: Body, lower: Body, end: int, par: dict[str, ca.SX], stages: Stages):
+    def __init__(self, body: Body, lower: Body, end: int, par: Any, stages: Stages):
         super().__init__(body, lower, par, stages)
-        own, half = self._own, end * par["body.gear_spacing"] / 2
-        on_body = ca.vertcat(half, 0, par["body.cg_height"] - own("height"))
-        on_lower = ca.vertcat(0, 0, par["wheel.radius"] - own("height"))
-        arm, mean = self._spring_pair(on_body, on_lower, par["body.mass"] * par["gravity"] / 2)
-        over = _beyond(mean[1], own("bump_clearance"))
-        self._act(arm, ca.vertcat(0, own("bump_stiffness") * over, 0))
-        self.energy += own("bump_stiffness") * over**2 / 2
+        own, half = self._par.suspension, end * par.body.gear_spacing / 2
+        on_body = ca.vertcat(half, 0, par.body.cg_height - own.height)
+        on_lower = ca.vertcat(0, 0, par.wheel.radius - own.height)
+        arm, mean = self._spring_pair(on_body, on_lower, par.body.mass * par.gravity / 2)
+        over = _beyond(mean[1], own.bump_clearance)
+        self._act(arm, ca.vertcat(0, own.bump_stiffness * over, 0))
+        self.energy += own.bump_stiffness * over**2 / 2
         self._link(half)
-        self._torsion_spring("roll", own("antiroll_stiffness"), own("antiroll_damping"))
-        self._torsion_spring("pitch", own("pitch_stiffness"), own("pitch_damping"))
-        self._torsion_spring("yaw", own("yaw_stop_stiffness"), 0, own("yaw_stop_angle"))
+        self._torsion_spring("roll", own.antiroll_stiffness, own.antiroll_damping)
+        self._torsion_spring("pitch", own.pitch_stiffness, own.pitch_damping)
+        self._torsion_spring("yaw", own.yaw_stop_stiffness, 0, own.yaw_stop_angle)
         self.yaw_sine = -self._relative[_SINE["yaw"]]
         self.sway = mean[1]
         self._hold(stages)
 
     def _link(self, half: ca.SX) -> None:
         """Traction link at axle height; acts along the carrier only."""
-        par, own = self._par, self._own
-        on_upper = ca.vertcat(half, 0, par["body.cg_height"] - par["wheel.radius"])
+        par, own = self._par, self._par.suspension
+        on_upper = ca.vertcat(half, 0, par.body.cg_height - par.wheel.radius)
         arm, deflection, rate = self._deflection(on_upper, ca.SX.zeros(3))
-        force = own("link_stiffness") * deflection[0] + own("link_damping") * rate[0]
+        force = own.link_stiffness * deflection[0] + own.link_damping * rate[0]
         self._act(arm, ca.vertcat(force, 0, 0))
-        self.energy += own("link_stiffness") * deflection[0] ** 2 / 2
-        self.dissipation += own("link_damping") * rate[0] ** 2
+        self.energy += own.link_stiffness * deflection[0] ** 2 / 2
+        self.dissipation += own.link_damping * rate[0] ** 2

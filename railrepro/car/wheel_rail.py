@@ -5,40 +5,38 @@ Serves the paper's section Train-Track Interaction, for the plant.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from typing import Any
 
 import casadi as ca
 
 from railrepro.car.integrator import Stages
-from railrepro.car.kinematics import Body, named, rotation
+from railrepro.car.kinematics import Body, rotation
 from railrepro.contact.creep import polach, spin_moment
 from railrepro.contact.table import CELL_COLUMNS, in_cell
-from railrepro.vehicle.parameters import AdhesionSet
+from railrepro.quantities import named, pack
 
-ADHESION = tuple(field.name for field in fields(AdhesionSet))
-"""Parameters of the creep law that a rail brings along."""
 _SIGN = {"le": -1, "ri": 1}
 """Side of a wheel, positive to the right."""
 
 
-def shift_to_flange(gear: Body, side: str, par: dict[str, ca.SX]) -> ca.SX:
+def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
     """Shift of a wheel towards its flange against the rail (m), abscissa of the contact table."""
     sign = _SIGN[side]
-    return sign * (sign * par["gear.contact_base"] / 2 - _rail_in_axle(gear, sign, par)[0])
+    return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
 
 
-def _rail_in_axle(gear: Body, sign: int, par: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+def _rail_in_axle(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
     """Lateral and vertical coordinate of the rail point in the (unpitched) axle frame (m)."""
-    y = sign * (par["gear.contact_base"] + gear.section.gauge) / 2 + gear.section.lateral - gear.y
-    z = gear.section.vertical + sign * par["gear.contact_base"] / 2 * gear.section.crosslevel - gear.z
+    y = sign * (par.gear.contact_base + gear.section.gauge) / 2 + gear.section.lateral - gear.y
+    z = gear.section.vertical + sign * par.gear.contact_base / 2 * gear.section.crosslevel - gear.z
     across = y / ca.cos(gear.psi)
     return ca.cos(gear.phi) * across + ca.sin(gear.phi) * z, -ca.sin(gear.phi) * across + ca.cos(gear.phi) * z
 
 
-def _rail_slopes(gear: Body, sign: int, par: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+def _rail_slopes(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
     """Slopes of the irregular rail to the right and downwards over the track coordinate (-)."""
     rates = gear.section.irregularity_rates
-    sinking = rates["vertical"] + sign * par["gear.contact_base"] / 2 * rates["crosslevel"]
+    sinking = rates["vertical"] + sign * par.gear.contact_base / 2 * rates["crosslevel"]
     return rates["lateral"] + sign * rates["gauge"] / 2, sinking
 
 
@@ -47,10 +45,10 @@ class Contact:
 
     Creepages are sliding speeds of the wheel over the running speed, along and across the rail and about its normal.
 
-    Source: eq. (kalker); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
+    Source: eq. (4); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
     """
 
-    def __init__(self, gear: Body, side: str, speed: ca.SX, row: ca.SX, par: dict[str, ca.SX], stages: Stages):
+    def __init__(self, gear: Body, side: str, speed: ca.SX, row: ca.SX, par: Any, stages: Stages):
         sign, cell = _SIGN[side], named(CELL_COLUMNS, row)
         self.gear, section = gear, gear.section
         offset = shift_to_flange(gear, side, par) - cell["shift"]
@@ -63,7 +61,7 @@ class Contact:
         # Axes of the unpitched axle serve below: what rail and profile give in them does not depend on the pitch.
         upright = rotation("z", gear.psi) @ rotation("x", gear.phi)
         to_body = rotation("x", -gear.phi) @ rotation("y", -gear.pitch) @ rotation("x", gear.phi)
-        turn_rate, base = section.turn_rate, sign * par["gear.contact_base"] / 2
+        turn_rate, base = section.turn_rate, sign * par.gear.contact_base / 2
         aside, sinking = _rail_slopes(gear, sign, par)
         climb = turn_rate[0] * base + sinking
         tangent = ca.vertcat(1, ca.vertcat(aside, climb) / (1 - turn_rate[2] * base))
@@ -81,7 +79,7 @@ class Contact:
 
         spin = to_body.T @ ca.vertcat(gear.wx, -speed, gear.wz)
         slide = upright.T @ gear.v + ca.cross(spin, at_contact)  # the hub lies on the axis of the spin that it adds
-        rolling_speed = ca.sqrt(gear.vx**2 + par["contact.rest_speed"] ** 2)
+        rolling_speed = ca.sqrt(gear.vx**2 + par.contact.rest_speed**2)
         motion = [offset, self.penetration, self._penetration_rate(gear, sign, par), ca.dot(slide, tangent)]
         motion += [ca.dot(slide, lateral), ca.dot(spin, normal), rolling_speed]
         forces = self._forces(stages.hold(*motion), cell, section.poor[side], par)
@@ -96,7 +94,7 @@ class Contact:
         moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + normal * self.spin_moment
         self.force, self.moment = upright @ (creep_force + normal_force), to_body @ moment
 
-    def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: dict[str, ca.SX]) -> list[ca.SX]:
+    def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: Any) -> list[ca.SX]:
         """Normal force (Hertz, with damping), spin moment and both creep forces from the motion of the contact.
 
         Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping).
@@ -105,22 +103,23 @@ class Contact:
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)
         elastic = at["normal_stiffness"] * compression * ca.sqrt(compression + 1e-20)
-        normal = ca.fmax(elastic * (1 + par["contact.normal_damping"] * rate), 0)
+        normal = ca.fmax(elastic * (1 + par.contact.normal_damping * rate), 0)
         self.energy = elastic * compression / 2.5
         self.dissipation = (normal - elastic) * rate
         self.creepage = (self.sliding[0] / rolling_speed, self.sliding[1] / rolling_speed)
         self.spin = self.turn / rolling_speed
-        scale = ((normal + 1) / par["contact.nominal_load"]) ** (1 / 3)
-        adhesion = [par[f"adhesion.good.{n}"] * (1 - poor) + par[f"adhesion.poor.{n}"] * poor for n in ADHESION]
+        scale = ((normal + 1) / par.contact.nominal_load) ** (1 / 3)
+        sets = zip(pack(par.adhesion.good), pack(par.adhesion.poor), strict=True)
+        adhesion = [on_good * (1 - poor) + on_poor * poor for on_good, on_poor in sets]
         slip_speed = ca.sqrt(self.sliding[0] ** 2 + self.sliding[1] ** 2 + 1e-12)
         creep = (
             *self.creepage, self.spin, normal, at["semi_axis_x"] * scale, at["semi_axis_y"] * scale,
-            at["c11"], at["c22"], at["c23"], par["contact.shear_modulus"], *adhesion, slip_speed,
+            at["c11"], at["c22"], at["c23"], par.contact.shear_modulus, *adhesion, slip_speed,
         )  # fmt: skip
         tangential = polach(*creep)
         return [normal, spin_moment(*creep, at["c33"]), *tangential]
 
-    def _penetration_rate(self, gear: Body, sign: int, par: dict[str, ca.SX]) -> ca.SX:
+    def _penetration_rate(self, gear: Body, sign: int, par: Any) -> ca.SX:
         """Time derivative of the penetration along the motion of the carrier over the rail (m/s)."""
         moving = ca.vertcat(gear.y, gear.z, gear.psi, gear.phi)
         rates = ca.vertcat(*(gear.rates[name] for name in ("y", "z", "psi", "phi")))

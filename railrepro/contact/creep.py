@@ -1,6 +1,6 @@
 """Creep forces between wheel and rail: Kalker's coefficients, and Polach's law.
 
-Serves eq. (kalker) and Fig. 2 of the paper, which name no law. Polach brings the falling branch that the adhesion
+Serves eq. (4) and Fig. 2 of the paper, which name no law. Polach brings the falling branch that the adhesion
 task needs; strong spin is the weak spot. Mean and largest error of the force over friction against half spaces in
 steady rolling, a/b .7 to 2: without spin .02/.05, with the spin of a tread .03/.10, of a flange .2/.35.
 """

@@ -10,7 +10,7 @@ the patch spans the jump. So geometry is averaged over the pressure of elastic h
 it continuous. The rolling radius is that at which the patch rolls without longitudinal force (`normal.Patch`). One
 ellipse for a patch of two lobes makes too little of spin: 15 % of the lateral force of a gear 1 mm beside the middle.
 
-Serves the paper's eq. (z_and_phi) (cone) and section Simulation Environment.
+Serves the paper's eqs. (10), (11) (cone) and section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
 
 
 def _cone(vehicle: Vehicle) -> ContactTable:
-    """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse. Source: paper, eq. (z_and_phi)."""
+    """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse. Source: paper, eqs. (10), (11)."""
     shift = np.arange(-400, 401) * 1e-4
     slope = np.tan(vehicle.wheel.cone_angle)
     a, b, (c11, c22, c23) = cone_patch(vehicle)

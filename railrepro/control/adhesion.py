@@ -10,35 +10,46 @@ Serves the paper's section Adhesion Control.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.data import between, check_fields
+from railrepro.quantities import SIDES, group, listed
 
 _STEP = Annotated[float, between(0.0, 1e9, "N m per ms")]
 SLOWEST = 1.0
 """Speed below which the dead zone grows no more (m/s)."""
 
 
+LongitudinalInputs = group(
+    "LongitudinalInputs",
+    {"f": listed(SIDES), "s": listed(SIDES)},
+    "f_star -, v m/s, ticks ms, u N m, nominal_load N, tau_max N m, r_0 m, J_Wy kg m2, m_x_eff kg",
+)
+"""Quantities that a law of the base torque is given: estimated adhesion (traction-positive) and slip s = (v - w r)/v of
+both wheels; adhesion set point (traction-positive), speed, control cycles since the start, base torque of the cycle
+before; and of the vehicle wheel load, torque limit, wheel radius, spin inertia of a wheel, effective longitudinal
+mass."""
+
+
 class LongitudinalLaw:
-    """Settings of a law that gives the base torque of a running gear each millisecond."""
+    """Settings of a law that gives the base torque of a running gear each millisecond: a dataclass of numbers.
 
-    memory: ClassVar[tuple[str, ...]]
-    """Names of its states."""
+    In the compiled loop the settings are symbols, so that one compiled object serves all their values.
+    """
 
-    def gains(self) -> dict[str, float]:
-        """Run-time gains by name."""
+    Memory: ClassVar[type]
+    """Dataclass of the states of the law."""
+
+    def base_torque(self, q: Any, memory: Any) -> tuple:
+        """Next base torque per wheel (N m), memory and segment (1, 2 or 3) from `LongitudinalInputs` q and `Memory`."""
         raise NotImplementedError
 
-    @staticmethod
-    def law(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
-        """Base torque per wheel (N m), next memory, and segment, as `base_torque` gives them.
 
-        `ticks` counts the milliseconds; `model` has tau_max (N m), r_0 (m), J_Wy (kg m2) and m_x_eff (kg).
-        """
-        raise NotImplementedError
+AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)})
+"""Estimated adhesion and slip of both wheels, low-pass filtered."""
 
 
 @dataclass(frozen=True)
@@ -67,76 +78,82 @@ class AdhesionSettings(LongitudinalLaw):
     """Speed below which the dead zone grows as 1/v, as the noise of a slip made of speeds does; 0: constant."""
     active: bool = True
     """False gives the baseline without slip control: the torque follows the demand with `raise_step`."""
-    memory: ClassVar[tuple[str, ...]] = ("u", "f_0", "f_1", "s_0", "s_1")
-    """Names of the states of the law, see `base_torque`."""
+    Memory: ClassVar[type] = AdhesionMemory
 
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def gains(self) -> dict[str, float]:
-        """Run-time gains by name."""
-        return {f"adhesion.{name}": float(value) for name, value in vars(self).items()}
+    def base_torque(self, q: Any, memory: Any) -> tuple:
+        """Next base torque, see `LongitudinalLaw.base_torque`; the segments are those of the paper.
 
-    @staticmethod
-    def law(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
-        """See `LongitudinalLaw.law`."""
-        return base_torque(f, s, f_star, v, memory, gain, model["tau_max"])
+        Source: eqs. (21), (22), (23), (25); with s as printed, the stable branch in
+        traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
+        """
+        sign = ca.if_else(q.f_star < 0, -1, 1)
+        pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)
+        dead_zone = self.dead_zone * ca.fmax(1, self.noise_speed / ca.fmax(q.v, SLOWEST))
+        filtered = AdhesionMemory([], [])
+        unstable = 0
+        for f, s, old_f, old_s in zip(q.f, q.s, memory.f, memory.s, strict=True):
+            filtered.f.append(old_f + pole * (f - old_f))
+            filtered.s.append(old_s + pole * (s - old_s))
+            f_rate = sign * (filtered.f[-1] - old_f) / CONTROL_PERIOD
+            s_rate = -sign * (filtered.s[-1] - old_s) / CONTROL_PERIOD
+            falling = ca.logic_and(f_rate * s_rate < 0, ca.fabs(s_rate) > dead_zone)
+            unstable = ca.logic_or(unstable, ca.logic_and(falling, sign * s < 0))
+        error = sign * (q.f_star - (q.f[0] + q.f[1]) / 2)
+        above, below = error < -self.corridor, error > self.corridor
+        regular = ca.if_else(below, self.raise_step, ca.if_else(above, -self.lower_step, 0))
+        along = sign * q.u
+        # Letting go of a wheel ends at zero torque and never pushes it the other way.
+        released = ca.fmax(along - self.drop_step, 0)
+        moved = ca.if_else(ca.logic_and(unstable, along > 0), released, along + regular)
+        seeking = sign * ca.fmin(ca.fmax(moved, -q.tau_max), q.tau_max)
+
+        direct = q.f_star * (q.nominal_load * q.r_0)
+        ramp = q.u + ca.fmin(ca.fmax(direct - q.u, -self.raise_step), self.raise_step)
+        follow = ca.fmin(ca.fmax(ramp, -q.tau_max), q.tau_max)
+        u = ca.if_else(self.active, seeking, follow)
+        segment = ca.if_else(ca.logic_or(unstable, above), 3, ca.if_else(below, 1, 2))
+        return u, filtered, segment
 
 
-def base_torque(f, s, f_star, v, memory: dict, gain, tau_max) -> tuple:
-    """Next base torque of one running gear.
+@dataclass(frozen=True)
+class EstimateSettings:
+    """Quality of the adhesion and slip estimates that the adhesion law gets without sensors.
 
-    Parameters
-    ----------
-    f, s : list of SX
-        Estimated adhesion (traction-positive) and slip s = (v - w r)/v of the left and right wheel (-).
-    f_star : SX
-        Adhesion set point, traction-positive (-).
-    v : SX
-        Speed (m/s).
-    memory : dict of SX
-        u (N m), f_0, f_1, s_0, s_1: base torque and filtered estimates of the previous call.
-    gain : mapping
-        `AdhesionSettings.gains`.
-    tau_max : SX
-        Torque limit (N m).
-
-    Returns
-    -------
-    u : SX
-        Base torque per wheel (N m).
-    memory : dict of SX
-        Memory for the next call.
-    segment : SX
-        1, 2 or 3.
-
-    Source: eqs. (MAC_switching_function), (MAC_control_law), (RAC_law); with s as printed, the stable branch in
-    traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
+    Raises
+    ------
+    InputError
+        When a value is no number or beyond its range.
     """
-    sign = ca.if_else(f_star < 0, -1, 1)
-    pole = CONTROL_PERIOD / (gain["adhesion.filter_time"] + CONTROL_PERIOD)
-    dead_zone = gain["adhesion.dead_zone"] * ca.fmax(1, gain["adhesion.noise_speed"] / ca.fmax(v, SLOWEST))
-    filtered, unstable = {}, 0
-    for i in range(2):
-        filtered[f"f_{i}"] = memory[f"f_{i}"] + pole * (f[i] - memory[f"f_{i}"])
-        filtered[f"s_{i}"] = memory[f"s_{i}"] + pole * (s[i] - memory[f"s_{i}"])
-        f_rate = sign * (filtered[f"f_{i}"] - memory[f"f_{i}"]) / CONTROL_PERIOD
-        s_rate = -sign * (filtered[f"s_{i}"] - memory[f"s_{i}"]) / CONTROL_PERIOD
-        falling = ca.logic_and(f_rate * s_rate < 0, ca.fabs(s_rate) > dead_zone)
-        unstable = ca.logic_or(unstable, ca.logic_and(falling, sign * s[i] < 0))
-    error = sign * (f_star - (f[0] + f[1]) / 2)
-    above, below = error < -gain["adhesion.corridor"], error > gain["adhesion.corridor"]
-    regular = ca.if_else(below, gain["adhesion.raise_step"], ca.if_else(above, -gain["adhesion.lower_step"], 0))
-    along = sign * memory["u"]
-    # Letting go of a wheel ends at zero torque and never pushes it the other way.
-    released = ca.fmax(along - gain["adhesion.drop_step"], 0)
-    moved = ca.if_else(ca.logic_and(unstable, along > 0), released, along + regular)
-    seeking = sign * ca.fmin(ca.fmax(moved, -tau_max), tau_max)
 
-    direct = f_star * gain["adhesion.torque_per_adhesion"]
-    step = gain["adhesion.raise_step"]
-    ramp = memory["u"] + ca.fmin(ca.fmax(direct - memory["u"], -step), step)
-    follow = ca.fmin(ca.fmax(ramp, -tau_max), tau_max)
-    u = ca.if_else(gain["adhesion.active"], seeking, follow)
-    segment = ca.if_else(ca.logic_or(unstable, above), 3, ca.if_else(below, 1, 2))
-    return u, filtered | {"u": u}, segment
+    noise_f: Annotated[float, between(0.0, 10.0)] = 0.0
+    """Standard deviation of white noise of the adhesion per control cycle (-)."""
+    noise_s: Annotated[float, between(0.0, 10.0)] = 0.0
+    """The same of the slip (-)."""
+    bias_f: Annotated[float, between(-10.0, 10.0)] = 0.0
+    """Relative error of scale of the adhesion (-)."""
+    bias_s: Annotated[float, between(-10.0, 10.0)] = 0.0
+    """The same of the slip (-)."""
+    lag: Annotated[float, between(0.0, 100.0, "s")] = 0.0
+    """Time constant of a first-order lag."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def estimates(self, f, s, f_hat, s_hat, ticks, channel: int) -> tuple:
+        """Next estimates of adhesion f and slip s of a wheel, with the noise of `channel` and the next one."""
+        pole = CONTROL_PERIOD / (self.lag + CONTROL_PERIOD)
+        f_read = f * (1 + self.bias_f) + self.noise_f * white_noise(ticks, channel)
+        s_read = s * (1 + self.bias_s) + self.noise_s * white_noise(ticks, channel + 1)
+        return f_hat + pole * (f_read - f_hat), s_hat + pole * (s_read - s_hat)
+
+
+def white_noise(ticks: ca.SX, channel: int) -> ca.SX:
+    """Deterministic noise of unit variance: sum of three hashed uniform numbers of the tick and channel."""
+    total = ca.SX(0)
+    for k in range(3):
+        hashed = ca.sin(12.9898 * (ticks + 1) + 78.233 * (3 * channel + k)) * 43758.5453
+        total += hashed - ca.floor(hashed) - 0.5
+    return 2 * total

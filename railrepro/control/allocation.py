@@ -30,7 +30,7 @@ def allocate(u_d, du, tau_max, fixed_share=0.0):
     tau_le, tau_ri, tau_long, du : SX
         Commands of left and right motor, longitudinal part and limited differential torque (N m).
 
-    Source: eq. (integration_rule) of the paper.
+    Source: eqs. (41), (42) of the paper.
     """
     fixed = fixed_share > 0
     du_limit = ca.if_else(fixed, fixed_share * tau_max, tau_max)

@@ -18,7 +18,7 @@ from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
 from railrepro.data import InputError, between, require
-from railrepro.model.control_model import control_model, kept_as_printed
+from railrepro.model.control_model import XDOT, control_model, kept_as_printed
 from railrepro.model.forecast import Forecast, nominal_values
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
@@ -99,7 +99,7 @@ class PredictiveController:
         self.plan_du, self._measured = np.zeros(s.steps), np.zeros_like(self.horizon.x_hat)
         self._c = _Planner(
             ctypes.addressof(self.horizon.c), self.horizon.x_hat.ctypes.data, self.plan_du.ctypes.data,
-            s.observer, self.vehicle.drive.torque_limit, s.yielding, s.informed, self.mode,
+            s.observer, 0.0, s.yielding, s.informed, self.mode,
         )  # fmt: skip
         self._pointer, self._at = ctypes.byref(self._c), ctypes.c_void_p(self._measured.ctypes.data)
         self._library = self.horizon.library
@@ -114,9 +114,13 @@ class PredictiveController:
         """Observed offset of the yaw angle (rad), see `MPCSettings.observer`."""
         return self._c.offset
 
+    def torque_limit(self, x_hat: np.ndarray) -> float:
+        """Torque limit (N m) at a measured state (6,)."""
+        return self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
+
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The optimal control problem at a measured state (6,) and base torque (N m)."""
-        h, limit, u_d = self.horizon, self.vehicle.drive.torque_limit, u_d if self.settings.informed else 0.0
+        h, limit, u_d = self.horizon, self.torque_limit(x_hat), u_d if self.settings.informed else 0.0
         h.sample(x_hat, u_d, self.settings.torque_bound(u_d, limit))
         h.forecast()
         ahead = Forecast(h.x_d.copy(), h.theta.copy())
@@ -125,7 +129,7 @@ class PredictiveController:
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now from a measured state (6,) and the base torque (N m)."""
         begin = time.thread_time()
-        self._measured[:] = x_hat
+        self._measured[:], self._c.torque_limit = x_hat, self.torque_limit(x_hat)
         torque = self._torque(ctypes.c_double(u_d))
         ready = time.thread_time()
         self._library.planner_prepare(self._pointer)

@@ -6,7 +6,7 @@ prediction model, torques within their limits, and the lateral position within a
 the slack), so that no state makes it infeasible.
 
 The costs are expressions: they take numbers or CasADi symbols, and `Tuning` names what they weigh with. Serves
-eqs. (constraints) and (terminal_cost) of the paper.
+eqs. (31) and (32) of the paper.
 """
 
 from __future__ import annotations
@@ -59,18 +59,18 @@ class Tuning(NamedTuple, Generic[Expression]):
 
 
 def stage_cost(x, x_d, slack, t: Tuning):
-    """Cost of a state on the way, and of the slack of its lateral bound. Source: eq. (constraints)."""
+    """Cost of a state on the way, and of the slack of its lateral bound. Source: eq. (31)."""
     return ca.dot(t.q * t.period, (x - x_d) ** 2) + slack_cost(slack, t)
 
 
 def terminal_cost(x, x_d, slack, t: Tuning):
-    """Cost of the last state, which weighs lateral position and yaw only. Source: eq. (terminal_cost)."""
+    """Cost of the last state, which weighs lateral position and yaw only. Source: eq. (32)."""
     weighed = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
     return sum(weighed) + slack_cost(slack, t)
 
 
 def effort_cost(du, t: Tuning):
-    """Cost of a differential torque. Source: eq. (constraints)."""
+    """Cost of a differential torque. Source: eq. (31)."""
     return t.r * t.period * du**2
 
 
@@ -200,7 +200,7 @@ class MPCSettings:
         return np.array([*self.q_diag, *rest], dtype=float)
 
     def torque_bound(self, u_d: float, tau_max: float) -> float:
-        """Largest |du| (N m) at a base torque and a torque limit (N m), see `yielding`. Source: eq. (constraints)."""
+        """Largest |du| (N m) at a base torque and a torque limit (N m), see `yielding`. Source: eq. (31)."""
         return tau_max if self.yielding else max(tau_max - abs(u_d), 0.0)
 
 

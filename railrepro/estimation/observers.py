@@ -13,19 +13,23 @@ scheduled over the speed, and the creep forces of the wheels turn it:
 Creep angle and yaw angle are two states: the car needs the first to carry lateral force, and the inversion of a
 controller must not take it for the second at once. Then both are predicted to the moment when a torque will arrive.
 
-Serves the measured states of the paper's eq. (states).
+Serves the measured states of the paper's eq. (18).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.estimation.sensors import Loop, late
+from railrepro.estimation.sensors import Loop, delayed
+from railrepro.quantities import SIDES, group, listed, pack, unpack
 from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
@@ -33,20 +37,26 @@ SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
 _LEAST = 1e-9
 """Noise of perfect sensors, for gains that stay finite (SI)."""
 LATERAL = ("y", "psi", "r", "bias", "beta")
-"""States of the lateral filter: displacement (m), yaw against the track (rad), absolute yaw rate and gyro bias (rad/s),
-creep angle (rad)."""
+"""States of the lateral filter: displacement, yaw against the track, absolute yaw rate, gyro bias, creep angle."""
 _READ = ("y", "psi", "r")
-WHEEL = ("tau", "w", "force")
-STATES = (*LATERAL, *(f"{name}_{side}" for side in ("le", "ri") for name in WHEEL), "v", "creep")
-"""Memory of the filter per gear: both filters, low-passed speed (m/s) and creep angle (rad)."""
-MODEL = ("J_z", "J_Wy", "k_sz", "k_dz", "r_0", "b", "gamma", "lag", "J_eff")
-GAINS = (
-    *(f"lateral.{state}.{read}.{k}" for state in LATERAL for read in _READ for k in range(len(SPEEDS))),
-    *("wheel.w", "wheel.force", "prediction", "creep_pole", "speed_pole"),
-    *(f"model.{name}" for name in MODEL),
+WheelState = group("WheelState", "tau N m, w rad/s, force N")
+"""Filter of a wheel: motor torque, speed, longitudinal creep force."""
+_WHEELS = {"le": WheelState, "ri": WheelState}
+FilterState = group("FilterState", "y m, psi rad, r rad/s, bias rad/s, beta rad", _WHEELS, "v m/s, creep rad")
+"""Filter of a gear: `LATERAL`, both wheels, speed and creep angle low-pass filtered."""
+FilterModel = group(
+    "FilterModel", "J_z kg m2, J_Wy kg m2, k_sz N m/rad, k_dz N m s/rad, r_0 m, b m, gamma rad/m, lag s, J_eff kg m2"
 )
-ESTIMATES = ("y_TrAx", "psi_TrAx", "psidot_Ax", "xdot", "f_le", "f_ri", "s_le", "s_ri")
-"""What the filter hands on (SI): states when a torque will arrive, creep force over nominal load and slip of wheels."""
+"""What the filter knows of the vehicle, see `railrepro.control.lateral.MODEL`, and the lag of the drive."""
+_LateralGain = group("LateralGain", dict.fromkeys(_READ, listed(range(len(SPEEDS)))))
+_LateralGains = group("LateralGains", dict.fromkeys(LATERAL, _LateralGain))
+_REST = "wheel_w -, wheel_force N s, prediction s, creep_pole -, speed_pole -"
+FilterGains = group("FilterGains", {"lateral": _LateralGains}, _REST, {"model": FilterModel})
+"""Run-time numbers of the filter: Kalman gains (of the lateral filter at `SPEEDS`), time to predict, poles of low-pass
+filters, model."""
+_SIDES = {"f": listed(SIDES), "s": listed(SIDES)}
+Estimates = group("Estimates", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s, xdot m/s", _SIDES)
+"""What the filter finds: states when a torque will arrive, creep force over nominal load and slip of the wheels."""
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -94,130 +104,150 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
     return _stationary(*lateral_matrices(vehicle, speed), wander, readings)
 
 
-def stationary_gains(vehicle: Vehicle, loop: Loop) -> dict[str, float]:
-    """Run-time numbers of the filter of one gear, by the names of `GAINS`; the vehicle is what the filter believes."""
+def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
+    """Run-time numbers of the filter of one gear; the vehicle is what the filter believes."""
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
-    gains: dict[str, float] = {}
-    for k, speed in enumerate(SPEEDS):
-        found, _ = lateral_filter(vehicle, loop, speed)
-        gains |= {
-            f"lateral.{state}.{read}.{k}": float(found[i, j])
-            for i, state in enumerate(LATERAL)
-            for j, read in enumerate(_READ)
-        }
+    at_speeds = np.array([lateral_filter(vehicle, loop, speed)[0] for speed in SPEEDS])
     spin = np.array([[0.0, -radius / inertia], [0.0, 0.0]])
     noise = max(loop.wheel_speed.noise, _LEAST) ** 2
-    found, _ = _stationary(spin, np.array([[1.0, 0.0]]), np.diag([1e-8, rates.force_rate**2]), np.array([[noise]]))
-    gains |= {"wheel.w": float(found[0, 0]), "wheel.force": float(found[1, 0])}
-    gains |= {"prediction": loop.latency.measurement + loop.latency.command}
-    gains |= {
-        f"{name}_pole": CONTROL_PERIOD / (getattr(rates, f"{name}_lag") + CONTROL_PERIOD) for name in ("creep", "speed")
-    }
-    values = [vehicle.gear.inertia_z, inertia, vehicle.suspension.yaw_stiffness, vehicle.suspension.yaw_damping]
-    values += [radius, vehicle.gear.contact_base, vehicle.gamma, vehicle.drive.lag, vehicle.effective_yaw_inertia]
-    return gains | {f"model.{name}": float(value) for name, value in zip(MODEL, values, strict=True)}
+    wheel, _ = _stationary(spin, np.array([[1.0, 0.0]]), np.diag([1e-8, rates.force_rate**2]), np.array([[noise]]))
+    model = FilterModel(
+        J_z=vehicle.gear.inertia_z,
+        J_Wy=inertia,
+        k_sz=vehicle.suspension.yaw_stiffness,
+        k_dz=vehicle.suspension.yaw_damping,
+        r_0=radius,
+        b=vehicle.gear.contact_base,
+        gamma=vehicle.gamma,
+        lag=vehicle.drive.lag,
+        J_eff=vehicle.effective_yaw_inertia,
+    )
+    lateral = unpack(_LateralGains, np.moveaxis(at_speeds, 0, -1).ravel().tolist())
+    return FilterGains(
+        lateral,
+        wheel_w=float(wheel[0, 0]),
+        wheel_force=float(wheel[1, 0]),
+        prediction=loop.latency.measurement + loop.latency.command,
+        creep_pole=CONTROL_PERIOD / (rates.creep_lag + CONTROL_PERIOD),
+        speed_pole=CONTROL_PERIOD / (rates.speed_lag + CONTROL_PERIOD),
+        model=model,
+    )
 
 
-def observe(readings: dict, commands: dict, track_ahead: dict, ticks, gain: dict, memory: dict) -> tuple[dict, dict]:
-    """What the filter of a gear makes of new readings.
+def observe(
+    readings: Any,
+    commands: dict,
+    track: Any,
+    ticks,
+    sensor: Any,
+    gain: Any,
+    nominal_load,
+    memory: Any,
+) -> tuple[Any, Any]:
+    """Correct the filter of a gear by new readings.
 
     Parameters
     ----------
-    readings : dict of SX
-        By `sensors.SIGNALS`, as late as they are.
-    commands : dict of SX
+    readings : Signals of SX
+        As late as they are.
+    commands : dict of list
         Torques that were sent to the wheels by side (N m), newest first; that of this cycle is not among them.
-    track_ahead : dict of SX
-        dpsi_dp, dphi_dp, psi_Tr, psi_CB, dpsi_dp_CB where the gear is, see `railrepro.control.lateral.ROAD`.
+    track : object with dpsi_dp, dphi_dp, psi_Tr, psi_CB, dpsi_dp_CB
+        Where the gear is, see `railrepro.control.lateral.ROAD`.
     ticks : SX
         Control cycles since the start; the filter begins with the first readings.
-    gain, memory : dict of SX
-        By the names of `GAINS` (and "measurement", "command" of the sensors, "nominal_load"), and of `STATES`.
+    sensor, gain : SensorGains, FilterGains of SX
+    nominal_load : SX
+        Vertical force of a wheel (N).
+    memory : FilterState of SX
 
     Returns
     -------
-    estimates : dict of SX
-        By `ESTIMATES`.
-    state : dict of SX
-        By `STATES`, at the time of the readings; `advance` carries it on.
+    estimates : Estimates of SX
+    state : FilterState of SX
+        At the time of the readings; `advance` carries it on.
     """
-    model = {name: gain[f"model.{name}"] for name in MODEL}
-    first = ticks < 0.5
-    planes = readings["y_ahead"], readings["y_behind"]
-    read = {"y": sum(planes) / 2, "psi": (planes[0] - planes[1]) / gain["base"], "r": readings["psidot_Ax"]}
-    starts = read | {"bias": 0, "beta": 0, "v": readings["v"], "creep": 0}
-    starts |= {f"w_{side}": readings[f"w_{side}"] for side in ("le", "ri")}
-    x = {name: ca.if_else(first, starts.get(name, 0), memory[name]) for name in STATES}
-    v = x["v"] = x["v"] + gain["speed_pole"] * (readings["v"] - x["v"])
-    innovation = {"y": read["y"] - x["y"], "psi": read["psi"] - x["psi"], "r": read["r"] - x["r"] - x["bias"]}
-    for state in LATERAL:
-        x[state] += sum(_scheduled(f"lateral.{state}.{name}", v, gain) * innovation[name] for name in _READ)
-    for side in ("le", "ri"):
-        surprise = readings[f"w_{side}"] - x[f"w_{side}"]
-        x[f"w_{side}"] += gain["wheel.w"] * surprise
-        x[f"force_{side}"] += gain["wheel.force"] * surprise
-    x["creep"] += gain["creep_pole"] * (x["beta"] - x["creep"])
+    planes = readings.y_ahead, readings.y_behind
+    read = {"y": sum(planes) / 2, "psi": (planes[0] - planes[1]) / sensor.base, "r": readings.psidot_Ax}
+    le, ri = WheelState(0, readings.w_le, 0), WheelState(0, readings.w_ri, 0)
+    start = FilterState(read["y"], read["psi"], read["r"], 0, 0, le, ri, readings.v, 0)
+    x = unpack(FilterState, (ca.if_else(ticks < 0.5, *pair) for pair in zip(pack(start), pack(memory), strict=True)))
+    v = x.v + gain.speed_pole * (readings.v - x.v)
+    innovation = {"y": read["y"] - x.y, "psi": read["psi"] - x.psi, "r": read["r"] - x.r - x.bias}
+    corrected = {
+        state: getattr(x, state)
+        + sum(_scheduled(getattr(getattr(gain.lateral, state), name), v) * innovation[name] for name in _READ)
+        for state in LATERAL
+    }
+    for side, w in (("le", readings.w_le), ("ri", readings.w_ri)):
+        wheel: Any = getattr(x, side)
+        error = w - wheel.w
+        corrected[side] = replace(wheel, w=wheel.w + gain.wheel_w * error, force=wheel.force + gain.wheel_force * error)
+    creep = x.creep + gain.creep_pole * (corrected["beta"] - x.creep)
+    x = replace(x, **corrected, v=v, creep=creep)
 
-    y, psi, r = _predicted(x, commands, track_ahead, gain, model)
-    estimates = {"y_TrAx": y, "psi_TrAx": psi + x["creep"], "psidot_Ax": r, "xdot": v}
-    for side in ("le", "ri"):
-        estimates[f"f_{side}"] = x[f"force_{side}"] / gain["nominal_load"]
-        estimates[f"s_{side}"] = (v - model["r_0"] * x[f"w_{side}"]) / ca.fmax(v, 1.0)
-    return estimates, x
-
-
-def advance(x: dict, commands: dict, track_ahead: dict, gain: dict) -> dict:
-    """State of the filter a cycle later; parameters as of `observe`, this cycle's torques among the commands."""
-    model = {name: gain[f"model.{name}"] for name in MODEL}
-    h, following = CONTROL_PERIOD, dict(x)
-    following["y"] += h * x["v"] * (x["psi"] + x["beta"])
-    following["psi"] += h * (x["r"] - x["v"] * track_ahead["dpsi_dp"])
-    following["r"] += h * _yaw_acceleration(x, track_ahead, model)
-    for side in ("le", "ri"):
-        torque, commanded = x[f"tau_{side}"], late(commands[side], gain["measurement"] + gain["command"])
-        following[f"tau_{side}"] += (1 - ca.exp(-h / model["lag"])) * (commanded - torque)
-        mean = (torque + following[f"tau_{side}"]) / 2
-        following[f"w_{side}"] += h / model["J_Wy"] * (mean - model["r_0"] * x[f"force_{side}"])
-    return following
+    y, psi, r = _predicted(x, commands, track, sensor, gain)
+    f = [wheel.force / nominal_load for wheel in (x.le, x.ri)]
+    s = [(v - gain.model.r_0 * wheel.w) / ca.fmax(v, 1.0) for wheel in (x.le, x.ri)]
+    return Estimates(y, psi + x.creep, r, v, f, s), x
 
 
-def _scheduled(name: str, v, gain: dict):
+def advance(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> Any:
+    """Propagate the filter by one cycle. `commands` include the torques of this cycle; the rest is as in `observe`."""
+    h, model = CONTROL_PERIOD, gain.model
+
+    def wheel(state: Any, line: list) -> Any:
+        commanded = delayed(line, sensor.measurement + sensor.command)
+        tau = state.tau + (1 - ca.exp(-h / model.lag)) * (commanded - state.tau)
+        w = state.w + h / model.J_Wy * ((state.tau + tau) / 2 - model.r_0 * state.force)
+        return replace(state, tau=tau, w=w)
+
+    return replace(
+        x,
+        y=x.y + h * x.v * (x.psi + x.beta),
+        psi=x.psi + h * (x.r - x.v * track.dpsi_dp),
+        r=x.r + h * _yaw_acceleration(x, track, model),
+        le=wheel(x.le, commands["le"]),
+        ri=wheel(x.ri, commands["ri"]),
+    )
+
+
+def _scheduled(at_speeds: list, v):
     """Gain at a speed, linear between `SPEEDS` and constant beyond them."""
-    value = gain[f"{name}.0"]
-    for k, (low, high) in enumerate(zip(SPEEDS[:-1], SPEEDS[1:], strict=True)):
+    value = at_speeds[0]
+    for k, (low, high) in enumerate(pairwise(SPEEDS)):
         share = ca.fmin(ca.fmax((v - low) / (high - low), 0), 1)
-        value += share * (gain[f"{name}.{k + 1}"] - gain[f"{name}.{k}"])
+        value += share * (at_speeds[k + 1] - at_speeds[k])
     return value
 
 
-def _yaw_acceleration(x: dict, track_ahead: dict, model: dict):
+def _yaw_acceleration(x: Any, track: Any, model: Any):
     """Yaw acceleration under the creep forces of both wheels, springs, dampers and gyroscopic moment (rad/s2)."""
-    v = x["v"]
-    turning = model["b"] / 2 * (x["force_le"] - x["force_ri"])
-    turning -= model["k_sz"] * (track_ahead["psi_Tr"] + x["psi"] - track_ahead["psi_CB"])
-    turning -= model["k_dz"] * (x["r"] - v * track_ahead["dpsi_dp_CB"])
-    roll_rate = v * (track_ahead["dphi_dp"] - model["gamma"] * (x["psi"] + x["beta"]))
-    return (turning + 2 * model["J_Wy"] * v / model["r_0"] * roll_rate) / model["J_z"]
+    moment = model.b / 2 * (x.le.force - x.ri.force)
+    moment -= model.k_sz * (track.psi_Tr + x.psi - track.psi_CB)
+    moment -= model.k_dz * (x.r - x.v * track.dpsi_dp_CB)
+    roll_rate = x.v * (track.dphi_dp - model.gamma * (x.psi + x.beta))
+    return (moment + 2 * model.J_Wy * x.v / model.r_0 * roll_rate) / model.J_z
 
 
-def _predicted(x: dict, commands: dict, track_ahead: dict, gain: dict, model: dict) -> tuple:
+def _predicted(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> tuple:
     """Position, yaw and yaw rate when a torque of this cycle will arrive.
 
-    The yaw acceleration that was found goes on; torques that are on their way change it as on rolling wheels.
+    The present yaw acceleration goes on; torques that are on their way change it as on rolling wheels.
     """
-    steps = 5
-    h = gain["prediction"] / steps
-    y, psi, r, v, yaw = x["y"], x["psi"], x["r"], x["v"], _yaw_acceleration(x, track_ahead, model)
-    motor = {side: x[f"tau_{side}"] for side in ("le", "ri")}
+    steps, model = 5, gain.model
+    h = gain.prediction / steps
+    y, psi, r, v, yaw = x.y, x.psi, x.r, x.v, _yaw_acceleration(x, track, model)
+    motor = {"le": x.le.tau, "ri": x.ri.tau}
     before = motor["le"] - motor["ri"]
     for k in range(steps):
-        age = gain["measurement"] + gain["command"] - (k + 0.5) * h / CONTROL_PERIOD
+        age = sensor.measurement + sensor.command - (k + 0.5) * h / CONTROL_PERIOD
         for side in motor:
-            commanded = late(commands[side], ca.fmax(age - 0.5, 0))
-            motor[side] += (1 - ca.exp(-h / model["lag"])) * (commanded - motor[side])
-        change = model["b"] / (2 * model["r_0"] * model["J_eff"]) * (motor["le"] - motor["ri"] - before)
-        y += h * v * (psi + x["beta"])
-        psi += h * (r - v * track_ahead["dpsi_dp"])
+            commanded = delayed(commands[side], ca.fmax(age - 0.5, 0))
+            motor[side] += (1 - ca.exp(-h / model.lag)) * (commanded - motor[side])
+        change = model.b / (2 * model.r_0 * model.J_eff) * (motor["le"] - motor["ri"] - before)
+        y += h * v * (psi + x.beta)
+        psi += h * (r - v * track.dpsi_dp)
         r += h * (yaw + change)
     return y, psi, r

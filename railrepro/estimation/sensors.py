@@ -7,26 +7,38 @@ The paper names lateral position and yaw difficult or costly to measure; its own
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
 from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
+from railrepro.quantities import group, listed, names, unpack
 from railrepro.vehicle.parameters import Parameter, loaded
 
 LONGEST = 20
 """Longest latency that the delay lines hold (control cycles)."""
-SIGNALS = ("y_ahead", "y_behind", "psidot_Ax", "w_le", "w_ri", "v", "p")
-"""Readings of a gear (SI): displacement against the rails in two planes, absolute yaw rate, wheel speeds, speed and
-position along the track."""
+Signals = group("Signals", "y_ahead m, y_behind m, psidot_Ax rad/s, w_le rad/s, w_ri rad/s, v m/s, p m")
+"""Readings of a gear: displacement against the rails in two planes, yaw rate, wheel speeds, speed and position."""
+SIGNALS = names(Signals)
 _GROUP = dict(
     zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
 )
-_READ = ("noise", "bias", "resolution", "period", "dropout")
+_QUALITY = ("noise", "bias", "resolution", "period", "dropout")
+SensorGains = group(
+    "SensorGains",
+    dict.fromkeys(SIGNALS, group("Quality", dict.fromkeys(_QUALITY, Any))),
+    "measurement ms, command ms, unknown_delay ms, torque_gain -, seed -, base m",
+)
+"""Run-time numbers of a gear's sensors: quality of each signal, delays, gain of the inverter, base of the planes."""
+_LINE = listed(range(LONGEST + 1))
+SensorMemory = group(
+    "SensorMemory", dict.fromkeys(SIGNALS, _LINE) | {"p": Any}, dict.fromkeys(("tau_le", "tau_ri"), _LINE)
+)
+"""Delay lines of readings and torque commands, newest entry first; of the position only the last reading is needed."""
 _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
@@ -139,11 +151,11 @@ class Loop:
     adhesion: Adhesion
 
     def __post_init__(self) -> None:
-        for group in dict.fromkeys(_GROUP.values()):
-            ratio = getattr(self, group).period / CONTROL_PERIOD
+        for sensor in dict.fromkeys(_GROUP.values()):
+            ratio = getattr(self, sensor).period / CONTROL_PERIOD
             if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
                 raise ValueError(
-                    f"{group}.period is {1e3 * CONTROL_PERIOD * ratio:g} ms, a whole number of ms is needed"
+                    f"{sensor}.period is {1e3 * CONTROL_PERIOD * ratio:g} ms, a whole number of ms is needed"
                 )
 
         total = self.latency.measurement + self.latency.command + self.inverter.delay
@@ -204,84 +216,60 @@ class Readings:
         data.require("Readings: loop", self.loop, Loop)
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
-    def gains(self, gear: int) -> dict[str, float]:
-        """Run-time numbers of a gear (0 front, 1 rear) by name."""
+    def gains(self, gear: int) -> Any:
+        """`SensorGains` of a gear (0 front, 1 rear)."""
         data.require("Readings: gear", gear, data.between(0, 1), whole=True)
-        draw = np.random.default_rng((self.seed, gear))
-        gains: dict[str, float] = {}
-        for signal, group in _GROUP.items():
-            settings = asdict(getattr(self.loop, group))
-            settings["bias"] *= draw.uniform(-1.0, 1.0)
-            gains |= {f"{signal}.{name}": settings[name] for name in _READ}
-        delays = asdict(self.loop.latency) | {"unknown_delay": self.loop.inverter.delay}
-        cycles = {name: value / CONTROL_PERIOD for name, value in delays.items()}
-        constant = {"torque_gain": self.loop.inverter.gain, "base": self.loop.lateral.base}
-        return gains | cycles | constant | {"seed": float(self.seed % 1_000_003)}
+        draw, loop = np.random.default_rng((self.seed, gear)), self.loop
+        sensors = {signal: getattr(loop, group) for signal, group in _GROUP.items()}
+        biases = {signal: sensor.bias * draw.uniform(-1.0, 1.0) for signal, sensor in sensors.items()}
+        entries = [
+            {**vars(sensor), "bias": biases[signal]}[name] for signal, sensor in sensors.items() for name in _QUALITY
+        ]
+        delays = loop.latency.measurement, loop.latency.command, loop.inverter.delay
+        entries += [delay / CONTROL_PERIOD for delay in delays]
+        return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % 1_000_003), loop.lateral.base])
 
 
-GAINS = (
-    *(f"{signal}.{name}" for signal in SIGNALS for name in _READ),
-    *("measurement", "command", "unknown_delay", "torque_gain", "seed", "base"),
-)
-"""Names of the run-time numbers of a gear."""
-MEMORY = ("p.0", *(f"{s}.{k}" for s in (*SIGNALS, "tau_le", "tau_ri") if s != "p" for k in range(LONGEST + 1)))
-"""Names of the delay lines of a gear, newest entry first; of the position only the last reading is needed."""
-
-
-def sense(truth: dict, ticks, gear: int, gain: dict, memory: dict) -> tuple[dict, dict]:
-    """Readings of a gear as they reach the controller.
+def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, dict[str, Any]]:
+    """Readings (`Signals`) of a gear as they reach the controller, and the next delay lines of the signals.
 
     Parameters
     ----------
-    truth : dict of SX
-        Values of `SIGNALS` (SI).
+    truth : Signals of SX
     ticks : SX
         Control cycles since the start; on the first one the delay lines are filled with its readings.
     gear : int
-    gain, memory : dict of SX
-        By the names of `GAINS` and `MEMORY`.
-
-    Returns
-    -------
-    readings : dict of SX
-        By `SIGNALS`.
-    kept : dict of SX
-        Next memory.
+    gain, memory : SensorGains, SensorMemory of SX
     """
-    readings, stored = {}, {}
+    readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
-        noisy = truth[signal] + gain[f"{signal}.bias"]
-        noisy += gain[f"{signal}.noise"] * gaussian(gain["seed"], len(SIGNALS) * gear + i, ticks)
-        step = gain[f"{signal}.resolution"]
+        quality = getattr(gain, signal)
+        before = getattr(memory, signal)
+        noisy = getattr(truth, signal) + quality.bias
+        noisy += quality.noise * gaussian(gain.seed, len(SIGNALS) * gear + i, ticks)
+        step = quality.resolution
         coarse = ca.if_else(step > 0, step * ca.floor(noisy / ca.fmax(step, 1e-12) + 0.5), noisy)
-        due = ca.floor(ticks * CONTROL_PERIOD / gain[f"{signal}.period"] + 1e-6)
-        before = ca.floor((ticks - 1) * CONTROL_PERIOD / gain[f"{signal}.period"] + 1e-6)
-        chance = uniform(gain["seed"], 2 * (2 * len(SIGNALS) + len(SIGNALS) * gear + i), ticks)
-        lost = chance < gain[f"{signal}.dropout"]
-        fresh = ca.logic_or(ticks < 0.5, ca.logic_and(due > before, ca.logic_not(lost)))
-        newest = ca.if_else(fresh, coarse, memory[f"{signal}.0"])
+        due, due_before = (ca.floor(tick * CONTROL_PERIOD / quality.period + 1e-6) for tick in (ticks, ticks - 1))
+        chance = uniform(gain.seed, 2 * (2 * len(SIGNALS) + len(SIGNALS) * gear + i), ticks)
+        lost = chance < quality.dropout
+        fresh = ca.logic_or(ticks < 0.5, ca.logic_and(due > due_before, ca.logic_not(lost)))
         if signal == "p":
-            readings[signal], stored[f"{signal}.0"] = newest, newest
+            readings[signal] = lines[signal] = ca.if_else(fresh, coarse, before)
             continue
-        line = [newest, *(ca.if_else(ticks < 0.5, newest, memory[f"{signal}.{k}"]) for k in range(LONGEST))]
-        readings[signal] = late(line, gain["measurement"])
-        stored |= {f"{signal}.{k}": value for k, value in enumerate(line)}
-    return readings, stored
+        newest = ca.if_else(fresh, coarse, before[0])
+        line = lines[signal] = [newest, *(ca.if_else(ticks < 0.5, newest, old) for old in before[:-1])]
+        readings[signal] = delayed(line, gain.measurement)
+    return Signals(**readings), lines
 
 
-def sent(torque, signal: str, memory: dict) -> list:
-    """Line of a wheel's commands (N m) with that of this cycle as its newest."""
-    return [torque, *(memory[f"{signal}.{k}"] for k in range(LONGEST))]
-
-
-def late(line: list, cycles):
+def delayed(line: list, cycles):
     """Entry of a delay line (newest first) that is some control cycles old, linear in between."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
-def arriving(line: list, gain: dict):
-    """Torque that a motor is commanded in this control cycle (N m), from the line of its commands."""
-    return gain["torque_gain"] * late(line, gain["command"] + gain["unknown_delay"])
+def received_torque(line: list, gain: Any):
+    """Torque command that reaches a motor in this control cycle (N m), from the line of its commands."""
+    return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 
 def gaussian(seed, channel: int, ticks):

@@ -12,7 +12,7 @@ from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
-_INPUTS = tuple(f"tau_{wheel}" for wheel in equations.WHEELS)
+_INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:

@@ -15,21 +15,21 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from railrepro.car import equations
 from railrepro.car.component import DERAILED
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.control import lateral, law
+from railrepro.control import interface, lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.solvers import riccati
 from railrepro.data import InputError, location, require, write
 from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
 from railrepro.model.control_model import STATES
 from railrepro.model.forecast import nominal_values
+from railrepro.quantities import GEARS, indices, pack
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-TORQUES = tuple(f"tau_{wheel}" for wheel in equations.WHEELS)
+TORQUES = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
 """Outputs of a controller (N m), inputs of the car."""
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""
@@ -87,23 +87,24 @@ class Export:
         return file
 
     def write_fmu(self, path: Path | str) -> Path:
-        """Write an FMU (FMI 2.0) for this platform; inputs `law.MEASURED`, outputs `TORQUES`."""
+        """Write an FMU (FMI 2.0) for this platform; inputs `interface.MEASURED`, outputs `TORQUES`."""
         path = fmu_file(path)
         description = "Controller of two running gears with independently rotating wheels"
-        fmu = Fmu("controller", description, TORQUES, law.MEASURED, _LARGEST)
+        fmu = Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST)
         sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}
         sizes |= {"INPUT_TEXT": f'"what is measured must be a number of at most {_LARGEST:g}"'}
         return write_fmu(path, fmu, self.source() + _defines(sizes), (_HERE / "controller_fmu.c").read_text())
 
     def _constants(self, control: law.ControlLaw) -> str:
         """Sizes, road and gains of the law."""
-        sizes: dict[str, int | str] = {"N_MEASURED": len(law.MEASURED), "N_TORQUE": len(TORQUES)}
-        sizes |= {"N_MEMORY": len(control.signature.memory), "GEARS": len(law.GEARS), "N_CELLS": len(self.route.cells)}
+        sizes: dict[str, int | str] = {"N_MEASURED": len(interface.MEASURED), "N_TORQUE": len(TORQUES)}
+        sizes |= {"N_MEMORY": len(control.signature.memory), "GEARS": len(GEARS), "N_CELLS": len(self.route.cells)}
         sizes |= _work("LAW", [control.function])
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
+        measured = indices(interface.Measured)
         sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}
-        positions = [law.MEASURED.index(law.MEASURED_STATES[gear][0]) for gear in law.GEARS]
-        text = _index_enum("MEASURED", law.MEASURED) + _index_enum("TORQUE", TORQUES)
+        positions = [gear.p for gear in (measured.front, measured.rear)]
+        text = _index_enum("MEASURED", interface.MEASURED) + _index_enum("TORQUE", TORQUES)
         text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("POSITIONS", positions)
         cells = self.route.cells.copy()
         if lateral.split(self.guidance)[1] is None:
@@ -111,12 +112,13 @@ class Export:
         return text + constant("CELLS", cells) + constant("GAINS", control.gains)
 
     def _planners(self, factory: lateral.Factory) -> list[PredictiveController]:
-        return [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(law.GEARS))]
+        return [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
 
     def _planner(self, planners: list[PredictiveController], control: law.ControlLaw) -> str:
         """The predictive controllers of both gears: solver, numbers, where they find what is measured."""
         settings, first = planners[0].settings, planners[0]
-        functions, memory = _functions(first), control.signature.memory
+        functions, measured, memory = _functions(first), indices(interface.Measured), indices(control.signature.Memory)
+        gears = memory.front, memory.rear
         sizes: dict[str, int | str] = {"PLAN_STEPS": round(settings.period / CONTROL_PERIOD), "STEPS": settings.steps}
         sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
         sizes |= {
@@ -131,12 +133,9 @@ class Export:
         sizes["MODE"] = first.mode
         nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
         sizes["N_NOMINAL"] = nominal.shape[1]
-        states = [[law.MEASURED.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS]
-        names = [[f"{gear}.{name}" for name in law.ESTIMATED] for gear in law.GEARS]
-        estimated = [[memory.index(name) if control.signature.sensed else 0 for name in row] for row in names]
-        text = _defines(sizes)
-        text += _integers("STATES_AT", states) + _integers("ESTIMATED", estimated)
-        text += _integers("BASE", [memory.index(f"{gear}.u") for gear in law.GEARS])
+        text = _defines(sizes) + _integers("STATES_AT", [pack(measured.front), pack(measured.rear)])
+        estimated = [pack(g.estimated) if control.signature.sensed else [0] * len(STATES) for g in gears]
+        text += _integers("ESTIMATED", estimated) + _integers("BASE", [g.u for g in gears])
         tables = {"NOMINAL": nominal, "MODEL": first.parameters, "TUNING": settings.tuning()}
         text += "".join(constant(name, table) for name, table in tables.items())
         text += riccati.c_text(settings.variant, settings.discretisation)

@@ -1,7 +1,7 @@
 """The control-oriented model as CasADi functions, continuous and discretised.
 
 State x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx; inputs tau_ri, tau_le (traction-positive, N m); theta holds the
-track at the present position. Serves the paper's eqs. (discr_state_space1) and (eqn.parameters).
+track at the present position. Serves the paper's eqs. (7) and (18) to (20).
 """
 
 from __future__ import annotations
@@ -16,9 +16,13 @@ import numpy as np
 from railrepro.compile.codegen import stored
 from railrepro.data import InputError
 from railrepro.model.parameters import DISCREPANCIES, PARAMETERS
+from railrepro.quantities import group, names
 from railrepro.vehicle.parameters import Vehicle
 
-STATES = ("x", "psi_Ax", "xdot", "psidot_Ax", "y_TrAx", "psi_TrAx")
+STATE_UNITS = "x m, psi_Ax rad, xdot m/s, psidot_Ax rad/s, y_TrAx m, psi_TrAx rad"
+States = group("States", STATE_UNITS)
+"""States of the control model, those of one running gear. Source: eq. (18)."""
+STATES = names(States)
 X, PSI_AX, XDOT, PSIDOT_AX, Y, PSI_TRAX = range(len(STATES))
 INPUTS = ("tau_ri", "tau_le")
 TAU_RI, TAU_LE = range(len(INPUTS))
@@ -128,7 +132,7 @@ def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
 
     The method is "euler" (the paper), "midpoint" or "rk4".
 
-    Source: eq. (discr_state_space1).
+    Source: eq. (7).
     """
     step, _, _ = _step(model, method)
     return step

@@ -68,7 +68,7 @@ class Constraints:
 
 
 def constraints(discrepancies: frozenset[str]) -> Constraints:
-    """Lateral kinematics and ideal rolling. Source: eqs. (y_trax) and (wheel_speeds)."""
+    """Lateral kinematics and ideal rolling. Source: eqs. (9) and (12)."""
     turning = psid + kappa * xd if "D3" in discrepancies else psid
     spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
     spin_le = -(xd + arm["le"] * turning) / radius["le"]
@@ -82,7 +82,7 @@ def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy in unreduced rates. Source: eq. (Lagrangea)."""
+    """Kinetic energy in unreduced rates. Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
     roll_rate = -gamma * yd + dphi * xd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
@@ -96,19 +96,19 @@ def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
 
 
 def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Yaw and roll springs and weight. Source: eq. (Lagrangeb)."""
+    """Yaw and roll springs and weight. Source: eq. (13b)."""
     deflection = roll if "D7" in discrepancies else roll - phi_Tr
     return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
 
 
 def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
-    """Yaw and roll dampers. Source: eq. (Lagrangec)."""
+    """Yaw and roll dampers. Source: eq. (13c)."""
     roll_rate = -gamma * yd + (dphi * xd if "D7" in discrepancies else 0)
     return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * roll_rate**2) / 2
 
 
 def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
-    """Force along x and moment about z of traction-positive torques. Source: eq. (gen_forces), opposite torque sign."""
+    """Force along x and moment about z of traction-positive torques. Source: eq. (17), opposite torque sign."""
     pull = {"ri": tau_ri / radius["ri"], "le": tau_le / radius["le"]}
     return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
 

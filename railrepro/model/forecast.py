@@ -1,6 +1,6 @@
 """Forecast of position, speed, set point and track over the horizon of the predictive controllers.
 
-Serves eq. (des_states) of the paper; the base torque accelerates with both wheels and the spin inertia (D4 corrected)
+Serves eq. (34) of the paper; the base torque accelerates with both wheels and the spin inertia (D4 corrected)
 unless the printed forecast is asked for.
 """
 
@@ -63,7 +63,7 @@ def functions() -> tuple[ca.Function, ca.Function]:
     stage : casadi.Function
         (x_hat[6], u_d, t, nominal, cell here, cell there) -> x_d[6], theta[9]; cells are rows of a `Route`.
 
-    Source: eqs. (des_states) and (track_dep_variables).
+    Source: eqs. (34) and (14), (15).
     """
     x_hat, u_d, t = ca.SX.sym("x_hat", len(STATES)), ca.SX.sym("u_d"), ca.SX.sym("t")
     vehicle = ca.SX.sym("nominal", len(NOMINAL))

@@ -1,7 +1,7 @@
 """A second derivation of the control model: Lagrange multipliers and automatic derivatives instead of projection.
 
 Shares no code with `railrepro.model.derivation` and exists to disagree with it, should either be wrong.
-Serves the paper's eqs. (Lagrange) and (Lagrange2).
+Serves the paper's eqs. (13) and (16).
 """
 
 from __future__ import annotations

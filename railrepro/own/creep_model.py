@@ -24,7 +24,7 @@ and what its contact angle, rolling radius and contact point make of another one
 The share w is 1 where both wheels creep alike. Where one of them slides and has no stiffness left, E is the speed of
 the other one, which holds with twice the mean stiffness; F_x is half of its force: w = 1/2.
 
-Serves the lateral dynamics that the paper's eq. (discr_state_space1) leaves out.
+Serves the lateral dynamics that the paper's eq. (7) leaves out.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ No counterpart in the paper.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.data import above, between, require
+from railrepro.quantities import group
 
 _RANGES = {
     "raise_step": between(0.0, 1e9, "N m per ms"),
@@ -38,6 +39,21 @@ _RANGES = {
     "forget": above(0.0, 100.0, "s"),
     "filter_time": between(0.0, 10.0, "s"),
 }
+
+
+_LEAST_SPEED = 12.0
+"""Speed below which the gain of the limit stays (m/s)."""
+_PRIOR = 2e-8
+"""Variance of slip at which what was measured counts as much as the wanted elasticity, which leaves the limit alone."""
+_SINGLE = 2.0
+"""A single wheel may slip this much more than the mean of both."""
+_UNSURE = 0.15
+"""Share by which the wheel load of a gear may differ from its nominal one."""
+_LEAST_ADHESION = 0.01
+"""Adhesion below which there is no elasticity to speak of (-)."""
+SlipMemory = group("SlipMemory", "demand N m, limit -, f -, s -, mean_f -, mean_s -, s_s -, s_f -")
+"""States of the law: demand, limit of slip, filtered adhesion and slip in the direction of the demand, their means,
+variance of slip and its covariance with adhesion."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +97,7 @@ class SlipSettings(LongitudinalLaw):
     mean_time: float = 0.15
     forget: float = 0.2
     filter_time: float = 5e-3
-    memory: ClassVar[tuple[str, ...]] = ("u", "demand", "limit", "f", "s", "mean_f", "mean_s", "s_s", "s_f")
-    """Names of the states of the law, see `base_torque`."""
+    Memory: ClassVar[type] = SlipMemory
 
     def __post_init__(self) -> None:
         for name, allowed in _RANGES.items():
@@ -90,91 +105,41 @@ class SlipSettings(LongitudinalLaw):
         require("SlipSettings: least", self.least, between(0.0, self.most))
         require("SlipSettings: start", self.start, between(self.least, self.most))
 
-    def gains(self) -> dict[str, float]:
-        """Run-time gains by name."""
-        return {f"adhesion.{name}": float(getattr(self, name)) for name in _RANGES}
+    def base_torque(self, q: Any, memory: Any) -> tuple:
+        """Next base torque, see `LongitudinalLaw.base_torque`.
 
-    @staticmethod
-    def law(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
-        """See `LongitudinalLaw.law`."""
-        return base_torque(f, s, f_star, v, ticks, memory, gain, model)
+        Segment 1 follows the demand, 2 holds the limit of slip, 3 lowers the limit.
+        """
+        h, sign = CONTROL_PERIOD, ca.if_else(q.f_star < 0, -1, 1)
+        along_f, along_s = [sign * value for value in q.f], [-sign * value for value in q.s]
+        quick, passing, slow = (h / (time + h) for time in (self.filter_time, self.mean_time, self.forget))
+        f, s = (old + quick * (sum(along) / 2 - old) for old, along in ((memory.f, along_f), (memory.s, along_s)))
+        mean_f, mean_s = memory.mean_f + passing * (f - memory.mean_f), memory.mean_s + passing * (s - memory.mean_s)
 
+        limit = ca.if_else(memory.limit > 0, memory.limit, self.start)
+        swing = self.swing * ca.sin(2 * np.pi * self.swing_frequency * h * q.ticks)
+        force = q.r_0 * q.nominal_load
+        stiffness = self.rate * q.J_Wy * ca.fmax(q.v, _LEAST_SPEED) / q.r_0
+        gaining = 2 * q.J_Wy / (q.r_0**2 * q.m_x_eff) * sign * q.u  # the wheel's own inertia
+        unsure = 1 + _UNSURE * ca.fmax(1 - s / limit, 0)  # far from the limit the load of a gear need not be known
+        held = force * f * unsure + gaining + stiffness * (limit * (1 + swing) - s)
+        held -= stiffness * sum(ca.fmax(each - _SINGLE * limit, 0) for each in along_s)
+        wanted = ca.fmin(ca.fmax(force * q.f_star, -q.tau_max), q.tau_max) - memory.demand
+        demand = memory.demand + ca.fmin(ca.fmax(wanted, -self.raise_step), self.raise_step)
 
-_LEAST_SPEED = 12.0
-"""Speed below which the gain of the limit stays (m/s)."""
-_PRIOR = 2e-8
-"""Variance of slip at which what was measured counts as much as the wanted elasticity, which leaves the limit alone."""
-_SINGLE = 2.0
-"""A single wheel may slip this much more than the mean of both."""
-_UNSURE = 0.15
-"""Share by which the wheel load of a gear may differ from its nominal one."""
-_LEAST_ADHESION = 0.01
-"""Adhesion below which there is no elasticity to speak of (-)."""
-
-
-def base_torque(f, s, f_star, v, ticks, memory: dict, gain, model) -> tuple:
-    """Next base torque of one running gear.
-
-    Parameters
-    ----------
-    f, s : list of SX
-        Estimated adhesion (traction-positive) and slip s = (v - w r)/v of the left and right wheel (-).
-    f_star : SX
-        Adhesion set point, traction-positive (-).
-    v, ticks : SX
-        Speed (m/s) and number of the control cycle.
-    memory : dict of SX
-        `SlipSettings.memory`: base torque and demand (N m), limit (-), filtered adhesion and slip in the direction of
-        the demand, their means, variance of slip and covariance with adhesion.
-    gain : mapping
-        `SlipSettings.gains` and nominal_load (N).
-    model : mapping
-        Of the control model: tau_max (N m), r_0 (m), J_Wy (kg m2), m_x_eff (kg).
-
-    Returns
-    -------
-    u : SX
-        Base torque per wheel (N m).
-    memory : dict of SX
-        Memory for the next call.
-    segment : SX
-        1 follows the demand, 2 holds the limit of slip, 3 lowers the limit.
-    """
-    h, sign = CONTROL_PERIOD, ca.if_else(f_star < 0, -1, 1)
-    along_f, along_s = [sign * value for value in f], [-sign * value for value in s]
-    quick, passing, slow = (h / (gain[f"adhesion.{name}"] + h) for name in ("filter_time", "mean_time", "forget"))
-    old = {name: memory[name] for name in SlipSettings.memory}
-    new = {"f": old["f"] + quick * (sum(along_f) / 2 - old["f"]), "s": old["s"] + quick * (sum(along_s) / 2 - old["s"])}
-    for name in ("f", "s"):
-        new[f"mean_{name}"] = old[f"mean_{name}"] + passing * (new[name] - old[f"mean_{name}"])
-
-    limit = ca.if_else(old["limit"] > 0, old["limit"], gain["adhesion.start"])
-    swing = gain["adhesion.swing"] * ca.sin(2 * np.pi * gain["adhesion.swing_frequency"] * h * ticks)
-    force = model["r_0"] * gain["nominal_load"]
-    stiffness = gain["adhesion.rate"] * model["J_Wy"] * ca.fmax(v, _LEAST_SPEED) / model["r_0"]
-    gaining = 2 * model["J_Wy"] / (model["r_0"] ** 2 * model["m_x_eff"]) * sign * old["u"]  # the wheel's own inertia
-    unsure = 1 + _UNSURE * ca.fmax(1 - new["s"] / limit, 0)  # far from the limit the load of a gear need not be known
-    held = force * new["f"] * unsure + gaining + stiffness * (limit * (1 + swing) - new["s"])
-    held -= stiffness * sum(ca.fmax(each - _SINGLE * limit, 0) for each in along_s)
-    wanted = ca.fmin(ca.fmax(force * f_star, -model["tau_max"]), model["tau_max"]) - old["demand"]
-    new["demand"] = old["demand"] + ca.fmin(ca.fmax(wanted, -gain["adhesion.raise_step"]), gain["adhesion.raise_step"])
-
-    along = sign * new["demand"]
-    holds = ca.logic_and(held < along, along > 0)
-    elasticity = _elasticity(old, new, holds * slow, gain["adhesion.elasticity"])
-    moved = limit * (1 + h * gain["adhesion.seek"] * (elasticity - gain["adhesion.elasticity"]))
-    moved = ca.fmin(ca.fmax(moved, gain["adhesion.least"]), gain["adhesion.most"])
-    new["limit"] = ca.if_else(holds, moved, limit)
-    new["u"] = sign * ca.if_else(holds, ca.fmax(held, 0), along)
-    segment = 1 + holds * (1 + (elasticity < gain["adhesion.elasticity"]))
-    return new["u"], new, segment
+        along = sign * demand
+        holds = ca.logic_and(held < along, along > 0)
+        # least squares that forget, as long as the limit holds
+        s_s = memory.s_s + holds * slow * ((s - mean_s) ** 2 - memory.s_s)
+        s_f = memory.s_f + holds * slow * ((s - mean_s) * (f - mean_f) - memory.s_f)
+        elasticity = _elasticity(s_f * mean_s / ca.fmax(mean_f, _LEAST_ADHESION), s_s, self.elasticity)
+        moved = limit * (1 + h * self.seek * (elasticity - self.elasticity))
+        moved = ca.fmin(ca.fmax(moved, self.least), self.most)
+        u = sign * ca.if_else(holds, ca.fmax(held, 0), along)
+        segment = 1 + holds * (1 + (elasticity < self.elasticity))
+        return u, SlipMemory(demand, ca.if_else(holds, moved, limit), f, s, mean_f, mean_s, s_s, s_f), segment
 
 
-def _elasticity(old: dict, new: dict, share: ca.SX, wanted: ca.SX) -> ca.SX:
-    """Elasticity of adhesion over slip by least squares, whose sums are renewed by a share; near the wanted one (-)
-    where little was measured."""
-    off_f, off_s = (new[name] - new[f"mean_{name}"] for name in ("f", "s"))
-    for name, product in (("s_s", off_s**2), ("s_f", off_s * off_f)):
-        new[name] = old[name] + share * (product - old[name])
-    swung = new["s_f"] * new["mean_s"] / ca.fmax(new["mean_f"], _LEAST_ADHESION)
-    return ca.fmin(ca.fmax((swung + _PRIOR * wanted) / (new["s_s"] + _PRIOR), -1), 1)
+def _elasticity(swung, variance, wanted) -> ca.SX:
+    """Elasticity of adhesion (-): `swung` over the variance of slip, near `wanted` where slip hardly varied."""
+    return ca.fmin(ca.fmax((swung + _PRIOR * wanted) / (variance + _PRIOR), -1), 1)

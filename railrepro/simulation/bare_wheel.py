@@ -7,8 +7,9 @@ The smallest system on which the law can be watched: wheel spin, speed of a quar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,21 +19,11 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.contact.creep import polach
 from railrepro.contact.table import middle_patch
-from railrepro.control.adhesion import AdhesionSettings, base_torque
-from railrepro.control.law import EstimateSettings, white_noise
+from railrepro.control.adhesion import AdhesionMemory, AdhesionSettings, EstimateSettings, LongitudinalInputs
+from railrepro.quantities import group, indices, names, pack, symbols
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
 
 _SUBSTEPS = 20
-_STATE = ("w", "v", "u", "f_0", "f_1", "s_0", "s_1", "f_hat", "s_hat", "tick")
-_PATCH = ("a", "b", "c11", "c22", "c23", "shear_modulus")
-_CASE = (
-    *AdhesionSettings().gains(),
-    *EstimateSettings().gains(),
-    *(f.name for f in fields(AdhesionSet)),
-    *("radius", "inertia", "load", "gravity", "tau_max"),
-    *_PATCH,
-)
-_OUTPUT = ("adhesion", "slip", "torque", "speed", "segment")
 
 
 @dataclass(frozen=True)
@@ -67,44 +58,51 @@ class Traces:
     segment: np.ndarray
 
 
-def _grip(w, v, case: dict, factor) -> tuple[ca.SX, ca.SX]:
+_State = group("State", "w rad/s, v m/s, u N m", {"law": AdhesionMemory}, "f_hat -, s_hat -, tick ms")
+_Wheel = group(
+    "Wheel",
+    "radius m, inertia kg m2, load N, gravity m/s2, tau_max N m, a m, b m, c11 -, c22 -, c23 -, shear_modulus Pa",
+)
+_Numbers = group(
+    "Numbers", {"law": AdhesionSettings, "estimate": EstimateSettings, "adhesion": AdhesionSet, "wheel": _Wheel}
+)
+"""Run-time numbers of a case."""
+
+
+def _grip(w, v, case: Any, factor) -> tuple[ca.SX, ca.SX]:
     """Adhesion and slip of a wheel that turns with w (rad/s) at speed v (m/s)."""
-    slip = (v - w * case["radius"]) / ca.fmax(v, SLIP_FLOOR)
-    creep = case["k_a"], case["k_s"], case["mu0"] * factor, case["a_ratio"], case["b_decay"]
-    sliding = ca.fabs(v - w * case["radius"])
-    force, _ = polach(slip, 0.0, 0.0, case["load"], *(case[name] for name in _PATCH), *creep, sliding)
-    return force / case["load"], slip
+    wheel, of = case.wheel, case.adhesion
+    slip = (v - w * wheel.radius) / ca.fmax(v, SLIP_FLOOR)
+    patch = wheel.a, wheel.b, wheel.c11, wheel.c22, wheel.c23, wheel.shear_modulus
+    creep = of.k_a, of.k_s, of.mu0 * factor, of.a_ratio, of.b_decay
+    force, _ = polach(slip, 0.0, 0.0, wheel.load, *patch, *creep, ca.fabs(v - w * wheel.radius))
+    return force / wheel.load, slip
 
 
 @lru_cache
 def _cycle() -> ca.Function:
     """One control cycle of one case: (state, demand, friction factor, case) -> state, outputs."""
-    state, case_ = ca.SX.sym("state", len(_STATE)), ca.SX.sym("case", len(_CASE))
-    f_star, factor = ca.SX.sym("f_star"), ca.SX.sym("factor")
-    x, case = (dict(zip(n, ca.vertsplit(v), strict=True)) for n, v in ((_STATE, state), (_CASE, case_)))
-    f_now, s_now = _grip(x["w"], x["v"], case, factor)
-    pole = CONTROL_PERIOD / (case["estimate.lag"] + CONTROL_PERIOD)
-    estimated = {}
-    for channel, (name, value) in enumerate((("f", f_now), ("s", s_now))):
-        noise = case[f"estimate.noise_{name}"] * white_noise(x["tick"], channel)
-        measured = value * (1 + case[f"estimate.bias_{name}"]) + noise
-        estimated[name] = x[f"{name}_hat"] + pole * (measured - x[f"{name}_hat"])
-    gain = case | {"adhesion.torque_per_adhesion": case["load"] * case["radius"]}
-    f_hat, s_hat = ([estimated[name]] * 2 for name in ("f", "s"))
-    u, stored, segment = base_torque(f_hat, s_hat, f_star, x["v"], x, gain, case["tau_max"])
+    (state, x), (case_, case) = symbols(_State, "state"), symbols(_Numbers, "case")
+    f_star, factor, wheel = ca.SX.sym("f_star"), ca.SX.sym("factor"), case.wheel
+    f_now, s_now = _grip(x.w, x.v, case, factor)
+    f_hat, s_hat = case.estimate.estimates(f_now, s_now, x.f_hat, x.s_hat, x.tick, 0)
+    q = LongitudinalInputs(
+        [f_hat] * 2, [s_hat] * 2, f_star, x.v, x.tick, x.u, wheel.load, wheel.tau_max, wheel.radius, wheel.inertia, 0
+    )
+    u, law, segment = case.law.base_torque(q, x.law)
 
     w_, v_, u_ = ca.SX.sym("w"), ca.SX.sym("v"), ca.SX.sym("u")
     f_, _ = _grip(w_, v_, case, factor)
-    spin_up = (u_ - case["radius"] * case["load"] * f_) / case["inertia"]
+    spin_up = (u_ - wheel.radius * wheel.load * f_) / wheel.inertia
     rate = ca.Function("rate", [w_, v_, u_, factor, case_], [spin_up, ca.jacobian(spin_up, w_), f_])
-    w, v, h = x["w"], x["v"], CONTROL_PERIOD / _SUBSTEPS
+    w, v, h = x.w, x.v, CONTROL_PERIOD / _SUBSTEPS
     for _ in range(_SUBSTEPS):
         faster, stiffness, f = rate(w, v, u, factor, case_)
-        w, v = w + h * faster / (1 - h * stiffness), v + h * case["gravity"] * f
-    new = stored | {"w": w, "v": v, "f_hat": estimated["f"], "s_hat": estimated["s"], "tick": x["tick"] + 1}
-    outputs = ca.vertcat(f_now, s_now, u, x["v"], segment)
+        w, v = w + h * faster / (1 - h * stiffness), v + h * wheel.gravity * f
+    new = _State(w, v, u, law, f_hat, s_hat, x.tick + 1)
+    outputs = [f_now, s_now, u, x.v, segment]
     inputs = [state, f_star, factor, case_]
-    return ca.Function("bare_wheel", inputs, [ca.vertcat(*(new[name] for name in _STATE)), outputs], {"cse": True})
+    return ca.Function("bare_wheel", inputs, [ca.vertcat(*pack(new)), ca.vertcat(*outputs)], {"cse": True})
 
 
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0) -> Traces:
@@ -127,20 +125,21 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
     factor = np.ascontiguousarray(np.broadcast_to(factor.reshape(-1, 1) if factor.ndim == 1 else factor, demand.shape))
     a, b, kalker = middle_patch(vehicle)
     wheel = vehicle.wheel
-    body: tuple[float, ...] = (wheel.radius, wheel.spin_inertia, vehicle.wheel_load, vehicle.gravity, 1e5)
-    body += (a, b, *kalker, vehicle.contact.shear_modulus)
-    columns = [[*c.law.gains().values(), *c.estimate.gains().values(), *astuple(c.adhesion), *body] for c in cases]
+    body = _Wheel(
+        wheel.radius, wheel.spin_inertia, vehicle.wheel_load, vehicle.gravity, 1e5, a, b, *kalker,
+        vehicle.contact.shear_modulus,
+    )  # fmt: skip
+    columns = [pack(_Numbers(c.law, c.estimate, c.adhesion, body)) for c in cases]
     call = codegen.compiled(_cycle().map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, friction, case = call.arguments
-    start = np.zeros((len(cases), len(_STATE)))
-    spin, running = _STATE.index("w"), _STATE.index("v")
-    start[:, running] = speed
-    start[:, spin] = start[:, running] / wheel.radius
-    state[:], case[:] = start.ravel(), np.array(columns).ravel()
-    log = np.empty((len(demand), len(cases), len(_OUTPUT)))
+    start, index = np.zeros((len(cases), len(names(_State)))), indices(_State)
+    start[:, index.v] = speed
+    start[:, index.w] = start[:, index.v] / wheel.radius
+    state[:], case[:] = start.ravel(), np.array(columns, dtype=float).ravel()
+    log = np.empty((len(demand), len(cases), len(fields(Traces))))
     for k in range(len(demand)):
         f_star[:], friction[:] = demand[k], factor[k]
         new, outputs = call()
         log[k] = outputs.reshape(len(cases), -1)
         state[:] = new
-    return Traces(*(log[:, :, i] for i in range(len(_OUTPUT))))
+    return Traces(*(log[:, :, i] for i in range(len(fields(Traces)))))

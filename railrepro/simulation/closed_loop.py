@@ -15,7 +15,8 @@ from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.control import law
+from railrepro.control import interface, law
+from railrepro.quantities import GEARS, indices, pack, unpack
 
 _BLOCK = 10_000
 """Control cycles whose log is allocated at once."""
@@ -71,21 +72,25 @@ class ClosedLoop:
     def __init__(self, car: SteppedCar, control: law.ControlLaw):
         self.car = car
         car.look_up()
-        self.state, self.held = self.car.state, np.zeros(len(law.GEARS))
+        self.state, self.held = self.car.state, np.zeros(len(GEARS))
         self.control, self.cycles, self.ended = control, 0, False
         outputs = self.car.model.outputs
         self.columns = (*outputs, *control.signature.record)
-        self.sensed = [outputs.index(name) for name in law.MEASURED]
-        self._states = np.array([[outputs.index(name) for name in law.MEASURED_STATES[gear]] for gear in law.GEARS])
-        self._estimated = None
+        self.sensed = [outputs.index(name) for name in interface.MEASURED]
+        measured = unpack(interface.Measured, self.sensed)
+        self._states = np.array([pack(measured.front), pack(measured.rear)])
+        memory, self._estimated = indices(control.signature.Memory), None
+        gears = memory.front, memory.rear
         if control.signature.sensed:
-            self._estimated, self._read = self._indices(law.ESTIMATED), self._indices(law.READ)
-        self._base, self._estimates = self._indices(("u",))[:, 0], self._indices(law.ESTIMATES)
+            self._estimated, self._read = (
+                np.array([pack(getattr(gear, part)) for gear in gears]) for part in ("estimated", "read")
+            )
+        self._base, self._estimates = [g.u for g in gears], np.array([g.f_hat + g.s_hat for g in gears])
         self.memory, self._gains = np.zeros(len(control.signature.memory)), np.array(control.gains)
         self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.signature.record))
-        self._measured, self._margins = np.zeros(len(law.MEASURED)), np.zeros(len(law.MARGINS))
-        first = equations.BODIES.index(law.GEARS[0])
-        cells = self.car.rows[first : first + len(law.GEARS)].reshape(-1)
+        self._measured, self._margins = np.zeros(len(interface.MEASURED)), np.zeros(len(interface.MARGINS))
+        first = equations.BODIES.index(GEARS[0])
+        cells = self.car.rows[first : first + len(GEARS)].reshape(-1)
         binding = (
             control.function,
             [self._measured, cells, self.held, self._gains, self.memory],
@@ -94,11 +99,6 @@ class ClosedLoop:
         control_law = codegen.CompiledFunction(control.library(), *binding)
         self.functions = self.car.functions | {"law": control_law}
         self._driver, self._loop = _library(), self._structure(control_law)
-
-    def _indices(self, names: tuple[str, ...]) -> np.ndarray:
-        """Indices of named states of both gears in the memory of the law, shape (2, len(names))."""
-        memory = self.control.signature.memory
-        return np.array([[memory.index(f"{gear}.{name}") for name in names] for gear in law.GEARS])
 
     def run(self, n: int) -> np.ndarray:
         """Advance by up to n control cycles.
@@ -133,8 +133,8 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distance to each limit of the run, see `law.MARGINS`."""
-        return dict(zip(law.MARGINS, self._margins.tolist(), strict=True))
+        """Distance to each limit of the run, see `interface.MARGINS`."""
+        return dict(zip(interface.MARGINS, self._margins.tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
         """Arguments x, u, rows, contacts, par of the equations at the present state."""
@@ -163,7 +163,7 @@ class ClosedLoop:
 
     def adhesion_estimates(self) -> np.ndarray:
         """Adhesion and slip of left and right wheel as the law knew them last, shape (2 gears, 2, 2)."""
-        return self.memory[self._estimates].reshape(len(law.GEARS), 2, 2)
+        return self.memory[self._estimates].reshape(len(GEARS), 2, 2)
 
     def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
         outputs = self.car.measured

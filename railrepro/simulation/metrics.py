@@ -13,6 +13,7 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
 from railrepro.data import InputError, above, require
+from railrepro.quantities import GEARS, WHEELS
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
 
@@ -29,19 +30,30 @@ def order_of_magnitude(value: float, floor: float) -> float:
     return float(10.0 ** np.ceil(np.log10(max(abs(value), floor))))
 
 
-def _of(series: pd.DataFrame, name: str) -> np.ndarray:
-    """A column of the series of a run; InputError when it has none of this name, or no row."""
-    require("metrics: series", series, pd.DataFrame)
-    if name not in series or series.empty:
-        raise InputError(f"metrics: a series of {len(series)} rows has no {name!r}, the series of a run is needed")
-    if series[name].dtype.kind not in "iuf":
-        raise InputError(f"metrics: {name!r} holds {series[name].iloc[0]!r}, numbers are needed")
-    return series[name].to_numpy()
+class Part:
+    """Columns of a part of the car in the series of a run: `Part(series, "front").y_ref` is the column front.y_ref.
+
+    InputError when there is no such column of numbers, or no row.
+    """
+
+    def __init__(self, series: pd.DataFrame, of: str):
+        require("metrics: series", series, pd.DataFrame)
+        self._series, self._of = series, of
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        series, column = self._series, f"{self._of}.{name}"
+        if column not in series or series.empty:
+            raise InputError(
+                f"metrics: a series of {len(series)} rows has no {column!r}, the series of a run is needed"
+            )
+        if series[column].dtype.kind not in "iuf":
+            raise InputError(f"metrics: {column!r} holds {series[column].iloc[0]!r}, numbers are needed")
+        return series[column].to_numpy()
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
     """y_TrAx - y* (m), shape (n,)."""
-    return _of(series, f"{gear}.y") - _of(series, f"{gear}.y_ref")
+    return Part(series, gear).y - Part(series, gear).y_ref
 
 
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
@@ -51,12 +63,12 @@ def rmse(series: pd.DataFrame, gear: str = "front") -> float:
 
 def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared error of the displacement against the rails where they lie, from the set point (m)."""
-    return float(np.sqrt(np.mean((lateral_error(series, gear) - _of(series, f"{gear}.rail_y")) ** 2)))
+    return float(np.sqrt(np.mean((lateral_error(series, gear) - Part(series, gear).rail_y) ** 2)))
 
 
 def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared displacement from the middle between the rails where they lie (m)."""
-    return float(np.sqrt(np.mean((_of(series, f"{gear}.y") - _of(series, f"{gear}.rail_y")) ** 2)))
+    return float(np.sqrt(np.mean((Part(series, gear).y - Part(series, gear).rail_y) ** 2)))
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
@@ -65,7 +77,8 @@ def reaches_flange(series: pd.DataFrame) -> bool:
     Flanges hold a car of S1002 wheels on the rail whatever the torque does, so this, not derailing, is where active
     guidance ends.
     """
-    aside = max(float(np.abs(_of(series, f"{g}.y") - _of(series, f"{g}.rail_y")).max()) for g in ("front", "rear"))
+    gears = [Part(series, gear) for gear in GEARS]
+    aside = max(float(np.abs(gear.y - gear.rail_y).max()) for gear in gears)
     angles = series.filter(regex=r"_(ri|le)\.angle$")
     return aside > FLANGEWAY or bool((angles.abs() > FLANGE_ANGLE).to_numpy().any())
 
@@ -90,11 +103,12 @@ def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step
     """
     require("delay: longest", longest, above(0.0, 1e5, "m"))
     require("delay: step", step, above(1e-4, longest, "m"))
-    p = _of(series, f"{gear}.p")
+    of_gear = Part(series, gear)
+    p = of_gear.p
     grid = np.arange(p[0], p[-1], step)
     if grid.size < 2:
         return float("nan")
-    y, reference = (_detrended(np.interp(grid, p, _of(series, f"{gear}.{name}"))) for name in ("y", "y_ref"))
+    y, reference = (_detrended(np.interp(grid, p, values)) for values in (of_gear.y, of_gear.y_ref))
     if np.ptp(reference) < 1e-9:
         return float("nan")
     most = min(round(longest / step), grid.size // 2)
@@ -115,7 +129,7 @@ def _detrended(values: np.ndarray) -> np.ndarray:
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean squared differential torque (N m)."""
-    return float(np.sqrt(np.mean(_of(series, f"{gear}.du") ** 2)))
+    return float(np.sqrt(np.mean(Part(series, gear).du ** 2)))
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
@@ -124,20 +138,20 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
     Rows of `CONTROL_PERIOD`; a Butterworth filter of fourth order, forth and back.
     """
     sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
-    du = _of(series, f"{gear}.du")
+    du = Part(series, gear).du
     return float(np.sqrt(np.mean(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)) ** 2)))
 
 
 def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
     """Share of time in which a motor of the gear works at its torque limit (-)."""
     require("metrics: torque limit", limit, above(0.0, 1e5, "N m"))
-    torque = np.abs(_of(series, f"{gear}.tau_long")) + np.abs(_of(series, f"{gear}.du"))
+    torque = np.abs(Part(series, gear).tau_long) + np.abs(Part(series, gear).du)
     return float(np.mean(torque >= 0.999 * limit))
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
     """Way of the front gear from the first to the last row (m)."""
-    return float(_of(series, "front.p")[-1] - _of(series, "front.p")[0])
+    return float(Part(series, "front").p[-1] - Part(series, "front").p[0])
 
 
 def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float, str]]:
@@ -153,7 +167,7 @@ def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float,
         "delay": (delay(series), "m"),
         "effort_du": (effort(series), "N m"),
         "activity_du": (activity(series), "N m"),
-        "largest_du": (float(series["front.du"].abs().max()), "N m"),
+        "largest_du": (float(np.abs(Part(series, "front").du).max()), "N m"),
         "saturated_share": (saturated_share(series, torque_limit), "-"),
     }
 
@@ -179,21 +193,21 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
     """
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
-    p, v = _of(series, "front.p"), _of(series, "front.v")
-    wheels = [f"{gear}_{side}" for gear in ("front", "rear") for side in ("le", "ri")]
+    front = Part(series, "front")
+    p, v = front.p, front.v
     moving = v > 2.0
-    slip = np.abs(series.loc[moving, [f"{wheel}.sx" for wheel in wheels]].to_numpy())
+    slip = np.abs([Part(series, wheel).sx[moving] for wheel in WHEELS])
     values = {
         "stopping_distance": (stopping_distance(series), "m"),
         "final_speed": (float(v[-1]), "m/s"),
-        "mean_longitudinal_torque": (float(series["front.tau_long"].mean()), "N m"),
+        "mean_longitudinal_torque": (float(front.tau_long.mean()), "N m"),
         "largest_slip": (float(slip.max()) if slip.size else float("nan"), "-"),
     }
     if scenario.force_kN:
         shares = [np.interp(p, *np.transpose(points)) for points in scenario.poor_shares]
         limit = np.mean([adhesion_limit(v, share, scenario, vehicle) for share in shares], axis=0)
-        f = (series["front_le.fx"] + series["front_ri.fx"]).to_numpy() / 2
-        f_star = series["front.f_star"].to_numpy()
+        f = (Part(series, "front_le").adhesion + Part(series, "front_ri").adhesion) / 2
+        f_star = front.f_star
         beyond = (np.abs(f_star) > limit) & moving
         used = float(np.mean(np.sign(f_star[beyond]) * f[beyond] / limit[beyond])) if beyond.any() else float("nan")
         values["utilisation"] = (used, "-")

@@ -18,9 +18,10 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from railrepro.car.equations import FLOOR, GEARS, WHEELS
+from railrepro.car.equations import FLOOR
 from railrepro.data import InputError, is_number
-from railrepro.simulation.metrics import FLANGE_ANGLE
+from railrepro.quantities import GEAR_AND_SIDE, GEARS, WHEELS
+from railrepro.simulation.metrics import FLANGE_ANGLE, Part
 from railrepro.track.irregularity import D1, sampling
 from railrepro.vehicle.parameters import Vehicle
 
@@ -230,13 +231,13 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
     `t_gamma` is without, `creep_work` with the work of spin; from p of both gears and Fx, Fy, nu_x, nu_y, M_spin, spin
     of each wheel.
     """
-    names = {"t_gamma": ("Fx", "Fy", "nu_x", "nu_y"), "creep_work": ("Fx", "Fy", "nu_x", "nu_y", "M_spin", "spin")}
-
-    def mean(wheel: str, needed: tuple[str, ...]) -> float:
-        lost = wear_number(*(series[f"{wheel}.{name}"] for name in needed))
-        return way_mean(lost, series[f"{wheel.split('_')[0]}.p"])
-
-    return {name: float(np.mean([mean(wheel, needed) for wheel in WHEELS])) for name, needed in names.items()}
+    lost: dict[str, list[float]] = {"t_gamma": [], "creep_work": []}
+    for name, (gear, _) in GEAR_AND_SIDE.items():
+        wheel, p = Part(series, name), Part(series, gear).p
+        creep = wheel.Fx, wheel.Fy, wheel.nu_x, wheel.nu_y
+        lost["t_gamma"].append(way_mean(wear_number(*creep), p))
+        lost["creep_work"].append(way_mean(wear_number(*creep, wheel.M_spin, wheel.spin), p))
+    return {name: float(np.mean(values)) for name, values in lost.items()}
 
 
 def way_mean(values, p) -> float:
@@ -414,49 +415,39 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
     InputError
         When a column is missing, or the run is shorter than 20 rows or 2 m.
     """
-    _check(series)
+    if len(series) < _FEWEST:
+        raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
     t = series["t_s"].to_numpy()
     rate = (t.size - 1) / (t[-1] - t[0])
     found = _force_figures(series, static_wheel_load(vehicle), rate)
     found |= {name: (work, "N") for name, work in creep_work(series).items()}
     found["comfort_duration"] = (float(t[-1] - t[0]), "s")
     for point in FLOOR:
-        along, across, vertical = (series[f"{point}.{name}"].to_numpy() for name in ("ax", "ay", "az"))
+        of_point = Part(series, point)
+        along, across, vertical = of_point.ax, of_point.ay, of_point.az
         found |= {
             f"n_mv_{point}": (mean_comfort(along, across, vertical, rate), "-"),
             f"a_wk_vertical_{point}": (weighted_rms(vertical, "Wk", rate), "m/s2"),
             f"a_wd_lateral_{point}": (weighted_rms(across, "Wd", rate), "m/s2"),
         }
-    torque, speed = (series[[f"{wheel}.{name}" for wheel in WHEELS]].to_numpy() for name in ("tau", "w"))
+    wheels = [Part(series, wheel) for wheel in WHEELS]
+    torque, speed = np.transpose([wheel.tau for wheel in wheels]), np.transpose([wheel.w for wheel in wheels])
     names = ("motor_energy_net", "motor_energy_traction", "motor_energy_braking")
     energies = motor_energy(torque, speed, t)
     return found | {name: (energy / 3.6e6, "kWh") for name, energy in zip(names, energies, strict=True)}
-
-
-def _check(series: pd.DataFrame) -> None:
-    names = ("N", "Fx", "Fy", "nu_x", "nu_y", "M_spin", "spin", "angle", "w", "tau")
-    needed = ["t_s", *(f"{gear}.{name}" for gear in GEARS for name in ("p", "phi"))]
-    needed += [f"{wheel}.{name}" for wheel in WHEELS for name in names]
-    needed += [f"{point}.{name}" for point in FLOOR for name in ("ax", "ay", "az")]
-    missing = [name for name in needed if name not in series]
-    if missing:
-        raise InputError(f"the series lacks {len(missing)} columns that ride figures need, the first is {missing[0]!r}")
-    if len(series) < _FEWEST:
-        raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
 
 
 def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
     """Largest rail forces of a run, and flange contacts."""
     found, ratios, unloading, contacts = {}, [], [], 0.0
     for gear in GEARS:
-        p, lateral = series[f"{gear}.p"].to_numpy(), []
-        for side in ("le", "ri"):
-            normal, creep, angle = (series[f"{gear}_{side}.{name}"].to_numpy() for name in ("N", "Fy", "angle"))
-            y, q = rail_forces(normal, creep, angle, side, series[f"{gear}.phi"].to_numpy())
+        p, phi, lateral = Part(series, gear).p, Part(series, gear).phi, []
+        for side, wheel in ((side, Part(series, name)) for name, (of, side) in GEAR_AND_SIDE.items() if of == gear):
+            y, q = rail_forces(wheel.N, wheel.Fy, wheel.angle, side, phi)
             lateral.append(y)
             ratios.append(y_over_q(outward(side) * y, q, p, rate).max())
             unloading.append(wheel_unloading(q, wheel_load, rate).max())
-            contacts += flange_contacts(angle, p)
+            contacts += flange_contacts(wheel.angle, p)
         left, right = lateral
         sum_y = np.abs(track_shifting_force(left, right, p, rate)).max()
         found[f"sum_y_{gear}"] = (float(sum_y) / 1e3, "kN")

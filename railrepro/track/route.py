@@ -4,7 +4,7 @@ A route is a table of cells of uniform length. A cell holds values and derivativ
 simulation needs one row per body and a Taylor expansion inside the cell, which is exact for straight, clothoid and arc.
 Set point and irregularities are cubics, of which the irregularities continue with value and slope into the next cell:
 a kink would ring the contact springs. Controllers read the same cells, so plant and preview agree about the track ahead
-(paper eq. (track), theta and y*).
+(paper eq. (3), theta and y*).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Route:
 def track_in(cell: dict, p) -> tuple:
     """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols).
 
-    Source: eq. (track).
+    Source: eq. (3).
     """
     d = p - cell["p"]
     psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
@@ -96,7 +96,7 @@ def track_in(cell: dict, p) -> tuple:
 def reference_in(cell: dict, p) -> tuple:
     """Lateral set point and its first two derivatives over p inside a cell.
 
-    Source: eq. (des_states), y*.
+    Source: eq. (34), y*.
     """
     return _cubic([cell[name] for name in _SET_POINT], p - cell["p"])
 

@@ -112,7 +112,7 @@ class Track:
         psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp are
         right-continuous.
 
-        Source: eqs. (track) of the paper, without the factor dp/dt.
+        Source: eq. (3) of the paper, without the factor dp/dt.
         """
         p = np.atleast_1d(np.asarray(p, dtype=float))
         index, d = self._cell(p)

@@ -169,6 +169,13 @@ class Drive:
     torque_limit: Annotated[float, _above(0.0, 1e5, "N m")]
     lag: Annotated[float, _above(0.0, 1.0, "s")]
 
+    def limit(self, wheel_speed):
+        """Torque limit of the motor for both signs (N m) at a wheel speed (rad/s), numbers or symbols.
+
+        Car and controllers ask here, so that a limit over speed is stated once.
+        """
+        return self.torque_limit
+
 
 @data.table
 class WheelRail:
@@ -233,7 +240,7 @@ class Vehicle:
 
     @property
     def gamma(self) -> float:
-        """Roll of the axle per lateral displacement, Gamma (rad/m). Source: paper, eq. (z_and_phi)."""
+        """Roll of the axle per lateral displacement, Gamma (rad/m). Source: paper, eqs. (10), (11)."""
         return self.roll_per_shift(math.tan(self.wheel.cone_angle))
 
     def roll_per_shift(self, slope: float) -> float:

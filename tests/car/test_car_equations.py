@@ -111,7 +111,7 @@ def test_adhesion_and_slip_of_a_driven_wheel(vehicle, speed, slip):
     rolling = case(vehicle, speed)[0][equations.INDEX["w.front_le"]]
     found = outputs(vehicle, speed, w__front_le=1.01 * rolling, tau__front_le=123.0)
     assert found["front_le.sx"] == pytest.approx(slip, rel=1e-9)
-    assert found["front_le.fx"] == pytest.approx(found["front_le.Fx"] / found["front_le.N"], rel=2e-5)
+    assert found["front_le.adhesion"] == pytest.approx(found["front_le.Fx"] / found["front_le.N"], rel=2e-5)
     assert found["front_le.Fx"] > 1e3
     assert found["front_ri.sx"] == pytest.approx(0.0, abs=1e-12)
     assert (found["front_le.w"], found["front_le.tau"]) == (pytest.approx(1.01 * rolling), 123.0)

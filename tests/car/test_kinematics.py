@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from railrepro.car.kinematics import COORDINATES, Body, Section, named, orientation, section_kinematics
+from railrepro.car.kinematics import COORDINATES, Body, Coordinates, Section, orientation, section_kinematics
+from railrepro.quantities import symbols
 from railrepro.track.route import COLUMNS
 
 CELL = {"p": 20.0, "psi": 0.4, "kappa": 6e-3, "dkappa": 3e-4, "phi": 0.08, "dphi": 4e-3, "eps": -0.05, "deps": 2e-3}
@@ -21,8 +22,8 @@ H = 1e-6
 
 
 def body_function():
-    x, row = ca.SX.sym("x", len(COORDINATES)), ca.SX.sym("row", len(COLUMNS))
-    body = Body("b", named(tuple(f"b.{name}" for name in COORDINATES), x), row)
+    (x, state), row = symbols(Coordinates, "x"), ca.SX.sym("row", len(COLUMNS))
+    body = Body(state, row)
     rates = body.derivatives(ca.DM(FORCE), ca.DM(MOMENT), MASS, ca.DM(INERTIA), SPIN)
     results = [rates, body.position, body.attitude, body.section.rotation, body.turn]
     return ca.Function("body", [x, row], results)

@@ -12,32 +12,31 @@ import numpy as np
 import pytest
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.control.adhesion import AdhesionSettings, base_torque
+from railrepro.control.adhesion import AdhesionMemory, AdhesionSettings, LongitudinalInputs
+from railrepro.quantities import pack, symbols
 
 LAW = AdhesionSettings(raise_step=2.0, lower_step=5.0, drop_step=15.0, corridor=3e-3, filter_time=4e-3, dead_zone=1e-3)
-LIMIT, PER_ADHESION = 4000.0, 36e3
+LIMIT, LOAD, RADIUS = 4000.0, 80e3, 0.45
 SET_POINT, SLIP = 0.05, 0.01
 SPEED = 50.0
 POLE = 1 / 5  # of the filter: 1 ms / (4 ms + 1 ms)
-MEMORY = ("u", "f_0", "f_1", "s_0", "s_1")
 
 
 def law_function():
-    f, s, memory, v = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", 5), ca.SX.sym("v")
-    f_star, gains = ca.SX.sym("f_star"), ca.SX.sym("gains", len(LAW.gains()) + 1)
-    named = dict(zip((*LAW.gains(), "adhesion.torque_per_adhesion"), ca.vertsplit(gains), strict=True))
-    known = dict(zip(MEMORY, ca.vertsplit(memory), strict=True))
-    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, v, known, named, LIMIT)
-    kept = ca.vertcat(*(kept[name] for name in MEMORY))
-    return ca.Function("law", [f, s, f_star, v, memory, gains], [u, kept, segment])
+    groups = {"q": LongitudinalInputs, "memory": AdhesionMemory, "settings": AdhesionSettings}
+    (q_, q), (memory_, memory), (settings_, settings) = (symbols(group, name) for name, group in groups.items())
+    u, kept, segment = settings.base_torque(q, memory)
+    return ca.Function("law", [q_, memory_, settings_], [u, ca.vertcat(u, *pack(kept)), segment])
 
 
 FUNCTION = law_function()
 
 
 def call(f, s, f_star, memory, settings=LAW, v=SPEED):
-    """Next torque, memory and segment; all as the controller sees them, slip as printed."""
-    u, kept, segment = FUNCTION(f, s, f_star, v, memory, [*settings.gains().values(), PER_ADHESION])
+    """Next torque, memory (torque first) and segment; all as the controller sees them, slip as printed."""
+    u, *filtered = memory
+    q = LongitudinalInputs(list(f), list(s), f_star, v, 0, u, LOAD, LIMIT, RADIUS, J_Wy=60.0, m_x_eff=16e3)
+    u, kept, segment = FUNCTION(pack(q), filtered, pack(settings))
     return float(u), np.array(kept).ravel(), int(segment)
 
 

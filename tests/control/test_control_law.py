@@ -4,16 +4,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro.control import lateral, law
-from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.law import GEARS, EstimateSettings
+from railrepro.control import interface, lateral, law
+from railrepro.control.adhesion import AdhesionSettings, EstimateSettings, white_noise
+from railrepro.quantities import GEARS, SIDES, WHEELS
 from railrepro.track.route import CELL, COLUMNS, INDEX
 from railrepro.vehicle.parameters import load_vehicle
 
 LIMITS = {"lateral_limit": 0.03, "track_end": 900.0, "stop_speed": 0.1}
 SEEN = (*lateral.GEAR, *lateral.ROAD, *lateral.MODEL)
 SPEED, PLACES = 40.0, {"front": 30.2, "rear": 16.3}
-WHEELS = tuple(f"{gear}_{side}" for gear in GEARS for side in law.SIDES)
 
 
 class Probe:
@@ -46,7 +45,7 @@ def measured(**values):
     """Outputs of a car that rolls without adhesion in use at `SPEED`."""
     states = {f"{gear}.{name}": 0.0 for gear in GEARS for name in ("psi_Ax", "psidot_Ax", "y", "psi_TrAx")}
     states |= {f"{gear}.p": PLACES[gear] for gear in GEARS} | {f"{gear}.v": SPEED for gear in GEARS}
-    states |= {name: 0.0 for name in law.MEASURED if name not in states}
+    states |= {name: 0.0 for name in interface.MEASURED if name not in states}
     return states | values
 
 
@@ -55,9 +54,9 @@ def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, estimate=Non
     settings = law.LawSettings(adhesion, estimate, **options)
     control = law.control_law(load_vehicle(), guidance or Probe(), settings, **LIMITS)
     before = dict.fromkeys(control.signature.memory, 0.0) | (memory or {})
-    inputs = [y[name] for name in law.MEASURED], cells() if rows is None else rows, held, control.gains
+    inputs = [y[name] for name in interface.MEASURED], cells() if rows is None else rows, held, control.gains
     found = FUNCTION(*inputs, [before[name] for name in control.signature.memory])
-    names = (WHEELS, control.signature.memory, law.RECORD, law.MARGINS)
+    names = (WHEELS, control.signature.memory, control.signature.record, interface.MARGINS)
     return tuple(dict(zip(group, np.array(v).ravel(), strict=True)) for group, v in zip(names, found, strict=True))
 
 
@@ -126,11 +125,11 @@ def test_the_demand_is_shared_by_two_wheels_of_eight_tonnes(force):
         assert record[f"{gear}.f_star"] == pytest.approx(share * force / 156_960)
         torque = share * force / 2 * 0.46
         assert [memory[f"{gear}.u"], record[f"{gear}.u_d"], record[f"{gear}.tau_long"]] == pytest.approx([torque] * 3)
-        assert [command[f"{gear}_{side}"] for side in law.SIDES] == pytest.approx([torque] * 2)
+        assert [command[f"{gear}_{side}"] for side in SIDES] == pytest.approx([torque] * 2)
 
 
 def test_each_wheel_is_commanded_and_recorded_what_its_gear_decides():
-    y = {"rear.y": 2e-3} | {f"front_{side}.fx": 0.2 for side in law.SIDES}
+    y = {"rear.y": 2e-3} | {f"front_{side}.adhesion": 0.2 for side in SIDES}
     command, memory, record, _ = call(measured(**y), held=(300.0, -500.0), guidance=Probe(held=1.0))
     assert [command[wheel] for wheel in WHEELS] == pytest.approx([300 - 5, -300 - 5, -500, 500])
     assert [record["front.du"], record["rear.du"]] == [300.0, -500.0]
@@ -155,8 +154,10 @@ def test_margins_are_distances_to_the_limits():
 
 def estimates(settings, ticks=0, before=0.0, exact=None):
     """Estimates after one call, adhesion and slip of all wheels, shape (2, 4)."""
-    exact = exact or {f"{wheel}.{name}": value for wheel in WHEELS for name, value in (("fx", 0.1), ("sx", -0.01))}
-    names = [[f"{gear}.{short}_hat_{i}" for gear in GEARS for i in (0, 1)] for short in "fs"]
+    exact = exact or {
+        f"{wheel}.{name}": value for wheel in WHEELS for name, value in (("adhesion", 0.1), ("sx", -0.01))
+    }
+    names = [[f"{gear}.{short}_hat.{side}" for gear in GEARS for side in SIDES] for short in "fs"]
     memory = dict.fromkeys(sum(names, []), before) | {"ticks": ticks}
     found = call(measured(**exact), memory=memory, estimate=settings)[1]
     return np.array([[found[name] for name in kind] for kind in names])
@@ -164,13 +165,15 @@ def estimates(settings, ticks=0, before=0.0, exact=None):
 
 def test_estimates_are_those_of_their_own_wheel():
     exact = {
-        f"{wheel}.{name}": 1.0 + 2 * i + k for i, wheel in enumerate(WHEELS) for k, name in enumerate(("fx", "sx"))
+        f"{wheel}.{name}": 1.0 + 2 * i + k
+        for i, wheel in enumerate(WHEELS)
+        for k, name in enumerate(("adhesion", "sx"))
     }
     assert estimates(EstimateSettings(), exact=exact) == pytest.approx(np.array([[1, 3, 5, 7], [2, 4, 6, 8]]))
 
 
 def test_the_adhesion_law_works_on_the_estimates():
-    over = {f"{gear}_{side}.fx": 0.002 for gear in GEARS for side in law.SIDES}
+    over = {f"{gear}_{side}.adhesion": 0.002 for gear in GEARS for side in SIDES}
     for bias, segment in ((0.0, 2), (1.0, 3)):
         record = call(measured(**over), estimate=EstimateSettings(bias_f=bias))[2]
         assert [record[f"{gear}.segment"] for gear in GEARS] == [segment] * 2
@@ -192,7 +195,7 @@ def test_lag_of_the_estimates_is_a_first_order_lag():
 def test_noise_is_white_of_unit_variance_and_bounded():
     """Channels 1 to 8 serve four wheels. Two are correlated by 0.06 after two cycles, none with its own past."""
     tick, count = ca.SX.sym("tick"), 20_000
-    noise = ca.Function("noise", [tick], [ca.vertcat(*(law.white_noise(tick, channel) for channel in range(1, 9)))])
+    noise = ca.Function("noise", [tick], [ca.vertcat(*(white_noise(tick, channel) for channel in range(1, 9)))])
     series = np.array(noise(np.arange(count)[None, :]))
     assert series.mean(axis=1) == pytest.approx(0.0, abs=0.03)
     assert np.abs(series @ series.T / count - np.eye(8)).max() < 0.03

@@ -142,7 +142,7 @@ def test_a_problem_without_interior_is_reported_and_its_sample_falls_back(vehicl
         horizon.solve()
     for guided in (NMPC(vehicle, way, 0, WIDE), NMPC(vehicle, way, 0, WIDE, solver="rti"), LTVMPC(vehicle, way, 0)):
         guided.plan(measured(way, **STATE), 0.0)
-        guided.horizon.c.most_sets, guided._c.torque_limit = 0, 0.0
+        guided.horizon.c.most_sets, guided.torque_limit = 0, lambda x_hat: 0.0
         assert guided.plan_du[1] != 0.0
         assert guided.plan(measured(way, **STATE), 0.0) == 0.0
         assert [record.fallback for record in guided.stats] == [False, True]

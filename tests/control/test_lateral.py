@@ -158,13 +158,9 @@ def test_the_inversion_inverts_the_control_model(speed, base_torque, tolerance):
     extra = {name: lateral_quantity(size) for name, size in (("ddpsi_dp", 1e-5), ("y_ref", 3e-3), ("dy_ref", 1e-4))}
     extra |= {"ddy_ref": lateral_quantity(1e-5), "dddy_ref": lateral_quantity(1e-6)}
 
-    limits = {"lateral_limit": 1.0, "track_end": 1.0, "stop_speed": 0.0}
-    control = law.control_law(vehicle, NDI(derivatives=3, integral=0.2), **limits)
-    numbers = dict(zip(control.signature.gains, control.gains.tolist(), strict=True))
-    gain, model = ({name.partition(".")[2]: value for name, value in numbers.items() if name.startswith(f"{group}.")}
-                   for group in ("lateral", "model"))  # fmt: skip
+    gain, model = NDI(derivatives=3, integral=0.2).gains(), vars(law._model(vehicle))
     gear = x | {"xddot": 2 * base_torque / (model["r_0"] * model["m_x_eff"]), "held": 0.0}
-    q = quantities(gear | theta | extra | gain | model | {"integral": lateral_quantity(1e-4)})
+    q = quantities(gear | theta | extra | gain | model | {"integral": lateral_quantity(1e-4), "tau_max": 4000.0})
     du, _ = NDI().torque(q)
     wanted = ndi.wanted_jerk(q)
     state = ca.vertcat(*(x[name] for name in STATES))

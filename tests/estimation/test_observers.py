@@ -1,6 +1,7 @@
 """The filter of a running gear: its model against the car, what it finds of creep and force, and in closed loop."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -10,9 +11,10 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import tuned
 from railrepro.estimation import observers
-from railrepro.estimation.observers import LATERAL, lateral_matrices, stationary_gains
+from railrepro.estimation.observers import LATERAL, FilterState, lateral_matrices, stationary_gains
 from railrepro.estimation.sensors import Latency, Readings, load_loop
 from railrepro.model.control_model import STATES
+from railrepro.quantities import names, pack, unpack
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -31,47 +33,47 @@ def drive(loop, name="curve_entry_T3", seed=1, law=MODERATE, vehicle=None, **cha
     return simulate.run(load_scenario(name).but(**changes), law, vehicle=vehicle, sensors=sensors)
 
 
-def test_gains_are_those_that_are_named(vehicle):
+def test_a_wheel_that_turns_faster_than_expected_has_less_creep_force(vehicle):
     found = stationary_gains(vehicle, load_loop())
-    assert set(found) == set(observers.GAINS)
-    assert found["wheel.w"] > 0 > found["wheel.force"]
+    assert found.wheel_w > 0 > found.wheel_force
     late = load_loop(**{"latency.measurement": 4e-3, "latency.command": 3e-3})
-    assert stationary_gains(vehicle, late)["prediction"] == pytest.approx(7e-3)
+    assert stationary_gains(vehicle, late).prediction == pytest.approx(7e-3)
 
 
 @pytest.mark.parametrize("speed", observers.SPEEDS)
 def test_the_filter_is_stable_and_sees_every_state(vehicle, speed):
     """Its gains are for the system that `advance` steps on straight track."""
     a, c = lateral_matrices(vehicle, speed)
-    gains = stationary_gains(vehicle, load_loop()) | Readings(load_loop()).gains(0)
-    x, still = ca.SX.sym("x", len(LATERAL)), ("psi_Tr", "psi_CB", "dpsi_dp", "dpsi_dp_CB", "dphi_dp")
-    state = dict.fromkeys(observers.STATES, 0.0) | dict(zip(LATERAL, ca.vertsplit(x), strict=True)) | {"v": speed}
-    following = observers.advance(state, {"le": [0.0] * 21, "ri": [0.0] * 21}, dict.fromkeys(still, 0.0), gains)
-    step = np.array(ca.evalf(ca.jacobian(ca.vertcat(*(following[name] for name in LATERAL)), x)))
+    sensor, gains = Readings(load_loop()).gains(0), stationary_gains(vehicle, load_loop())
+    x = ca.SX.sym("x", len(LATERAL))
+    still = SimpleNamespace(psi_Tr=0.0, psi_CB=0.0, dpsi_dp=0.0, dpsi_dp_CB=0.0, dphi_dp=0.0)
+    rest = unpack(FilterState, [0.0] * len(names(FilterState)))
+    state = replace(rest, **dict(zip(LATERAL, ca.vertsplit(x), strict=True)), v=speed)
+    following = observers.advance(state, {"le": [0.0] * 21, "ri": [0.0] * 21}, still, sensor, gains)
+    step = np.array(ca.evalf(ca.jacobian(ca.vertcat(*(getattr(following, name) for name in LATERAL)), x)))
     assert step == pytest.approx(np.eye(5) + 1e-3 * a, abs=1e-12)
     seen = np.vstack([c @ np.linalg.matrix_power(a / np.abs(a).max(), k) for k in range(5)])
     assert np.linalg.matrix_rank(seen * 1e3) == len(LATERAL)
     k = observers.SPEEDS.index(speed)
-    gain = np.array([[gains[f"lateral.{state}.{read}.{k}"] for read in ("y", "psi", "r")] for state in LATERAL])
+    gain = np.array(pack(gains.lateral)).reshape(5, 3, -1)[:, :, k]
     assert np.abs(np.linalg.eigvals(step - step @ gain @ c)).max() < 1
 
 
 @pytest.mark.parametrize("speed", [0.0, 2.0, 3.5, 26.0, 55.0, 120.0, 150.0])
 def test_gains_of_the_filter_are_linear_between_their_speeds_and_constant_beyond(vehicle, speed):
     gains = stationary_gains(vehicle, load_loop())
-    for name in ("lateral.y.y", "lateral.beta.psi"):
-        at_nodes = [gains[f"{name}.{k}"] for k in range(len(observers.SPEEDS))]
-        assert observers._scheduled(name, speed, gains) == pytest.approx(np.interp(speed, observers.SPEEDS, at_nodes))
+    for at_nodes in (gains.lateral.y.y, gains.lateral.beta.psi):
+        assert observers._scheduled(at_nodes, speed) == pytest.approx(np.interp(speed, observers.SPEEDS, at_nodes))
 
 
 @pytest.mark.parametrize(("course", "cant_rate"), [(0.0, 4e-4), (3e-3, 0.0), (-3e-3, 4e-4)])
 def test_the_filter_feels_the_gyroscopic_moment_of_rolling_wheels(vehicle, course, cant_rate):
     """Nothing else acts: the angular momentum of both wheels and that of yaw stay together while the gear rolls."""
-    x = dict.fromkeys(observers.STATES, 0.0) | {"v": 100.0, "psi": 2e-3, "beta": course - 2e-3}
-    track_ahead = {"psi_Tr": 0.0, "psi_CB": 2e-3, "dpsi_dp": 0.0, "dpsi_dp_CB": 0.0, "dphi_dp": cant_rate}
+    x = replace(unpack(FilterState, [0.0] * len(names(FilterState))), v=100.0, psi=2e-3, beta=course - 2e-3)
+    track = SimpleNamespace(psi_Tr=0.0, psi_CB=2e-3, dpsi_dp=0.0, dpsi_dp_CB=0.0, dphi_dp=cant_rate)
     commands = dict.fromkeys(("le", "ri"), [0.0] * 21)
-    gains = stationary_gains(vehicle, load_loop()) | Readings(load_loop()).gains(0)
-    turned = observers.advance(x, commands, track_ahead, gains)["r"] / 1e-3
+    sensor, gains = Readings(load_loop()).gains(0), stationary_gains(vehicle, load_loop())
+    turned = observers.advance(x, commands, track, sensor, gains).r / 1e-3
     # Running to the right the right wheel climbs on its cone and the left one sinks, by tan(delta) y each over b.
     roll_rate = 100.0 * (cant_rate - 2 * np.tan(vehicle.wheel.cone_angle) * course / vehicle.gear.contact_base)
     wheels = 2 * vehicle.wheel.spin_inertia * np.array([0.0, -100.0 / vehicle.wheel.radius, 0.0])
@@ -92,7 +94,7 @@ def test_creep_angle_and_gyro_bias_are_told_apart_in_a_curve():
 def test_force_of_a_wheel_is_found_from_torque_and_speed():
     run = drive(QUIET, "sine_tracking", set_point={"kind": "none"}, force_kN=[[0, 10]], end_m=500)
     true = run.series["front_le.Fx"].iloc[-1]
-    assert run.memory["front.filter.force_le"] == pytest.approx(true, rel=0.01) and true > 3e3
+    assert run.memory["front.filter.le.force"] == pytest.approx(true, rel=0.01) and true > 3e3
 
 
 def test_the_loop_with_perfect_sensors_only_adds_what_the_filter_knows():
@@ -115,7 +117,7 @@ def test_prediction_pays(monkeypatch):
     fast = NDI(pole=40.0, frequency=30.0, damping=0.6, derivatives=3)
     with_it = drive(late, "sine_tracking", law=fast, end_m=400)
     gains = observers.stationary_gains
-    monkeypatch.setattr(observers, "stationary_gains", lambda v, loop: gains(v, loop) | {"prediction": 0.0})
+    monkeypatch.setattr(observers, "stationary_gains", lambda v, loop: replace(gains(v, loop), prediction=0.0))
     without = drive(late, "sine_tracking", law=fast, end_m=400)
     effort = [metrics.effort(run.series) for run in (with_it, without)]
     assert without.failed or effort[1] > 1.5 * effort[0]
@@ -133,7 +135,7 @@ def test_controllers_follow_the_set_point_where_the_torque_will_act_and_the_reco
 @pytest.mark.parametrize(("bias", "low", "high"), [(0.0, 0.05, 0.15), (1.0, 0.22, 0.30), (2.0, 0.42, 0.56)])
 def test_an_error_of_the_place_is_an_error_of_the_displacement(bias, low, high):
     """Errors count from the set point at the true place: the slope of the sweep turns metres into tenths of a mm."""
-    share = Readings(load_loop(), 1).gains(0)["p.bias"]  # of the largest bias, 1 m
+    share = Readings(load_loop(), 1).gains(0).p.bias  # of the largest bias, 1 m
     loop = load_loop(**{"position.bias": bias / share})
     law = tuned("ndi_feedforward", setting="loop")
     series = drive(loop, "curve_entry_T1", law=law, end_m=50.0).series
@@ -176,7 +178,7 @@ def test_behind_noise_the_adhesion_law_still_holds_its_set_point():
     for own in (None, AdhesionSettings()):
         run = simulate.run(scenario, NDI(20.0, 20.0), sensors=Readings(load_loop(), 5), adhesion=own)
         late = run.series[run.series["front.p"] > 80]
-        held[own] = float((late["front_le.fx"] + late["front_ri.fx"]).mean() / 2)
+        held[own] = float((late["front_le.adhesion"] + late["front_ri.adhesion"]).mean() / 2)
     demand = float(late["front.f_star"].mean())
     assert demand == pytest.approx(0.05, abs=0.005)
     assert held[None] == pytest.approx(demand, rel=0.15)

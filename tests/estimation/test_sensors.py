@@ -6,35 +6,25 @@ import pytest
 
 from railrepro.data import InputError
 from railrepro.estimation import sensors
-from railrepro.estimation.sensors import GAINS, LONGEST, MEMORY, SIGNALS, Readings, load_loop
+from railrepro.estimation.sensors import LONGEST, SIGNALS, Readings, SensorMemory, Signals, load_loop
+from railrepro.quantities import pack, symbols
 
 TRUTH = {"y_ahead": 2e-3, "y_behind": 1e-3, "psidot_Ax": 0.02, "w_le": 100.0, "w_ri": 99.0, "v": 45.0, "p": 300.0}
 
 
 def readings(cycles, loop, seed=0, gear=0, move=None):
     """Readings of a gear over some cycles, shape (cycles, signals); `move` maps tick and signal to its value."""
-    ticks, truth = ca.SX.sym("ticks"), ca.SX.sym("truth", len(SIGNALS))
-    memory = ca.SX.sym("memory", len(MEMORY))
-    gain = Readings(loop, seed).gains(gear)
-    found, kept = sensors.sense(
-        dict(zip(SIGNALS, ca.vertsplit(truth), strict=True)),
-        ticks,
-        gear,
-        gain,
-        dict(zip(MEMORY, ca.vertsplit(memory), strict=True)),
-    )
-    following = [kept.get(name, 0.0) for name in MEMORY]
-    step = ca.Function("step", [truth, ticks, memory], [ca.vertcat(*found.values()), ca.vertcat(*following)])
-    rows, state = [], np.zeros(len(MEMORY))
+    ticks, (truth_, truth), (memory_, memory) = ca.SX.sym("ticks"), symbols(Signals, "t"), symbols(SensorMemory, "m")
+    found, lines = sensors.sense(truth, ticks, gear, Readings(loop, seed).gains(gear), memory)
+    following = SensorMemory(**lines, tau_le=memory.tau_le, tau_ri=memory.tau_ri)
+    outputs = [ca.vertcat(*pack(values)) for values in (found, following)]
+    step = ca.Function("step", [truth_, ticks, memory_], outputs)
+    rows, state = [], np.zeros(memory_.numel())
     for k in range(cycles):
         values = [move(k, name) if move else TRUTH[name] for name in SIGNALS]
         seen, state = step(values, k, state)
         rows.append(np.array(seen).ravel())
     return np.array(rows)
-
-
-def test_gains_are_those_that_are_named():
-    assert set(Readings(load_loop()).gains(0)) == set(GAINS)
 
 
 def test_perfect_sensors_tell_the_truth():
@@ -49,20 +39,20 @@ def test_noise_has_the_stated_size_and_a_bias_stays():
     assert spread == pytest.approx(stated, rel=0.04, abs=1e-9)
     gains = Readings(loop, 4).gains(0)
     for i, (name, value) in enumerate(TRUTH.items()):
-        assert abs(gains[f"{name}.bias"]) <= {"y_ahead": 2e-4, "y_behind": 2e-4, "psidot_Ax": 1e-3, "p": 1.0}.get(
+        assert abs(getattr(gains, name).bias) <= {"y_ahead": 2e-4, "y_behind": 2e-4, "psidot_Ax": 1e-3, "p": 1.0}.get(
             name, 0
         )
         assert rows[:, i].mean() - value == pytest.approx(
-            gains[f"{name}.bias"], abs=4 * stated[name] / np.sqrt(6000) + 1e-9
+            getattr(gains, name).bias, abs=4 * stated[name] / np.sqrt(6000) + 1e-9
         )
-    assert gains["y_ahead.bias"] != 0 and gains["p.bias"] != 0
+    assert gains.y_ahead.bias != 0 and gains.p.bias != 0
 
 
 def test_runs_and_gears_draw_their_own_noise():
     loop = load_loop()
     one, again, other, rear = (readings(50, loop, seed, gear) for seed, gear in ((1, 0), (1, 0), (2, 0), (1, 1)))
     assert np.array_equal(one, again)
-    biases = [Readings(loop, seed).gains(gear)["y_ahead.bias"] for seed, gear in ((1, 0), (2, 0), (1, 1))]
+    biases = [Readings(loop, seed).gains(gear).y_ahead.bias for seed, gear in ((1, 0), (2, 0), (1, 1))]
     assert np.abs(np.diff([*biases, biases[0]])).min() > 1e-6
     for different in (other, rear):
         assert np.abs(np.corrcoef(one[:, 3], different[:, 3])[0, 1]) < 0.4
@@ -135,15 +125,13 @@ def test_what_the_inverter_does_is_unknown_to_the_filter():
     stressed = load_loop(**{"inverter.delay": 2e-3, "inverter.gain": 1.2})
     gain = Readings(stressed).gains(0)
     line = [float(k) for k in range(LONGEST + 1)]
-    assert float(sensors.arriving(line, gain)) == pytest.approx(1.2 * 4)
-    assert gain["command"] == 2.0
-    assert float(sensors.arriving(line, Readings(stressed.perfect()).gains(0))) == pytest.approx(1.2 * 2)
+    assert float(sensors.received_torque(line, gain)) == pytest.approx(1.2 * 4)
+    assert gain.command == 2.0
+    assert float(sensors.received_torque(line, Readings(stressed.perfect()).gains(0))) == pytest.approx(1.2 * 2)
     with pytest.raises(InputError, match="latency of 21 ms in all"):
         load_loop(**{"inverter.delay": 16e-3})
 
 
-def test_a_line_of_commands_begins_with_the_newest():
-    memory = {f"tau_le.{k}": float(k) for k in range(LONGEST + 1)}
-    line = sensors.sent(-1.0, "tau_le", memory)
-    assert line == [-1.0, *map(float, range(LONGEST))]
-    assert float(sensors.late(line, ca.SX(2.0))) == 1.0
+def test_an_age_between_two_entries_of_a_delay_line_is_interpolated():
+    line = [-1.0, *map(float, range(LONGEST))]
+    assert [float(sensors.delayed(line, ca.SX(age))) for age in (0.0, 2.0, 2.5)] == [-1.0, 1.0, 1.5]

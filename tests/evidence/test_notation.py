@@ -5,7 +5,7 @@ import importlib
 import re
 
 from railrepro.car import equations
-from railrepro.control import law
+from railrepro.control import interface
 from railrepro.evidence.report import notation
 from railrepro.model import derivation
 from railrepro.vehicle import parameters
@@ -48,7 +48,10 @@ def exists(owner, path):
 def known(kind, name):
     """Whether an entry of the table names something that is there."""
     if kind == "series":
-        return name in {*equations.car().outputs, *law.RECORD}
+        return name in {
+            *equations.car().outputs,
+            *(f"front.{field.name}" for field in dataclasses.fields(interface.Record)),
+        }
     if kind == "vehicle":
         return exists(VEHICLE, name.split("."))
     return exists(importlib.import_module("railrepro"), name.split(".")[1:])

@@ -9,7 +9,7 @@ import pytest
 
 from railrepro import paths
 from railrepro.compile import codegen
-from railrepro.control import law
+from railrepro.control import interface
 from railrepro.control.ndi import NDI
 from railrepro.export.controller import TORQUES, Export
 from railrepro.simulation import simulate
@@ -42,8 +42,8 @@ def test_the_program_of_the_page_drives_the_trajectory_of_a_run():
 
     car, controller, moved = names["Unit"]("car.fmu"), names["Unit"]("controller.fmu"), []
     for k in range(n):  # both at once: what the page says of a Jacobi master
-        measured, torques = car.get(law.MEASURED), controller.get(TORQUES)
-        controller.set(law.MEASURED, measured)
+        measured, torques = car.get(interface.MEASURED), controller.get(TORQUES)
+        controller.set(interface.MEASURED, measured)
         car.set(TORQUES, torques)
         for unit in (controller, car):
             unit.unit.doStep(1e-3 * k, 1e-3)

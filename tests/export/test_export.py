@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from railrepro.compile import codegen
-from railrepro.control import law
+from railrepro.control import interface
 from railrepro.control.law import LawSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
@@ -38,7 +38,7 @@ def coupled(car, controller, cycles):
     found = []
     for _ in range(cycles):
         found.append(car.get(["front.y", "rear.y"]))
-        controller.set(law.MEASURED, car.get(law.MEASURED))
+        controller.set(interface.MEASURED, car.get(interface.MEASURED))
         controller.step()
         car.set(TORQUES, controller.get(TORQUES))
         car.step()
@@ -67,13 +67,13 @@ def driven(source, folder, series):
     subprocess.run([codegen.compiler(), *options], check=True)
     library = ctypes.CDLL(str(file.with_suffix(".so")))
     memory = ctypes.create_string_buffer(library.size())
-    numbers = np.frombuffer(memory, dtype=float, count=len(law.MEASURED) + len(TORQUES))
+    numbers = np.frombuffer(memory, dtype=float, count=len(interface.MEASURED) + len(TORQUES))
     library.controller_reset(memory)
     torques = []
-    for row in series[list(law.MEASURED)].to_numpy():
-        numbers[: len(law.MEASURED)] = row
+    for row in series[list(interface.MEASURED)].to_numpy():
+        numbers[: len(interface.MEASURED)] = row
         assert library.controller_step(memory) == 0
-        torques.append(numbers[len(law.MEASURED) :].copy())
+        torques.append(numbers[len(interface.MEASURED) :].copy())
     if shutil.which("nm") is None:
         return np.array(torques), None
     wanted = subprocess.run(
@@ -117,7 +117,7 @@ def test_the_c_behind_sensors_gives_the_torques_of_a_run_and_needs_nothing(name,
 def test_the_c_names_its_inputs_and_holds_what_the_law_needs():
     route = SCENARIO.route()
     text, whole = (Export(GUIDANCE[name], route).source() for name in ("ndi", "ltv_mpc"))
-    for prefix, names in (("MEASURED", law.MEASURED), ("TORQUE", TORQUES)):
+    for prefix, names in (("MEASURED", interface.MEASURED), ("TORQUE", TORQUES)):
         listed = text.split(f"enum {{ {prefix}_")[1].split(" }")[0].split(f", {prefix}_")
         assert listed == [name.replace(".", "_").upper() for name in names]
     cells = {key: len(each.split("CELLS[")[1].split(";")[0]) for key, each in {"law": text, "mpc": whole}.items()}

@@ -139,7 +139,7 @@ def test_seen_slip_saves_adhesion_on_a_poor_rail():
     seeing = simulate.run(scenario, CreepMPC(), vehicle=CONE).series
     blind = simulate.run(scenario, lambda *on: Blind(*on, CreepSettings(), DRY), vehicle=CONE).series
     assert metrics.effort(seeing) < 0.4 * metrics.effort(blind)
-    saved, wasted = (log.loc[log["front.p"] > 300, "front_le.fx"].mean() for log in (seeing, blind))
+    saved, wasted = (log.loc[log["front.p"] > 300, "front_le.adhesion"].mean() for log in (seeing, blind))
     assert saved > 0.085 > 0.06 > wasted
 
 

@@ -10,24 +10,27 @@ import pytest
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import polach
 from railrepro.contact.table import cone_patch
-from railrepro.own.slip import SlipSettings, base_torque
+from railrepro.control.adhesion import LongitudinalInputs
+from railrepro.own.slip import SlipMemory, SlipSettings
+from railrepro.quantities import pack, symbols
 from railrepro.vehicle.parameters import load_vehicle
 
 V = load_vehicle()
 LOAD, RADIUS, INERTIA = V.contact.nominal_load, V.wheel.radius, V.wheel.spin_inertia
-MODEL = {"tau_max": V.drive.torque_limit, "r_0": RADIUS, "J_Wy": INERTIA, "m_x_eff": 1e9}  # the speed stays
 
 
 @lru_cache
-def law(mass=MODEL["m_x_eff"]):
-    f, s, memory = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", len(SlipSettings.memory))
-    f_star, v, ticks, gains = ca.SX.sym("f_star"), ca.SX.sym("v"), ca.SX.sym("t"), ca.SX.sym("gains", 13)
-    known = dict(zip(SlipSettings.memory, ca.vertsplit(memory), strict=True))
-    named = dict(zip((*SlipSettings().gains(), "nominal_load"), ca.vertsplit(gains), strict=True))
-    model = MODEL | {"m_x_eff": mass}
-    u, kept, segment = base_torque(ca.vertsplit(f), ca.vertsplit(s), f_star, v, ticks, known, named, model)
-    kept = ca.vertcat(*(kept[name] for name in SlipSettings.memory))
-    return ca.Function("law", [f, s, f_star, v, ticks, gains, memory], [u, kept, segment])
+def law(mass=1e9):  # the speed stays
+    """(f, s, demand, v, ticks, settings, memory) -> u, memory, segment; the torque is the first state of the memory."""
+    f, s, memory_ = ca.SX.sym("f", 2), ca.SX.sym("s", 2), ca.SX.sym("memory", 9)
+    f_star, v, ticks = ca.SX.sym("f_star"), ca.SX.sym("v"), ca.SX.sym("t")
+    settings_, settings = symbols(SlipSettings, "settings")
+    u, *rest = ca.vertsplit(memory_)
+    q = LongitudinalInputs(
+        ca.vertsplit(f), ca.vertsplit(s), f_star, v, ticks, u, LOAD, V.drive.torque_limit, RADIUS, INERTIA, mass
+    )
+    u, kept, segment = settings.base_torque(q, SlipMemory(*rest))
+    return ca.Function("law", [f, s, f_star, v, ticks, settings_, memory_], [u, ca.vertcat(u, *pack(kept)), segment])
 
 
 @lru_cache
@@ -43,7 +46,7 @@ def curve(adhesion, speed):
 
 def ride(rail, speed, demand, settings=None, seconds=6.0, noise=0.0, uneven=0.0):
     """A gear whose wheels slip alike, but for `uneven`, on rails by time: columns u, f, slip of the mean, segment."""
-    gains = [*(settings or SlipSettings()).gains().values(), LOAD]
+    gains = pack(settings or SlipSettings())
     memory, torque, slip, generator, rows = np.zeros(9), 0.0, 0.0, np.random.default_rng(1), []
     for k in range(round(seconds / CONTROL_PERIOD)):
         over, adhesion = curve(rail(k * CONTROL_PERIOD), speed)
@@ -81,7 +84,7 @@ def test_without_seeking_it_holds_the_limit():
 def test_at_the_limit_the_torque_also_turns_the_wheel_as_fast_as_the_car_gains_speed(sign):
     """Newton for half a car of 16 t and for a wheel that goes on rolling: v' = 2 F/m, J v'/r_0 = tau - r_0 F."""
     mass, adhesion, settings = 16e3, 0.1, SlipSettings(seek=0.0, swing=0.0)
-    gains, memory, held = [*settings.gains().values(), LOAD], np.zeros(9), law(mass + 2 * INERTIA / RADIUS**2)
+    gains, memory, held = pack(settings), np.zeros(9), law(mass + 2 * INERTIA / RADIUS**2)
     seen = [sign * adhesion] * 2, [-sign * settings.start] * 2
     for k in range(3000):
         u, memory, segment = held(*seen, sign * 0.2, 50.0, k, gains, memory)
@@ -92,7 +95,7 @@ def test_at_the_limit_the_torque_also_turns_the_wheel_as_fast_as_the_car_gains_s
 
 def test_a_rolling_wheel_whose_load_is_higher_than_nominal_is_not_held_back():
     """Adhesion is force over true load: a tenth more of it is 290 N m here, the limit is but 260 N m away."""
-    gains, memory, demand = [*SlipSettings(swing=0.0).gains().values(), LOAD], np.zeros(9), 1.1 * 0.08
+    gains, memory, demand = pack(SlipSettings(swing=0.0)), np.zeros(9), 1.1 * 0.08
     for k in range(3000):
         u, memory, segment = law()([0.08] * 2, [-1e-3] * 2, demand, 12.0, k, gains, memory)
     assert float(segment) == 1 and float(u) == pytest.approx(RADIUS * 1.1 * LOAD * 0.08)

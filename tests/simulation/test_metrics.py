@@ -136,7 +136,7 @@ def test_adhesion_limit_near_standstill_is_that_of_one_metre_per_second():
 
 def braking(**columns):
     """Four rows of a run at 100 m/s and below."""
-    still = {f"{wheel}.sx": 0.0 for wheel in WHEELS} | {f"front_{side}.fx": 0.0 for side in ("le", "ri")}
+    still = {f"{wheel}.sx": 0.0 for wheel in WHEELS} | {f"front_{side}.adhesion": 0.0 for side in ("le", "ri")}
     base = {"front.p": [0.0, 10.0, 20.0, 30.0], "front.v": [100.0, 100.0, 100.0, 1.0], "front.tau_long": 0.0}
     base["front.f_star"] = 0.0
     named = {name.replace("__", "."): value for name, value in columns.items()}
@@ -176,20 +176,20 @@ def test_utilisation_is_the_mean_adhesion_over_the_largest_where_more_is_asked(s
     limit = (peak(vehicle, "poor", 100.0) + peak(vehicle, "dry", 100.0)) / 2
     series = braking(
         front__f_star=sign * np.array([1.01 * limit, 0.99 * limit, 1.0, 1.0]),
-        front_le__fx=sign * np.array([0.4 * limit, 0.0, 0.8 * limit, 0.0]),
-        front_ri__fx=sign * np.array([0.6 * limit, 0.0, 1.0 * limit, 0.0]),
+        front_le__adhesion=sign * np.array([0.4 * limit, 0.0, 0.8 * limit, 0.0]),
+        front_ri__adhesion=sign * np.array([0.6 * limit, 0.0, 1.0 * limit, 0.0]),
     )
     found, unit = metrics.longitudinal(series, poor, vehicle)["utilisation"]
     assert (found, unit) == (pytest.approx((0.5 + 0.9) / 2), "-")
-    assert metrics.longitudinal(series.assign(**{"front_le.fx": 0.0, "front_ri.fx": -sign * limit}), poor, vehicle)[
-        "utilisation"
-    ][0] == pytest.approx(-0.5)
+    assert metrics.longitudinal(
+        series.assign(**{"front_le.adhesion": 0.0, "front_ri.adhesion": -sign * limit}), poor, vehicle
+    )["utilisation"][0] == pytest.approx(-0.5)
 
 
 def test_the_share_of_poor_rail_counts_where_the_gear_is():
     vehicle = load_vehicle()
     scenario = load_scenario("adhesion_loss").but(poor_share=((10.0, 0.0), (20.0, 1.0)))
-    series = braking(front__f_star=1.0, **{"front_le.fx": 0.05, "front_ri.fx": 0.05})
+    series = braking(front__f_star=1.0, **{"front_le.adhesion": 0.05, "front_ri.adhesion": 0.05})
     dry, poor = peak(vehicle, "dry", 100.0), peak(vehicle, "poor", 100.0)
     found = metrics.longitudinal(series, scenario, vehicle)["utilisation"][0]
     assert found == pytest.approx((2 * 0.05 / dry + 0.05 / poor) / 3, rel=1e-6)

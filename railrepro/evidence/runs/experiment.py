@@ -39,7 +39,7 @@ _SERIES = {
     **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
 }
 _PREVIEW = {"share", "smoothing_m", "limit", "amplitude_error", "localisation_error_m"}
-_WHEEL = {"tau": "tau_{}_Nm", "fx": "fx_{}", "sx": "sx_{}"}
+_WHEEL = {"tau": "tau_{}_Nm", "adhesion": "fx_{}", "sx": "sx_{}"}
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
-from railrepro.estimation.sensors import late
+from railrepro.estimation import sensors
 from railrepro.evidence.runs.tuning import EQUAL, LOOP, SEED
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.vehicle.parameters import sample_ranges
@@ -148,7 +148,7 @@ class DelayedLaw:
         """See `LateralLaw.torque`."""
         du, following = lateral.answer(self._law, q)
         line = [du, *(getattr(q, name) for name in self._line)]
-        return late(line, q.delay_ticks), following | dict(zip(self._line, line[:-1], strict=True))
+        return sensors.delayed(line, q.delay_ticks), following | dict(zip(self._line, line[:-1], strict=True))
 
 
 class CountedLaw:

@@ -1,0 +1,100 @@
+"""Named quantities: a table of names and units makes a frozen dataclass; vectors and columns follow from it.
+
+An entry is a number or an expression, a list with labels, or a group of further entries. Its name is the path to it:
+`front.y` is `y` of the group `front`, `tau_le.3` is entry 3 of the list `tau_le`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass, make_dataclass
+from itertools import product
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+
+import casadi as ca
+
+GEARS = ("front", "rear")
+SIDES = ("le", "ri")
+GEAR_AND_SIDE = dict(zip(("front_le", "front_ri", "rear_le", "rear_ri"), product(GEARS, SIDES), strict=True))
+"""Running gear and side of each wheel."""
+WHEELS = tuple(GEAR_AND_SIDE)
+Group = TypeVar("Group")
+
+
+def listed(labels: Iterable) -> Any:
+    """Type of an entry that is a list, one element for each label."""
+    return Annotated[list, tuple(map(str, labels))]
+
+
+def group(name: str, *members: str | Mapping[str, Any]) -> Any:
+    """A dataclass of quantities.
+
+    Parameters
+    ----------
+    name : str
+    members : str or mapping
+        Names with units, as "y m, psi rad", or by name a unit, a `listed(…)`, a dataclass, or, where the entries of a
+        group are shown below another name than its own, `Annotated[dataclass, shown]`.
+    """
+    types: dict[str, Any] = {}
+    for some in members:
+        of = dict(each.split(" ", 1) for each in some.split(", ")) if isinstance(some, str) else some
+        types |= {entry: Annotated[Any, unit] if isinstance(unit, str) else unit for entry, unit in of.items()}
+    return make_dataclass(name, types.items(), frozen=True)
+
+
+def _members(of: type) -> Iterator[tuple[str, type | None, tuple[str, ...] | None, str]]:
+    """Each field with its class if it is a group, its labels if it is a list, and the name that its entries show."""
+    hints = get_type_hints(of, include_extras=True)
+    for field in fields(of):  # type: ignore[arg-type]
+        inner, *more = get_args(hints[field.name]) or (hints[field.name],)
+        if is_dataclass(inner):
+            yield field.name, inner, None, more[0] if more else field.name  # type: ignore[misc]
+        elif inner is not str:
+            yield field.name, None, more[0] if inner is list else None, field.name
+
+
+def names(of: type) -> tuple[str, ...]:
+    """Names of the entries of a dataclass, in the order of the vector."""
+    found: list[str] = []
+    for _, inner, labels, shown in _members(of):
+        below = names(inner) if inner else labels
+        found += [shown] if below is None else [f"{shown}.{name}" for name in below]
+    return tuple(found)
+
+
+def pack(values: Any) -> list:
+    """Entries of an instance, in the order of `names`."""
+    found: list = []
+    for name, inner, labels, _ in _members(type(values)):
+        value = getattr(values, name)
+        found += pack(value) if inner else [value] if labels is None else value
+    return found
+
+
+def unpack(of: type[Group], entries: Iterable) -> Group:
+    """An instance with entries in the order of `names`; they are not checked, so that they may be expressions."""
+    source = iter(entries)
+    made = object.__new__(of)
+    for name, inner, labels, _ in _members(of):
+        if inner:
+            vars(made)[name] = unpack(inner, source)
+        else:
+            vars(made)[name] = next(source) if labels is None else [next(source) for _ in labels]
+    return made
+
+
+def indices(of: type[Group]) -> Group:
+    """The index of each entry in the vector, as an instance."""
+    return unpack(of, range(len(names(of))))
+
+
+def symbols(of: type[Group], name: str) -> tuple[ca.SX, Group]:
+    """A vector of symbols, and its entries as an instance."""
+    vector = ca.SX.sym(name, len(names(of)))
+    return vector, unpack(of, ca.vertsplit(vector))
+
+
+def named(columns: Iterable[str], vector: ca.SX) -> dict[str, ca.SX]:
+    """Entries of a symbolic vector by name."""
+    return dict(zip(columns, ca.vertsplit(vector), strict=True))
