@@ -1,13 +1,11 @@
 # Two commands matter: `make figures` and `make test`; each sets up .venv by itself. `make help` lists the rest.
 .DELETE_ON_ERROR:
-.DEFAULT_GOAL := help
 SHELL := /bin/bash
 ifeq ($(filter grouped-target,$(.FEATURES)),)
   $(error GNU Make 4.3 or newer is needed, this is $(MAKE_VERSION))
 endif
 
 PYTHON ?= python3
-VARIANTS ?=
 PY := .venv/bin/python
 CORES := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
 # Notebooks at a time; each has the workers of its share of the processors.
@@ -39,9 +37,7 @@ endif
 LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | cksum | tr -cd 0-9)
 VENV := .venv/ready-$(LOCK_HASH)
 # Other groups of the lock come on top, where they are needed.
-BOOK := .venv/ready-book-$(LOCK_HASH)
-BENCH := .venv/ready-bench-$(LOCK_HASH)
-COMPILER := .venv/ready-compiler-$(LOCK_HASH)
+READY = .venv/ready-$(1)-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 == "$(1)"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
 .PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
@@ -75,7 +71,7 @@ test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 test-slow: $(VENV)  ## run the tests that take minutes
 	$(PY) -m pytest -m slow $(PYTEST_JOBS)
 
-test-extras: $(BENCH)  ## install the group `bench` and run its tests: Exudyn, Gymnasium
+test-extras: $(call READY,bench)  ## install the group `bench` and run its tests: Exudyn, Gymnasium
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation
 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files
@@ -107,7 +103,7 @@ report: figures  ## write REPLICATION.md from the measured results
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro chain verify
 
-variants: $(VENV) $(if $(filter packaged,$(VARIANTS)),$(COMPILER))  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
+variants: $(VENV) $(if $(filter packaged,$(VARIANTS)),$(call READY,compiler))  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
 	$(PY) -m railrepro chain variants $(VARIANTS)
 
 bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also a second opinion on the car
@@ -125,7 +121,7 @@ study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (lon
 	$(PY) -m railrepro loop
 	$(PY) -m railrepro order
 
-html: $(BOOK)  ## the book in build/html: executed notebooks (runs those that are missing), report, library reference
+html: $(call READY,book)  ## the book in build/html: executed notebooks (runs those that are missing), report, library reference
 	$(PY) -m railrepro chain html
 
 script: $(VENV)  ## a chapter as a Python script in build/scripts: NB=06
@@ -158,6 +154,6 @@ $(VENV): environment.lock pyproject.toml
 	  || echo "it cannot be had, and without a C compiler nothing runs"
 	@touch $@
 
-$(BOOK) $(BENCH) $(COMPILER): .venv/ready-%-$(LOCK_HASH): | $(VENV)
+$(call READY,%): | $(VENV)
 	@$(call INSTALL,$*)
 	@touch $@
