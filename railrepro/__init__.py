@@ -17,7 +17,6 @@ used first, so that the import costs nothing:
 """
 
 import importlib
-import signal
 import sys
 from typing import Any
 
@@ -63,11 +62,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *FACADE})
-
-
-_COMMAND = sys.argv[:1] == ["-m"] and any(
-    part.removeprefix("-m").partition(".")[0] == __name__ for part in sys.orig_argv
-)
-# A command of this package imports for seconds: Ctrl-C ends it without a traceback until `report_errors` takes over.
-if _COMMAND and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
 
-from railrepro import numerics
-from railrepro.data import InputError
-from railrepro.evidence.commands import parser, report_errors
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    # A command imports for seconds: Ctrl-C ends it without a traceback until `report_errors` takes over.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+from railrepro import numerics  # noqa: E402
+from railrepro.data import InputError  # noqa: E402
+from railrepro.evidence.commands import parser, report_errors  # noqa: E402
 
 
 def main(arguments: list[str] | None = None) -> int:

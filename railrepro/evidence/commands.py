@@ -26,7 +26,7 @@ def report_errors(command: Callable[[], int | None]) -> int:
         130 after Ctrl-C or the end of make.
     """
     try:
-        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see the package
+        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see `railrepro.__main__`
             signal.signal(signal.SIGINT, signal.default_int_handler)
         parent_death.follow_make()
         return command() or 0
