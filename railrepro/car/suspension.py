@@ -21,24 +21,45 @@ def _beyond(value: ca.SX, clearance: ca.SX) -> ca.SX:
     return ca.fmax(value - clearance, 0) + ca.fmin(value + clearance, 0)
 
 
-class Stage:
-    """What acts between an upper and a lower body, in axes of the lower one.
+class Suspension:
+    """Springs, dampers, traction link, torsion bars and stops between car body and one carrier, in axes of the carrier.
 
-    Attachment points coincide at rest, and both bodies feel a force at the point of the upper one, so that no angular
-    momentum leaks. The moment on the upper body is collected in axes of the lower one about its own centre of gravity.
+    Attachment points coincide at rest, and both bodies feel a force at the point of the body, so that no angular
+    momentum leaks. The moment on the body is collected in axes of the carrier about the body's centre of gravity.
+
+    `end` is +1 for the front carrier, -1 for the rear one. The pitch reaction of a carrier to its motors is carried by
+    rods whose lever stands on the car body: they act about z_body x x_carrier, so that with relative roll they also
+    turn the carrier in yaw.
+
+    Source: eqs. (13b) and (13c) are its yaw and roll terms for small angles.
     """
 
-    def __init__(self, upper: Body, lower: Body, par: Any, stages: Stages):
-        self._par = par
-        relative = lower.attitude.T @ upper.attitude
-        offset = lower.attitude.T @ (upper.position - lower.position)
-        velocity = lower.attitude.T @ (upper.section.rotation @ upper.v - lower.section.rotation @ lower.v)
-        held = stages.hold(relative, offset, velocity, relative @ upper.w)
+    def __init__(self, body: Body, lower: Body, end: int, par: Any, stages: Stages):
+        relative = lower.attitude.T @ body.attitude
+        offset = lower.attitude.T @ (body.position - lower.position)
+        velocity = lower.attitude.T @ (body.section.rotation @ body.v - lower.section.rotation @ lower.v)
+        held = stages.hold(relative, offset, velocity, relative @ body.w)
         self._relative, self._offset, self._velocity, self._upper_turn = held
-        self._lower_turn = lower.w
+        self._par, self._lower_turn = par, lower.w
         self.force_on_lower, self.moment_on_lower, self._on_upper = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
         self.energy: ca.SX | int = 0
         self.dissipation: ca.SX | int = 0
+        own, half = self._par.suspension, end * par.body.gear_spacing / 2
+        on_body = ca.vertcat(half, 0, par.body.cg_height - own.height)
+        on_lower = ca.vertcat(0, 0, par.wheel.radius - own.height)
+        arm, mean = self._spring_pair(on_body, on_lower, par.body.mass * par.gravity / 2)
+        over = _beyond(mean[1], own.bump_clearance)
+        self._act(arm, ca.vertcat(0, own.bump_stiffness * over, 0))
+        self.energy += own.bump_stiffness * over**2 / 2
+        self._link(half)
+        self._torsion_spring("roll", own.antiroll_stiffness, own.antiroll_damping)
+        self._torsion_spring("pitch", own.pitch_stiffness, own.pitch_damping)
+        self._torsion_spring("yaw", own.yaw_stop_stiffness, 0, own.yaw_stop_angle)
+        self.yaw_sine = -self._relative[_SINE["yaw"]]
+        self.sway = mean[1]
+        # kept as symbols, since each acts on both bodies
+        held = stages.hold(self.force_on_lower, self.moment_on_lower, self._on_upper)
+        self.force_on_lower, self.moment_on_lower, self._on_upper = held
 
     @property
     def force_on_upper(self) -> ca.SX:
@@ -49,11 +70,6 @@ class Stage:
     def moment_on_upper(self) -> ca.SX:
         """About its centre of gravity, in its own axes (N m), shape (3, 1)."""
         return -self._relative.T @ self._on_upper
-
-    def _hold(self, stages: Stages) -> None:
-        """Keep the finished forces and moments as symbols, since each acts on both bodies."""
-        held = stages.hold(self.force_on_lower, self.moment_on_lower, self._on_upper)
-        self.force_on_lower, self.moment_on_lower, self._on_upper = held
 
     def _deflection(self, on_upper: ca.SX, on_lower: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Arm on the upper body, relative displacement of two points and its rate."""
@@ -101,34 +117,6 @@ class Stage:
         self._on_upper += torque
         self.energy += stiffness * over**2 / 2
         self.dissipation += damping * rate**2
-
-
-class Suspension(Stage):
-    """Stage between the car body and one carrier: springs, traction link, torsion bars, stops.
-
-    `end` is +1 for the front carrier, -1 for the rear one. The pitch reaction of a carrier to its motors is carried by
-    rods whose lever stands on the car body: they act about z_body x x_carrier, so that with relative roll they also
-    turn the carrier in yaw.
-
-    Source: eqs. (13b) and (13c) are its yaw and roll terms for small angles.
-    """
-
-    def __init__(self, body: Body, lower: Body, end: int, par: Any, stages: Stages):
-        super().__init__(body, lower, par, stages)
-        own, half = self._par.suspension, end * par.body.gear_spacing / 2
-        on_body = ca.vertcat(half, 0, par.body.cg_height - own.height)
-        on_lower = ca.vertcat(0, 0, par.wheel.radius - own.height)
-        arm, mean = self._spring_pair(on_body, on_lower, par.body.mass * par.gravity / 2)
-        over = _beyond(mean[1], own.bump_clearance)
-        self._act(arm, ca.vertcat(0, own.bump_stiffness * over, 0))
-        self.energy += own.bump_stiffness * over**2 / 2
-        self._link(half)
-        self._torsion_spring("roll", own.antiroll_stiffness, own.antiroll_damping)
-        self._torsion_spring("pitch", own.pitch_stiffness, own.pitch_damping)
-        self._torsion_spring("yaw", own.yaw_stop_stiffness, 0, own.yaw_stop_angle)
-        self.yaw_sine = -self._relative[_SINE["yaw"]]
-        self.sway = mean[1]
-        self._hold(stages)
 
     def _link(self, half: ca.SX) -> None:
         """Traction link at axle height; acts along the carrier only."""

@@ -122,11 +122,6 @@ class LawSignature:
         return group("Records", dict.fromkeys(GEARS, interface.Record), shown if self.sensed else {})
 
     @property
-    def gains(self) -> tuple[str, ...]:
-        """Names of the run-time gains."""
-        return names(self.Gains)
-
-    @property
     def memory(self) -> tuple[str, ...]:
         """Names of the states of the law, such as `front.u`."""
         return names(self.Memory)
@@ -139,7 +134,7 @@ class LawSignature:
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law with its numbers: `gains` in the order of `signature.gains`, SI."""
+    """The 1 kHz law with its numbers: `gains` in the order of `signature.Gains`, SI."""
 
     signature: LawSignature
     gains: np.ndarray

@@ -49,7 +49,9 @@ class NDI:
             "k1": w**2 + 2 * z * w * a,
             "k2": 2 * z * w + a,
             "ki": self.integral * self.pole * k0,
-            **{f"ff{i}": float(self.derivatives >= i) for i in (1, 2, 3)},
+            "ff1": float(self.derivatives >= 1),
+            "ff2": float(self.derivatives >= 2),
+            "ff3": float(self.derivatives >= 3),
         }
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:

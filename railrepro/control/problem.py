@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Generic, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -35,25 +35,23 @@ from railrepro.model.control_model import (
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
 
-TUNING = (*(f"q_{name}" for name in STATES), "r", "q_terminal", "period", "lateral_bound", "bound_weight")
+_WEIGHTS = ("q_x", "q_psi_Ax", "q_xdot", "q_psidot_Ax", "q_y_TrAx", "q_psi_TrAx")
+TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
 """Entries of a tuning vector: what the statement takes from `MPCSettings`, for solvers of any kind."""
 
 
-Expression = TypeVar("Expression", ca.SX, ca.MX, ca.DM)
+class Tuning(NamedTuple):
+    """A tuning vector by name, numbers or expressions; see `MPCSettings` for meaning and units."""
 
-
-class Tuning(NamedTuple, Generic[Expression]):
-    """A tuning vector by name; see `MPCSettings` for meaning and units."""
-
-    q: Expression
-    r: Expression
-    q_terminal: Expression
-    period: Expression
-    lateral_bound: Expression
-    bound_weight: Expression
+    q: Any
+    r: Any
+    q_terminal: Any
+    period: Any
+    lateral_bound: Any
+    bound_weight: Any
 
     @classmethod
-    def of(cls, vector: Expression) -> Tuning[Expression]:
+    def of(cls, vector) -> Tuning:
         """The entries of a vector in the order of `TUNING`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 

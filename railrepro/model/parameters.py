@@ -12,20 +12,5 @@ DISCREPANCIES = {
     "D7": "absolute roll used as deflection of the roll suspension",
 }
 
-PARAMETERS = (
-    "m",
-    "m_x",
-    "J_x",
-    "J_z",
-    "J_Wy",
-    "J_Wz",
-    "r_0",
-    "b",
-    "delta_0",
-    "k_sz",
-    "k_dz",
-    "k_sx",
-    "k_dx",
-    "g",
-)
+PARAMETERS = ("m", "m_x", "J_x", "J_z", "J_Wy", "J_Wz", "r_0", "b", "delta_0", "k_sz", "k_dz", "k_sx", "k_dx", "g")
 """Mass, longitudinal mass without body share, residual inertias, wheel, geometry, suspension, gravity (SI)."""

@@ -15,32 +15,18 @@ No counterpart in the paper.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.adhesion import LongitudinalLaw
-from railrepro.data import above, between, require
+from railrepro.data import above, between, check_fields, require
 from railrepro.quantities import group
 
-_RANGES = {
-    "raise_step": between(0.0, 1e9, "N m per ms"),
-    "rate": above(0.0, 1e3, "1/s"),
-    "elasticity": between(0.0, 1.0),
-    "seek": between(0.0, 1e3, "1/s"),
-    "start": above(0.0, 1.0),
-    "least": above(0.0, 1.0),
-    "most": above(0.0, 1.0),
-    "swing": between(0.0, 0.5),
-    "swing_frequency": between(0.0, 100.0, "Hz"),
-    "mean_time": above(0.0, 100.0, "s"),
-    "forget": above(0.0, 100.0, "s"),
-    "filter_time": between(0.0, 10.0, "s"),
-}
-
-
+_LEVEL = Annotated[float, above(0.0, 1.0)]
+_TIME = Annotated[float, above(0.0, 100.0, "s")]
 _LEAST_SPEED = 12.0
 """Speed below which the gain of the limit stays (m/s)."""
 _PRIOR = 2e-8
@@ -60,48 +46,37 @@ variance of slip and its covariance with adhesion."""
 class SlipSettings(LongitudinalLaw):
     """Parameters of the law.
 
-    Attributes
-    ----------
-    raise_step : float
-        Largest change of the demanded torque (N m per ms); the limit itself acts at once.
-    rate : float
-        k, how fast slip follows its limit (1/s).
-    elasticity : float
-        Wanted elasticity of adhesion over slip at the limit (-).
-    seek : float
-        How fast the limit moves, relative to itself per elasticity (1/s).
-    start, least, most : float
-        First limit, and its range (-).
-    swing, swing_frequency : float
-        Amplitude of the limit's swing relative to it, and its frequency (-, Hz).
-    mean_time, forget : float
-        Time constants of the means from which deviations are counted, and of the least squares (s).
-    filter_time : float
-        Time constant of the low-pass of the estimates (s).
-
     Raises
     ------
     InputError
         When a value is of another kind or beyond its range, or the range of the limit is empty.
     """
 
-    raise_step: float = 2.0
-    rate: float = 15.0
-    elasticity: float = 0.14
-    seek: float = 5.0
-    start: float = 0.012
-    least: float = 0.004
-    most: float = 0.05
-    swing: float = 0.1
-    swing_frequency: float = 4.0
-    mean_time: float = 0.15
-    forget: float = 0.2
-    filter_time: float = 5e-3
+    raise_step: Annotated[float, between(0.0, 1e9, "N m per ms")] = 2.0
+    """Largest change of the demanded torque; the limit itself acts at once."""
+    rate: Annotated[float, above(0.0, 1e3, "1/s")] = 15.0
+    """k, how fast slip follows its limit."""
+    elasticity: Annotated[float, between(0.0, 1.0)] = 0.14
+    """Wanted elasticity of adhesion over slip at the limit (-)."""
+    seek: Annotated[float, between(0.0, 1e3, "1/s")] = 5.0
+    """How fast the limit moves, relative to itself per elasticity."""
+    start: _LEVEL = 0.012
+    least: _LEVEL = 0.004
+    most: _LEVEL = 0.05
+    """First limit of slip, and its range (-)."""
+    swing: Annotated[float, between(0.0, 0.5)] = 0.1
+    """Amplitude of the limit's swing relative to the limit (-)."""
+    swing_frequency: Annotated[float, between(0.0, 100.0, "Hz")] = 4.0
+    mean_time: _TIME = 0.15
+    """Time constant of the means from which deviations are counted."""
+    forget: _TIME = 0.2
+    """Time constant of the least squares."""
+    filter_time: Annotated[float, between(0.0, 10.0, "s")] = 5e-3
+    """Time constant of the low-pass of the estimates."""
     Memory: ClassVar[type] = SlipMemory
 
     def __post_init__(self) -> None:
-        for name, allowed in _RANGES.items():
-            require(f"SlipSettings: {name}", getattr(self, name), allowed)
+        check_fields(self)
         require("SlipSettings: least", self.least, between(0.0, self.most))
         require("SlipSettings: start", self.start, between(self.least, self.most))
 
