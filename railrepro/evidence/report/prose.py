@@ -18,7 +18,8 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.car.equations import BODIES, COORDINATES, WHEELS
+from railrepro.car.equations import BODIES, WHEELS
+from railrepro.car.kinematics import COORDINATES
 from railrepro.data import InputError
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
