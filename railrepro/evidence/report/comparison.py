@@ -7,11 +7,12 @@ each speed. Runs that were driven once are read from the store.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import product
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, with_r_times
@@ -58,11 +59,14 @@ class Comparison:
         Kept rows of all runs with their labels.
     labels : tuple of str
         Columns by which the runs differ.
+    headings : mapping
+        Value of a label -> what a figure says above its column, where that is more than the value.
     """
 
     rows: pd.DataFrame
     series: pd.DataFrame
     labels: tuple[str, ...]
+    headings: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, quantity: str) -> pd.Series:
         """One number per run, by labels; see `QUANTITIES`."""
@@ -73,9 +77,8 @@ class Comparison:
     def of(self, *chosen: str) -> Comparison:
         """Only the runs of some controllers (or cases)."""
         name = self.labels[-1]
-        return Comparison(
-            self.rows[self.rows[name].isin(chosen)], self.series[self.series[name].isin(chosen)], self.labels
-        )
+        rows, series = (table[table[name].isin(chosen)] for table in (self.rows, self.series))
+        return replace(self, rows=rows, series=series)
 
     def table(self, *quantities: str) -> pd.DataFrame:
         """Quantities of all runs, one row each."""
@@ -87,7 +90,9 @@ class Comparison:
         drawn = [name for panel in panels for name in (PANELS[panel][3], *PANELS[panel][1]) if name]
         return self.series[list(dict.fromkeys([*named, "p_m", *drawn]))]
 
-    def plot(self, *panels: str, columns: str = "", height: float = 1.3) -> tuple[Figure, np.ndarray]:
+    def plot(
+        self, *panels: str, columns: str = "", height: float = 1.3, limits: Mapping | None = None, more: int = 0
+    ) -> tuple[Figure, np.ndarray]:
         """Draw quantities over the track coordinate, one row of panels each.
 
         Parameters
@@ -98,35 +103,47 @@ class Comparison:
             Label whose values stand side by side, as "car"; empty has one column.
         height : float
             Of a row (in).
+        limits : mapping, optional
+            Panel -> range of its axis; curves that go beyond are marked.
+        more : int
+            Empty rows below, with an abscissa of their own.
 
         Returns
         -------
         figure : Figure
-        axes : ndarray of Axes, shape (panels, columns)
+        axes : ndarray of Axes, shape (panels and `more`, columns)
         """
         shown = self.rows[columns].unique() if columns else [""]
-        width = figures.WIDTH if len(shown) == 1 else 2.6
-        grid = {"sharex": True, "sharey": "row", "squeeze": False}
-        figure, axes = figures.new_figure(len(panels), len(shown), height=height, width=width, **grid)
+        width = figures.WIDTH if len(shown) == 1 else figures.HALF
+        grid = {"sharey": "row", "squeeze": False, "height": height, "width": width}
+        figure, axes = figures.new_figure(len(panels) + more, len(shown), **grid)
         for column, value in zip(axes.T, shown, strict=True):
-            runs = self.series[self.series[columns] == value] if columns else self.series
-            self._draw(column, panels, runs, [name for name in self.labels if name != columns] or ["controller"])
-            column[0].set_title(f"{value} {columns}" if columns == "car" else str(value), fontsize=8)
-            column[-1].set_xlabel("track coordinate (m)")
-        for axis, panel in zip(axes[:, 0], panels, strict=True):
-            axis.set_ylabel(PANELS[panel][0])
-        entries = axes[0, 0].get_legend_handles_labels()
-        figure.legend(*entries, ncols=4 if len(shown) > 1 else 2, loc="outside upper center")
+            upper, lowest = column[: len(panels)], column[len(panels) - 1]
+            for axis in upper[:-1]:
+                axis.sharex(lowest)
+                axis.tick_params(labelbottom=False)
+            self.draw(upper, panels, self.series[self.series[columns] == value] if columns else self.series)
+            column[0].set_title(self.headings.get(value, str(value)), fontsize=7, linespacing=1.0)
+            for line in [line for axis in upper if len(shown) > 1 for line in axis.lines]:
+                line.set_linewidth(0.7 * line.get_linewidth())
+            lowest.set_xlabel("track coordinate (m)")
+        for row, panel in zip(axes, panels, strict=False):
+            row[0].set_ylabel(PANELS[panel][0])
+            if panel in (limits or {}):
+                figures.clip(row, *limits[panel])
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="outside upper center")
         return figure, axes
 
-    def _draw(self, axes: np.ndarray, panels: Sequence[str], series: pd.DataFrame, labels: list[str]) -> None:
-        """Draw runs into the panels of a column: the right wheel as its controller, the left one paler."""
+    def draw(self, axes: Sequence[Axes], panels: Sequence[str], series: pd.DataFrame) -> None:
+        """Draw runs into panels below each other: the right wheel as its controller, the left one paler."""
+        labels = [name for name in self.labels if name == "controller" or series[name].nunique() > 1] or ["controller"]
         drawn: list[str] = []
         for values, run in series.groupby(labels, sort=False):
             name = run["controller"].iloc[0]
             look = figures.CONTROLLER_STYLE[name]
             if labels != ["controller"]:  # other runs of the same controller differ by the style of their line
-                look = look | {"label": ", ".join(map(str, values)), "linestyle": _DASHES[drawn.count(name) % 4]}
+                dashes = _DASHES[drawn.count(name) % 4] if name in drawn else look["linestyle"]
+                look = look | {"label": ", ".join(map(str, values)), "linestyle": dashes}
             drawn.append(name)
             for axis, panel in zip(axes, panels, strict=True):
                 _, (first, *second), factor, _ = PANELS[panel]
@@ -173,7 +190,7 @@ def compare(
     scenarios = scenario if isinstance(scenario, Mapping) else {_name(one): one for one in _listed(scenario)}
     varied = {name: value for name, value in changes.items() if isinstance(value, list)}
     grid = {"car": list(car or [""]), "setting": _listed(setting), "scenario": list(scenarios), **varied}
-    experiments = []
+    experiments, facts = [], {}
     for *values, case in product(*grid.values(), cases):
         of = dict(zip(grid, values, strict=True))
         given = changes | {name: of[name] for name in varied}
@@ -187,6 +204,9 @@ def compare(
             more["parameters"] = with_r_times(setup.parameters[name], factor)
         driven = _driven(scenarios[of["scenario"]], setup if car else None)
         driven = driven.but(**{name: value for name, value in given.items() if name in _OF_SCENARIO})
+        if car:
+            said = facts.setdefault(of["car"], _facts(setup, driven, cases))
+            said |= {} if factor is None else {"R": f"{said['R']} and {factor:g}" if "R" in said else f"R x {factor:g}"}
         label = {key: value for key, value in of.items() if key != "scenario"} | {"case": case}
         more = {"options": CONTROLLERS[name].quick and {"solver": solver}} | more
         experiments.append(setup.experiment(driven, name, label=label, stride=stride, **more))
@@ -194,7 +214,32 @@ def compare(
     assert series is not None, "a stride keeps rows"
     series = series.assign(error_m=series["y_m"] - series["y_ref_m"])
     last = "case" if isinstance(controllers, Mapping) else "controller"
-    return Comparison(rows, series, (*(name for name, values in grid.items() if len(values) > 1), last))
+    return Comparison(
+        rows, series, (*(name for name, values in grid.items() if len(values) > 1), last), _headings(facts)
+    )
+
+
+def _facts(setup: ProbeSetup, scenario: Scenario, cases: Mapping) -> dict[str, str]:
+    """What decides a figure and may differ between cars: set point, limit of the motors, friction, poles."""
+    waves = [f"{value:g}" for name, value in scenario.set_point.items() if name.startswith("period")]
+    found = {"waves": f"waves {' to '.join(waves)} m"}
+    if scenario.force_kN:
+        found["limit"] = f"motors {1e-3 * setup.car().drive.torque_limit:g} kN m"
+    if scenario.poor_share:
+        found["friction"] = f"friction {setup.car().adhesion[scenario.poor].mu0:g}"
+    if any("ndi" in (case, case["controller"] if isinstance(case, dict) else "") for case in cases.values()):
+        found["pole"] = f"NDI at {setup.parameters['ndi']['pole']:g} rad/s"
+    return found
+
+
+def _headings(facts: Mapping[str, dict[str, str]]) -> dict[str, str]:
+    """Name of each car, and below it in what it differs from the others."""
+    differs = [key for key in next(iter(facts.values()), {}) if len({said.get(key) for said in facts.values()}) > 1]
+    lines = [differs[i : i + 2] for i in range(0, len(differs), 2)]
+    return {
+        name: "\n".join([f"{name} car", *(", ".join(said[key] for key in line) for line in lines)])
+        for name, said in facts.items()
+    }
 
 
 def _listed(given) -> list:

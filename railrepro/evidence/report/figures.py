@@ -23,7 +23,9 @@ from railrepro.data import Number, above
 from railrepro.reads import Entries
 
 WIDTH = 3.5
-"""Width of a column (in)."""
+"""Width of a figure (in)."""
+HALF = 1.9
+"""Width of one of two columns (in): with both a label of 7 points is 9 pixels high on a telephone."""
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     *("#000000", "#E69F00", "#56B4E9", "#009E73"),
     *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
@@ -141,6 +143,20 @@ def _fix_layout(figure: Figure) -> None:
     for axis in figure.axes:
         for which, original in (("original", True), ("active", False)):
             axis.set_position([round(edge, 9) for edge in axis.get_position(original).bounds], which)
+
+
+def clip(axes: Iterable[Axes], low: float, high: float) -> None:
+    """Limit panels to a range, and say how far their curves go beyond it."""
+    for axis in axes:
+        lines = [line for line in axis.lines if line.get_transform() == axis.transData]
+        values = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
+        axis.set_ylim(low, high)
+        look = {"xycoords": "axes fraction", "fontsize": 6, "ha": "right", "color": "0.2"}
+        look |= {"bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}}
+        if values.max() > high:
+            axis.annotate(f"up to {values.max():.2g}", (1.0, 1.0), va="top", **look)
+        if values.min() < low:
+            axis.annotate(f"down to {values.min():.2g}", (1.0, 0.0), va="bottom", **look)
 
 
 def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
