@@ -59,3 +59,14 @@ def test_tables_of_other_shape_and_missing_files_differ(tmp_path):
     assert compare.compare(old, new, tolerance).different
     old.write_text("a\n1\n2\n")
     assert compare.compare(old, new, tolerance).different == 2
+
+
+def test_what_a_panel_cuts_off_is_written_on_it():
+    _, (low, high) = figures.new_figure(2, 1)
+    low.plot([0, 1], [0.0, 3.0])
+    high.plot([0, 1], [-7.0, 40.0])
+    high.axvline(99.0)
+    figures.clip([low, high], -5.0, 5.0)
+    assert [text.get_text() for text in low.texts] == []
+    assert [text.get_text() for text in high.texts] == ["up to 40", "down to -7"]
+    assert low.get_ylim() == high.get_ylim() == (-5.0, 5.0)
