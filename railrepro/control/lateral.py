@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.data import InputError, above, is_number, require
+from railrepro.estimation.sensors import Loop
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -107,7 +108,19 @@ class SlowController(Protocol):
         """Differential torque (N m) from the measured states (6,) and the base torque per wheel (N m)."""
 
 
-Factory = Callable[[Vehicle, Route, int], SlowController]
+class CompiledController(Protocol):
+    """A slower controller of one running gear whose samples are compiled code, which the loop calls by itself."""
+
+    period: float
+
+    def compiled(self, loop: Loop | None, leader: CompiledController | None = None) -> tuple[int, int]:
+        """Addresses of its function, see `planner_slot_t` of loop.c, and of the memory that this needs.
+
+        Called once, before the run, with the sensors or none, and for the rear gear with the front gear's controller.
+        """
+
+
+Factory = Callable[[Vehicle, Route, int], SlowController | CompiledController]
 Guidance = LateralLaw | Factory
 
 
@@ -155,10 +168,10 @@ def _takes(call: Callable, count: int) -> bool:
     return True
 
 
-def check_controller(controller: SlowController) -> None:
+def check_controller(controller: SlowController | CompiledController) -> None:
     """Refuse what is no slower controller (InputError)."""
     owner = f"lateral controller {type(controller).__name__}"
-    if not callable(getattr(controller, "plan", None)):
+    if not any(callable(getattr(controller, name, None)) for name in ("plan", "compiled")):
         raise InputError(f"{owner}: has no plan(x_hat, u_d)")
     for name, count in {"plan": 2, "notice": 2, "read": 2, "follow": 1}.items():
         if not hasattr(controller, name):

@@ -90,6 +90,15 @@ def _creep_settings(parameters: dict):
     return resolve_name("railrepro.own.creep_gains:CreepSettings")(**parameters)
 
 
+def _lqg_preview(settings):
+    """LqgPreview is imported when it is asked for, so that the paper's controllers do not stand on ours."""
+    return resolve_name("railrepro.own.lqg:LqgPreview")(settings)
+
+
+def _lqg_settings(parameters: dict):
+    return resolve_name("railrepro.own.lqg:LqgSettings")(**parameters)
+
+
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
 OURS = "creep_mpc"
@@ -108,6 +117,7 @@ CONTROLLERS = {
     "ndi_integral": Controller(
         _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
     ),
+    "lqg_preview": Controller(_lqg_preview, _lqg_settings, True, _AHEAD + "; readings of its own gear"),
     OURS: Controller(_creep_mpc, _creep_settings, True, _AHEAD + "; adhesion and slip of its wheels"),
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")

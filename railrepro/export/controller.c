@@ -32,10 +32,13 @@ int controller_step(controller_t *c) {
 #ifdef PLAN_STEPS
   if (c->cycles % PLAN_STEPS == 0)
     for (int g = 0; g < GEARS; ++g) {
-      double state[N_STATES_OF_GEAR];
+      double state[N_STATES_OF_GEAR], readings[N_READINGS];
+      const int sensed = ESTIMATED_IN_MEMORY && c->cycles;
       for (int i = 0; i < N_STATES_OF_GEAR; ++i)
-        state[i] = ESTIMATED_IN_MEMORY && c->cycles ? c->memory[ESTIMATED[g][i]] : c->measured[STATES_AT[g][i]];
-      c->held[g] = planner_sample(&c->planner[g], state, c->memory[BASE[g]]);
+        state[i] = sensed ? c->memory[ESTIMATED[g][i]] : c->measured[STATES_AT[g][i]];
+      for (int i = 0; i < N_READINGS; ++i)
+        readings[i] = sensed ? c->memory[READ[g][i]] : c->measured[READ_AT[g][i]];
+      c->held[g] = planner_sample(&c->planner[g], state, readings, c->memory[BASE[g]]);
     }
 #endif
   const double *in[] = {c->measured, c->rows, c->held, GAINS, c->memory};

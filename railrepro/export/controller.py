@@ -25,7 +25,7 @@ from railrepro.data import InputError, location, require, write
 from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
 from railrepro.model.control_model import STATES
 from railrepro.model.forecast import nominal_values
-from railrepro.quantities import GEARS, indices, pack
+from railrepro.quantities import GEARS, indices, names, pack
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -43,7 +43,7 @@ class Export:
     Attributes
     ----------
     guidance : lateral.Guidance
-        A 1 kHz law, or a factory of `NMPC` by real-time iteration, or of `LTVMPC`.
+        A 1 kHz law, or a factory of `NMPC` by real-time iteration, of `LTVMPC` or of `LqgPreview`.
     route : Route
     vehicle : Vehicle
         What it believes of the car.
@@ -74,10 +74,18 @@ class Export:
         lateral_law, factory = lateral.split(self.guidance)
         limits = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, self.settings, **limits)
-        planners = self._planners(factory) if factory else []
-        functions = [control.function, *(_functions(planners[0]) if planners else ())]
+        planners: list = []
+        if factory:
+            planners += [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
+        predictive = bool(planners) and isinstance(planners[0], PredictiveController)
+        functions = [control.function, *(_functions(planners[0]) if predictive else ())]
         text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
-        text += self._constants(control) + (self._planner(planners, control) if planners else "")
+        text += self._constants(control) + (_inputs(planners[0].period, control.signature) if planners else "")
+        if predictive:
+            text += self._solver(planners)
+        elif planners:
+            sensors = self.settings.sensors
+            text += planners[0].exported(planners, sensors.loop if sensors else None)
         return text + (_HERE / "controller.c").read_text()
 
     def write_source(self, path: Path | str) -> Path:
@@ -111,44 +119,47 @@ class Export:
             cells[:, ~_read(control.function)] = 0.0
         return text + constant("CELLS", cells) + constant("GAINS", control.gains)
 
-    def _planners(self, factory: lateral.Factory) -> list[PredictiveController]:
-        return [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
-
-    def _planner(self, planners: list[PredictiveController], control: law.ControlLaw) -> str:
-        """The predictive controllers of both gears: solver, numbers, where they find what is measured."""
+    def _solver(self, planners: list[PredictiveController]) -> str:
+        """The predictive controllers of both gears: solver, numbers and memory."""
         settings, first = planners[0].settings, planners[0]
-        functions, measured, memory = _functions(first), indices(interface.Measured), indices(control.signature.Memory)
-        gears = memory.front, memory.rear
-        sizes: dict[str, int | str] = {"PLAN_STEPS": round(settings.period / CONTROL_PERIOD), "STEPS": settings.steps}
-        sizes |= {"MOST_SETS": riccati.MOST_SETS, "YIELDING": int(settings.yielding)}
-        sizes |= {
-            "INFORMED": int(settings.informed),
-            "N_STATES_OF_GEAR": len(STATES),
-            "ESTIMATED_IN_MEMORY": int(control.signature.sensed),
-        }
-        sizes |= _work("PLAN", functions)
+        sizes: dict[str, int | str] = {"STEPS": settings.steps, "MOST_SETS": riccati.MOST_SETS, "MODE": first.mode}
+        sizes |= {"YIELDING": int(settings.yielding), "INFORMED": int(settings.informed)}
+        sizes |= _work("PLAN", _functions(first))
         numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.c.affine}
         numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
         sizes |= {name: float(value).hex() for name, value in numbers.items()}
-        sizes["MODE"] = first.mode
         nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
         sizes["N_NOMINAL"] = nominal.shape[1]
-        text = _defines(sizes) + _integers("STATES_AT", [pack(measured.front), pack(measured.rear)])
-        estimated = [pack(g.estimated) if control.signature.sensed else [0] * len(STATES) for g in gears]
-        text += _integers("ESTIMATED", estimated) + _integers("BASE", [g.u for g in gears])
         tables = {"NOMINAL": nominal, "MODEL": first.parameters, "TUNING": settings.tuning()}
-        text += "".join(constant(name, table) for name, table in tables.items())
+        text = _defines(sizes) + "".join(constant(name, table) for name, table in tables.items())
         text += riccati.c_text(settings.variant, settings.discretisation)
         return text + (_HERE / "planner_memory.c").read_text()
 
 
-def _checked(planner: lateral.SlowController) -> PredictiveController:
+def _inputs(period: float, signature: law.LawSignature) -> str:
+    """How often slower controllers plan, and where they find states, readings and base torque of their gear."""
+    read = [STATES.index(name) for name in names(interface.ReadGear)]
+    sizes = {"PLAN_STEPS": round(period / CONTROL_PERIOD), "ESTIMATED_IN_MEMORY": int(signature.sensed)}
+    sizes |= {"N_STATES_OF_GEAR": len(STATES), "N_READINGS": len(read)}
+    measured, memory = indices(interface.Measured), indices(signature.Memory)
+    gears, states = (memory.front, memory.rear), [pack(measured.front), pack(measured.rear)]
+    estimated, readings = (
+        [pack(getattr(gear, part)) if signature.sensed else [0] * size for gear in gears]
+        for part, size in (("estimated", len(STATES)), ("read", len(read)))
+    )
+    text = _defines(sizes) + _integers("STATES_AT", states) + _integers("ESTIMATED", estimated)
+    text += _integers("READ_AT", [[row[i] for i in read] for row in states]) + _integers("READ", readings)
+    return text + _integers("BASE", [gear.u for gear in gears])
+
+
+def _checked(planner: lateral.SlowController | lateral.CompiledController):
     """A controller that has C of its own; InputError for any other one."""
-    if isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver == "rti"):
+    solved = isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver == "rti")
+    if solved or hasattr(planner, "exported"):
         return planner
     raise InputError(
-        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC or NMPC by real-time iteration "
-        '(options {"solver": "rti"}), which alone have C of their own'
+        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by real-time iteration "
+        '(options {"solver": "rti"}) or LqgPreview, which alone have C of their own'
     )
 
 

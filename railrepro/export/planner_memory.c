@@ -35,7 +35,8 @@ static void planner_reset(planner_memory_t *m, int gear) {
 }
 
 /* Differential torque (N m) from measured states and base torque. */
-static double planner_sample(planner_memory_t *m, const double *measured, double base) {
+static double planner_sample(planner_memory_t *m, const double *measured, const double *readings, double base) {
+  (void)readings;  /* the states were made of them */
   const double torque = planner_plan(&m->p, measured, base);
   planner_prepare(&m->p);
   return torque;

@@ -6,6 +6,7 @@ The loop of `loop.c` runs over the compiled car and the compiled law.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import interface, law
-from railrepro.quantities import GEARS, indices, pack, unpack
+from railrepro.model.control_model import STATES
+from railrepro.quantities import GEARS, indices, names, pack, unpack
 
 _BLOCK = 10_000
 """Control cycles whose log is allocated at once."""
@@ -38,7 +40,15 @@ class _Loop(ctypes.Structure):
         *((name, ctypes.c_longlong) for name in ("n_sensed", "n_logged", "n_carried")),
         ("margins", ctypes.c_void_p),
         ("n_margins", ctypes.c_longlong),
+        *((name, ctypes.c_void_p) for name in ("first", "later")),
+        *((name, ctypes.c_longlong) for name in ("n_first", "n_later")),
+        ("planners", ctypes.c_void_p),
+        *((name, ctypes.c_longlong) for name in ("n_planners", "every")),
     ]
+
+
+class _Planner(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_void_p) for name in ("sample", "self", "state", "read", "base", "held")]
 
 
 @lru_cache(maxsize=1)
@@ -118,13 +128,47 @@ class ClosedLoop:
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
             address = ctypes.c_void_p(rows.ctypes.data)
-            done = self._driver.loop_run(ctypes.byref(self._loop), ctypes.c_longlong(len(rows)), address)
+            count, before = ctypes.c_longlong(len(rows)), ctypes.c_longlong(self.cycles)
+            done = self._driver.loop_run(ctypes.byref(self._loop), count, address, before)
             self.cycles += done
             self.ended = done < len(rows)
             blocks.append(rows[: done + 1])
             if self.ended:
                 break
         return np.concatenate(blocks)
+
+    def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
+        """Let compiled controllers of both gears plan before the law, every so many cycles.
+
+        Parameters
+        ----------
+        planners : sequence of (int, int)
+            Per gear the address of its function, see `planner_slot_t` of loop.c, and that of its memory.
+        every : int
+        """
+        read = [STATES.index(name) for name in names(interface.ReadGear)]
+        states, readings = np.zeros((len(GEARS), len(STATES))), np.zeros((len(GEARS), len(read)))
+        of_car = self._states, self._states[:, read]
+        exact = self.car.measured, of_car
+        sensed = exact if self._estimated is None else (self.memory, (self._estimated, self._read))
+        first, later = (
+            [
+                _copy(source[i : i + 1], to[k : k + 1])
+                for places, to in zip(groups, (states.reshape(-1), readings.reshape(-1)), strict=True)
+                for k, i in enumerate(places.ravel())
+            ]
+            for source, groups in (exact, sensed)
+        )
+        base, held = [self.memory[at:] for at in self._base], [self.held[g:] for g in range(len(GEARS))]
+        slots = [
+            _Planner(*planner, *(array.ctypes.data for array in shared))
+            for planner, *shared in zip(planners, states, readings, base, held, strict=True)
+        ]
+        arrays = (_Copy * len(first))(*first), (_Copy * len(later))(*later), (_Planner * len(slots))(*slots)
+        self._connected = states, readings, arrays  # the loop uses their memory
+        self._loop.first, self._loop.later, self._loop.planners = (ctypes.addressof(array) for array in arrays)
+        self._loop.n_first, self._loop.n_later, self._loop.n_planners = len(first), len(later), len(slots)
+        self._loop.every = every
 
     @property
     def time(self) -> float:

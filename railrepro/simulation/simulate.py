@@ -19,7 +19,7 @@ from railrepro.control import lateral, law
 from railrepro.control.adhesion import LongitudinalLaw
 from railrepro.control.law import GEARS
 from railrepro.data import InputError, require
-from railrepro.estimation.sensors import Readings
+from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import X
 from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY
@@ -121,7 +121,7 @@ def run(
         controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
         loop = start(scenario, lateral_law, route, vehicle, body, settings, substeps)
         longest = _longest(route, scenario, len(loop.columns))
-        log = _drive(loop, controllers, longest, sum(latency) + CONTROL_PERIOD)
+        log = _drive(loop, controllers, longest, sum(latency) + CONTROL_PERIOD, sensors.loop if sensors else None)
     series = pd.DataFrame(log, columns=loop.columns)
     series.insert(0, "t_s", np.arange(len(series)) * CONTROL_PERIOD)
     ended, failed = _reason(loop, series)
@@ -131,7 +131,7 @@ def run(
     return Run(series, ended, failed, _warnings(series, body), controllers, loop.state.copy(), memory)
 
 
-def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tuple[lateral.SlowController, ...]:
+def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tuple:
     """Slower controllers of both gears, of one period that the control cycle divides; InputError otherwise."""
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
     for controller in controllers:
@@ -183,7 +183,7 @@ def _longest(route: Route, scenario: Scenario, columns: int) -> int:
     return min(int(max(10.0, 10 * seconds) / CONTROL_PERIOD), fit)
 
 
-def _drive(loop: ClosedLoop, controllers: tuple, longest: int, delay: float) -> np.ndarray:
+def _drive(loop: ClosedLoop, controllers: tuple, longest: int, delay: float, sensors: Loop | None) -> np.ndarray:
     """Alternate lateral plans and control cycles until the run ends; returns rows of the log, shape (n, columns).
 
     With sensors a torque acts a `delay` (s) after the readings that it answers, those of the cycle before.
@@ -191,6 +191,10 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, delay: float) -> 
     if not controllers:
         return loop.run(longest)
     steps = round(controllers[0].period / CONTROL_PERIOD)
+    if hasattr(controllers[0], "compiled"):
+        front, rear = controllers
+        loop.connect([front.compiled(sensors), rear.compiled(sensors, front)], steps)
+        return loop.run(longest)
     blocks = []
     for _ in range(0, longest, steps):
         if not np.isfinite(loop.measure()).all():

@@ -25,6 +25,7 @@ GUIDANCE = {
     "nmpc_observer": guidance("nmpc_observer", MPC | {"observer": 0.05}, {"solver": "rti"}),
     "ltv_mpc": guidance("ltv_mpc", MPC),
     "ltv_mpc_printed": guidance("ltv_mpc_printed", MPC),
+    "lqg_preview": guidance("lqg_preview", {}),
 }
 
 

@@ -1,0 +1,77 @@
+"""Stability margins of the designs of LqgPreview against the linear car: gain, delay, disk.
+
+The loop is broken at the torque. What the filter believes of the torque is what was sent, so the break lies behind it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from railrepro.clock import CONTROL_PERIOD
+from railrepro.estimation.sensors import Loop
+from railrepro.own.gear_model import STATES
+from railrepro.own.lqg import Design, LqgSettings
+from railrepro.vehicle.parameters import Vehicle
+
+DESIGNS = "ideal rails", "rough rails"
+FREQUENCIES = np.geomspace(0.05, 490.0, 1200)
+"""At which a loop is evaluated (Hz)."""
+
+
+def loop_gain(design: Design, which: int) -> np.ndarray:
+    """Complex gain of the open loop over `FREQUENCIES`, positive in negative feedback; which of the two designs."""
+    n, sent, model = len(STATES), design.sent, len(design.a)
+    change, rough = design.kinds[which]
+    gain, *_ = design.kalman(rough)
+    feedback, _ = design.regulator(change)
+    free = len(gain)
+    read = np.zeros((3, free))
+    read[[0, 1, 2], [STATES.index(name) for name in ("y", "psi", "r")]] = 1.0
+    read[0, n + 2], read[1, n + 3], read[1, model], read[2, model + 1] = -1.0, -1 / design.speed, 1.0, 1.0
+    torque = np.concatenate([feedback[:model], np.zeros(free - model)])
+    of_state = torque @ (np.eye(free) - gain @ read)
+    step = np.eye(free)
+    step[:model, :model] = design.a
+    by_age = {design.whole: design.last, design.whole + 1: design.before}
+    found = np.empty(len(FREQUENCIES), dtype=complex)
+    for i, z in enumerate(np.exp(2j * np.pi * CONTROL_PERIOD * FREQUENCIES)):
+        acts = sum(column * z**-age for age, column in by_age.items())
+        own = np.concatenate([acts, np.zeros(free - model)])
+        # the filter's state from readings and from the torque sent, and the torque from both
+        inputs = np.column_stack([step @ gain, own])
+        states = np.linalg.solve(z * np.eye(free) - step @ (np.eye(free) - gain @ read), inputs)
+        past = 1 - (1 + feedback[model]) / z - sum(feedback[model + k] * z ** -(k + 1) for k in range(1, sent))
+        answer = (of_state @ states[:, :3] + torque @ gain) / (past - of_state @ states[:, 3])
+        car = np.linalg.solve(z * np.eye(n) - design.a[:n, :n], acts[:n])
+        found[i] = -answer @ car[[STATES.index(name) for name in ("y", "psi", "r")]]
+    return found
+
+
+def margins(gain: np.ndarray) -> dict[str, float]:
+    """Factors of gain down and up, delay (ms) and disk margin that a stable loop bears.
+
+    Source: Seiler, Packard and Gahinet 2020, An introduction to disk margins, IEEE Control Systems 40(5).
+    """
+    real = np.nonzero((np.diff(np.sign(gain.imag)) != 0) & (gain.real[1:] < 0))[0]
+    factors = -1 / gain.real[real]
+    crossed = np.nonzero(np.diff(np.sign(np.abs(gain) - 1)))[0]
+    delays = np.mod(np.angle(gain[crossed]) + np.pi, 2 * np.pi) / (2 * np.pi * FREQUENCIES[crossed])
+    return {
+        "gain_down": factors[factors < 1].max(initial=0.0),
+        "gain_up": factors[factors > 1].min(initial=np.inf),
+        "delay_ms": 1e3 * delays.min(initial=np.inf),
+        "disk": 2 / np.abs((1 - gain) / (1 + gain)).max(),
+    }
+
+
+def table(vehicle: Vehicle, loop: Loop, settings: LqgSettings, speeds: np.ndarray) -> pd.DataFrame:
+    """Margins of both designs at some speeds (m/s), one row each."""
+    rows = []
+    for speed in speeds:
+        design = Design(vehicle, float(speed), settings, loop)
+        rows += [
+            {"speed_kmh": 3.6 * speed, "design": name} | margins(loop_gain(design, which))
+            for which, name in enumerate(DESIGNS)
+        ]
+    return pd.DataFrame(rows)

@@ -1,0 +1,18 @@
+/* The controllers of both gears in an exported one, see controller.c. Starts after lqg.c and its tables. */
+
+typedef struct {
+  lqg_t gear;
+  double rails[2 * LQG_ROWS], torques[LQG_TORQUES];
+} planner_memory_t;
+
+static void planner_reset(planner_memory_t *m, int gear) {
+  memset(m, 0, sizeof *m);
+  m->gear = LQG_GEARS[gear];
+  m->gear.designs = LQG_DESIGNS, m->gear.route = CELLS, m->gear.bend = LQG_BEND;
+  m->gear.rails = m->rails, m->gear.torques = m->torques, m->gear.known_until = m->gear.start;
+  if (gear == 0) m->gear.follower = &m[1].gear;
+}
+
+static double planner_sample(planner_memory_t *m, const double *state, const double *readings, double base) {
+  return lqg_sample(&m->gear, state, readings, base);
+}

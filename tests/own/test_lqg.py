@@ -1,0 +1,242 @@
+"""LQG with preview: optimum, filter, margins, what it does on ideal and rough rails and at the limits."""
+
+import ctypes
+import pickle
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+from symmetry import drive_with, mirrored, turned
+
+from railrepro.control.registry import tuned
+from railrepro.data import InputError
+from railrepro.estimation.sensors import load_loop, readings
+from railrepro.evidence.uncertainty import lqg_margins
+from railrepro.own import lqg
+from railrepro.own.gear_model import KNOWN, STATES
+from railrepro.own.lqg import SPEEDS, TAP, Design, LqgPreview, LqgSettings
+from railrepro.simulation import metrics, simulate
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.track.rough import rough_track
+from railrepro.track.route import CELL
+from railrepro.vehicle.parameters import load_vehicle
+
+V, LOOP = load_vehicle(), load_loop()
+T3, SINE = load_scenario("curve_entry_T3").but(end_m=280.0), load_scenario("sine_tracking").but(end_m=250.0)
+MODEL = len(STATES) + 4
+
+
+def rough(scenario, spectrum, seed):
+    return rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum=spectrum, seed=seed)
+
+
+def touches(run):
+    return run.failed or metrics.reaches_flange(run.series)
+
+
+@pytest.mark.parametrize("latency", [None, 0.003, 0.0025])
+def test_first_move_is_that_of_the_whole_optimisation(latency):
+    """Least squares over all moves of a long horizon, with random states, torques under way, road and set points."""
+    loop = None if latency is None else load_loop(**{"latency.measurement": latency, "latency.command": 0.002})
+    settings, horizon, generator = LqgSettings(change=1e-9, preview=0.1), 900, np.random.default_rng(4)
+    design = Design(V, 30.0, settings, loop)
+    feedback, gains = design.regulator(settings.change)
+    scale = [1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 50.0, 1e-2, 1e-2, 1e-3, 1e-3, 500.0, 300.0, 1e-3, 1e-3]
+    start, before = generator.normal(0, scale), generator.normal(0, 50.0, design.sent)
+    taps = generator.normal(0, [0.3, *4 * [1e-2], *5 * [1e-3]], (len(gains), len(KNOWN) + 1))
+    move = feedback @ np.concatenate([start, before]) + (gains * taps).sum()
+
+    def at(time, column):
+        return np.array([np.interp(time, TAP * np.arange(len(taps)), taps[:, i]) for i in column])
+
+    free, forced, error, by_move = start, np.zeros((MODEL, horizon)), [], []
+    torques = {-k - 1: before[k] for k in range(design.sent)}
+    for k in range(horizon):
+        free = design.a @ free + design.e @ at((k + 0.5) * 1e-3, range(len(KNOWN)))
+        forced = design.a @ forced
+        for age, column in ((design.whole, design.last), (design.whole + 1, design.before)):
+            free = free + column * torques.get(min(k - age, -1), before[-1])
+            forced += np.outer(column, np.arange(horizon) <= k - age)
+        row = np.array([1.0, -1.0])
+        error.append(row @ free[[0, MODEL - 2]] - at((k + 1) * 1e-3, [len(KNOWN)])[0])
+        by_move.append(row @ forced[[0, MODEL - 2]])
+    system = np.vstack([np.array(by_move), np.sqrt(settings.change) * np.eye(horizon)])
+    moves = np.linalg.lstsq(system, np.append(-np.array(error), np.zeros(horizon)), rcond=None)[0]
+    assert move == pytest.approx(moves[0], rel=1e-3)
+    assert abs(move) > 10.0
+
+
+def test_doubling_solves_the_riccati_equation():
+    generator = np.random.default_rng(1)
+    a, b = generator.normal(0, 0.4, (6, 6)), generator.normal(0, 1, (6, 2))
+    q, units = np.diag([1.0, 0.0, 0.5, 0.0, 2.0, 0.0]), np.array([1.0, 10.0, 0.1, 1.0, 5.0, 1.0])
+    np.testing.assert_allclose(
+        lqg.riccati(a, b, q, units), solve_discrete_are(a, b, q, np.eye(2)), rtol=1e-9, atol=1e-12
+    )
+
+
+def test_noise_is_that_of_the_sensors():
+    """Two planes 1.2 m apart with .2 mm each: .141 mm and .236 mrad; biases of .2 mm and 1 mrad/s, drawn uniformly."""
+    design = Design(V, 60.0, LqgSettings(settle=2.0), LOOP)
+    assert design.noise == pytest.approx([2e-4 / 2**0.5, 2e-4 * 2**0.5 / 1.2, LOOP.gyro.noise])
+    assert design.drift == pytest.approx([2e-4 * 2**0.5 / 1.2 / 3**0.5, LOOP.gyro.bias / 3**0.5])
+    assert design.whole == design.sent == 6  # 3 ms old, 2 ms on the way, 1 ms from cycle to cycle
+
+
+def test_margins_of_all_designs():
+    """Gain from a third to 2.5 times, 8 ms, disk of .4; more on ideal rails."""
+    table = lqg_margins.table(V, LOOP, LqgSettings(), SPEEDS[::4])
+    assert table["gain_down"].max() < 0.35 and table["gain_up"].min() > 2.5
+    assert table["delay_ms"].min() > 8.0 and table["disk"].min() > 0.4
+    ideal = table[table["design"] == "ideal rails"]
+    assert ideal["delay_ms"].min() > 11.0 and ideal["disk"].min() > 0.43
+
+
+@pytest.mark.parametrize(("scenario", "lag"), [(T3, 0.015), (SINE, 0.020)])
+def test_slow_drives_are_survived(scenario, lag):
+    plant = load_vehicle(**{"drive.lag": lag})
+    run = simulate.run(scenario, LqgPreview(), plant_vehicle=plant, sensors=readings(seed=301))
+    assert not touches(run) and metrics.rmse(run.series) < 8e-4
+
+
+@pytest.mark.parametrize(("name", "limit_mm"), [("curve_entry_T3", 0.02), ("sine_tracking", 0.02)])
+def test_reach_with_perfect_measurements(name, limit_mm):
+    run = simulate.run(load_scenario(name).but(end_m=300.0), tuned("lqg_preview", setting="equal"))
+    for gear in ("front", "rear"):
+        assert metrics.rmse(run.series, gear) < 1e-3 * limit_mm
+    assert not run.failed and not any(gear.memory.restarts for gear in run.controllers)
+
+
+def test_without_preview_the_error_grows():
+    laws = (LqgPreview(LqgSettings(change=1e-11, preview=preview)) for preview in (TAP, 0.6))
+    short, far = (metrics.rmse(simulate.run(T3.but(end_m=200.0), law).series) for law in laws)
+    assert short > 3 * far
+
+
+def test_heading_of_the_track_does_not_matter(monkeypatch):
+    straight, turn = (drive_with(LqgPreview(), change, monkeypatch) for change in (lambda route: route, turned))
+    assert metrics.rmse(turn) == pytest.approx(metrics.rmse(straight), rel=1e-6)
+
+
+def test_a_run_on_the_mirrored_track_is_its_mirror_image(monkeypatch):
+    right, left = (drive_with(LqgPreview(), change, monkeypatch) for change in (lambda route: route, mirrored))
+    for column in ("front.y", "front.du", "rear.du", "rear.psi_TrAx"):
+        assert np.abs(right[column] + left[column]).max() < 1e-6 * right[column].abs().max()
+    assert right["front.y"].abs().max() > 1e-3
+
+
+def test_no_steady_error_in_an_arc_on_a_heavier_car_with_other_creep():
+    scenario = load_scenario("curve_entry_T3").but(set_point={"kind": "none"}, end_m=1200.0)
+    changes = {
+        "body.mass": 28_000.0,
+        "suspension.k_x": 50_000.0,
+        "contact.shear_modulus": 0.6 * V.contact.shear_modulus,
+    }
+    law = tuned("lqg_preview", setting="equal")
+    last = simulate.run(scenario, law, plant_vehicle=load_vehicle(**changes)).series.tail(200).mean()
+    for gear in ("front", "rear"):
+        assert abs(last[f"{gear}.y"]) < 3e-6
+    assert abs(last["front.psi_TrAx"]) > 3e-4 and abs(last["front.du"]) > 10.0
+
+
+@pytest.mark.parametrize("name", ["curve_entry_T3", "curve_entry_T4", "sine_tracking", "adhesion_loss"])
+def test_ideal_rails_are_known_as_such(name):
+    run = simulate.run(load_scenario(name).but(end_m=280.0), LqgPreview(), sensors=readings(seed=302))
+    for gear in run.controllers:
+        assert gear.memory.share[0] > 0.999
+    assert metrics.rmse(run.series) < 1.5e-3 and not touches(run)
+
+
+@pytest.mark.parametrize(("spectrum", "speed"), [("en_A_300", 160.0), ("en_A_300", 400.0), ("en_B_300", 400.0)])
+def test_rough_rails_are_known_as_such_and_followed(spectrum, speed):
+    """NDI with rates has 1.1 to 2 mm and touches with its flanges on some draws."""
+    scenario = load_scenario("sine_tracking").but(speed_kmh=speed, end_m=250.0)
+    run = simulate.run(scenario, LqgPreview(), sensors=readings(seed=302), irregularities=rough(scenario, spectrum, 31))
+    for gear in run.controllers:
+        assert gear.memory.share[1] > 0.999
+    assert not touches(run) and 1e3 * metrics.followed_rmse(run.series, "front") < (0.75 if speed < 200 else 1.5)
+
+
+def test_the_rear_gear_knows_the_rails_that_the_front_gear_found(monkeypatch):
+    scenario = T3.but(end_m=200.0)
+
+    def rear_error():
+        irregular = rough(scenario, "en_B_300", 201)
+        series = simulate.run(scenario, LqgPreview(), sensors=readings(seed=201), irregularities=irregular).series
+        return metrics.followed_rmse(series[series["rear.p"] > 20.0], "rear")
+
+    knowing, compiled = rear_error(), lqg.LqgGear.compiled
+    monkeypatch.setattr(lqg.LqgGear, "compiled", lambda self, loop, leader=None: compiled(self, loop))
+    assert knowing < 0.93 * rear_error()
+
+
+def test_it_guides_until_standstill():
+    scenario = load_scenario("braking").but(speed_kmh=20, end_m=400.0)
+    for sensors in (None, readings(seed=303)):
+        run = simulate.run(scenario, LqgPreview(), sensors=sensors)
+        assert run.ended.startswith("stop speed") and metrics.rmse(run.series) < (5e-5 if sensors is None else 3e-4)
+
+
+def test_cones_are_guided_when_they_are_known():
+    """NDI with rates .40 and .75 mm."""
+    cone = load_vehicle(**{"contact.profile": "cone"})
+    for scenario in (T3, SINE):
+        run = simulate.run(scenario, LqgPreview(), vehicle=cone, sensors=readings(seed=304))
+        assert not touches(run) and metrics.rmse(run.series) < 4e-4
+
+
+@pytest.fixture
+def sampled():
+    """A gear on T3 with perfect measurements, and its sample as a function of speed, displacement and base torque."""
+    gear = LqgPreview()(V, T3.route(), 0)
+    gear.compiled(None)
+    function = lqg._library().lqg_sample
+    function.restype = ctypes.c_double
+
+    def sample(v, y=0.0, base=0.0):
+        state, readings = np.array([100.0, 0.0, v, 0.0, y, 0.0]), np.array([y, 0.0, 0.0])
+        pointers = (ctypes.c_void_p(array.ctypes.data) for array in (state, readings))
+        return function(ctypes.byref(gear.memory), *pointers, ctypes.c_double(base))
+
+    return gear, sample
+
+
+def test_torque_keeps_its_limit_and_the_filter_knows(sampled):
+    gear, sample = sampled
+    for y in 1e-3 * np.arange(1, 41):
+        torque = sample(70.0, y)
+    assert abs(torque) == V.drive.torque_limit == abs(gear.tables["torques"][0])
+
+
+def test_a_filter_that_is_lost_begins_anew_and_counts(sampled):
+    gear, sample = sampled
+    for y in (0.0, 1e-4, 8e-3):
+        torque = sample(50.0, y)
+    assert gear.memory.restarts == 1 and np.isfinite(torque)
+    gear.memory.state[0] = np.nan
+    assert np.isfinite(sample(50.0, 8e-3)) and gear.memory.restarts == 2
+
+
+def test_torque_is_held_near_rest(sampled):
+    _, sample = sampled
+    held = [sample(5.0, 1e-4) for _ in range(20)][-1]
+    assert held != 0.0
+    assert [sample(v, 1e-3) for v in (1.4, 0.0, -0.1)] == [held] * 3
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: LqgSettings(change=0.0), "LqgSettings: change is 0.0"),
+        (lambda: LqgSettings(rails=np.nan), "LqgSettings: rails"),
+        (lambda: LqgSettings(preview=True), "LqgSettings: preview is True"),
+        (lambda: LqgPreview({"change": 1.0}), "LqgPreview: settings is"),
+    ],
+)
+def test_impossible_settings_are_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_factory_is_picklable():
+    assert pickle.loads(pickle.dumps(LqgPreview())) == LqgPreview()
