@@ -22,7 +22,7 @@ from railrepro.data import InputError, require
 from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import X
 from railrepro.simulation.closed_loop import ClosedLoop
-from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY
+from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
 from railrepro.threads import one_thread
 from railrepro.track.route import Route
@@ -239,21 +239,22 @@ def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:
 
 def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:
     """Sentences on where the run left the validity of the models."""
-    found = []
+    found: list[str] = []
+    if series.empty:  # a run whose first row is not finite
+        return ()
 
-    def first(mask, sentence):
+    def first(mask: np.ndarray, sentence: str) -> None:
         if mask.any():
-            row = series[mask].iloc[0]
+            row = series.iloc[int(np.argmax(mask))]
             found.append(f"{sentence} at t = {row['t_s']:.3f} s, p = {row['front.p']:.1f} m")
 
-    for wheel in equations.WHEELS:
-        first(series[f"{wheel}.N"] <= 0, f"{wheel} wheel lifts")
-        first(series[f"{wheel}.angle"].abs() > FLANGE_ANGLE, f"{wheel} wheel touches with its flange")
-    for gear in GEARS:
-        beyond = series[f"{gear}.yaw_to_body"].abs() > vehicle.suspension.yaw_stop_angle
-        first(beyond, f"{gear} gear is on its yaw end stop")
+    for name, wheel in ((name, Part(series, name)) for name in equations.WHEELS):
+        first(wheel.N <= 0, f"{name} wheel lifts")
+        first(np.abs(wheel.angle) > FLANGE_ANGLE, f"{name} wheel touches with its flange")
+    for name, gear in ((name, Part(series, name)) for name in GEARS):
+        first(np.abs(gear.yaw_to_body) > vehicle.suspension.yaw_stop_angle, f"{name} gear is on its yaw end stop")
         if vehicle.contact.profile == "cone":
-            aside = (series[f"{gear}.y"] - series[f"{gear}.rail_y"]).abs() > FLANGEWAY
-            first(aside, f"{gear} gear is where flanges would touch, cones have none")
-        first(series[f"{gear}.v"] < equations.SLIP_FLOOR, f"{gear} gear is slower than the slip regularisation")
+            beyond = np.abs(gear.y - gear.rail_y) > FLANGEWAY
+            first(beyond, f"{name} gear is where flanges would touch, cones have none")
+        first(gear.v < equations.SLIP_FLOOR, f"{name} gear is slower than the slip regularisation")
     return tuple(found)
