@@ -38,7 +38,7 @@ LOCK_HASH := $(shell (pwd; cat environment.lock pyproject.toml) | cksum | tr -cd
 VENV := .venv/ready-$(LOCK_HASH)
 # Other groups of the lock come on top, where they are needed.
 READY = .venv/ready-$(1)-$(LOCK_HASH)
-GROUP = awk '/^\# group:/ {on = $$3 == "$(1)"} on' environment.lock
+GROUP = awk '/^\# group:/ {on = $$3 ~ "^($(1))$$"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
 .PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
 
@@ -77,13 +77,9 @@ test-extras: $(call READY,bench)  ## install the group `bench` and run its tests
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files
 	$(PY) -m pytest -m slow tests/evidence/test_faults.py
 
-# Without news and check for updates, and saved on request only: what is saved is a change to git.
-LAB_SETTINGS = {"@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": false}, \
-  "@jupyterlab/docmanager-extension:plugin": {"autosave": false}}
-
 lab: $(VENV)  ## open the chapters in JupyterLab; LAB="--no-browser --ip=0.0.0.0" passes options on, as in a container
 	@mkdir -p $(JUPYTER_CONFIG_DIR)/labconfig
-	@echo '$(LAB_SETTINGS)' > $(JUPYTER_CONFIG_DIR)/labconfig/default_setting_overrides.json
+	@cp .binder/lab.json $(JUPYTER_CONFIG_DIR)/labconfig/default_setting_overrides.json
 	@echo "What chapters write goes to build/tried. Nothing is saved by itself; \`make strip\` takes the outputs out of saved ones."
 	$(PY) -m jupyterlab --notebook-dir=. --LabApp.default_url="/lab/tree/notebooks/00_first_run.ipynb?file-browser-path=/" \
 	  --LanguageServerManager.autodetect=False $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
@@ -147,11 +143,11 @@ $(VENV): environment.lock pyproject.toml
 	@test -x .venv/bin/uv || $(PYTHON) -m venv --clear .venv
 	@$(call GROUP,environment) | awk '/^uv==/{f=1} f{print} f&&!/\\$$/{exit}' > .venv/uv.txt
 	@$(PY) -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .venv/uv.txt
-	@$(call GROUP,environment) | .venv/bin/uv pip sync -q --python $(PY) --require-hashes -
+	@$(call GROUP,notebooks|environment) | .venv/bin/uv pip sync -q --python $(PY) --require-hashes -
 	@.venv/bin/uv pip install -q --python $(PY) --no-deps --no-build-isolation --no-index -e .
 	@command -v "$${CC:-cc}" >/dev/null || command -v gcc >/dev/null || { \
 	  echo "there is no C compiler (CC, cc, gcc): installing that of the package ziglang, 400 MB"; $(call INSTALL,compiler); } \
-	  || echo "it cannot be had, and without a C compiler nothing runs"
+	  || { echo "it cannot be had, and without a C compiler nothing runs"; exit 1; }
 	@touch $@
 
 $(call READY,%): | $(VENV)
