@@ -108,7 +108,7 @@ def _studies(command: Callable) -> None:
 
 
 def _tools(command: Callable) -> None:
-    added = command("score", "score.command:main", "score a controller on the benchmark, write build/score")
+    added = command("score", "score.run:main", "score a controller on the benchmark, write build/score")
     added.add_argument("controller", nargs="?", help="a Python file with one controller class, or a registered name")
     added.add_argument("--describe", action="store_true", help="only print what a law may use, with unit and meaning")
     added.add_argument("--seed", type=_whole(0, 2**31), help="a different random seed of noise, rails and cars")

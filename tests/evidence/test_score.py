@@ -10,9 +10,8 @@ import pytest
 from railrepro import __main__ as command
 from railrepro import code, paths
 from railrepro.data import InputError
-from railrepro.evidence.score import card, leaderboard, limit, run, suite
+from railrepro.evidence.score import card, leaderboard, run, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry, known, load_class
-from railrepro.evidence.score.trial import Trial
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.route import INDEX, Route
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
@@ -70,7 +69,7 @@ def test_a_fault_is_a_line_and_no_points(what, tmp_path):
     file = tmp_path / "own.py"
     file.write_text(text)
     cone = {"contact.profile": "cone"}  # no flange holds it
-    row = Trial(Entry("own.py", str(file)), dataclasses.replace(CASE, plant=cone))()
+    row = run.drive(Entry("own.py", str(file)), dataclasses.replace(CASE, plant=cone))
     assert said in row["failure"] and "\n" not in row["failure"] and "Possible prototypes" not in row["failure"]
     table = card.judged([row | ANCHORS])
     assert table["points"].tolist() == [0.0]
@@ -79,11 +78,11 @@ def test_a_fault_is_a_line_and_no_points(what, tmp_path):
 @pytest.fixture(scope="module")
 def pid():
     """Row of the template on the short run."""
-    return Trial(entry(PID), CASE)()
+    return run.drive(entry(PID), CASE)
 
 
 def test_the_template_is_driven_with_the_numbers_of_its_setting(pid):
-    loop = Trial(entry(PID), suite.Case("short", "loop", CASE.scenario, sensors={"seed": 1}))()
+    loop = run.drive(entry(PID), suite.Case("short", "loop", CASE.scenario, sensors={"seed": 1}))
     assert (pid["failure"], loop["failure"]) == ("", "")
     assert loop["rmse_y"] > 1.2 * pid["rmse_y"]
 
@@ -118,20 +117,20 @@ def test_no_controller_undercuts_the_limit():
     quiet = {"lateral.bias": 0.0, "gyro.bias": 0.0}
     where = load_scenario("curve_entry_T3").but(end_m=300.0)
     cases = [suite.Case("short", "loop", where, sensors={"seed": k} | quiet) for k in (1, 2, 3)]
-    least = limit.limits(cases[0])
+    least = run.limits(cases[0])
     for name in ("ndi_feedforward", "ndi_integral"):
-        rows = [Trial(entry(name), case)() for case in cases]
+        rows = [run.drive(entry(name), case) for case in cases]
         assert np.sqrt(np.mean([card.error(row) ** 2 for row in rows])) > 0.9 * least["limit"] > 1e-5
         assert np.mean([card.cost(row) for row in rows]) > least["best"]
     noisier = suite.Case("short", "loop", where, sensors={"seed": 1} | quiet | {"lateral.noise": 2e-3})
-    assert limit.limits(noisier)["limit"] > 1.2 * least["limit"]
-    biased = limit.limits(suite.Case("short", "loop", where, sensors={"seed": 1}))
+    assert run.limits(noisier)["limit"] > 1.2 * least["limit"]
+    biased = run.limits(suite.Case("short", "loop", where, sensors={"seed": 1}))
     assert biased["limit"] > 1.1 * least["limit"]
 
 
 def test_nothing_gets_no_points():
     for case in (CASE, suite.Case("short", "loop", CASE.scenario, sensors={"seed": 1}, group="short")):
-        row = Trial(entry(NOTHING), case)() | limit.anchors(case)
+        row = run.drive(entry(NOTHING), case) | run.anchors(case)
         assert card.judged([row])["points"].tolist() == [pytest.approx(0.0, abs=1e-6)]
 
 
@@ -171,7 +170,7 @@ def test_a_seed_draws_noise_irregularity_and_mismatch():
 
 
 def driven(file, case):
-    return Trial(entry(str(file)), case).experiment(load_class(file)).run()
+    return run.experiment(entry(str(file)), case, load_class(file)).run()
 
 
 def test_a_delay_without_sensors_is_that_of_the_torque(tmp_path):
@@ -205,9 +204,13 @@ def test_cases_that_draws_have_in_common_are_driven_once(monkeypatch):
 
     def mapped(pool, task, arguments, title, quiet=False):
         driven.append(len(arguments))
-        return [dict(ANCHORS) if task is limit.anchors else each.head() | {"failure": "left"} for each in arguments]
+        return [dict(ANCHORS) if task is run.anchors else task(case) for case in arguments]
 
     monkeypatch.setattr(run, "ordered_map", mapped)
+    left = {"controller": "pid.py", "failure": "left"}
+    monkeypatch.setattr(
+        run, "drive", lambda _, case: left | {"scenario": case.name, "setting": case.setting, "group": case.group}
+    )
     table = run.score(entry(PID), (1, 2), ("curve_T3", "irregular"))
     assert driven == [7, 7] and len(table) == 8 and table["seed"].tolist() == [1] * 4 + [2] * 4
 

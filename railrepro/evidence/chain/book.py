@@ -88,19 +88,8 @@ def _source(folder: Path) -> Path:
         chapter = pages.chapter(notebook, contents[notebook.name], home, rows)
         write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
     write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
-    write(folder / "leaderboard.md", pages.leaderboard(_leaderboard()))
     write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
     return folder
-
-
-def _leaderboard() -> str:
-    """Table of the leaderboard in Markdown; empty where there is none."""
-    import pandas as pd
-
-    from railrepro.evidence.score import leaderboard
-
-    file = paths.source(leaderboard.LEADERBOARD)
-    return leaderboard.markdown(pd.read_csv(file)) if file.exists() else ""
 
 
 def _claims_table() -> list[dict]:

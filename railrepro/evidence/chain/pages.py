@@ -1,4 +1,4 @@
-"""Source pages of the book: executed notebooks with their surroundings, report, leaderboard, notation."""
+"""Source pages of the book: executed notebooks with their surroundings, report, notation."""
 
 from __future__ import annotations
 
@@ -230,22 +230,6 @@ def report(text: str) -> str:
     """REPLICATION.md with links to chapters of the book and a target for each claim."""
     text = re.sub(r"\(notebooks/(\w+)\.ipynb#cell-id=(\w+)\)", r"(#\1-\2)", text)
     return re.sub(r"^\| (C\d\d) \|", r'| <span id="\1"></span>\1 |', text, flags=re.MULTILINE)
-
-
-def leaderboard(table: str) -> str:
-    """Page of the open benchmark, with its table in Markdown or without one."""
-    lines = [
-        "# Leaderboard",
-        "",
-        "The open benchmark: 14 runs, and 16 short ones with more delay or lag, each in the settings `equal` (perfect "
-        "measurements) and `loop` (with sensor noise, latency and state estimation), at most 100 points. How to enter "
-        "a controller of your own: {doc}`notebooks/16_own_controller`.",
-        "",
-        table or "There is no table yet: `make leaderboard` makes it, and the next book shows it.",
-        "",
-        "Sums of each draw and setting, with units: [leaderboard.csv](data/results/leaderboard.csv)." if table else "",
-    ]
-    return "\n".join(lines) + "\n"
 
 
 def notation(rows: Iterable[dict]) -> str:

@@ -163,3 +163,20 @@ def fault(error: BaseException, file: Path, own: type | None = None) -> str:
     told = isinstance(error, InputError) or (isinstance(error, ArithmeticError) and not inside)
     kind = "" if told else f"{type(error).__name__}: "
     return f"{where}{kind}{text}"[:300]
+
+
+def description() -> str:
+    """Names that `torque` of a law of the 1 kHz control cycle may use, with unit and meaning."""
+    short = {full: name for name, full in lateral.SHORT.items()}
+    lines = [
+        "A law is one class with torque(self, q); q has these quantities as attributes, for example q.y. It returns",
+        "the differential torque (N m, positive steers right) as an expression of CasADi. With `memory`, a tuple of",
+        "names of its own that q has, too, it returns (torque, next value of each by name). See examples/.",
+        "",
+    ]
+    for title, names in (("running gear", lateral.GEAR), ("track here", lateral.ROAD), ("vehicle", lateral.MODEL)):
+        lines.append(title)
+        for name, (unit, meaning) in names.items():
+            shown = f"{name}, {short[name]}" if name in short else name
+            lines.append(f"  {shown:22s}{unit:12s}{meaning}")
+    return "\n".join(lines)

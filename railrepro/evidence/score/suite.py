@@ -18,6 +18,7 @@ from railrepro import data, paths
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral
 from railrepro.estimation import sensors
+from railrepro.evidence.runs.laws import wrapped
 from railrepro.evidence.runs.tuning import EQUAL, LOOP, SEED
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.vehicle.parameters import sample_ranges
@@ -168,30 +169,16 @@ class CountedLaw:
         return du, following | {LOST: getattr(q, LOST) + 1 - (ca.fabs(du) < _LARGEST)}
 
 
-class LawAndControllers:
-    """A 1 kHz law together with the factory of the slower controllers whose torque it holds."""
-
-    def __init__(self, law: lateral.LateralLaw, factory: lateral.Factory):
-        self.memory, self.gains, self.torque, self._factory = law.memory, law.gains, law.torque, factory
-
-    def __call__(self, vehicle, route, gear: int) -> lateral.SlowController:
-        return self._factory(vehicle, route, gear)
-
-
 def delayed(guidance: lateral.Guidance, delay: float) -> lateral.Guidance:
     """A guidance whose torque acts later (s), see `DelayedLaw`."""
-    law, factory = lateral.split(guidance)
-    later = DelayedLaw(law, delay)
-    return later if factory is None else LawAndControllers(later, factory)
+    return wrapped(guidance, lambda law: DelayedLaw(law, delay))
 
 
 def counted(guidance: lateral.Guidance) -> lateral.Guidance:
     """A guidance whose 1 kHz law counts torques that are not finite; InputError when it is no guidance."""
-    law, factory = lateral.split(guidance)
+    law, _ = lateral.split(guidance)
     lateral.signature(law)
-    if isinstance(law, lateral.ZeroOrderHold):
-        return guidance
-    return CountedLaw(law) if factory is None else LawAndControllers(CountedLaw(law), factory)
+    return guidance if isinstance(law, lateral.ZeroOrderHold) else wrapped(guidance, CountedLaw)
 
 
 def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:

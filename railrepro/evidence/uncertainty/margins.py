@@ -25,6 +25,7 @@ from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.runs.laws import wrapped
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -66,27 +67,15 @@ class ProbedLaw:
         return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
 
 
-class ProbedController(ProbedLaw):
-    """The same for a guidance with a slower controller."""
-
-    def __init__(self, law: lateral.LateralLaw, factory: lateral.Factory, amplitude: float):
-        super().__init__(law, amplitude)
-        self._factory = factory
-
-    def __call__(self, vehicle, route, gear: int) -> lateral.SlowController:
-        return self._factory(vehicle, route, gear)
-
-
 def multisine(t, sine: Callable = np.sin):
     """Sum of sines of unit amplitude at times (s). Source: Schroeder 1970 (phases of low crest factor)."""
     count = len(FREQUENCIES)
     return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
 
 
-def probed(guidance, amplitude: float):
+def probed(guidance: lateral.Guidance, amplitude: float) -> lateral.Guidance:
     """A guidance with its torque disturbed, see `ProbedLaw`."""
-    law, factory = lateral.split(guidance)
-    return ProbedLaw(law, amplitude) if factory is None else ProbedController(law, factory, amplitude)
+    return wrapped(guidance, lambda law: ProbedLaw(law, amplitude))
 
 
 @dataclass(frozen=True)
