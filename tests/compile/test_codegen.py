@@ -44,19 +44,6 @@ int count(void) { return LANES; }
         np.testing.assert_allclose(other, exact[1][0], rtol=1e-14)
 
 
-def test_the_wait_for_the_compiler_is_announced_once(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(paths, "BUILD", tmp_path)
-    cache._announce.cache_clear()
-    long = f"/*{'-' * cache._SLOW}*/ int number(void) {{ return %d; }}"
-    cache.build("int number(void) { return 3; }")
-    assert capsys.readouterr().err == ""
-    for number in (4, 5, 5):
-        cache.build(long % number)
-    assert capsys.readouterr().err == (
-        "compiling for this machine, once: some 20 s for the car, 10 s for a predictive controller\n"
-    )
-
-
 @pytest.fixture
 def forgotten():
     """The compiler is looked for again afterwards."""
@@ -72,12 +59,6 @@ def test_that_there_is_no_compiler_is_told_in_one_sentence(monkeypatch, forgotte
     sentence = r"no C compiler was found \(CC, cc, gcc\): `pip install railrepro\[compiler\]` brings one$"
     with pytest.raises(codegen.CompilerError, match=sentence):
         codegen.build("int number(void) { return 3; }")
-
-
-def test_an_operation_without_translation_is_refused():
-    x = ca.SX.sym("x")
-    with pytest.raises(ValueError, match="odd: operation .* is not translated"):
-        codegen.lanes_text(ca.Function("odd", [x], [ca.erf(x)]))
 
 
 GENERATED = """
@@ -116,26 +97,6 @@ def test_hand_written_c_compiles_without_warning(tmp_path, command, parts):
     strict = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wshadow", "-Werror", "-Wno-unused-function", "-Wno-psabi"]
     done = subprocess.run([command, *strict, "-c", source, "-o", tmp_path / "object.o"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_the_source_is_kept_on_demand(tmp_path, monkeypatch):
-    monkeypatch.setattr(paths, "BUILD", tmp_path)
-    text = "int kept(void) { return 3; }\n"
-    target = cache.build(text)
-    assert not target.with_suffix(".c").exists()
-    monkeypatch.setenv("RAILREPRO_KEEP_SOURCE", "1")
-    assert cache.build(text) == target
-    assert target.with_suffix(".c").read_text() == text
-
-
-def test_long_sources_are_compiled_with_less_optimisation(tmp_path, monkeypatch):
-    monkeypatch.setattr(paths, "BUILD", tmp_path)
-    monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
-    text = "int long_one(void) { return 4; }\n"
-    assert "-O2" in cache.flags(length=len(text)) and "-Og" in cache.flags(length=cache._LONG)
-    usual = cache.build(text)
-    monkeypatch.setattr(cache, "_LONG", len(text))
-    assert cache.build(text) != usual
 
 
 def test_a_refused_source_is_kept_and_named(tmp_path, monkeypatch):

@@ -89,12 +89,6 @@ def test_a_graph_of_other_code_is_built_again(counted, monkeypatch):
     assert built == [3, 3]
 
 
-def test_only_functions_of_the_library_are_stored():
-    for module in ("mine", "railrepro.evidence.runs.mine"):
-        with pytest.raises(ValueError, match="is not of the library"):
-            graphs.stored(type("Law", (), {"__module__": module}))
-
-
 @pytest.mark.parametrize(
     ("build", "arguments"),
     [

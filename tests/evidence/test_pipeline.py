@@ -11,7 +11,7 @@ from chapters import CELLS, write_notebook
 
 from railrepro import code, paths
 from railrepro.data import InputError
-from railrepro.evidence.chain import book, chain, cleaning
+from railrepro.evidence.chain import chain
 from railrepro.evidence.runs import store
 
 SCENARIOS = paths.DATA / "scenarios.toml"
@@ -163,18 +163,6 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     assert "data/scenarios.toml" in chain.why_stale(notebook)
 
 
-def test_a_chapter_is_had_as_a_script(tiny, monkeypatch):
-    monkeypatch.chdir(tiny)
-    script = book.script("01")
-    code = script.read_text()
-    exec(
-        compile(code.replace("os.environ.setdefault", "monkeypatch.setenv"), script, "exec"),
-        {"monkeypatch": monkeypatch},
-    )
-    assert (tiny / "build/tried/01_tiny/data/results/out.csv").read_text() == "a\n1\n"
-    assert not (tiny / "data/results/out.csv").exists()
-
-
 def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
     monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
@@ -208,24 +196,6 @@ def test_the_lock_pins_each_package_once_by_hash_and_without_addresses():
     text = (paths.ROOT / "environment.lock").read_text()
     pins = re.findall(r"^([a-z][^=]*)==\S+(.*)\\\n    --hash=sha256:", text, re.M)
     assert "://" not in text and len(pins) == len(set(pins)) == len(re.findall("^[a-zA-Z-]", text, re.M)) > 3
-
-
-def test_stripping_keeps_source_and_tags_only(tiny):
-    file = tiny / "notebooks/01_tiny.ipynb"
-    write_notebook(tiny / "notebooks", [*CELLS, "assert value == 1"])
-    content = json.loads(file.read_text())
-    content["metadata"]["vscode"] = {"hash": "x"}
-    output = {"output_type": "stream", "name": "stdout", "text": ["1\n"]}
-    content["cells"][2] |= {"execution_count": 7, "outputs": [output], "metadata": {"scrolled": True}}
-    file.write_text(json.dumps(content))
-    cleaning.strip(file)
-    stripped = json.loads(file.read_text())
-    assert set(stripped["metadata"]) == {"kernelspec", "language_info"}
-    assert [cell["id"] for cell in stripped["cells"]] == ["c0", "c1", "c2", "c3"]
-    tags = [[], ["parameters"], [], ["hide-input"]]
-    assert [cell["metadata"].get("tags", []) for cell in stripped["cells"]] == tags
-    assert not any(cell["outputs"] or cell["execution_count"] for cell in stripped["cells"])
-    assert ["".join(cell["source"]) for cell in stripped["cells"]][:3] == CELLS
 
 
 def test_committed_notebooks_are_clean():

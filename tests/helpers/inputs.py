@@ -27,8 +27,7 @@ from railrepro import (
 from railrepro.contact.points import read_pair
 from railrepro.control import lateral
 from railrepro.control.registry import guidance
-from railrepro.evidence.chain import chain, compare
-from railrepro.evidence.claims import calibrated, statements
+from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import preview, pso, tuning
 from railrepro.own.creep_gains import CreepSettings
 from railrepro.track import rough as rough_
@@ -145,15 +144,6 @@ def rails(text, **options):
     return file(text, lambda path: rough_.read_irregularities(path, **options))
 
 
-def task(old, new, setting="paper"):
-    return edited("tuning.toml", old, new, lambda path: tuning.load_task(path, setting))
-
-
-def choices(old, new):
-    """Read the choices of the calibrated car with a passage replaced."""
-    return edited("paper_like.toml", old, new, calibrated.load)
-
-
 def points_of(text):
     return file(text, read_pair, "pair.csv")
 
@@ -184,8 +174,3 @@ def at_the_end():
     for name in ("body.s", "front.s", "rear.s"):
         car.state[car.model.states.index(name)] += car.route.length
     return car
-
-
-def edited_chain(old, new):
-    """Read the list of chapters with a passage replaced."""
-    return edited("../notebooks/chain.toml", old, new, lambda path: (chain.chain(path), compare.verify_tolerance(path)))

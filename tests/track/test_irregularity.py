@@ -6,12 +6,10 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
-from railrepro.data import InputError
 from railrepro.evidence.runs.preview import known, planned_line
 from railrepro.simulation.ride import D2, band_standard_deviation
 from railrepro.track.irregularity import (
     CHANNELS,
-    faded,
     irregularities,
     irregularity_spectrum,
     rails,
@@ -19,7 +17,7 @@ from railrepro.track.irregularity import (
     track_centre,
     track_quality,
 )
-from railrepro.track.rough import AlignmentFault, Dip, LateralOffset, read_irregularities, rough_track, superpose
+from railrepro.track.rough import AlignmentFault, Dip, LateralOffset, read_irregularities, rough_track
 
 COLUMNS = ["p_m", *CHANNELS.values()]
 
@@ -33,11 +31,6 @@ def long_stretch():
 @pytest.fixture(scope="module")
 def rough():
     return irregularities(np.arange(0, 600, 0.5), "erri_low", seed=3)
-
-
-def sine(p, amplitude=3e-3, wavelength=25.0):
-    frame = pd.DataFrame({column: np.zeros(p.size) for column in COLUMNS})
-    return faded(frame.assign(p_m=p, lateral_m=amplitude * np.sin(2 * np.pi * p / wavelength)))
 
 
 def test_realisations_keep_the_numbers_of_the_published_runs():
@@ -167,16 +160,6 @@ def test_alignment_fault_and_lateral_offset_move_both_rails():
         assert (frame[["vertical_m", "crosslevel_rad", "gauge_m"]] == 0).all(axis=None)
 
 
-def test_superposition_is_the_sum(rough):
-    p = rough["p_m"].to_numpy()
-    dip, fault = Dip(100.0, 10.0, 5e-3, "ri").at(p), AlignmentFault(200.0, 15.0, 2e-3).at(p)
-    total = superpose(rough, dip, fault)
-    assert np.allclose(total.drop(columns="p_m"), (rough + dip + fault).drop(columns="p_m"), rtol=0, atol=1e-18)
-    assert total["p_m"].equals(rough["p_m"])
-    with pytest.raises(InputError, match="different p_m"):
-        superpose(rough, fault.iloc[1:])
-
-
 def test_known_irregularities_are_shifted_and_scaled_exactly(rough):
     believed = known(rough, amplitude_error=0.1, localisation_error_m=2.0)
     assert list(believed) == COLUMNS
@@ -186,17 +169,6 @@ def test_known_irregularities_are_shifted_and_scaled_exactly(rough):
     assert np.allclose(known(rough)[columns], rough[columns], rtol=0, atol=1e-18)
     unfaded = known(rough.assign(lateral_m=1e-3), localisation_error_m=-2.0)["lateral_m"]
     assert np.allclose(unfaded, np.where(rough["p_m"] <= 597.5, 1e-3, 0.0), rtol=0, atol=1e-15)
-
-
-def test_known_irregularities_are_smoothed_by_the_stated_window():
-    p = np.arange(0, 400, 0.5)
-    inside = (p > 60) & (p < 340)
-    wave = sine(p)["lateral_m"]
-    believed = known(sine(p), smoothing_m=4.0)["lateral_m"]
-    gain = np.exp(-2 * (np.pi * 4.0 / 25) ** 2)
-    assert np.allclose(believed[inside], gain * wave[inside], rtol=0, atol=1e-3 * 3e-3)
-    with pytest.raises(InputError, match="smoothing_m is -1"):
-        known(sine(p), smoothing_m=-1.0)
 
 
 @pytest.mark.parametrize(("share", "smoothing", "limit"), [(0.0, 10.0, 2e-3), (0.5, 5.0, 1.5e-3), (1.0, 20.0, 3e-3)])
@@ -218,15 +190,6 @@ def test_planned_line_is_a_spline_whose_derivatives_belong_together(rough):
     assert np.allclose(value + d * (slope + d * (bend / 2 + d * jerk / 6)), line[0, 1:], rtol=0, atol=1e-15)
     assert np.allclose(slope + d * (bend + d * jerk / 2), line[1, 1:], rtol=0, atol=1e-15)
     assert np.allclose(bend + d * jerk, line[2, 1:], rtol=0, atol=1e-15)
-
-
-def test_planned_line_smooths_by_the_stated_gain():
-    p = np.arange(0, 600, 0.5)
-    inside = (p > 150) & (p < 450)
-    for smoothing in (2.0, 5.0):
-        line = planned_line(sine(p), 1.0, smoothing, limit=0.1)[0]
-        gain = 1 / (1 + (2 * np.pi * smoothing / 25) ** 4)
-        assert np.allclose(line[inside], gain * sine(p)["lateral_m"][inside], rtol=0, atol=0.01 * 3e-3)
 
 
 def test_planned_line_bends_before_a_fault_that_it_foresees():
