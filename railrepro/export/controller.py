@@ -78,7 +78,7 @@ class Export:
         if factory:
             planners += [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
         predictive = bool(planners) and isinstance(planners[0], PredictiveController)
-        functions = [control.function, *(_functions(planners[0]) if predictive else ())]
+        functions = [control.function, *(self._solver_functions(planners[0]) if predictive else ())]
         text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
         text += self._constants(control) + (_inputs(planners[0].period, control.signature) if planners else "")
         if predictive:
@@ -119,14 +119,20 @@ class Export:
             cells[:, ~_read(control.function)] = 0.0
         return text + constant("CELLS", cells) + constant("GAINS", control.gains)
 
+    def _solver_functions(self, planner: PredictiveController) -> list[ca.Function]:
+        """Functions of the solver, and the torque limit (N m) over the speed (m/s)."""
+        speed, settings = ca.SX.sym("speed"), planner.settings
+        limit = ca.SX(self.vehicle.drive.limit(speed / self.vehicle.wheel.radius))
+        solver = riccati.functions(settings.variant, settings.discretisation)
+        return [*solver, ca.Function("torque_limit", [speed], [limit])]
+
     def _solver(self, planners: list[PredictiveController]) -> str:
         """The predictive controllers of both gears: solver, numbers and memory."""
         settings, first = planners[0].settings, planners[0]
         sizes: dict[str, int | str] = {"STEPS": settings.steps, "MOST_SETS": riccati.MOST_SETS, "MODE": first.mode}
         sizes |= {"YIELDING": int(settings.yielding), "INFORMED": int(settings.informed)}
-        sizes |= _work("PLAN", _functions(first))
+        sizes |= _work("PLAN", self._solver_functions(first))
         numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.c.affine}
-        numbers["TORQUE_LIMIT"] = self.vehicle.drive.torque_limit
         sizes |= {name: float(value).hex() for name, value in numbers.items()}
         nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
         sizes["N_NOMINAL"] = nominal.shape[1]
@@ -161,10 +167,6 @@ def _checked(planner: lateral.SlowController | lateral.CompiledController):
         f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by real-time iteration "
         '(options {"solver": "rti"}) or LqgPreview, which alone have C of their own'
     )
-
-
-def _functions(planner: PredictiveController) -> tuple[ca.Function, ...]:
-    return riccati.functions(planner.settings.variant, planner.settings.discretisation)
 
 
 def _work(name: str, functions: Sequence[ca.Function]) -> dict[str, int]:

@@ -31,12 +31,21 @@ static void planner_reset(planner_memory_t *m, int gear) {
                      m->feedback, m->feedforward, m->dx, m->du, m->slope, m->fixed, m->side,
                      m->inner, m->slack, m->multiplier, m->slack_step, m->multiplier_step, m->target, m->barrier,
                      &m->passes};
-  m->p = (planner_t){&m->h, m->x_hat, m->plan, OBSERVER, TORQUE_LIMIT, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
+  m->p = (planner_t){&m->h, m->x_hat, m->plan, OBSERVER, 0, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
+}
+
+/* Torque limit (N m) at a speed (m/s). */
+static double limit_at(planner_memory_t *m, double speed) {
+  double limit, *out[PLAN_RES] = {&limit};
+  const double *in[PLAN_ARG] = {&speed};
+  torque_limit(in, out, m->iw[0], m->w[0], 0);
+  return limit;
 }
 
 /* Differential torque (N m) from measured states and base torque. */
 static double planner_sample(planner_memory_t *m, const double *measured, const double *readings, double base) {
   (void)readings;  /* the states were made of them */
+  m->p.torque_limit = limit_at(m, measured[STATE_xdot]);
   const double torque = planner_plan(&m->p, measured, base);
   planner_prepare(&m->p);
   return torque;
