@@ -40,6 +40,12 @@ def test_the_results_and_the_gallery_are_those_that_the_report_writes(table, nom
     )
 
 
+def test_a_section_of_the_report_links_each_file_once(table, nominal):
+    for section in Page(table, nominal).replication().split("\n## "):
+        linked = re.findall(r"\]\(([^)]+)\)", section)
+        assert len(linked) == len(set(linked))
+
+
 @pytest.mark.parametrize(
     ("verdicts", "outcome"),
     [("RF", "yes"), ("RR", "yes"), ("RN", "partly"), ("FP", "partly"), ("PN", "no"), ("TN", "no")],

@@ -7,6 +7,7 @@ in README.md between its two marks.
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -85,7 +86,7 @@ class Page:
             "effect",
             "as_mark",
         )
-        return self.prose.render(
+        text = self.prose.render(
             "replication.md.j2",
             **{name: getattr(self, name) for name in names},
             text=self.prose.text,
@@ -96,6 +97,7 @@ class Page:
             questions=flips.load().values(),
             verify=_notebooks("chain.toml")["verify"],
         )
+        return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def gallery(self) -> str:
         """Render figures/README.md: the figures of each chapter with their captions."""
@@ -233,6 +235,18 @@ class Page:
         """Show a verdict as a mark, with what follows it, as a setting."""
         known = max((name for name in MARKS if verdict.startswith(name)), key=len, default="")
         return MARKS[known] + verdict.removeprefix(known) if known else verdict
+
+
+def _linked_once(section: str) -> str:
+    """Keep the first link to each file; later ones become their text."""
+    seen: set[str] = set()
+
+    def first(link: re.Match) -> str:
+        known = link[2] in seen
+        seen.add(link[2])
+        return link[1] if known else link[0]
+
+    return re.sub(r"\[([^]]+)\]\(([^)]+)\)", first, section)
 
 
 def _notebooks(file: str) -> dict:

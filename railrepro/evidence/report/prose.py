@@ -21,7 +21,7 @@ from railrepro import data, paths
 from railrepro.car.equations import BODIES, WHEELS
 from railrepro.car.kinematics import COORDINATES
 from railrepro.data import InputError
-from railrepro.evidence.claims import statements
+from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import REPRODUCED, Evidence, Finding, MissingEvidence
 from railrepro.evidence.runs import tuning
@@ -32,7 +32,7 @@ FILE = "data/theses.toml"
 UNKNOWN = "n/a"
 CALLABLE = (
     *("e", "q", "find", "holds", "table", "cell", "csv", "printed", "sentences"),
-    *("tuned", "seeds", "set_point", "freedoms", "time"),
+    *("tuned", "choice", "seeds", "set_point", "freedoms", "time"),
     *("share_of_third", "pole_that_follows", "forecast_shift"),
 )
 """Methods of `Prose` that templates and conditions may call."""
@@ -206,6 +206,10 @@ class Prose:
     def tuned(self, controller: str, setting: str = tuning.PAPER) -> dict:
         """Look up the tuned parameters of a controller."""
         return tuning.load(controller, setting)["parameters"]
+
+    def choice(self, name: str) -> float:
+        """Look up a choice of the calibrated car."""
+        return calibrated.load()[name].value
 
     def seeds(self) -> int:
         """Count the swarms of each tuned set."""
