@@ -5,6 +5,7 @@ import pytest
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import law
 from railrepro.simulation import closed_loop
 from railrepro.track import route
@@ -14,10 +15,11 @@ from railrepro.vehicle.parameters import load_vehicle
 TORQUE = np.array([300.0, -300.0, 150.0, -150.0])
 
 
-def test_stepping_gives_what_the_closed_loop_gives():
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_stepping_gives_what_the_closed_loop_gives(substeps):
     car = SteppedCar("T3", 50.0)
     control = law.control_law(load_vehicle(), None, lateral_limit=0.03, track_end=car.route.length, stop_speed=-1.0)
-    coupled = closed_loop.ClosedLoop(SteppedCar("T3", 50.0), control)
+    coupled = closed_loop.ClosedLoop(SteppedCar("T3", 50.0, substeps=substeps), control)
     coupled.held[:] = 20.0
     log = coupled.run(500)
     for row in log:
@@ -25,7 +27,9 @@ def test_stepping_gives_what_the_closed_loop_gives():
             [
                 row[coupled.columns.index(f"{wheel[:-3]}.du")] * (1 if wheel.endswith("le") else -1)
                 for wheel in equations.WHEELS
-            ]
+            ],
+            substeps,
+            CONTROL_PERIOD / substeps,
         )
     assert np.allclose(car.state, coupled.state, rtol=1e-12, atol=1e-12)
 
