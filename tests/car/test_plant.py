@@ -389,10 +389,3 @@ def test_pitch_is_nose_up_and_roll_is_right_side_down(vehicle):
             [f"{body}.{name}" for name in names] for names in (("phi", "pitch", "psi"), ("wx", "wy", "wz"))
         )
         assert a.loc[angles, turns].to_numpy() == pytest.approx(np.eye(3), abs=1e-4)
-
-
-def test_motor_reaction_pitches_the_carrier(vehicle):
-    car = SteppedCar("T5", 60.0)
-    car.step(steps=500)
-    pitch = car.linearise().a.loc["front.wy", "tau.front_le"]
-    assert pitch == pytest.approx(1 / vehicle.gear.inertia_y, rel=1e-3)

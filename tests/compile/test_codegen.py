@@ -51,16 +51,6 @@ def forgotten():
     cache.compiler.cache_clear()
 
 
-def test_that_there_is_no_compiler_is_told_in_one_sentence(monkeypatch, forgotten):
-    monkeypatch.setattr(cache.shutil, "which", lambda _: None)
-    monkeypatch.setattr(cache.importlib.util, "find_spec", lambda _: None)
-    monkeypatch.delenv("CC", raising=False)
-    cache.compiler.cache_clear()
-    sentence = r"no C compiler was found \(CC, cc, gcc\): `pip install railrepro\[compiler\]` brings one$"
-    with pytest.raises(codegen.CompilerError, match=sentence):
-        codegen.build("int number(void) { return 3; }")
-
-
 GENERATED = """
 enum { N = 6, N_THETA = 9, N_CELL = 24, N_A = 12, STATE_y_TrAx = 4, TUNING_period = 8, TUNING_lateral_bound };
 static void prediction_lanes(const lanes_t *x, const lanes_t *du, const double *u_d, const lanes_t *theta,

@@ -7,16 +7,13 @@ import shutil
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 
 import pytest
 from chapters import write_notebook
 
 from railrepro import code, paths
 from railrepro.compile import cache, graphs
-from railrepro.data import InputError
-from railrepro.evidence.runs import executor, store
+from railrepro.evidence.runs import store
 
 SNIPPETS = {
     "x = 1\n": "x = 1",
@@ -222,17 +219,6 @@ def test_workers_that_start_after_an_edit_are_refused(copy, edited, said):
     if edited:
         fade(copy, "1.0", "200.0")
     assert client.communicate("\n", timeout=120)[0].startswith(said)
-
-
-def test_a_worker_with_other_code_is_refused(monkeypatch):
-    task, asked = store.digest, executor._code(store.digest)
-    assert executor._checked(asked, task, 1) == store.digest(1)
-    for other in (("another version", asked[1]), (asked[0], {}), (None, None)):
-        with pytest.raises(InputError, match="imported other code of railrepro"):
-            executor._checked(other, task, 1)
-    monkeypatch.setattr(code, "version", lambda: None)
-    with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="imported other code"):
-        executor.ordered_map(pool, partial(executor.work, task), ["anything"], "x", quiet=True)
 
 
 @pytest.mark.parametrize("name", ["RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"])

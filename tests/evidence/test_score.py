@@ -9,7 +9,6 @@ import pytest
 
 from railrepro import __main__ as command
 from railrepro import code, paths
-from railrepro.data import InputError
 from railrepro.evidence.score import card, leaderboard, run, suite
 from railrepro.evidence.score.entry import NOTHING, Entry, entry, known, load_class
 from railrepro.simulation.scenarios import load_scenario
@@ -180,13 +179,6 @@ def test_a_delay_without_sensors_is_that_of_the_torque(tmp_path):
     assert (torque[:3] == 0.0).all() and (torque[3:] == 100.0).all()
 
 
-def test_a_delay_of_a_slower_controller_is_that_of_its_torque(tmp_path):
-    (tmp_path / "own.py").write_text(SLOW.format("return 100.0"))
-    case = suite.Case("short", "equal", CASE.scenario.but(end_m=5.0), group="short", delay=12e-3)
-    torque = driven(tmp_path / "own.py", case).series["front.du"]
-    assert (torque[:12] == 0.0).all() and (torque[12:] == 100.0).all()
-
-
 def test_what_cannot_be_driven_at_all_is_one_sentence_and_exit_code_1(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paths, "BUILD", tmp_path)
     file = tmp_path / "mine.py"
@@ -246,13 +238,6 @@ def test_the_leaderboard_ranks_by_the_ranked_draws(monkeypatch, tmp_path):
     assert leaderboard.markdown(table).split("\n")[3] == "| `ndi` | 64 | 3.16 | 80 | 64 | 64 | – | 0 | 1.25 | 1 | – |"
 
 
-@pytest.mark.parametrize("name", ["a|b.py", "a`b.py", "a b.py", "<b>.py", "mine", "a\nb.py", "ndi"])
-def test_names_that_tables_cannot_show_are_refused(name, tmp_path):
-    (tmp_path / name).write_text("")
-    with pytest.raises(InputError, match="a name of letters, digits"):
-        entry(str(tmp_path / name))
-
-
 def test_a_small_score_writes_its_card(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("RAILREPRO_WORKERS", "1")
     monkeypatch.setattr(paths, "BUILD", tmp_path)
@@ -268,32 +253,3 @@ def test_a_stored_score_is_of_all_data_that_a_run_can_read():
     reached = code.reached("from railrepro.evidence.score.run import score")
     named = (re.findall(r"data/(\w+)\.toml", (paths.ROOT / name).read_text()) for name in reached if name[-3:] == ".py")
     assert set().union(*named) == set(leaderboard._READ)
-
-
-@pytest.fixture
-def board(monkeypatch, tmp_path):
-    """The leaderboard in a folder of its own, with a list of those that were really scored."""
-    asked = []
-    scored = cards(dict.fromkeys(("ndi", "mine.py", "ndi.py"), 50.0))
-    monkeypatch.setattr(paths, "BUILD", tmp_path / "build")
-    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
-    monkeypatch.setattr(leaderboard, "LEADERBOARD", "data/results/board.csv")
-    monkeypatch.setattr(leaderboard, "check", lambda entry: asked.append(entry.name))
-    monkeypatch.setattr(leaderboard, "score", scored)
-    monkeypatch.setenv("RAILREPRO_STORE", str(tmp_path / "store"))
-    monkeypatch.setattr(code, "reached", lambda _: {"library": "this one"})
-    (tmp_path / leaderboard.PAGE).parent.mkdir(parents=True)
-    (tmp_path / leaderboard.PAGE).write_text(f"before\n\n{leaderboard.BEGIN}\nold\n{leaderboard.END}\n\nafter\n")
-    (tmp_path / "mine.py").write_text(LAW.format("return 0, {}"))
-    return asked
-
-
-def test_a_named_controller_is_entered_beside_those_that_are_there(board, tmp_path):
-    leaderboard.main(["ndi"])
-    leaderboard.main([str(tmp_path / "mine.py")])
-    table = pd.read_csv(tmp_path / "data/results/board.csv")
-    assert list(dict.fromkeys(table["controller"])) == ["ndi", "mine.py"]
-    assert not table.duplicated(["scenario", "controller", "metric", "setting", "seed"]).any()
-    text = (tmp_path / leaderboard.PAGE).read_text()
-    assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
-    assert "| `mine.py` | 34 | 3.16 | 50 | 34 | 34 | – | 0 | 1.25 | 1 | – |" in text

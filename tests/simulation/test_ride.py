@@ -179,18 +179,6 @@ def test_track_shifting_force_of_hand_made_forces():
     assert sum_y.max() == pytest.approx(7e3 + 3e3, rel=5e-3)
 
 
-def test_track_shifting_force_leaves_out_fast_vibration():
-    t = time(2)
-    fast = 100e3 * np.sin(2 * np.pi * 60 * t)
-    assert np.abs(ride.sliding_mean(fast, 100 * t)).max() > 14e3
-    assert np.abs(ride.track_shifting_force(fast, np.zeros(2000), 100 * t, RATE)[50:-50]).max() < 1e3
-
-
-def test_track_shifting_limit_of_an_axle_of_sixteen_tonnes():
-    assert ride.track_shifting_limit(78_480.0) == pytest.approx(62_320.0)
-    assert ride.track_shifting_limit(78_480.0, 0.85) == pytest.approx(52_972.0)
-
-
 def test_y_over_q_is_a_quotient_of_filtered_forces_and_finite_when_the_wheel_lifts():
     t = time(2)
     p, wave = 50 * t, np.sin(2 * np.pi * 100 * t)
@@ -224,11 +212,6 @@ def test_flange_contacts_are_counted_once_when_they_bounce():
     touch(499, 500, 70)
     assert ride.flange_contacts(angle, p) == pytest.approx(6.0)
     assert ride.flange_contacts(angle, p, gap=0.1) == pytest.approx(8.0)
-
-
-def test_wear_number_of_constant_slip_is_the_work_per_metre():
-    assert ride.wear_number(-9e3, 4e3, 2e-3, -1e-3) == pytest.approx(22.0)
-    assert ride.wear_number(-9e3, 4e3, 2e-3, -1e-3, -100.0, 0.05) == pytest.approx(27.0)
 
 
 def test_wear_is_averaged_over_the_way():
