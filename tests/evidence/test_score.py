@@ -44,7 +44,7 @@ FAULTS = {
     "gives NaN": (SLOW.format("return float('nan')"), "controller of the front gear returned nan at t = 0.000 s"),
     "gives a text": (SLOW.format("return 'much'"), "own.py, line 7 (Mine.plan): plan() returned 'much', a number"),
     "gives nothing": (SLOW.format("pass"), "plan() returned None, a number (N m) is needed"),
-    "no period": (SLOW.format("return 0.0").replace("period =", "rhythm ="), "Mine: period is None, a number in s"),
+    "no period": (SLOW.format("return 0.0").replace("period =", "rhythm ="), "Mine: period is None, a number"),
     "law without its symbol": (LAW.format("return q.height, {}"), "own.py, line 7 (Mine.torque): lateral law "
                                "Mine: torque() asks for q.height"),
     "law that is NaN": (LAW.format("return float('nan') * q.held, {}"), "torque() returned NaN or Inf "),
