@@ -244,9 +244,9 @@ def test_discrete_model_is_exact_for_held_inputs():
     [
         (lambda: Creep(1e7, 0.0), "Creep: across is 0.0, a number above 0"),
         (lambda: Creep(True, 1e7), "Creep: along is True"),
-        (lambda: Creep(1e7, 1e7, share=0.4), "Creep: share = 0.4, a number from 0.5"),
-        (lambda: Creep(1e7, 1e7, np.nan), "Creep: adhesion = nan"),
-        (lambda: lateral_model(V, 0.0, Creep(1e7, 1e7)), "lateral model: speed = 0.0, a number from 0.5"),
+        (lambda: Creep(1e7, 1e7, share=0.4), "Creep: share is 0.4, a number from 0.5"),
+        (lambda: Creep(1e7, 1e7, np.nan), "Creep: adhesion is nan"),
+        (lambda: lateral_model(V, 0.0, Creep(1e7, 1e7)), "lateral model: speed is 0.0, a number from 0.5"),
         (lambda: creep_at(V, "dry", 20.0, "much"), "creep: slip is 'much'"),
         (lambda: creep_at(V, "icy", 20.0), "adhesion set 'icy' is not known"),
     ],
