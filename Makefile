@@ -74,7 +74,7 @@ test-slow: $(VENV)  ## run the tests that take minutes
 test-extras: $(call READY,bench)  ## install the group `bench` and run its tests: Exudyn, Gymnasium
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation
 
-faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, full disk, broken files
+faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, Ctrl-C, full disk
 	$(PY) -m pytest -m slow tests/evidence/test_faults.py
 
 lab: $(VENV)  ## open the chapters in JupyterLab; LAB="--no-browser --ip=0.0.0.0" passes options on, as in a container

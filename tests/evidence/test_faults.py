@@ -1,4 +1,4 @@
-"""Faults on purpose in a small chain of notebooks: kills, Ctrl-C, a spoilt cache, a full disk.
+"""Faults on purpose in a small chain of notebooks: kills, Ctrl-C, a full disk.
 
 Survived means: one sentence where a person is told, products whole, no process left, and the next run ends as if
 nothing had been.
@@ -168,13 +168,6 @@ def test_an_interrupt_is_told_in_one_sentence(toy):
     said = started.communicate()[1].splitlines()
     expected = "make", "interrupted", "01_", "02_"
     assert not [line for line in said if not line.startswith(expected) and "stale" not in line], said
-    toy.survives()
-
-
-def test_compiled_code_that_is_cut_off_is_made_again(toy):
-    for target in (toy.folder / "build/compiled").glob("*.so"):
-        target.write_bytes(target.read_bytes()[:5000])
-    toy.forget()
     toy.survives()
 
 

@@ -135,7 +135,7 @@ def test_pitch_reaction_acts_about_vertical_of_body_and_axis_of_carrier():
         return float(loads[5, 1])
 
     springs = ("k_x", "k_y", "k_z", "link_stiffness", "antiroll_stiffness")
-    weightless = load_vehicle(**{f"suspension.{name}": 1e-6 for name in springs}, **{"body.mass": 1e-3})
+    weightless = load_vehicle(**{f"suspension.{name}": 1e-6 for name in springs}, **{"environment.gravity": 1e-9})
     axis = np.cross((0, -np.sin(roll), np.cos(roll)), (np.cos(pitch), 0, -np.sin(pitch)))
     expected = -vehicle.suspension.pitch_stiffness * np.sin(pitch) * np.cos(roll) * axis[2]
     assert abs(expected) > 100.0
