@@ -207,7 +207,7 @@ def compare(
         if car:
             said = facts.setdefault(of["car"], _facts(setup, driven, cases))
             said |= {} if factor is None else {"R": f"{said['R']} and {factor:g}" if "R" in said else f"R x {factor:g}"}
-        label = {key: value for key, value in of.items() if key != "scenario"} | {"case": case}
+        label = {key: value for key, value in of.items() if key != "scenario" or len(scenarios) > 1} | {"case": case}
         more = {"options": CONTROLLERS[name].quick and {"solver": solver}} | more
         experiments.append(setup.experiment(driven, name, label=label, stride=stride, **more))
     rows, series = run_all(experiments, "runs")
