@@ -8,7 +8,7 @@ used first, so that the import costs nothing:
 - `load_vehicle`, `Vehicle`: data/vehicle.toml
 - `load_track`, `lay`: data/tracks.toml, and a track as a route with set point and rails
 - `tuned`: a controller with its tuned parameters, data/tuned
-- `NDI`, `NMPC`, `LTVMPC`, `CreepMPC`: the controllers with parameters of one's own
+- `NDI`, `NMPC`, `LTVMPC`, `LqgPreview`: the controllers with parameters of one's own
 - `load_loop`, `Readings`: data/sensors.toml, and one draw of their noise
 - `SteppedCar`, `export_fmu`: the car alone, as an object and as a unit of FMI
 - `Export`: a controller to take away, as C or as a unit of FMI
@@ -39,7 +39,7 @@ FACADE = {
     "NDI": "railrepro.control.ndi.NDI",
     "NMPC": "railrepro.control.mpc.NMPC",
     "LTVMPC": "railrepro.control.mpc.LTVMPC",
-    "CreepMPC": "railrepro.own.creep_mpc.CreepMPC",
+    "LqgPreview": "railrepro.own.lqg.LqgPreview",
     "load_loop": "railrepro.estimation.sensors.load_loop",
     "Readings": "railrepro.estimation.sensors.Readings",
     "SteppedCar": "railrepro.car.component.SteppedCar",

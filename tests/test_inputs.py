@@ -36,8 +36,7 @@ from railrepro.data import InputError, Quantity, build, read
 from railrepro.estimation.sensors import Loop
 from railrepro.evidence.chain import parent_death, verify
 from railrepro.evidence.runs import tuning
-from railrepro.own.creep_gains import CreepSettings
-from railrepro.own.slip import SlipSettings
+from railrepro.own.lqg import LqgSettings
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track import irregularity
 from railrepro.track.alignment import CurveEntry, SegmentsEntry
@@ -209,7 +208,7 @@ def test_a_number_within_its_range_is_taken_and_the_ends_are_those_that_are_stat
             assert taken
 
 
-SETTINGS = (MPCSettings, AdhesionSettings, EstimateSettings, SlipSettings, CreepSettings, NDI)
+SETTINGS = (MPCSettings, AdhesionSettings, EstimateSettings, LqgSettings, NDI)
 
 
 @pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)

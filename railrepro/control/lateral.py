@@ -86,15 +86,9 @@ class LateralLaw(Protocol):
 class SlowController(Protocol):
     """A guidance law of one running gear that runs slower than 1 kHz.
 
-    One that wants to know how its wheels slip also has `notice(adhesion, slip)`, which is called before `plan` with the
-    estimates of the adhesion law, each of left and right wheel, shape (2,), adhesion traction positive (-).
-
     One that has a filter of its own has `read(readings, delay)`: with sensors it is called before `plan` with the
     displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as they were read, and the time from the
     reading to the moment when a torque acts (s).
-
-    One that learns from the gear in front also has `follow(leader)`, which is called once, before the first sample,
-    with that gear's controller; in each sample the front gear plans first.
 
     Attributes
     ----------
@@ -173,13 +167,10 @@ def check_controller(controller: SlowController | CompiledController) -> None:
     owner = f"lateral controller {type(controller).__name__}"
     if not any(callable(getattr(controller, name, None)) for name in ("plan", "compiled")):
         raise InputError(f"{owner}: has no plan(x_hat, u_d)")
-    for name, count in {"plan": 2, "notice": 2, "read": 2, "follow": 1}.items():
-        if not hasattr(controller, name):
-            continue
-        method = getattr(controller, name)
-        if not (callable(method) and _takes(method, count)):
-            needed = "a method of one argument" if count == 1 else "a method of two arguments"
-            raise InputError(f"{owner}: {name} is {reprlib.repr(method)}, {needed} is needed")
+    for name in ("plan", "read", "compiled"):
+        method = getattr(controller, name, None)
+        if hasattr(controller, name) and not (callable(method) and _takes(method, 2)):
+            raise InputError(f"{owner}: {name} is {reprlib.repr(method)}, a method of two arguments is needed")
     require(f"{owner}: period", getattr(controller, "period", None), above(0.0, LONGEST_PERIOD, "s"))
 
 

@@ -81,15 +81,6 @@ def _inversion(settings: NDI) -> NDI:
     return settings
 
 
-def _creep_mpc(settings):
-    """CreepMPC is imported when it is asked for, so that the paper's controllers do not stand on ours."""
-    return resolve_name("railrepro.own.creep_mpc:CreepMPC")(settings)
-
-
-def _creep_settings(parameters: dict):
-    return resolve_name("railrepro.own.creep_gains:CreepSettings")(**parameters)
-
-
 def _lqg_preview(settings):
     """LqgPreview is imported when it is asked for, so that the paper's controllers do not stand on ours."""
     return resolve_name("railrepro.own.lqg:LqgPreview")(settings)
@@ -101,7 +92,7 @@ def _lqg_settings(parameters: dict):
 
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
-OURS = "creep_mpc"
+OURS = "lqg_preview"
 """The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
 CONTROLLERS = {
     "nmpc": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
@@ -117,8 +108,7 @@ CONTROLLERS = {
     "ndi_integral": Controller(
         _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
     ),
-    "lqg_preview": Controller(_lqg_preview, _lqg_settings, True, _AHEAD + "; readings of its own gear"),
-    OURS: Controller(_creep_mpc, _creep_settings, True, _AHEAD + "; adhesion and slip of its wheels"),
+    OURS: Controller(_lqg_preview, _lqg_settings, True, _AHEAD + "; readings of its own gear"),
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)

@@ -93,8 +93,9 @@ def _studies(command: Callable) -> None:
     )
     added = command("calibrated", "claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)")
     added.add_argument("--draws", type=_whole(0, 1000), help="perturbations of each size, default 20")
-    added = command("robustness", "uncertainty.robustness:main", "stability map and robustness (long, resumes)")
-    added.add_argument("studies", nargs="*", metavar="STUDY", help="stability, robustness; default both")
+    added = command(
+        "robustness", "uncertainty.robustness:main", "robustness of the verdicts over samples (long, resumes)"
+    )
     added.add_argument("--samples", type=_whole(1, 4096), help="samples of the robustness study, default 128")
     command("margins", "uncertainty.margins:main", "stability margins of all tuned sets (long)")
     command(

@@ -1,1 +1,1 @@
-"""Controllers of this project without counterpart in the paper: CreepMPC with its model, and slip control."""
+"""Controllers of this project without counterpart in the paper: LqgPreview with its model, and slip control."""

@@ -24,6 +24,7 @@ from collections.abc import Callable
 from dataclasses import astuple
 
 import numpy as np
+from scipy.linalg import expm
 
 from railrepro.contact.creep import polach, spin_moment
 from railrepro.contact.table import contact_table
@@ -47,6 +48,13 @@ _INSIDE, _PITCH = 4.5e-3, 2.5e-5
 """Displacement up to which `bend` follows a profile, inside of its flange, and pitch of its table (m)."""
 _CREEP_SPEED = 20.0
 """Speed at which the slopes of the creep law are taken (m/s); wheels that roll hardly slide."""
+
+
+def discrete(rates: np.ndarray, inputs: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition over a time (s), and effect of inputs that are held, exact; x' = rates x + inputs u."""
+    n, k = inputs.shape
+    step = expm(time * np.block([[rates, inputs], [np.zeros((k, n + k))]]))
+    return step[:n, :n], step[:n, n:]
 
 
 def _frame(vehicle: Vehicle) -> dict[str, np.ndarray]:

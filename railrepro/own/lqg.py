@@ -35,7 +35,7 @@ from railrepro.compile import codegen
 from railrepro.data import between, check_fields, require
 from railrepro.estimation.sensors import Loop
 from railrepro.model.forecast import nominal_values
-from railrepro.own.gear_model import KNOWN, STATES, UNITS, UNKNOWN, bend, lateral_model
+from railrepro.own.gear_model import KNOWN, STATES, UNITS, UNKNOWN, bend, discrete, lateral_model
 from railrepro.track.route import CELL, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -69,7 +69,7 @@ class LqgSettings:
     """Random walk of the side force, standard deviation after one second."""
     moment: Annotated[float, between(1.0, 1e8, "N m")] = 5e3
     """The same of the yaw moment."""
-    twist: Annotated[float, between(0.0, 1e7, "N m/s^0.5")] = 1e5
+    twist: Annotated[float, between(0.0, 1e7, "N m/s^0.5")] = 2e5
     """White noise of the motor torque that the filters believe in, which buys margins."""
     rails: Annotated[float, between(1e-12, 1e-4, "m rad")] = 5e-8
     """Amplitude A of rough rails."""
@@ -116,8 +116,8 @@ class Design:
         self.rates[_RAIL, _RATE], self.rates[_RATE, _RAIL:] = 1.0, (-low * high, -low - high)
         inputs = np.zeros((_MODEL, 1 + len(KNOWN)))
         inputs[:_N] = np.column_stack([b, e])
-        self.a, held = _discrete(self.rates, inputs, h)
-        self.last = _discrete(self.rates, inputs, (1 - rest) * h)[1][:, 0]
+        self.a, held = discrete(self.rates, inputs, h)
+        self.last = discrete(self.rates, inputs, (1 - rest) * h)[1][:, 0]
         self.before, self.e = held[:, 0] - self.last, held[:, 1:]
         self._units = np.array([*UNITS, settings.force, settings.moment, 1e-3, 1e-3 * speed])
 
@@ -194,13 +194,6 @@ def _errors(loop: Loop | None, settings: LqgSettings) -> tuple[np.ndarray, np.nd
     noise = plane.noise / np.sqrt(2), plane.noise * of_psi, loop.gyro.noise
     biases = np.array([plane.bias * of_psi, loop.gyro.bias]) / np.sqrt(3)
     return np.maximum(noise, LEAST_NOISE), np.maximum(biases * np.sqrt(2 / settings.settle), 1e-9)
-
-
-def _discrete(rates: np.ndarray, inputs: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Transition over a time (s), and effect of inputs that are held, exact."""
-    n, k = inputs.shape
-    step = expm(time * np.block([[rates, inputs], [np.zeros((k, n + k))]]))
-    return step[:n, :n], step[:n, n:]
 
 
 def _on_taps(times: np.ndarray, factors: np.ndarray, taps: int) -> np.ndarray:

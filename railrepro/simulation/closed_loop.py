@@ -95,7 +95,7 @@ class ClosedLoop:
             self._estimated, self._read = (
                 np.array([pack(getattr(gear, part)) for gear in gears]) for part in ("estimated", "read")
             )
-        self._base, self._estimates = [g.u for g in gears], np.array([g.f_hat + g.s_hat for g in gears])
+        self._base = [g.u for g in gears]
         self.memory, self._gains = np.zeros(len(control.signature.memory)), np.array(control.gains)
         self._next_memory, self._record = np.zeros_like(self.memory), np.zeros(len(control.signature.record))
         self._measured, self._margins = np.zeros(len(interface.MEASURED)), np.zeros(len(interface.MARGINS))
@@ -198,16 +198,12 @@ class ClosedLoop:
         return self.memory[self._estimated]
 
     def readings(self) -> np.ndarray | None:
-        """What sensors read of both gears last, shape (2, 3), see `law.READ`; None without sensors or at first."""
+        """What sensors read of both gears last (`interface.ReadGear`), shape (2, 3); None without them or at first."""
         return None if self._estimated is None or not self.cycles else self.memory[self._read]
 
     def base_torques(self) -> np.ndarray:
         """Base torque per wheel of front and rear gear (N m), shape (2,)."""
         return self.memory[self._base]
-
-    def adhesion_estimates(self) -> np.ndarray:
-        """Adhesion and slip of left and right wheel as the law knew them last, shape (2 gears, 2, 2)."""
-        return self.memory[self._estimates].reshape(len(GEARS), 2, 2)
 
     def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
         outputs = self.car.measured

@@ -6,7 +6,6 @@ Serves the paper's Fig. 4 and section Simulation Environment.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import pairwise
 from math import isfinite
 
 import numpy as np
@@ -139,9 +138,6 @@ def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tu
     periods = {round(controller.period / CONTROL_PERIOD, 6) for controller in controllers}
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
         raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
-    for leader, follower in pairwise(controllers):
-        if hasattr(follower, "follow"):
-            follower.follow(leader)
     return controllers
 
 
@@ -200,10 +196,8 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, delay: float, sen
         if not np.isfinite(loop.measure()).all():
             break
         states, base = loop.measured_states(), loop.base_torques()
-        estimates, readings = loop.adhesion_estimates(), loop.readings()
+        readings = loop.readings()
         for gear, controller in enumerate(controllers):
-            if hasattr(controller, "notice"):
-                controller.notice(*estimates[gear])
             if readings is not None and hasattr(controller, "read"):
                 controller.read(readings[gear], delay)
             plan = lateral.planned(controller.plan(states[gear], base[gear]))

@@ -233,5 +233,5 @@ def test_what_chooses_the_last_digits_is_in_the_key(name, monkeypatch):
 
 def test_a_controller_that_the_registry_finds_by_its_name_is_reached():
     found = code.reached("from railrepro.control.registry import guidance")
-    assert {"railrepro/own/creep_mpc.py", "railrepro/own/creep_model.py"} <= set(found)
+    assert {"railrepro/own/lqg.py", "railrepro/own/gear_model.py"} <= set(found)
     assert not any(name.startswith("railrepro/own") for name in code.reached("from railrepro.car import equations"))

@@ -2,7 +2,6 @@
 
 import re
 
-import pandas as pd
 import pytest
 import yaml
 
@@ -12,8 +11,6 @@ from railrepro.evidence.report.page import Page
 
 README = (paths.ROOT / "README.md").read_text()
 GUIDE = paths.NOTEBOOKS / "book"
-CASES = {"T1": "curve_entry_T1", "T2": "curve_entry_T2", "T3": "curve_entry_T3", "T4": "curve_entry_T4"}
-CASES |= {"sine, 400 km/h": "sine_tracking"}
 
 
 def test_readme_changelog_and_citation_name_this_version():
@@ -68,17 +65,3 @@ def test_the_first_program_prints_the_number_of_the_table(capsys):
     printed = float(capsys.readouterr().out.split()[-1])
     nmpc = re.search(r"^\| \[Fig\. 6\].*\| (\d+\.\d+) /", README, re.M).group(1)
     assert 1e3 * printed == pytest.approx(float(nmpc), abs=5.1e-3)
-
-
-@pytest.mark.parametrize("row", CASES)
-def test_errors_of_ours_and_of_the_best_other(row):
-    found = pd.read_csv(paths.ROOT / "data/results/creep_mpc_metrics.csv")
-    found = found[(found["form"] == "lateral") & (found["metric"] == "rmse_y") & (found["scenario"] == CASES[row])]
-    page = (GUIDE / "benchmark.md").read_text()
-    line = re.search(rf"^\| {re.escape(row)}: RMSE of y \(mm\) \|(.*)\|$", page, re.M)
-    said = [float(cell) for cell in line.group(1).split("|")]
-    measured = []
-    for setting in ("equal", "loop"):
-        values = 1e3 * found[found["setting"] == setting].set_index("controller")["value"]
-        measured += [values.drop("creep_mpc").min(), values["creep_mpc"]]
-    assert said == pytest.approx(measured, abs=5.1e-4)

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from railrepro.control.adhesion import AdhesionSettings
 from railrepro.data import InputError
 from railrepro.evidence.claims import probe
 from railrepro.evidence.runs import executor as executors
 from railrepro.evidence.runs import experiment, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, run_all
-from railrepro.own.slip import SlipSettings
 from railrepro.simulation import metrics
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.alignment import alignments
@@ -58,7 +58,7 @@ CHANGES = {
     "seed": lambda e: replace(e, sensors={"seed": 2}),
     "irregular rails": lambda e: replace(e, irregular={"seed": 1}),
     "substeps": lambda e: replace(e, substeps=2),
-    "adhesion law": lambda e: replace(e, adhesion=SlipSettings()),
+    "adhesion law": lambda e: replace(e, adhesion=AdhesionSettings(active=False)),
     "share": lambda e: replace(e, fixed_share=0.1),
     "alignment": lambda e: replace(e, alignment=alignments()["T3"]),
     "other alignment": lambda e: replace(e, alignment=alignments()["T4"]),

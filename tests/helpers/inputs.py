@@ -9,8 +9,8 @@ import numpy as np
 from railrepro import (
     NDI,
     NMPC,
-    CreepMPC,
     Export,
+    LqgPreview,
     SteppedCar,
     Vehicle,
     export_fmu,
@@ -29,7 +29,6 @@ from railrepro.control import lateral
 from railrepro.control.registry import guidance
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import preview, pso, tuning
-from railrepro.own.creep_gains import CreepSettings
 from railrepro.track import rough as rough_
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, with_r_times
+from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, mpc_settings, with_r_times
 from railrepro.data import InputError
 from railrepro.evidence.claims.statements import BRAKE, MPC, NDI, T3
 from railrepro.evidence.runs import tuning
@@ -75,7 +75,8 @@ class ProbeSetup:
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
         """A run of one of the controllers, with its own parameters unless others are given."""
-        changes = ({"variant": self.variant} if CONTROLLERS[controller].preview else {}) | more.pop("changes", {})
+        predictive = CONTROLLERS[controller].settings is mpc_settings
+        changes = ({"variant": self.variant} if predictive else {}) | more.pop("changes", {})
         driver = self.ltv if controller == "ltv_mpc_printed" else controller
         return Experiment(
             scenario, driver, parameters=parameters or self.parameters[controller], setting=self.setting,

@@ -1,6 +1,6 @@
 r"""How small the lateral error with sensors can be: a linear-quadratic-Gaussian bound.
 
-The creep model of a gear (`railrepro.own.creep_model`) with disturbances and biases as slow Gauss-Markov processes is
+The creep model of a gear (`railrepro.own.gear_model`) with disturbances and biases as slow Gauss-Markov processes is
 a linear system under white noise:
 
     x_(k+1) = A x_k + B (du_k - du_(k-1)) + w_k,    z_k = C x_k + v_k
@@ -26,7 +26,7 @@ from scipy.optimize import brentq
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.estimation.sensors import Loop
-from railrepro.own.creep_model import STATES, UNKNOWN, Creep, creep_at, lateral_model
+from railrepro.own.gear_model import STATES, UNITS, UNKNOWN, discrete, lateral_model
 from railrepro.vehicle.parameters import Vehicle
 
 BIASES = ("y", "psi", "r")
@@ -37,7 +37,6 @@ ACTIVITY = 115.0
 """Torque above 5 Hz at which the bound is stated (N m, RMS): what the tuned controllers spend on dry rail."""
 _CUT, _ORDER = 5.0, 4
 """High-pass of `railrepro.simulation.metrics.activity`: frequency (Hz) and order, applied twice."""
-_UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0, 1e-2, 1e-2, 1e-3, 1e-2)
 _QUIET = 1e-9
 """Share of its unit by which each state wanders in a period anyway, which keeps the equations regular."""
 
@@ -92,9 +91,7 @@ class System:
     units: np.ndarray
 
 
-def system(
-    vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], creep: Creep | None = None
-) -> System:
+def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
     """The system of a gear.
 
     Parameters
@@ -105,20 +102,20 @@ def system(
         (m/s)
     walks : tuple of float
         How fast lateral force and yaw moment wander (N/s^0.5, N m/s^0.5).
-    creep : Creep, optional
-        Default: that of rolling wheels on dry rail.
 
     Returns
     -------
     System
     """
     h, n = CONTROL_PERIOD, len(STATES)
-    model = lateral_model(vehicle, speed, creep or creep_at(vehicle, "dry", 20.0)).discrete(h)
+    rates, du, _, unknown = lateral_model(vehicle, speed)
+    step, held = discrete(rates, np.column_stack([du, unknown]), h)
     late = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
     slow, chain = len(UNKNOWN) + len(BIASES), late + 1
     size = n + slow + chain
     a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros((len(BIASES), size))
-    a[:n, :n], a[:n, n : n + len(UNKNOWN)], a[:n, -1] = model.a, model.d, model.b  # the last torque of the chain acts
+    a[:n, :n], a[:n, n : n + len(UNKNOWN)] = step, held[:, 1:]
+    a[:n, -1] = held[:, 0]  # the last torque of the chain acts
     a[n : n + slow, n : n + slow] = np.exp(-h / MEMORY) * np.eye(slow)
     a[n + slow, n + slow] = b[n + slow] = 1.0
     a[n + slow + 1 :, n + slow : -1] = np.eye(late)
@@ -126,10 +123,10 @@ def system(
         c[row, STATES.index(name)] = c[row, n + len(UNKNOWN) + row] = 1.0
     noise, spread = _sensor_errors(loop)
     walked = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
-    units = np.concatenate([_UNITS, np.sqrt(walked / h), np.full(chain, 100.0)])
+    units = np.concatenate([UNITS, np.sqrt(walked / h), np.full(chain, 100.0)])
     q = np.diag((_QUIET * units) ** 2)
     q[n : n + slow, n : n + slow] += np.diag(walked)
-    q[:n, :n] += model.d @ np.diag(walked[: len(UNKNOWN)]) @ model.d.T / 3  # of the walk within the period
+    q[:n, :n] += held[:, 1:] @ np.diag(walked[: len(UNKNOWN)]) @ held[:, 1:].T / 3  # of the walk within the period
     scale = units / units[:, None]
     return System(
         a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), np.eye(len(noise)),
@@ -151,10 +148,9 @@ def limit(
     speed: float,
     walks: tuple[float, float],
     activity: float = ACTIVITY,
-    creep: Creep | None = None,
 ) -> Limit:
     """Bound of the lateral error at an activity of the torque (N m); other parameters as of `system`."""
-    of = system(vehicle, loop, speed, walks, creep)
+    of = system(vehicle, loop, speed, walks)
     p, m = np.zeros_like(of.a), of.torque  # the torques are known
     p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], of.r)
     innovation = of.c @ p @ of.c.T + of.r

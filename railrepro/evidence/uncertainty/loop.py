@@ -2,12 +2,14 @@
 
 `python -m railrepro loop` writes data/results/loop_table.csv; runs that were made before are in the store. Kinds:
 `loop` are the runs of tuning with other seeds, `stressed` has what tuning's stressed run has, `held out` is what tuning
-never sees. Errors count from the set point at the true place.
+never sees, `irregular` are rails of two classes from 80 to 400 km/h, whose draw goes with the seed. Errors count from
+the set point at the true place.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -20,13 +22,9 @@ from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.uncertainty import limit
-from railrepro.own.creep_gains import CreepSettings
-from railrepro.own.creep_model import STATES, UNKNOWN, creep_at
-from railrepro.own.creep_mpc import CreepGuide
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.track.route import Route
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
+from railrepro.vehicle.parameters import load_vehicle
 
 SEEDS = tuple(range(201, 213))
 """Draws of noise and biases; tuning and the chapters use others."""
@@ -34,8 +32,10 @@ FEW = SEEDS[:4]
 """Those of the kinds that tuning never sees."""
 COMPARED = (OURS, "ndi_feedforward", "ndi_integral", "nmpc_observer")
 """Ours, and those of the others that lead any row."""
-_LAG, _SETTLED = 0.1, 0.3
-"""Time over which a walk is measured, and start of a run that is left out (s)."""
+_STILL = 1.0, 0.1
+"""Walks of force and moment so slow that sensors alone limit the error (N/s^0.5, N m/s^0.5)."""
+_CLASSES = {80: "80", 160: "160", 280: "300", 400: "300"}
+"""Speed (km/h) and class of speed of its rails."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,13 @@ class Case:
     def experiment(self, controller: str, seed: int) -> Experiment:
         """One run of a tuned set."""
         quick = CONTROLLERS[controller].quick if controller in CONTROLLERS else {}
-        sensed = {"seed": seed} | self.more.get("sensors", {})
+        more = dict(self.more)
+        if self.kind == "irregular":
+            more["irregular"] = more["irregular"] | {"seed": seed}
+        sensed = {"seed": seed} | more.get("sensors", {})
         scenario = load_scenario(self.scenario).but(**self.change)
         return Experiment(
-            scenario, controller, options=quick, setting=tuning.LOOP, **self.more | {"sensors": sensed}
+            scenario, controller, options=quick, setting=tuning.LOOP, **more | {"sensors": sensed}
         )  # fmt: skip
 
 
@@ -99,53 +102,18 @@ def cases() -> list[Case]:
         held_out(f"body mass times {factor:g}", _CURVE, curve, plant={"body.mass": factor * load_vehicle().body.mass})
     lost = {f"{group}.dropout": 0.05 for group in ("lateral", "gyro", "wheel_speed", "speed")}
     held_out("readings lost, 5 %", _FAST, sine, sensors=lost)
+    for quality, (speed, speeds) in product("AB", _CLASSES.items()):
+        rails = {"irregular": {"spectrum": f"en_{quality}_{speeds}"}}
+        rows.append(Case("irregular", f"{quality}, {speed} km/h", _FAST, sine | {"speed_kmh": float(speed)}, rails))
     return rows
 
 
-class Recorder(CreepGuide):
-    """Ours, which keeps the disturbances that its filter finds, one row (N, N m) per sample."""
-
-    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: CreepSettings):
-        super().__init__(vehicle, route, gear, settings, creep_at(vehicle, "dry", 20.0))
-        self.found: list[np.ndarray] = []
-
-    def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """See `CreepGuide.plan`."""
-        torque = super().plan(x_hat, u_d)
-        self.found.append(self.state[len(STATES) : len(STATES) + len(UNKNOWN)].copy())
-        return torque
-
-
-def walks(case: Case) -> tuple[float, float]:
-    """How fast lateral force and yaw moment wander in a run with perfect measurements (N/s^0.5, N m/s^0.5).
-
-    They are what the filter of our controller finds beyond its model, with walks wide enough to follow at once: root
-    mean square of their change over `_LAG` over the root of it, front gear.
-    """
-    settings = CreepSettings(change=0.02, force_rate=3e6, moment_rate=5e3, y_noise=1e-6, psi_noise=1e-6, r_noise=1e-5)
-
-    def recorded(vehicle: Vehicle, route: Route, gear: int) -> Recorder:
-        return Recorder(vehicle, route, gear, settings)
-
-    run = simulate.run(load_scenario(case.scenario).but(**case.change), recorded)
-    period = settings.period
-    found, lag = np.array(run.controllers[0].found)[round(_SETTLED / period) :], round(_LAG / period)
-    force, moment = np.sqrt(np.mean((found[lag:] - found[:-lag]) ** 2, axis=0) / _LAG)
-    return float(force), float(moment)
-
-
 def limit_of(case: Case) -> dict:
-    """Limit of a case (mm), that at the believed place, its range with half and twice the walks, and the walks."""
-    scenario, vehicle, loop = load_scenario(case.scenario).but(**case.change), load_vehicle(), load_loop()
+    """Error that sensors alone leave a case (mm), and that at the believed place."""
+    scenario, loop = load_scenario(case.scenario).but(**case.change), load_loop()
     slope = scenario.route().reference_at(np.arange(0.0, scenario.end_m, 0.5))[1]
-    force, moment = walks(case)
-    row = {"force_walk": force, "moment_walk": moment}
-    for name, factor in (("limit", 1.0), ("limit_low", 0.5), ("limit_high", 2.0)):
-        believed = limit.limit(vehicle, loop, scenario.speed, (factor * force, factor * moment)).error
-        row[f"{name}_mm"] = 1e3 * limit.with_place(believed, slope, loop)
-        if name == "limit":
-            row["limit_at_believed_place_mm"] = 1e3 * believed
-    return row
+    believed = limit.limit(load_vehicle(), loop, scenario.speed, _STILL).error
+    return {"limit_mm": 1e3 * limit.with_place(believed, slope, loop), "limit_at_believed_place_mm": 1e3 * believed}
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
@@ -157,10 +125,14 @@ def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
     return row | {"activity_Nm": activity, "failed": failed}, None
 
 
-def table(rows: list[Case], pool) -> pd.DataFrame:
-    """One row per case and controller: mean and standard deviation over the seeds of the error (mm), runs that failed.
+def _rms(values: pd.Series) -> float:
+    return float(np.sqrt(np.mean(np.square(values.dropna()))))
 
-    Means are over the runs that kept off the flanges; `failed` counts the others.
+
+def table(rows: list[Case], pool) -> pd.DataFrame:
+    """One row per case and controller: RMS and standard deviation over the seeds of the error (mm), runs that failed.
+
+    Both are over the runs that kept off the flanges; `failed` counts the others.
     """
     tasks = [(case, name, seed) for case in rows for name in COMPARED for seed in seeds(case)]
 
@@ -171,10 +143,10 @@ def table(rows: list[Case], pool) -> pd.DataFrame:
 
     found = pd.DataFrame(ordered_map(pool, driven, tasks, "loop"))
     grouped = found.groupby(["kind", "case", "controller"], sort=False)
-    columns = {"seeds": ("failed", "size"), "failed": ("failed", "sum"), "error_mm": ("error_mm", "mean")}
+    columns = {"seeds": ("failed", "size"), "failed": ("failed", "sum"), "error_mm": ("error_mm", _rms)}
     columns |= {
         "spread_mm": ("error_mm", "std"),
-        "rear_mm": ("rear_mm", "mean"),
+        "rear_mm": ("rear_mm", _rms),
         "activity_Nm": ("activity_Nm", "mean"),
     }
     return grouped.agg(**columns).reset_index()
@@ -182,7 +154,7 @@ def table(rows: list[Case], pool) -> pd.DataFrame:
 
 def seeds(case: Case) -> tuple[int, ...]:
     """Seeds of a case."""
-    return FEW if case.kind == "held out" else SEEDS
+    return {"held out": FEW, "irregular": FEW[:3]}.get(case.kind, SEEDS)
 
 
 def standing(measured: pd.DataFrame) -> pd.DataFrame:

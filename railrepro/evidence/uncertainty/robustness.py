@@ -1,91 +1,40 @@
-"""Heavy grids and samples behind the notebooks: stability over speed, friction and tuning; robustness of the verdicts.
+"""Robustness of the verdicts: all statements on cars that are drawn from what the paper leaves open.
 
-`python -m railrepro robustness [stability] [robustness]` writes data/results/stability_map.csv,
-robustness_samples.csv and robustness_claims.csv, these two after each setting of comparison. Every finished run is in
-the store, so an interrupted study goes on where it was. Serves the question what the unpublished parameters decide.
+`python -m railrepro robustness` writes data/results/robustness_samples.csv and robustness_claims.csv after each setting
+of comparison. Every finished run is in the store, so an interrupted study goes on where it was. Serves the question
+what the unpublished parameters decide.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
 from railrepro import data, paths
-from railrepro.control.registry import CONTROLLERS, OURS, PAPER_TRIO, with_r_times
-from railrepro.data import InputError, write
+from railrepro.control.registry import CONTROLLERS, PAPER_TRIO
+from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import PARTS, probe
 from railrepro.evidence.claims.setup import ProbeSetup, setup
-from railrepro.evidence.runs import store, tuning
+from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.runs.pso import Dimension
 from railrepro.evidence.runs.swarm import driven, run_cost
-from railrepro.own.slip import SlipSettings
-from railrepro.simulation import metrics, simulate
-from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, SEED = 128, 2026
 """Samples of the sequence, the same in each setting, and its seed."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
-SCENARIOS = ("curve_entry_T3", "sine_tracking", "braking", "adhesion_loss")
-"""What the studies drive, in variations."""
-
-
-def _held(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    names = ("rmse_y", "largest_error", "effort_du", "largest_slip", "utilisation", "failed_at_m")
-    values = experiment.values(run)
-    row = {name: _plain(values.get(name)) for name in names}
-    return row | {"failed": run.failed or metrics.reaches_flange(run.series)}, None
-
-
-def _row(experiment: Experiment) -> dict:
-    return {**experiment.label, **experiment.measured(_held)[0]}
 
 
 def _plain(value):
     return None if value is None else bool(value) if isinstance(value, bool | np.bool_) else float(value)
-
-
-def stability(
-    speeds_kmh=(100, 200, 300, 400), sets=("dry", "wet", "poor", "very_poor"), factors=(0.1, 1, 10, 100),
-    periods_ms=(5, 10, 20), poles=(10, 20, 30, 45, 70), quiet: bool = False,
-) -> pd.DataFrame:  # fmt: skip
-    """Whether the car keeps off its flanges: speed, adhesion set, R and sampling time of NMPC, pole of NDI, CreepMPC
-    with the adhesion law of the paper and with slip control; rolling and at the adhesion maximum.
-
-    Columns speed_kmh, adhesion, drive, controller, r_factor, period_ms, pole, rmse_y, …, failed, failed_at_m.
-    """
-    tuned = tuning.load("nmpc", tuning.EQUAL)["parameters"]
-    experiments = []
-    for speed, name, drive in product(speeds_kmh, sets, ("rolling", "at the maximum")):
-        force = 0.0 if drive == "rolling" else 30.0
-        scenario = load_scenario("adhesion_loss").but(
-            speed_kmh=float(speed), good=name, poor=name, force_kN=((0.0, force),), end_m=4.5 * speed / 3.6
-        )
-        label = {"speed_kmh": speed, "adhesion": name, "drive": drive}
-        for factor, period in product(factors, periods_ms):
-            parameters = with_r_times(tuned, factor) | {"period_ms": period}
-            own = label | {"controller": "nmpc", "r_factor": factor, "period_ms": period}
-            experiments.append(Experiment(scenario, "nmpc", own, parameters, CONTROLLERS["nmpc"].quick))
-        for pole in poles:
-            parameters = {"pole": pole, "frequency": pole, "damping": 1.0}
-            experiments.append(Experiment(scenario, "ndi", label | {"controller": "ndi", "pole": pole}, parameters))
-        for slip in (None, SlipSettings()):
-            own = label | {"controller": OURS if slip is None else f"{OURS}_slip"}
-            experiments.append(
-                Experiment(scenario, OURS, own, tuning.load(OURS, tuning.EQUAL)["parameters"], adhesion=slip)
-            )
-    with executor() as pool:
-        return pd.DataFrame(ordered_map(pool, _row, experiments, "stability", quiet))
 
 
 OPEN = (
@@ -299,18 +248,12 @@ def robustness(setting: str, count: int = SAMPLES, quiet: bool = False) -> tuple
         return table, confirmed(found, lambda single: ordered_map(pool, evaluate, single, title, quiet))
 
 
-def main(studies: Sequence[str] = (), samples: int | None = None) -> None:
-    """Run the named studies, or all, and write their tables; `samples` (default `SAMPLES`) of the robustness study."""
-    unknown = set(studies) - {"stability", "robustness"}
-    if unknown:
-        raise InputError(f"study {min(unknown)!r} is not known; there are stability and robustness")
-    if "stability" in studies or not studies:
-        write(paths.product("data/results/stability_map.csv"), stability().to_csv(index=False, float_format="%.6g"))
-    if "robustness" in studies or not studies:
-        finished = []
-        for setting in tuning.SETTINGS:
-            finished.append(robustness(setting, SAMPLES if samples is None else samples))
-            table, found = (pd.concat(tables) for tables in zip(*finished, strict=True))
-            write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
-            write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
-        print(found.to_string(index=False))
+def main(samples: int | None = None) -> None:
+    """Run the study in all settings and write its tables; `samples` is `SAMPLES` unless given."""
+    finished = []
+    for setting in tuning.SETTINGS:
+        finished.append(robustness(setting, SAMPLES if samples is None else samples))
+        table, found = (pd.concat(tables) for tables in zip(*finished, strict=True))
+        write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
+        write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
+    print(found.to_string(index=False))
