@@ -114,10 +114,10 @@ class Contact:
         slip_speed = ca.sqrt(self.sliding[0] ** 2 + self.sliding[1] ** 2 + 1e-12)
         creep = (
             *self.creepage, self.spin, normal, at["semi_axis_x"] * scale, at["semi_axis_y"] * scale,
-            at["c11"], at["c22"], at["c23"], par.contact.shear_modulus, *adhesion, slip_speed,
+            at["c11"], at["c22"], at["c23"], at["c33"], par.contact.shear_modulus, *adhesion, slip_speed,
         )  # fmt: skip
         tangential = polach(*creep)
-        return [normal, spin_moment(*creep, at["c33"]), *tangential]
+        return [normal, spin_moment(*creep), *tangential]
 
     def _penetration_rate(self, gear: Body, sign: int, par: Any) -> ca.SX:
         """Time derivative of the penetration along the motion of the carrier over the rail (m/s)."""

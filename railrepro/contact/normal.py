@@ -12,8 +12,8 @@ from scipy import fft
 from scipy.special import ellipe, ellipk
 
 _FLAT = np.geomspace(0.1, 1.0, 400)
-_CELLS = 20, 56
-"""Cells along and across the rail of the grid of an elastic contact."""
+_CELLS = 24, 72
+"""Cells along and across the rail of the grid of an elastic contact; half of them find where it touches."""
 _REACH = 1.3e-4
 """Distance of the undeformed profiles up to which they may touch; more than the approach of any wheel here (m)."""
 _TOLERANCE = 1e-4
@@ -62,7 +62,7 @@ def hertz(curvature_x, curvature_y, load, modulus) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True)
 class Patch:
-    """Patch of a wheel on a rail: means over the pressure, and the ellipse that stands for it.
+    """Patch of a wheel on a rail: means over the pressure, and the strips of which it consists.
 
     Attributes
     ----------
@@ -71,26 +71,26 @@ class Patch:
     height : float
         Height of the wheel profile (m) at which the wheel rolls without longitudinal force. Creep stiffness grows with
         the area of contact, the power 2/3 of the load, and so does the weight of a strip along the rail.
-    semi_axis_x, semi_axis_y : float
-        Along and across the rail (m). The ellipse has the extent of the pressure along the rail and the area that
-        Hertz's pressure would need for the same mean pressure.
     approach : float
         Elastic approach along the contact normal (m).
+    strips, half_lengths : ndarray, shape (n,)
+        Distance of strips along the rail from the mean of the pressure, in the plane of the contact, and half their
+        lengths (m); see `creep.strip_coefficients`.
     """
 
     position: float
     height: float
     slope: float
-    semi_axis_x: float
-    semi_axis_y: float
     approach: float
+    strips: np.ndarray
+    half_lengths: np.ndarray
 
 
 def elastic_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
     """Elastic contact of a wheel profile on a rail profile: half spaces in the plane of the mean contact angle.
 
-    The grid has the same number of cells whatever the size of the patch, which lies where the undeformed profiles are
-    closer than their approach.
+    A coarse grid finds where they touch, starting where the undeformed profiles are closer than their approach. The
+    fine one lies just around that, so that it has the same number of cells whatever the size of the patch.
 
     Parameters
     ----------
@@ -104,26 +104,26 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     overlap = height - rail_depth
     gap, first = overlap.max() - overlap, int(np.argmax(overlap))
     rolling, angle = radius + height[first], np.arctan(slope[first])
-    for _ in range(_TURNS):
-        cos = np.cos(angle)
-        near = position[gap * cos < _REACH]
-        x = np.linspace(-1, 1, _CELLS[0]) * np.sqrt(2 * rolling * _REACH / cos)
-        y = np.linspace(near[0], near[-1], _CELLS[1])
+    near = position[gap * np.cos(angle) < _REACH]
+    reach_x, reach_y = np.sqrt(2 * rolling * _REACH / np.cos(angle)), (near[0], near[-1])
+    for turn in range(_TURNS):
+        cos, cells = np.cos(angle), np.array(_CELLS) // (1 if turn else 2)
+        x, y = np.linspace(-reach_x, reach_x, cells[0]), np.linspace(*reach_y, cells[1])
         cell = x[1] - x[0], (y[1] - y[0]) / cos
         distance = cos * (x[:, None] ** 2 / (2 * rolling) + np.interp(y, position, gap))
         pressure, approach = half_space_pressure(distance, load, cell, modulus, _TOLERANCE)
-        along, across = (pressure.sum(axis=axis) / pressure.sum() for axis in (1, 0))
+        across = pressure.sum(axis=0) / pressure.sum()
         mean = across @ np.interp(y, position, slope)
-        if abs(np.arctan(mean) - angle) < _TURNED:
+        if turn and abs(np.arctan(mean) - angle) < _TURNED:
             break
-        angle = np.arctan(mean)
-    # Hertz's pressure has the variance a^2/5 along the rail, and (8/9) pi a b for the square of its sum over the sum
-    # of its squares.
-    a = np.sqrt(5 * along @ x**2)
-    b = 9 / (8 * np.pi * a) * pressure.sum() ** 2 / np.sum(pressure**2) * cell[0] * cell[1]
+        touched, angle = y[across > 0], np.arctan(mean)
+        reach_x = np.abs(x[pressure.any(axis=1)]).max() + cell[0]
+        reach_y = touched[0] - cell[1] * cos, touched[-1] + cell[1] * cos
+    # The pressure of a strip is half an ellipse, its variance a quarter of the square of its half-length.
+    variance = np.divide(x**2 @ pressure, pressure.sum(axis=0), out=np.zeros(len(y)), where=across > 0)
     stiffness = across ** (2 / 3)
     rolling = stiffness @ np.interp(y, position, height) / stiffness.sum()
-    return Patch(across @ y, rolling, mean, a, b, approach)
+    return Patch(across @ y, rolling, mean, approach, (y - across @ y) / cos, 2 * np.sqrt(variance))
 
 
 def half_space_pressure(gap: np.ndarray, load: float, cell, modulus: float, tolerance: float = 1e-6):

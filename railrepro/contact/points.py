@@ -41,7 +41,7 @@ class Pair:
     ----------
     name : str
     digest : str
-        Of the points; equal pairs have equal ones.
+        Of the points; pairs are equal, and look the same, that have equal ones.
     wheel : callable
         Distances from the tape circle (m) -> height (m) and slope (-), see `profiles.s1002`.
     rail : tuple of ndarray
@@ -50,8 +50,8 @@ class Pair:
 
     name: str
     digest: str = ""
-    wheel: Callable = field(default=profiles.s1002, compare=False)
-    rail: tuple[np.ndarray, np.ndarray] | None = field(default=None, compare=False)
+    wheel: Callable = field(default=profiles.s1002, compare=False, repr=False)
+    rail: tuple[np.ndarray, np.ndarray] | None = field(default=None, compare=False, repr=False)
 
     def laid(self) -> tuple[np.ndarray, np.ndarray]:
         """Position and depth of the rail's points."""

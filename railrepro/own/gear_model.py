@@ -99,12 +99,11 @@ def _both_wheels(vehicle: Vehicle) -> Callable[..., np.ndarray]:
         at = {name: np.interp(side * y, frame["shift_m"], column) for name, column in frame.items()}
         each = load - side * moved
         scale = (each / load) ** (1 / 3)
-        patch = scale * at["semi_axis_x_m"], scale * at["semi_axis_y_m"], at["c11"], at["c22"], at["c23"]
+        patch = scale * at["semi_axis_x_m"], scale * at["semi_axis_y_m"], at["c11"], at["c22"], at["c23"], at["c33"]
         spin = turning - side * np.sin(at["angle_rad"]) / r_0
         sliding = _CREEP_SPEED * np.hypot(along, across)
         arguments: list = [-along, across, spin, each, *patch, shear, *law, sliding]
-        moment = spin_moment(*(*arguments, at["c33"]))
-        return np.array([*polach(*arguments), moment]).sum(axis=1)
+        return np.array([*polach(*arguments), spin_moment(*arguments)]).sum(axis=1)
 
     return forces
 

@@ -61,7 +61,8 @@ class Traces:
 _State = group("State", "w rad/s, v m/s, u N m", {"law": AdhesionMemory}, "f_hat -, s_hat -, tick ms")
 _Wheel = group(
     "Wheel",
-    "radius m, inertia kg m2, load N, gravity m/s2, tau_max N m, a m, b m, c11 -, c22 -, c23 -, shear_modulus Pa",
+    "radius m, inertia kg m2, load N, gravity m/s2, tau_max N m, a m, b m, c11 -, c22 -, c23 -, c33 -, "
+    "shear_modulus Pa",
 )
 _Numbers = group(
     "Numbers", {"law": AdhesionSettings, "estimate": EstimateSettings, "adhesion": AdhesionSet, "wheel": _Wheel}
@@ -73,7 +74,7 @@ def _grip(w, v, case: Any, factor) -> tuple[ca.SX, ca.SX]:
     """Adhesion and slip of a wheel that turns with w (rad/s) at speed v (m/s)."""
     wheel, of = case.wheel, case.adhesion
     slip = (v - w * wheel.radius) / ca.fmax(v, SLIP_FLOOR)
-    patch = wheel.a, wheel.b, wheel.c11, wheel.c22, wheel.c23, wheel.shear_modulus
+    patch = wheel.a, wheel.b, wheel.c11, wheel.c22, wheel.c23, wheel.c33, wheel.shear_modulus
     creep = of.k_a, of.k_s, of.mu0 * factor, of.a_ratio, of.b_decay
     force, _ = polach(slip, 0.0, 0.0, wheel.load, *patch, *creep, ca.fabs(v - w * wheel.radius))
     return force / wheel.load, slip

@@ -43,7 +43,7 @@ def probe(sink, creepage_x=0.0, creepage_y=0.0):
 
 @pytest.mark.parametrize("sink", [-40e-6, 0.0, 60e-6])
 def test_creep_slope_of_the_car_follows_the_patch_under_its_load(sink):
-    a, b, (c11, c22, _) = cone_patch(VEHICLE)
+    a, b, (c11, c22, *_) = cone_patch(VEHICLE)
     along, across = probe(sink, creepage_x=CREEPAGE), probe(sink, creepage_y=CREEPAGE)
     area = a * b * (along["N"] / VEHICLE.contact.nominal_load) ** (2 / 3)
     linear = VEHICLE.contact.shear_modulus * area * (DRY.k_a + DRY.k_s) / 2

@@ -366,7 +366,7 @@ def test_contact_of_a_wheel_follows_from_the_named_columns_of_its_cell(vehicle, 
     creepage = *(np.array(sliding) / rolling), (wz * cos - spin * sign * slope * cos) / rolling
     scale = (load / vehicle.contact.nominal_load) ** (1 / 3)
     ellipse = at["semi_axis_x"] * scale, at["semi_axis_y"] * scale
-    kalker = (at[name] for name in ("c11", "c22", "c23"))
+    kalker = (at[name] for name in ("c11", "c22", "c23", "c33"))
     law_ = astuple(vehicle.adhesion["dry"])
     force = polach(*creepage, load, *ellipse, *kalker, vehicle.contact.shear_modulus, *law_, np.hypot(*sliding))
     expected = dict(zip(found, (load, *creepage, *force), strict=True))

@@ -68,19 +68,19 @@ CASES = list(product((0.1, 0.4, 1.0), np.pi / 4 * np.array([-1, 0, 1, 2])))
 @pytest.mark.parametrize("ratio", [0.7, 1.33, 2.0])
 @pytest.mark.parametrize(
     ("spin", "force_limits", "moment_limits"),
-    [(0.0, (0.022, 0.03), (0.007, 0.03)), (0.02, (0.025, 0.05), (0.016, 0.03)), (0.08, (0.045, 0.11), (0.06, 0.1))],
+    [(0.0, (0.022, 0.03), (0.007, 0.03)), (0.02, (0.025, 0.05), (0.016, 0.03)), (0.08, (0.042, 0.09), (0.06, 0.1))],
 )
 def test_force_and_moment_agree_with_half_spaces(ratio, spin, force_limits, moment_limits):
     """Mean and largest error over friction (and its size); spins of the cone, of S1002 on dry and on poor rail."""
     friction, root = 0.3, 5.75e-3
     a, b = root * np.sqrt(ratio), root / np.sqrt(ratio)
-    kalker, c33 = creep.kalker_coefficients(ratio), float(creep.spin_coefficient(ratio))
+    kalker = creep.kalker_coefficients(ratio)
     unit, wrong_force, wrong_moment = 3 * friction * LOAD / (SHEAR * a * b), [], []
     for size, angle in CASES:
         creepage = unit * size * np.array([np.cos(angle), np.sin(angle)]) / kalker[:2]
         creepage = (*creepage, unit * spin / kalker[2] / root)
         arguments = (*creepage, LOAD, a, b, *kalker, SHEAR, 1.0, 1.0, friction, 1.0, 0.0, 0.0)
-        ours = np.array([*creep.polach(*arguments), creep.spin_moment(*arguments, c33) / root])
+        ours = np.array([*creep.polach(*arguments), creep.spin_moment(*arguments) / root])
         error = (ours - rolling(creepage, LOAD, a, b, friction) / [1, 1, root]) / (friction * LOAD)
         wrong_force.append(np.hypot(*error[:2]))
         wrong_moment.append(abs(error[2]))
@@ -101,16 +101,15 @@ def test_reversed_creepage_reverses_the_force():
 
 def test_creepage_never_drives_the_contact():
     generator = np.random.default_rng(1)
-    c33 = float(creep.spin_coefficient(A / B))
     for nu_x, nu_y, spin in generator.normal(0, (2e-3, 2e-3, 0.5), (200, 3)):
         arguments = nu_x, nu_y, spin, LOAD, A, B, *KALKER, SHEAR, 1.0, 0.4, 0.4, 1.0, 0.0, 0.0
-        power = np.dot([*creep.polach(*arguments), creep.spin_moment(*arguments, c33)], [nu_x, nu_y, spin])
+        power = np.dot([*creep.polach(*arguments), creep.spin_moment(*arguments)], [nu_x, nu_y, spin])
         assert power < 0
 
 
 def test_agrees_with_fastsim_at_the_spin_of_the_cone():
     for nu_x, nu_y in ((1e-3, 0.0), (0.0, 1e-3), (2e-3, 1e-3)):
-        other = np.array(fastsim(nu_x, nu_y, 0.06, LOAD, A, B, 0.4, KALKER, SHEAR))
+        other = np.array(fastsim(nu_x, nu_y, 0.06, LOAD, A, B, 0.4, KALKER[:3], SHEAR))
         assert np.linalg.norm(force(nu_x, nu_y, 0.06) - other) < 0.08 * 0.4 * LOAD
 
 
@@ -119,12 +118,12 @@ def test_fastsim_of_small_mixed_creepages_follows_kalker(creepage):
     f11, f22, f23 = SHEAR * A * B * np.array([KALKER[0], KALKER[1], KALKER[2] * np.sqrt(A * B)])
     nu_x, nu_y, spin = creepage
     expected = np.array([-f11 * nu_x, -f22 * nu_y - f23 * spin])
-    found = np.array(fastsim(*creepage, LOAD, A, B, 0.4, KALKER, SHEAR, (60, 61)))
+    found = np.array(fastsim(*creepage, LOAD, A, B, 0.4, KALKER[:3], SHEAR, (60, 61)))
     assert found == pytest.approx(expected, rel=2e-3, abs=1e-3 * np.abs(expected).max())
 
 
 def test_fastsim_slides_against_the_creepage():
-    along, across = fastsim(0.05, 0.02, 0.0, LOAD, 2 * A, B, 0.4, creep.kalker_coefficients(2 * A / B), SHEAR)
+    along, across = fastsim(0.05, 0.02, 0.0, LOAD, 2 * A, B, 0.4, creep.kalker_coefficients(2 * A / B)[:3], SHEAR)
     assert np.hypot(along, across) == pytest.approx(0.4 * LOAD, rel=2e-3)
     assert across / along == pytest.approx(0.4, rel=5e-3)
 

@@ -40,6 +40,6 @@ def creep_angle(vehicle: Vehicle, scenario: Scenario) -> float:
     """
     _, curvature, cant, *_ = scenario.route().track_at(np.array([scenario.end_m - 20.0]))[:, 0]
     side = (vehicle.body.mass / 2 + vehicle.gear.mass) * (scenario.speed**2 * curvature - vehicle.gravity * cant)
-    a, b, (_, c22, _) = middle_patch(vehicle)
+    a, b, (_, c22, *_) = middle_patch(vehicle)
     rail = vehicle.adhesion[scenario.good]
     return float(side / ((rail.k_a + rail.k_s) * vehicle.contact.shear_modulus * a * b * c22))
