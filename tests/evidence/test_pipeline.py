@@ -36,6 +36,16 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     assert product.read_text() == "a\n2\n"
 
 
+@pytest.mark.parametrize(("ending", "shown"), [("1", False), ("os._exit(1)", True)])
+def test_what_a_kernel_writes_beside_its_cells_is_shown_where_it_ends_early(tiny, capfd, ending, shown):
+    """A kernel that is told to stop may write a traceback about its sockets."""
+    write_notebook(
+        tiny / "notebooks", [CELLS[0], CELLS[1], f"import os; os.write(2, b'of a socket'); {ending}", CELLS[2]]
+    )
+    assert chain.figures() == int(shown)
+    assert ("of a socket" in capfd.readouterr().err) == shown
+
+
 def test_executed_notebooks_are_identical_bytes(tiny):
     executed = []
     for _ in range(2):

@@ -214,6 +214,25 @@ def _environment(staging: Path) -> Iterator[None]:
         os.environ.update(last)
 
 
+@contextmanager
+def _kept_stderr() -> Iterator[None]:
+    """Keep what a kernel and its workers write to stderr for the case that the kernel ends before its time.
+
+    A kernel that is told to stop may still write a traceback about its sockets.
+    """
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as kept, os.fdopen(os.dup(2), "wb") as stderr:
+        os.dup2(kept.fileno(), 2)
+        try:
+            yield
+        except (RuntimeError, TimeoutError):
+            kept.seek(0)
+            stderr.write(kept.read())
+            raise
+        finally:
+            os.dup2(stderr.fileno(), 2)
+
+
 def _execute(notebook: Notebook, parameters: dict, output: Path, keep_going: bool) -> str:
     """Run papermill into `output`; what failed, or ""."""
     import papermill
@@ -230,9 +249,10 @@ def _execute(notebook: Notebook, parameters: dict, output: Path, keep_going: boo
         if len(folder) < 90:
             options |= {"config": Config(AsyncKernelManager={"transport": "ipc", "ip": f"{folder}/k"})}
         try:
-            papermill.execute_notebook(
-                str(notebook.path), str(output), parameters, extra_arguments=["--log-level=50"], **options
-            )
+            with _kept_stderr():
+                papermill.execute_notebook(
+                    str(notebook.path), str(output), parameters, extra_arguments=["--log-level=50"], **options
+                )
         except papermill.PapermillExecutionError as error:
             deterministic(output)
             return f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
