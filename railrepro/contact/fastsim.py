@@ -1,4 +1,5 @@
-"""The contact of wheel and rail by other methods: FASTSIM, rigid profiles, equivalent conicity.
+"""The contact of wheel and rail by other methods, and what a gear feels of it: FASTSIM, rigid profiles, centring force,
+equivalent conicity.
 
 What the car computes (`railrepro.contact`) is compared with these; nothing that drives it uses them. Serves the
 paper's section Simulation Environment.
@@ -10,8 +11,11 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
+from railrepro.contact.creep import polach, strip_coefficients
+from railrepro.contact.normal import contact_modulus, elastic_contact
 from railrepro.contact.points import STANDARD, Pair
 from railrepro.contact.table import section
+from railrepro.vehicle.parameters import Vehicle
 
 
 def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus, cells=(40, 21)):
@@ -91,6 +95,36 @@ def rigid_contact(shifts, radius: float, pair: Pair = STANDARD) -> pd.DataFrame:
         i = cut.first_contact
         rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
     return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
+
+
+def centring_forces(shift: float, vehicle: Vehicle, load: float, friction: float) -> tuple[float, float]:
+    """Lateral forces on a gear of two free wheels that stands beside the middle, both towards it (N).
+
+    Parameters
+    ----------
+    shift : float
+        From the middle of the track (m).
+    vehicle : Vehicle
+        For its wheel radius and material; wheels and rails are S1002 on 60E1 at 1:40.
+    load, friction : float
+        Normal force of each wheel (N), coefficient of friction (-).
+
+    Returns
+    -------
+    weight, spin : float
+        Of the normal forces, which the contact angles incline, and of the spin, which pushes the gear on: negative.
+    """
+    material, weight, pushed = vehicle.contact, 0.0, 0.0
+    modulus, radius = contact_modulus(material.young, material.poisson), vehicle.wheel.radius
+    for side in (1, -1):
+        cut = section(side * shift)
+        patch = elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
+        a, b, coefficients = strip_coefficients(patch.half_lengths, patch.strips)
+        spin = -np.sin(np.arctan(patch.slope)) / (radius + patch.height)
+        law = (*coefficients, material.shear_modulus, 1.0, 1.0, friction, 1.0, 0.0, 0.0)
+        weight += side * load * patch.slope
+        pushed -= side * float(polach(0.0, 0.0, spin, load, a, b, *law)[1])
+    return weight, pushed
 
 
 def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
