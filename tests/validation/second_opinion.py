@@ -23,7 +23,6 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.ndi import NDI
 from railrepro.data import InputError, write
 from railrepro.evidence.commands import report_errors
-from railrepro.evidence.report.agreement import AGREEMENT
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
@@ -31,6 +30,8 @@ from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
+AGREEMENT = 0.01
+"""Difference relative to the largest value of a signal that counts as agreement (-)."""
 SHORT_STEPS = 20
 """Steps of our car in a control cycle when its own step error is to vanish."""
 GUIDED = tuple(f"{gear}.du" for gear in GEARS)
