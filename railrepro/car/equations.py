@@ -106,8 +106,6 @@ class Car:
         (x, u, rows, contacts, par) -> [mechanical energy (J), motor power, damping loss, creep loss (W)].
     outputs : tuple of str
         Names of the output vector.
-    operations : dict
-        Number of operations of the whole rate and of what contact and suspension need by themselves.
     """
 
     states: tuple[str, ...]
@@ -117,7 +115,6 @@ class Car:
     output: ca.Function
     energy: ca.Function
     outputs: tuple[str, ...]
-    operations: dict[str, int]
 
 
 @lru_cache(maxsize=1)
@@ -163,17 +160,12 @@ def _derived() -> dict:
     staged, felt_force, felt_rotation = _motion(elements, ca.vertsplit(u), par)
     rate = ca.cse(stages.resolve(staged))
 
-    body, wheels = elements.body, elements.wheels
+    body = elements.body
     x_next, error = rodas3(rate, stages.jacobian(staged, x), x, h)
     outputs = _outputs(elements, _floor(body, felt_force, felt_rotation, par))
     energies = _energies(elements, par)
     shifts = [shift_to_flange(gear, side, par) for gear, side in product(elements.gears, SIDES)]
     look_up = ca.vertcat(body.s, *(gear.s for gear in elements.gears), *shifts)
-    forces = {
-        "all": rate,
-        "contact": stages.resolve(ca.vertcat(*(ca.vertcat(w.force, w.moment) for w in wheels))),
-        "suspension": stages.resolve(ca.vertcat(*(s.force_on_lower for s in elements.suspensions))),
-    }
     inputs, arguments, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
     step = ca.Function("car_step", [*inputs, h], [x_next, error], [*arguments, "h"], ["x_next", "error"], cse)
     y, energy = stages.resolve(ca.vertcat(*pack(outputs))), stages.resolve(ca.vertcat(*energies))
@@ -185,7 +177,6 @@ def _derived() -> dict:
         output=ca.Function("car_output", inputs, [y], arguments, ["y"], cse),
         energy=ca.Function("car_energy", inputs, [energy], arguments, ["energies"], cse),
         outputs=names(Outputs),
-        operations={name: ca.Function(name, inputs, [f], cse).n_instructions() for name, f in forces.items()},
     )
 
 

@@ -1,7 +1,7 @@
-"""Speed, as ratios within one run: the solvers of the predictive controllers, the car, the closed loop.
+"""Times of the solvers of the predictive controllers, as ratios within one run.
 
-`python -m railrepro bench` writes solve_times.csv, horizon_times.csv, plant_speed.csv and sample_times.csv of
-data/results and prints them. Times of different machines are never compared; the machine's name stands in each table.
+`python -m railrepro bench` writes solve_times.csv, horizon_times.csv and sample_times.csv of data/results and prints
+them. Times of different machines are never compared; the machine's name stands in each table.
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
@@ -9,23 +9,15 @@ from __future__ import annotations
 
 import itertools
 import platform
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
 from railrepro import paths
-from railrepro.car import equations
-from railrepro.car.component import SteppedCar
-from railrepro.compile import codegen
-from railrepro.control import law
 from railrepro.control.mpc import LTVMPC, NMPC
-from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.registry import WITH_OBSERVER, mpc_settings
 from railrepro.data import InputError, write
@@ -33,9 +25,7 @@ from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
-from railrepro.simulation.closed_loop import ClosedLoop
-from railrepro.track.rough import rough_track
-from railrepro.track.route import CELL, Route
+from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 SCENARIOS = (
@@ -51,7 +41,6 @@ KINDS = ("ipopt", "gauss_newton", "rti", "ltv_mpc")
 WINDOW = 32
 """Successive samples recorded per scenario."""
 HORIZONS = (10, 20, 40, 80, 160)
-_PARTS = {"coordinates": "places", "output": "outputs", "law": "law", "step": "step"}
 
 
 @dataclass(frozen=True)
@@ -163,39 +152,6 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def phases(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Feedback and preparation time of real-time iteration in closed loop."""
-    scenario = scenarios.load_scenario("curve_entry_T3")
-    run = simulate.run(scenario, lambda v, w, g: NMPC(v, w, g, settings, solver="rti"), vehicle=vehicle)
-    stats = run.controllers[0].stats[1:]
-    values = {
-        "feedback, median": np.median([s.seconds for s in stats]),
-        "feedback, largest": max(s.seconds for s in stats),
-        "preparation, median": np.median([s.preparation for s in stats]),
-    }
-    rows = [{"what": f"real-time iteration, {k}", "speed_kmh": 280, "value": 1e3 * v} for k, v in values.items()]
-    return pd.DataFrame(rows).assign(unit="ms")
-
-
-def _seconds(call: Callable[[], object], least: float = 0.2) -> float:
-    """Time of the processor for one call (s): best of three batches."""
-    count, best = 1, np.inf
-    while True:
-        begin = time.thread_time()
-        for _ in range(count):
-            call()
-        spent = time.thread_time() - begin
-        if spent > least:
-            break
-        count *= 4
-    for _ in range(3):
-        begin = time.thread_time()
-        for _ in range(count):
-            call()
-        best = min(best, (time.thread_time() - begin) / count)
-    return best
-
-
 def sample_times(settings=tuning.SETTINGS, names=SCENARIOS, drives: int = 3, end_m: float = 500.0) -> pd.DataFrame:
     """Time of the samples of predictive controllers in closed loop, the least of some drives at each sample.
 
@@ -229,59 +185,6 @@ def _least_times(run: simulate.Run, experiment: Experiment, again: int) -> np.nd
     return np.min([seconds for seconds in found if len(seconds) == len(found[0])], axis=0)
 
 
-def plant_speed(vehicle: Vehicle) -> pd.DataFrame:
-    """Real-time factors of the car and of the closed loop, and where the time of a control cycle goes."""
-    rows, base, per_second = [], scenarios.load_scenario("sine_tracking"), "ms per simulated s"
-
-    def add(what: str, value: float, unit: str, speed_kmh: float = 400) -> None:
-        rows.append({"what": what, "speed_kmh": speed_kmh, "value": value, "unit": unit})
-
-    for speed_kmh in (400, 160, 40, 5):
-        scenario = base.but(speed_kmh=speed_kmh, end_m=max(20.0, speed_kmh / 3.6 * 9))
-        loop, per_cycle = _loop(scenario, vehicle)
-        begin = time.perf_counter()
-        run = simulate.run(scenario, NDI(), vehicle=vehicle)
-        whole = (time.perf_counter() - begin) / run.series["t_s"].iloc[-1]
-        add("car alone", 1e6 * _seconds(loop.functions["step"]), per_second, speed_kmh)
-        add("loop with NDI, adhesion law and log", 1e6 * per_cycle, per_second, speed_kmh)
-        add("whole run, Python included", 1e3 * whole, per_second, speed_kmh)
-    changes = {"S1002": {}, "cone": {"contact.profile": "cone"}}
-    for speed_kmh in (400, 160, 40):
-        scenario = base.but(speed_kmh=speed_kmh, end_m=max(50.0, speed_kmh / 3.6 * 3))
-        rough = rough_track(np.arange(0.0, scenario.end_m, CELL), spectrum="en_B_300")
-        for name, change in changes.items():
-            _, per_cycle = _loop(scenario, load_vehicle(**change), rough)
-            add(f"loop on irregular rails, {name}", 1e6 * per_cycle, per_second, speed_kmh)
-    loop, per_cycle = _loop(base, vehicle)
-    nothing = ca.SX.sym("x")
-    overhead = _seconds(codegen.compiled(ca.Function("nothing", [nothing], [nothing])))
-    parts = {part: max(0.0, _seconds(loop.functions[name]) - overhead) for name, part in _PARTS.items()}
-    for name, seconds in parts.items():
-        add(f"share of {name}", seconds / per_cycle, "-")
-    add("share of look-up and log", 1 - sum(parts.values()) / per_cycle, "-")
-    operations = equations.car().operations
-    for name in ("contact", "suspension"):
-        add(f"share of {name} in the operations of the car's rate", operations[name] / operations["all"], "-")
-    return pd.DataFrame(rows)
-
-
-def _loop(scenario, vehicle: Vehicle, rough=None, cycles: int = 1000) -> tuple[ClosedLoop, float]:
-    """A closed loop after a run, and the time of one of its control cycles (s), best of five runs."""
-    best = np.inf
-    for _ in range(5):
-        loop = _closed_loop(scenario, vehicle, rough)
-        begin = time.perf_counter()
-        loop.run(cycles)
-        best = min(best, (time.perf_counter() - begin) / cycles)
-    return loop, best
-
-
-def _closed_loop(scenario, vehicle: Vehicle, rough=None) -> ClosedLoop:
-    limits = {"lateral_limit": simulate.DERAILED, "track_end": 1e9, "stop_speed": -1.0}
-    control = law.control_law(vehicle, NDI(), **limits)
-    return ClosedLoop(SteppedCar(scenario.route(rough), scenario.speed, vehicle, scenario.good, scenario.poor), control)
-
-
 def machine() -> str:
     """Name of the processor."""
     info = Path("/proc/cpuinfo")
@@ -298,7 +201,6 @@ def _of(setting: str) -> MPCSettings:
 def main(names: list[str]) -> None:
     """Measure the named tables, or all, and write them."""
     measures = {
-        "plant_speed": lambda: pd.concat([plant_speed(vehicle), phases(vehicle, settings)], ignore_index=True),
         "solve_times": lambda: pd.concat(
             [solve_times(vehicle, _of(setting)).assign(setting=setting) for setting in tuning.SETTINGS]
         ),
