@@ -49,10 +49,10 @@ def test_rows_that_are_not_led_stand_first_and_who_leaves_the_rail_does_not_lead
 
 
 def test_sensors_alone_bound_the_loop_from_below():
-    """From outside: .1 mm on the sine without the error of the place."""
+    """A bias of .2 mm can be told from the gear, which the contact does not hold in the middle by itself."""
     case = next(case for case in loop.cases() if case.name == "sine_tracking" and case.rolls)
     row = loop.limit_of(case)
-    assert 0.08 < row["limit_at_believed_place_mm"] < row["limit_mm"] < 0.2
+    assert 0.03 < row["limit_at_believed_place_mm"] < row["limit_mm"] < 0.2
 
 
 def test_irregular_rows_draw_rails_with_the_seed():

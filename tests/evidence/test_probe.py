@@ -137,8 +137,8 @@ def test_a_probe_answers_statements():
     parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
     rows = probe.probe(probe.ProbeSetup(parameters), ["curve", "causes"])
     evidence = statements.Evidence({row[:3]: row[3] for row in rows})
-    assert statements.find("C13", evidence).value == pytest.approx(0.28, abs=0.05)  # nearly rolling wheels drift less
-    assert 0.9 < statements.find("C35", evidence).value < 1.05  # and S1002 wheels follow worse than cones
+    assert statements.find("C13", evidence).value == pytest.approx(0.41, abs=0.05)  # nearly rolling wheels drift less
+    assert 0.7 < statements.find("C35", evidence).value < 0.9  # and S1002 wheels follow worse than cones
     for identity in ("C04", "C05", "C08", "C09", "C10", "C11", "C12", "C42"):
         assert np.isfinite(statements.find(identity, evidence).value), identity
     assert statements.load()["C10"].judge(statements.find("C10", evidence)) == "reproduced"

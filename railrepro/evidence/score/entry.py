@@ -46,19 +46,10 @@ class Entry:
     file: str = ""
 
     def enter(self, setting: str) -> tuple[str, dict]:
-        """Name in the registry of this process, and parameters in some setting.
-
-        Raises
-        ------
-        InputError
-            When the file does not hold one controller, or has no numbers to set it.
-        """
+        """Name in the registry of this process, and parameters in some setting, of what is no file."""
         if self.name == NOTHING:
             return register(NOTHING, lambda settings: lateral.ZeroOrderHold()), {}
-        if not self.file:
-            return self.name, tuning.load(self.name, setting)["parameters"]
-        own = load_class(Path(self.file))
-        return register(f"own {self.name}", lambda settings: _guidance(own, settings)), _settings(own, setting)
+        return self.name, tuning.load(self.name, setting)["parameters"]
 
 
 def register(name: str, build: Callable) -> str:

@@ -42,12 +42,15 @@ _SLOWEST = 10.0
 """Speed at which the bound of a braking car is taken (m/s); it grows with speed."""
 
 
-def drive(of: Entry, case: suite.Case) -> dict:
-    """Row of metrics of a case, whatever the controller does: `failure` is a sentence, empty when all went well."""
-    own, head = None, {"scenario": case.name, "setting": case.setting, "group": case.group or case.name}
+def drive(of: Entry, case: suite.Case, own: type | None = None) -> dict:
+    """Row of metrics of a case, whatever the controller does: `failure` is a sentence, empty when all went well.
+
+    A class that is given takes the place of that of a file.
+    """
+    head = {"scenario": case.name, "setting": case.setting, "group": case.group or case.name}
     head |= {"controller": of.name, "failure": ""}
     try:
-        own = load_class(Path(of.file)) if of.file else None
+        own = load_class(Path(of.file)) if of.file else own
         return head | _measured(case, experiment(of, case, own))
     except (InputError, ArithmeticError, CompilerError) as error:
         said = fault(error, Path(of.file), own) if of.file else str(error)
