@@ -51,8 +51,8 @@ CHAIN = @$(PY) -m railrepro chain run $(patsubst -j%,--jobs %,$(filter-out -j,$(
 
 setup: $(VENV)  ## set up the environment in .venv
 
-figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/
-	$(CHAIN)
+figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/; VEHICLE=mine.toml tries 00 to 09 on your own car
+	$(if $(VEHICLE),$(PY) -m railrepro chain drive "$(VEHICLE)",$(CHAIN))
 
 fig%: $(VENV) FORCE
 	$(CHAIN) $@

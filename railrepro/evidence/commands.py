@@ -124,6 +124,8 @@ def _chain(command: Callable) -> None:
     added.add_argument("--jobs", type=_whole(1, 64), default=0, help="notebooks at a time; default one per processor")
     added = command("one", "chain.chain:refresh", "run one notebook if it is stale, alone")
     added.add_argument("name")
+    added = command("drive", "chain.chain:drive", "run the chapters 00 to 09 with a car of one's own")
+    added.add_argument("vehicle", type=Path, help="a file like data/vehicle.toml")
     added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts")
     added.add_argument("name", help="its name or two digits")
     command("html", "chain.book:html", "executed notebooks as a book in build/html")

@@ -241,3 +241,20 @@ def test_scripts_and_runs_of_the_chain_write_where_they_should(tiny, monkeypatch
 
 def test_every_notebook_is_in_the_chain():
     assert [n.name for n in chain.chain().values()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))
+
+
+def test_chapters_run_with_a_car_of_ones_own_beside_what_is_committed(tiny, tmp_path, capfd):
+    mine = tmp_path / "mine.toml"
+    mine.write_text((SCENARIOS.parent / "vehicle.toml").read_text().replace("value = 26000.0", "value = 24000.0"))
+    last = """from railrepro import load_vehicle
+from railrepro.evidence.report.sentences import sentences
+mass = load_vehicle().body.mass
+with sentences() as says: says(f"The body has {mass / 1e3:.0f} t.", mass == 26000)
+paths.product("data/results/out.csv").write_text(f"a\\n{mass}\\n")"""
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
+    assert chain.drive(mine) == 0
+    assert "does not hold on this car: The body has 24 t." in capfd.readouterr().err
+    assert (tiny / "build/tried/mine/data/results/out.csv").read_text() == "a\n24000.0\n"
+    assert not (tiny / "data/results/out.csv").exists()
+    with pytest.raises(InputError, match="nowhere.toml"):
+        chain.drive(tmp_path / "nowhere.toml")

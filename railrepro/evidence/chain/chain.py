@@ -29,6 +29,7 @@ from railrepro.evidence.chain import parent_death
 from railrepro.evidence.chain.files import move, scratch, written
 from railrepro.evidence.report.sentences import false_in
 from railrepro.evidence.runs import store
+from railrepro.vehicle.parameters import load_vehicle
 
 SUFFIXES = ("png", "csv")
 Reads = dict[str, list[str]]
@@ -36,6 +37,7 @@ Reads = dict[str, list[str]]
 Inputs = dict[str, str]
 """What the products of a notebook depend on by its name, and the hash of each."""
 EDITED = "an input was edited while it ran"
+VEHICLE = "data/vehicle.toml"
 _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
 
 
@@ -284,7 +286,8 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     parameters : dict
         Values for its parameters cell.
     root : Path
-        Products land in root/data and root/figures; those of notebooks before this one are read there, where they are.
+        Products land in root/data and root/figures; a vehicle and products of notebooks before this one are read there,
+        where they are.
     executed : Path
         Folder of the executed notebook; a failed one is kept there as NAME.failed.ipynb.
     keep_going : bool
@@ -307,7 +310,7 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     with written():
         executed.mkdir(parents=True, exist_ok=True)
         with scratch(paths.BUILD / "staging", f"{notebook.name}-{os.getpid()}") as staging:
-            for product in [product for name in first for product in notebooks[name].products]:
+            for product in [VEHICLE, *(product for name in first for product in notebooks[name].products)]:
                 if root != paths.ROOT and (root / product).exists():
                     (staging / product).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy2(root / product, staging / product)
@@ -433,6 +436,37 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
                 for name in sorted(wanted):
                     if false := _false(paths.BUILD / "notebooks" / f"{name}.ipynb"):
                         _say(f"{name}: {_counted(false)} with these values")
+
+
+def drive(vehicle: Path) -> int:
+    """Run the chapters 00 to 09 with a car of one's own, in build/tried/NAME; what is committed stays as it is.
+
+    Parameters
+    ----------
+    vehicle : Path
+        File like data/vehicle.toml.
+
+    Returns
+    -------
+    int
+        1 when a chapter was stopped, else 0; the sentences that do not hold on this car are printed.
+    """
+    load_vehicle(vehicle)
+    root, stopped = paths.BUILD / "tried" / vehicle.stem, 0
+    with written():
+        (root / VEHICLE).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(vehicle, root / VEHICLE)
+    for notebook in [one for one in chain().values() if one.name < "10"]:
+        _say(f"{notebook.name}: running, about {minutes(notebook):.1f} min")
+        try:
+            run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
+        except InputError as error:
+            _say(str(error))
+            stopped = 1
+        for sentence in _false(root / "notebooks" / f"{notebook.name}.ipynb"):
+            _say(f"  does not hold on this car: {sentence}")
+    _say(f"figures and executed chapters are in {_short(root)}")
+    return stopped
 
 
 def _run_stale(wanted: list[Notebook], jobs: int, fresh: set[str]) -> int:
