@@ -12,7 +12,7 @@ import pytest
 
 from railrepro import paths
 from railrepro.data import InputError
-from railrepro.evidence.chain import book, chain, folding, pages
+from railrepro.evidence.chain import book, chain, pages
 from railrepro.evidence.chain.chain import cells
 
 LAST = 42
@@ -118,22 +118,13 @@ def test_every_figure_has_a_caption():
     assert drawn - set(pages.captions()) == set(), "notebooks/book/captions.toml"
 
 
-def test_asserts_are_parted_from_what_a_cell_computes():
-    code = "a = 1\nassert a\nif a:\n    # because\n    assert (\n        a\n    )\nif a:\n    b = 2\n    assert b\na"
-    assert folding.split(code) == (
-        "a = 1\nif a:\n    b = 2\n    assert b\na",
-        "assert a\nif a:\n    # because\n    assert (\n        a\n    )",
-    )
-
-
-def test_checks_follow_a_cell_folded_and_its_output_stays_with_the_code():
-    code = {"cell_type": "code", "id": "c01", "source": "a = 1\nassert a\na", "metadata": {}, "outputs": [{"x": 1}]}
-    plot = {"cell_type": "code", "id": "c02", "source": "plt.plot(a)\nassert a", "metadata": {}}
+def test_a_cell_that_draws_is_folded_and_its_output_stays():
+    code = {"cell_type": "code", "id": "c01", "source": "a = 1\na", "metadata": {}, "outputs": [{"x": 1}]}
+    plot = {"cell_type": "code", "id": "c02", "source": "plt.plot(a)", "metadata": {}}
     made = pages.chapter(chain.Notebook("01_one", "one"), {"cells": [code, plot]}, {}, [])["cells"]
     shown = [cell for cell in made if cell["cell_type"] == "code"]
-    assert [cell["source"] for cell in shown] == ["a = 1\na", "assert a", plot["source"]]
-    assert shown[0]["outputs"] == [{"x": 1}] and shown[1]["outputs"] == []
-    assert [cell["metadata"].get("tags", []) for cell in shown] == [[], ["hide-input"], ["hide-input"]]
+    assert [cell["source"] for cell in shown] == [code["source"], plot["source"]] and shown[0]["outputs"] == [{"x": 1}]
+    assert [cell["metadata"].get("tags", []) for cell in shown] == [[], ["hide-input"]]
 
 
 def test_a_statement_has_one_row_with_its_verdict_in_each_setting():

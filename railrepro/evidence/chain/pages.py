@@ -142,7 +142,7 @@ def _is_chapter(name: str) -> bool:
 
 
 def _with_figures(cell: dict) -> list[dict]:
-    """A code cell, its checks folded behind it; in place of images of figures that it saves the files with captions."""
+    """A code cell; in place of images of figures that it saves the files with captions."""
     saved = _SAVED.findall(cell["source"])
     stored = [output for output in cell.get("outputs", []) if not (saved and _is_figure(output))]
     shown = [_markdown(_figure(name), name) for name in saved]
@@ -150,10 +150,7 @@ def _with_figures(cell: dict) -> list[dict]:
         return [cell | {"outputs": stored, "metadata": {"tags": [folding.FOLDED]}}, *shown]
     if folding.only_imports(cell["source"]):
         return [cell | {"metadata": _folded("Imports")}]
-    code, checks = folding.split(cell["source"])
-    head = [cell | {"source": code, "outputs": stored}, *shown]
-    folded = {"id": f"{cell['id']}-checks", "metadata": _folded("Checks of this cell"), "source": checks}
-    return [*head, cell | {"outputs": []} | folded] if checks else head
+    return [cell | {"outputs": stored}, *shown]
 
 
 def _folded(prompt: str) -> dict:
