@@ -15,6 +15,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 from railrepro import data, paths
+from railrepro.control.lateral import ZeroOrderHold
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
@@ -81,6 +82,11 @@ def _inversion(settings: NDI) -> NDI:
     return settings
 
 
+def _no_guidance(settings: dict) -> ZeroOrderHold:
+    """A law that holds the torque of no controller, which is 0."""
+    return ZeroOrderHold()
+
+
 def _lqg_preview(settings):
     """LqgPreview is imported when it is asked for, so that the paper's controllers do not stand on ours."""
     return resolve_name("railrepro.own.lqg:LqgPreview")(settings)
@@ -92,6 +98,8 @@ def _lqg_settings(parameters: dict):
 
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
+NOTHING = "nothing"
+"""No guidance, beside which others are scored; it has no parameters."""
 OURS = "lqg_preview"
 """The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
 CONTROLLERS = {
@@ -109,6 +117,7 @@ CONTROLLERS = {
         _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
     ),
     OURS: Controller(_lqg_preview, _lqg_settings, True, _AHEAD + "; readings of its own gear"),
+    NOTHING: Controller(_no_guidance, dict, False, "nothing"),
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)

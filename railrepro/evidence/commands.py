@@ -109,12 +109,12 @@ def _studies(command: Callable) -> None:
 
 
 def _tools(command: Callable) -> None:
-    added = command("score", "score.run:main", "score a controller on the benchmark, write build/score")
+    added = command("score", "benchmark:main", "score a controller on the benchmark, write build/score")
     added.add_argument("controller", nargs="?", help="a Python file with one controller class, or a registered name")
     added.add_argument("--describe", action="store_true", help="only print what a law may use, with unit and meaning")
     added.add_argument("--seed", type=_whole(0, 2**31), help="a different random seed of noise, rails and cars")
     added.add_argument("--small", action="store_true", help="only the quick runs of the published draw, no margins")
-    added = command("leaderboard", "score.leaderboard:main", "score registered controllers and examples/ (long)")
+    added = command("leaderboard", "benchmark:leaderboard", "score registered controllers and examples/ (long)")
     added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
 
 

@@ -1,0 +1,591 @@
+"""The open benchmark: a controller of one's own, or a registered one, through one suite of runs to points of 100.
+
+The cost of a run is
+
+    J = e / 1 mm + T / 4 kN m + max(0, A / 0.5 kN m - 1) + 2 (1 - u) + 10 max(0, s - 1)
+
+e: RMS lateral error (with sensors from the rails where they lie), T: RMS differential torque, A: its part above 5 Hz,
+u: adhesion used of what there is, where the demand exceeds it (else 1), s: the larger of Y/Q over 0.8 and of the track
+shifting force over its limit; e, T, A of the front gear. With q = 1 / (1 + J), points are
+
+    100 (q - q_0) / (q_l - q_0), between 0 and 100,
+
+q_0 of a car without guidance in the same run (0 where that derails), q_l of the limit (`ends_of_the_scale`). A run that
+fails has no points. The runs with more delay or a slower drive count as one. The score is the mean over runs, and then
+over settings. A seed draws sensors, irregularities and cars; the published one is for development.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from railrepro import data, paths
+from railrepro.compile.codegen import CompilerError
+from railrepro.control import lateral
+from railrepro.control.registry import CONTROLLERS, NOTHING, SHOWN, Controller
+from railrepro.data import InputError
+from railrepro.estimation.sensors import Loop, readings
+from railrepro.evidence.runs import pso, store, swarm, tuning
+from railrepro.evidence.runs.executor import executor, ordered_map, work
+from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.runs.laws import wrapped
+from railrepro.evidence.runs.tuning import EQUAL, LOOP
+from railrepro.evidence.uncertainty import limit as bound
+from railrepro.simulation.ride import Y_OVER_Q_LIMIT
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.simulation.simulate import Run
+from railrepro.track.irregularity import CHANNELS
+from railrepro.track.route import INDEX, Route
+from railrepro.vehicle.parameters import load_vehicle, sample_ranges
+
+MISMATCH = ("body.mass", "gear.mass", "gear.inertia_z", "wheel.spin_inertia", "suspension.k_x")
+MISMATCH += ("suspension.c_x", "suspension.k_y", "drive.lag")
+"""Parameters that the car has and its controller does not know, drawn over the ranges of data/vehicle.toml."""
+QUICK = ("curve_T3", "braking_patch")
+"""Runs of a small suite."""
+MARGINS = "margins"
+"""Group of the runs with more delay or a slower drive, which count as one together."""
+ALL = "all"
+"""Scenario, and setting, of the rows that sum up."""
+LEADERBOARD = "data/results/leaderboard.csv"
+EXAMPLES = ("only_y", "pid")
+"""Controllers of examples/ on the leaderboard."""
+_PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
+_DELAYS, _LAGS, _MARGINS_END = (3, 6, 9, 12), (20, 30, 40, 50), 400.0
+"""Delay of the command (ms) and time constant of the drive (ms), and where the runs with them end (m)."""
+_LOST, _LARGEST = "lost_cycles", 1e12
+"""Memory of `CountedLaw`, and the torque (N m) from which one counts as not finite."""
+_WALKS, _ACTIVITIES = (220.0, 20.0), (20.0, 50.0, 115.0, 500.0)
+"""Walks of lateral force and yaw moment in the quietest run (N/s^0.5, N m/s^0.5), and torques above 5 Hz among which
+the least cost is sought (N m)."""
+_SLOWEST = 10.0
+"""Speed at which the limit of a braking car is taken (m/s); it grows with speed."""
+_MODULE = "railrepro_own_controller"
+METRICS = {
+    "error": ("lateral error, RMS, mean (mm)", 1e3, "m", "mean"),
+    "limit": ("its limit, mean (mm)", 1e3, "m", "mean"),
+    "effort_du": ("differential torque, RMS, mean (N m)", 1.0, "N m", "mean"),
+    "activity_du": ("part above 5 Hz, RMS, mean (N m)", 1.0, "N m", "mean"),
+    "utilisation": ("adhesion used, mean (%)", 100.0, "-", "mean"),
+    "stopping_distance": ("stopping distance with a poor patch (m)", 1.0, "m", "mean"),
+    "comfort": ("mean comfort N_MV, mean", 1.0, "-", "mean"),
+    "y_over_q": ("Y/Q, largest (limit 0.8)", 1.0, "-", "max"),
+    "sum_y_over_limit": ("track shifting force over its limit, largest", 1.0, "-", "max"),
+    "wheel_unloading": ("wheel unloading, largest", 1.0, "-", "max"),
+}
+"""Metric of a run -> words and factor on the card, unit in tables (SI), and how runs are summed up."""
+_SUMS = {"score": "score of 100", "margins": "points with more delay and lag", "failures": "runs failed"}
+
+
+# The suite.
+
+
+@data.table
+class Draws:
+    """Content of data/score.toml: the published seed, and those that the leaderboard ranks by."""
+
+    published: tuning.SEED
+    ranked: Annotated[tuple[tuning.SEED, ...], data.NOT_EMPTY, data.DISTINCT]
+
+
+@lru_cache
+def draws() -> Draws:
+    """The seeds of data/score.toml."""
+    return data.build(Draws, data.read(paths.source("data/score.toml")), "score.toml")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run in some setting; `irregular`, `plant` and `sensors` as `Experiment` has them."""
+
+    name: str
+    setting: str
+    scenario: Scenario
+    irregular: dict = field(default_factory=dict)
+    plant: dict = field(default_factory=dict)
+    sensors: dict = field(default_factory=dict)
+    group: str = ""
+
+
+def cases(seed: int, names: Sequence[str] | None = None) -> list[Case]:
+    """All runs of the suite in both settings, or those of some names, then without the margins."""
+    data.require("seed", seed, data.between(0, 2**31), whole=True)
+    found = []
+    for setting in (EQUAL, LOOP):
+        sensors = {"seed": seed} if setting == LOOP else {}
+        wanted = [each for each in _runs(seed).items() if names is None or each[0] in names]
+        found += [Case(name, setting, *run, sensors, name) for name, run in wanted]
+        found += _margins(setting, seed) if names is None else []
+    if not found:
+        raise InputError(f"benchmark: there is no run of the names {names}; there are {[*_runs(seed)]}")
+    return found
+
+
+def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:
+    """Scenario, irregularities and unknown changes of the car, by name."""
+    ends = {"T1": 200.0, "T2": 600.0, "T3": 600.0, "T4": 700.0}
+    curves = {name: load_scenario(f"curve_entry_{name}") for name in ends}
+    runs = {f"curve_{name}": (curves[name].but(end_m=end), {}, {}) for name, end in ends.items()}
+    sine = load_scenario("sine_tracking")
+    for speed, end in {100: 400.0, 250: 600.0, 400: 800.0}.items():
+        runs[f"sine_{speed}"] = sine.but(speed_kmh=float(speed), end_m=end), {}, {}
+    pulled = sine.but(track="T3", speed_kmh=280.0, end_m=600.0, force_kN=((0.0, 17.0),))
+    runs["loss_one_side"] = pulled.but(poor_share_left=_PATCH), {}, {}
+    runs["loss_both_sides"] = pulled.but(poor_share=_PATCH), {}, {}
+    runs["braking_patch"] = load_scenario("braking").but(poor_share=_PATCH, end_m=1450.0), {}, {}
+    curve = curves["T3"].but(end_m=500.0)
+    runs["irregular"] = curve, {"spectrum": "en_B_300", "seed": seed}, {}
+    runs["cone"] = curve, {}, {"contact.profile": "cone"}
+    return runs | {f"mismatch_{k}": (curve, {}, mismatch(seed, k)) for k in (1, 2)}
+
+
+def mismatch(seed: int, number: int) -> dict[str, float]:
+    """A car within the ranges of the parameters `MISMATCH`."""
+    shares, ranges = np.random.default_rng((seed, number)).random(len(MISMATCH)), sample_ranges()
+    lows, highs = np.array([ranges[name] for name in MISMATCH]).T
+    return dict(zip(MISMATCH, (lows + shares * (highs - lows)).tolist(), strict=True))
+
+
+def _margins(setting: str, seed: int) -> list[Case]:
+    """Runs at 400 km/h with a slower drive and with more delay; with sensors each has another draw of them."""
+    found: list[Case] = []
+    for rail, scenario in {"dry": "sine_tracking", "poor": "adhesion_loss"}.items():
+        short = load_scenario(scenario).but(end_m=_MARGINS_END)
+        changes = [(f"lag_{ms}ms", {"drive.lag": 1e-3 * ms}, {}) for ms in _LAGS]
+        changes += [(f"delay_{ms}ms", {}, {"inverter.delay": 1e-3 * ms}) for ms in _DELAYS]
+        for name, plant, delay in changes:
+            drawn = {"seed": (seed + 1 + len(found)) % 2**31} if setting == LOOP else {}
+            perfect = {"perfect": True} if setting == EQUAL and delay else {}
+            found.append(Case(f"{name}_{rail}", setting, short, {}, plant, drawn | perfect | delay, MARGINS))
+    return found
+
+
+# What is scored.
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A controller that is scored.
+
+    Attributes
+    ----------
+    name : str
+        Key of `registry.CONTROLLERS`, or the name of a file with its suffix, which is never such a key.
+    file : str
+        Path of the file, empty for a registered controller and for a class of a chapter.
+    """
+
+    name: str
+    file: str = ""
+
+
+def entry(controller: str) -> Entry:
+    """The entry for a registered name or the path of a file; InputError when it is neither."""
+    if controller in tuple(CONTROLLERS):
+        return Entry(controller)
+    file = data.location(controller)
+    if not file.is_file():
+        known = [*CONTROLLERS]
+        raise InputError(f"controller {controller!r} is neither a file nor a registered controller; there are {known}")
+    if not re.fullmatch(r"[A-Za-z0-9_+-][A-Za-z0-9_.+-]*\.py", file.name):
+        raise InputError(
+            f"controller {file.name!r}: a name of letters, digits, _, -, + and . that ends in .py is needed"
+        )
+    return Entry(file.name, str(file.resolve()))
+
+
+def load_class(file: Path) -> type:
+    """The one class with `torque` or `plan` that a file defines; InputError when there is not one."""
+    spec = importlib.util.spec_from_file_location(_MODULE, file)
+    if spec is None or spec.loader is None:
+        raise InputError("is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[_MODULE] = module
+    spec.loader.exec_module(module)
+    own = [thing for thing in vars(module).values() if isinstance(thing, type) and thing.__module__ == _MODULE]
+    found = [each for each in own if hasattr(each, "torque") or hasattr(each, "plan")]
+    if len(found) != 1:
+        names = [each.__name__ for each in found]
+        raise InputError(f"one class with `torque` or with `plan` is needed, found {names or 'none'}")
+    return found[0]
+
+
+def fault(error: BaseException, file: Path) -> str:
+    """What a stranger's code raised, in one sentence with the line of his file and its function."""
+    places = [each for each in traceback.extract_tb(error.__traceback__) if each.filename == str(file)]
+    line = error.lineno if isinstance(error, SyntaxError) and error.filename == str(file) else None
+    where = file.name
+    if line or places:
+        inside = "" if line or places[-1].name == "<module>" else f" ({places[-1].name})"
+        where += f", line {line or places[-1].lineno}{inside}"
+    text = " ".join(str(error).partition("Possible prototypes")[0].split())
+    text = re.sub(r"^\S+\.[ch]pp:\d+: ", "", text)
+    return f"{where}: {'' if isinstance(error, InputError) else f'{type(error).__name__}: '}{text}"[:300]
+
+
+def made(own: type, setting: str) -> lateral.Guidance:
+    """Guidance of a class with the keyword arguments that its `tuned` has for some setting."""
+    tables = getattr(own, "tuned", {})
+    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
+        raise InputError(f"{own.__name__}: its `tuned` is no table of keyword arguments per setting")
+    if set(tables) - {EQUAL, LOOP}:
+        raise InputError(f"{own.__name__}: `tuned` has {sorted(tables)}, only {[EQUAL, LOOP]} are known")
+    return _with_arguments(own, tables.get(setting, {}))
+
+
+def _with_arguments(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
+    if not hasattr(own, "plan"):
+        return own(**settings)
+    return lambda vehicle, route, gear: own(vehicle, known(route), gear, **settings)
+
+
+def known(route: Route) -> Route:
+    """What a controller of one's own may know of a route: neither irregularities nor friction."""
+    cells = np.array(route.cells)
+    hidden = (*CHANNELS, "poor_le", "poor_ri")
+    names = [name for name in INDEX if name.lstrip("d") in hidden or name in hidden]
+    cells[:, [INDEX[name] for name in names]] = 0.0
+    return Route(cells, route.length)
+
+
+class CountedLaw:
+    """A 1 kHz law that counts how often its torque was not finite, which the torque limit would hide."""
+
+    def __init__(self, law: lateral.LateralLaw):
+        self._law = law
+        self.memory = (*getattr(law, "memory", ()), _LOST)
+
+    def gains(self) -> dict[str, float]:
+        """See `LateralLaw.gains`."""
+        return lateral.gains_of(self._law)
+
+    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
+        """See `LateralLaw.torque`."""
+        du, following = lateral.answer(self._law, q)
+        return du, following | {_LOST: getattr(q, _LOST) + 1 - (ca.fabs(du) < _LARGEST)}
+
+
+def _counted(guidance: lateral.Guidance) -> lateral.Guidance:
+    law, _ = lateral.split(guidance)
+    lateral.signature(law)
+    return guidance if isinstance(law, lateral.ZeroOrderHold) else wrapped(guidance, CountedLaw)
+
+
+def _enter(name: str, build: Callable) -> str:
+    """Enter a controller into the registry of this process, settings -> guidance; its name."""
+    CONTROLLERS[name] = Controller(build, dict, False, "own")
+    return name
+
+
+def description() -> str:
+    """Names that `torque` of a law of the 1 kHz control cycle may use, with unit and meaning."""
+    short = {full: name for name, full in lateral.SHORT.items()}
+    lines = [
+        "A law is one class with torque(self, q); q has these quantities as attributes, for example q.y. It returns",
+        "the differential torque (N m, positive steers right) as an expression of CasADi. With `memory`, a tuple of",
+        "names of its own that q has, too, it returns (torque, next value of each by name). See examples/.",
+        "",
+    ]
+    for title, names in (("running gear", lateral.GEAR), ("track here", lateral.ROAD), ("vehicle", lateral.MODEL)):
+        lines.append(title)
+        for name, (unit, meaning) in names.items():
+            shown = f"{name}, {short[name]}" if name in short else name
+            lines.append(f"  {shown:22s}{unit:12s}{meaning}")
+    return "\n".join(lines)
+
+
+# Driving, and points.
+
+
+def experiment(of: Entry, case: Case, own: type | None = None) -> Experiment:
+    """The run of a case: of a registered controller with its tuned set, or of a class of one's own."""
+    around = {"irregular": case.irregular, "plant": case.plant, "sensors": case.sensors, "ride": True}
+    if own is None:
+        chosen = {} if of.name == NOTHING else None
+        options = CONTROLLERS[of.name].quick
+        return Experiment(case.scenario, of.name, {}, chosen, options, setting=case.setting, **around)
+    written = _counted(made(own, case.setting))
+    name = _enter(f"own {of.name}", lambda settings: written)
+    return Experiment(case.scenario, name, {}, {}, setting=case.setting, **around)
+
+
+def drive(of: Entry, case: Case, own: type | None = None) -> dict:
+    """Row of metrics of a case, whatever the controller does: `failure` is a sentence, empty when all went well.
+
+    The runs of registered controllers are stored. A class that is given takes the place of that of a file.
+    """
+    head = {"scenario": case.name, "setting": case.setting, "group": case.group or case.name}
+    head |= {"controller": of.name, "failure": ""}
+    if own is None and of.file:
+        return head | work(_driven_file, of, case)
+    try:
+        return head | (experiment(of, case).measured(_row)[0] if own is None else _driven_class(of, case, own))
+    except (InputError, ArithmeticError, CompilerError) as error:
+        return head | {"failure": str(error)}
+
+
+def _driven_file(of: Entry, case: Case) -> dict:
+    try:
+        return _driven_class(of, case, load_class(Path(of.file)))
+    except (Exception, SystemExit) as error:  # the file of a user may raise whatever it likes
+        return {"failure": fault(error, Path(of.file))}
+
+
+def _driven_class(of: Entry, case: Case, own: type) -> dict:
+    asked = experiment(of, case, own)
+    return _row(asked.run(), asked)[0]
+
+
+def _row(run: Run, of: Experiment) -> store.Entry:
+    row = {key: value for key, value in of.values(run).items() if isinstance(value, float | int)}
+    lost = sum(count for name, count in run.memory.items() if name.endswith(f".lateral.{_LOST}"))
+    row["failure"] = run.ended if run.failed else ""
+    if lost:
+        row["failure"] = f"torque() returned NaN or Inf {lost:.0f} times; {run.ended}"
+    row["way"] = float(run.series["front.p"].iloc[-1])
+    if of.scenario.stop_kmh is None:
+        row.pop("stopping_distance")
+    elif not run.ended.startswith("stop"):
+        row["stopping_distance"] = float("nan")
+    row["comfort"] = max((row[k] for k in row if k.startswith("n_mv_")), default=float("nan"))
+    row["error"] = row.get("followed_rmse_y" if of.setting == LOOP else "rmse_y", float("nan"))
+    return row, None
+
+
+def cost(row: dict) -> float:
+    """J of a row that did not fail; inf when a quantity is missing."""
+    unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
+    unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
+    value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
+    value += 2 * unused + 10 * max(0.0, unsafe - 1)
+    return float(value) if np.isfinite(value) else float("inf")
+
+
+def points(row: dict) -> float:
+    """Points of a row with both ends of the scale, `nothing` and `best` (J), 0 to 100; see the module."""
+    if row["failure"]:
+        return 0.0
+    q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
+    return float(np.clip(100 * (q - nothing) / (best - nothing), 0.0, 100.0)) if best > nothing else 0.0
+
+
+def ends_of_the_scale(case: Case) -> dict[str, float]:
+    """J of `nothing` and of the `best` possible, and the `limit` of the error (m).
+
+    With sensors the limit is the linear-quadratic-Gaussian bound (`uncertainty.limit`) with the noise, latency and
+    biases of the loop, on dry rail and for disturbances that wander as slowly as in the quietest run. It holds for the
+    mean over draws. With perfect measurements only the drive limits the error, which no run comes near: 0.
+    """
+    row = drive(Entry(NOTHING), case)
+    found = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
+    if case.setting == EQUAL:
+        return found
+    scenario, loop = case.scenario, readings(**case.sensors).loop
+    speed = scenario.speed if scenario.stop_kmh is None else max(scenario.stop_speed, _SLOWEST)
+    route = scenario.route()
+    slopes = route.reference_at(np.arange(0.0, scenario.end_m or route.length))[1]
+    errors = {a: bound.with_place(error, slopes, loop) for a, error in _errors(loop, speed).items()}
+    best = min(error / 1e-3 + a / 4e3 for a, error in errors.items())
+    return found | {"limit": min(errors.values()), "best": best}
+
+
+@lru_cache(maxsize=64)
+def _errors(loop: Loop, speed: float) -> dict[float, float]:
+    """Bound of the error (m) by the torque above 5 Hz (N m)."""
+    key = store.key(__name__, "limit", loop, speed, _WALKS, _ACTIVITIES, load_vehicle())
+    row, _ = store.entry(key, lambda: work(_bounds, loop, speed))
+    return dict(zip(_ACTIVITIES, row["errors"], strict=True))
+
+
+def _bounds(loop: Loop, speed: float) -> dict:
+    return {"errors": [bound.limit(load_vehicle(), loop, speed, _WALKS, activity=a).error for a in _ACTIVITIES]}, None
+
+
+def score(
+    of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, own: type | None = None, quiet: bool = False
+) -> pd.DataFrame:
+    """Rows of the suite for one or several draws, with `points`, `nothing`, `best`, `limit` and `seed`.
+
+    A class of a chapter (`own`) is driven in this process, because others cannot read it. A run that two draws have in
+    common is driven once.
+    """
+    wanted = [(seed, case) for seed in seeds for case in cases(seed, names)]
+    different: list[Case] = []
+    for _, case in wanted:
+        if case not in different:
+            different.append(case)
+    with executor() as pool:
+        ends = ordered_map(pool, ends_of_the_scale, different, "limits", quiet)
+        if own is None:
+            rows = ordered_map(pool, lambda case: drive(of, case), different, f"score {of.name}", quiet)
+        else:
+            rows = [drive(of, case, own) for case in different]
+    judged = [row | end | {"points": points(row | end)} for row, end in zip(rows, ends, strict=True)]
+    return pd.DataFrame([judged[different.index(case)] | {"seed": seed} for seed, case in wanted])
+
+
+# Sums, ranking, page.
+
+
+def card(table: pd.DataFrame) -> pd.DataFrame:
+    """Sums of the rows of a controller: scenario (`ALL`), controller, metric, value, unit, setting, seed."""
+    rows = []
+    for seed, draw in table.groupby("seed", sort=False):
+        sums = {setting: _sums(part) for setting, part in draw.groupby("setting", sort=False)}
+        sums[ALL] = {"score": float(np.mean([found["score"] for found in sums.values()]))}
+        for setting, found in sums.items():
+            units = {name: METRICS[name][2] if name in METRICS else "-" for name in found}
+            rows += [(ALL, draw["controller"].iloc[0], name, found[name], units[name], setting, seed) for name in found]
+    return pd.DataFrame(rows, columns=["scenario", "controller", "metric", "value", "unit", "setting", "seed"])
+
+
+def _sums(rows: pd.DataFrame) -> dict[str, float]:
+    groups = rows.groupby("group")["points"].mean()
+    found = {"score": float(groups.mean())} | ({MARGINS: float(groups[MARGINS])} if MARGINS in groups else {})
+    rows = rows[rows["group"] != MARGINS]
+    found |= {"failures": float((rows["failure"] != "").sum()), "cases": float(len(groups))}
+    for name, (*_, how) in METRICS.items():
+        values = rows[name].dropna().astype(float) if name in rows else pd.Series(dtype=float)
+        found |= {name: float(values.agg(how))} if len(values) else {}
+    return found
+
+
+def ranking(cards: pd.DataFrame) -> pd.DataFrame:
+    """Cards of several controllers and draws as a table, the best first.
+
+    `ranked` is the mean over all draws but the published one and `spread` their standard deviation; the other columns
+    are of the ranked draws, or of the published one where there is no other: score per setting, margins, failed runs,
+    and error (mm), its limit (mm) and torque (N m) behind sensors.
+    """
+    found, published = {}, draws().published
+    for name, rows in cards.groupby("controller", sort=False):
+        total = rows[(rows["setting"] == ALL) & (rows["metric"] == "score")].set_index("seed")["value"]
+        ranked = total.drop(published, errors="ignore")
+        chosen = rows[rows["seed"].isin(ranked.index)] if len(ranked) else rows
+        mean = chosen.groupby(["metric", "setting"])["value"].mean()
+        failures = chosen[chosen["metric"] == "failures"].groupby("seed")["value"].sum().mean()
+        row = {"ranked": ranked.mean(), "spread": ranked.std(), "published": total.get(published, np.nan)}
+        row |= {setting: mean.get(("score", setting), np.nan) for setting in (EQUAL, LOOP)}
+        row |= {"margins": chosen[chosen["metric"] == MARGINS]["value"].mean(), "runs failed": failures}
+        row |= {f"{words} (mm), loop": 1e3 * mean.get((words, LOOP), np.nan) for words in ("error", "limit")}
+        found[name] = row | {"torque (N m), loop": mean.get(("effort_du", LOOP), np.nan)}
+    table = pd.DataFrame(found).T.rename_axis("controller")
+    order = table["ranked"].fillna(table["published"]).sort_values(ascending=False, kind="stable").index
+    return table.loc[order]
+
+
+def shown(table: pd.DataFrame) -> str:
+    """The card of one draw as lines for a terminal, a column per setting."""
+    whole = card(table).pivot_table(index="metric", columns="setting", values="value")
+    words = {name: (text, 1.0) for name, text in _SUMS.items()} | {name: line[:2] for name, line in METRICS.items()}
+    lines = [f"{'':48s}{EQUAL:>12s}{LOOP:>12s}"]
+    for name, (text, factor) in words.items():
+        if name in whole.index:
+            values = (factor * whole.loc[name, setting] for setting in (EQUAL, LOOP))
+            lines.append(f"{text:48s}" + "".join(f"{'-' if np.isnan(v) else f'{v:.4g}':>12s}" for v in values))
+    return "\n".join([*lines, f"score over both settings: {whole.loc['score', ALL]:.1f} of 100"])
+
+
+# A class of a chapter.
+
+
+def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., float]:
+    """(gains, limit) -> the cost that all controllers of the project are tuned with, of a class with `plan`.
+
+    `runs` are names of data/tuning.toml; unknown ones are left out.
+    """
+    name = _enter(f"own {own.__name__}", partial(_with_arguments, own))
+    task = tuning.load_task(setting=setting)
+    evaluation = swarm.Evaluation(name, replace(task, runs=tuple(each for each in task.runs if each.name in runs)))
+    return lambda gains, limit=float("inf"): evaluation(dict(gains), limit)[0]
+
+
+def tune(
+    own: type, setting: str, runs: Sequence[str], start: Mapping[str, float], particles: int, iterations: int
+) -> pso.Outcome:
+    """Gains that a swarm finds within a decade around a start, where its first particle begins; see `tuning_cost`."""
+    evaluate = tuning_cost(own, setting, runs)
+    bounds = [pso.Dimension(name, value / 10, value * 10, "log") for name, value in start.items()]
+
+    def costs(sets: list[dict], limits: list[float]) -> list[float]:
+        return [evaluate(gains, limit) for gains, limit in zip(sets, limits, strict=True)]
+
+    return pso.minimise(costs, bounds, particles, iterations, seed=1, start=dict(start))
+
+
+def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: int | None = None) -> pd.DataFrame:
+    """Points per setting and run, a column per controller: heading -> class, or key of `registry.CONTROLLERS`."""
+    seed, found = draws().published if seed is None else seed, {}
+    for heading, one in controllers.items():
+        registered = isinstance(one, str)
+        rows = score(Entry(one if registered else heading), [seed], names, None if registered else one, quiet=True)
+        found[heading] = rows.set_index(["setting", "scenario"])["points"]
+    return pd.DataFrame(found)
+
+
+# Commands.
+
+
+def check(of: Entry) -> None:
+    """Drive a controller through some metres in both settings; InputError when it fails but for derailment."""
+    scenario = load_scenario("curve_entry_T3").but(end_m=30.0)
+    for setting in (EQUAL, LOOP):
+        sensors = {"seed": draws().published} if setting == LOOP else {}
+        row = drive(of, Case("check", setting, scenario, sensors=sensors))
+        if "way" not in row:
+            raise InputError(row["failure"])
+
+
+def main(controller: str | None = None, seed: int | None = None, small: bool = False, describe: bool = False) -> None:
+    """Score one controller on the published draw, or on that of a seed, and print its card.
+
+    `small` takes the quick runs only, and no margins; `describe` prints what a law may use.
+    """
+    if describe:
+        print(description())
+        return
+    if controller is None:
+        raise InputError("score: a Python file with one controller class, or a registered name, is needed")
+    chosen, draw = entry(controller), draws().published if seed is None else seed
+    print(f"checking controller {chosen.name}", flush=True)
+    check(chosen)
+    table = score(chosen, [draw], QUICK if small else None)
+    head = ["scenario", "setting", "seed", "controller", "points", "failure"]
+    units = {name: f"{name} ({unit})" for name, (_, _, unit, _) in METRICS.items() if name in table}
+    file = paths.BUILD / "score" / f"{chosen.name}-{draw}.csv"
+    data.write(file, table[[*head, *units]].rename(columns=units).to_csv(index=False, float_format="%.6g"))
+    for _, row in table[table["failure"] != ""].iterrows():
+        print(f"failed: {row['scenario']} in the setting {row['setting']}: {row['failure']}")
+    print(shown(table))
+    print(f"seed {draw}; written: {file}")
+
+
+def leaderboard(names: list[str]) -> None:
+    """Score the controllers of these names or files, or all and those of examples/, and write the leaderboard.
+
+    Runs of registered controllers are stored, so that an interrupted command goes on where it was.
+    """
+    chosen = names or [*SHOWN, NOTHING, *(str(paths.ROOT / f"examples/{name}.py") for name in EXAMPLES)]
+    seeds, cards, file = (draws().published, *draws().ranked), [], paths.source(LEADERBOARD)
+    for of in map(entry, chosen):
+        check(of)
+        cards.append(card(score(of, seeds)))
+    found = pd.concat(cards, ignore_index=True)
+    if names and file.exists():
+        others = pd.read_csv(file)
+        found = pd.concat([others[~others["controller"].isin(found["controller"])], found], ignore_index=True)
+    data.write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
+    print(ranking(found).round(1).to_string())
