@@ -40,7 +40,7 @@ VENV := .venv/ready-$(LOCK_HASH)
 READY = .venv/ready-$(1)-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 ~ "^($(1))$$"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify variants bench study html script lock strip clean distclean FORCE
+.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study html script lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
@@ -98,9 +98,6 @@ report: figures  ## write REPLICATION.md from the measured results
 
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro chain verify
-
-variants: $(VENV) $(if $(filter packaged,$(VARIANTS)),$(call READY,compiler))  ## rerun the quick notebooks with other compilers and processors; VARIANTS="v3 clang" chooses
-	$(PY) -m railrepro chain variants $(VARIANTS)
 
 bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also a second opinion on the car
 	$(PY) -m railrepro bench

@@ -1,12 +1,13 @@
-"""Shared settings: no display, single-threaded linear algebra, the committed results."""
+"""Shared settings: no display, linear algebra as the commands have it, the committed results."""
 
 import os
 
 import pytest
 
+from railrepro import numerics
+
+numerics.fix()  # before a test imports NumPy
 os.environ.setdefault("MPLBACKEND", "agg")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("RAILREPRO_STORE", "off")  # tests run what they test
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("RAILREPRO_WORKERS", "1")

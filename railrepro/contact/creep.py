@@ -8,6 +8,7 @@ without spin .02/.03, with the spin of a cone .02/.04, of S1002 on dry rail .04/
 from __future__ import annotations
 
 from dataclasses import astuple
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -73,6 +74,16 @@ def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.n
     return c11, c22, c23, c33
 
 
+@lru_cache
+def _strips_and_ends() -> tuple[list[np.ndarray], np.ndarray]:
+    """Shares of ends and strips in c11, c22, c23 of ellipses, lines over a/b, and the line of c33 over b/a."""
+    ratios = np.linspace(*_PLAIN, 50)
+    c11, c22, c23, c33 = kalker_coefficients(ratios)
+    lines = [np.polyfit(ratios, row, 1) for row in (c11, c22, c23 / np.sqrt(ratios))]
+    spin, *_ = np.linalg.lstsq(np.stack([1 / ratios, 0 * ratios + 1], axis=1), c33, rcond=None)
+    return lines, spin
+
+
 def strip_coefficients(half_length: np.ndarray, position: np.ndarray):
     """Ellipse and creep coefficients of a patch of any shape, given by its strips along the rail.
 
@@ -97,15 +108,12 @@ def strip_coefficients(half_length: np.ndarray, position: np.ndarray):
     width = position[1] - position[0]
     a = half_length.max()
     b = 2 * half_length.sum() * width / (np.pi * a)
-    ratios = np.linspace(*_PLAIN, 50)
-    rows = kalker_coefficients(ratios)
+    forces, (steep, flat) = _strips_and_ends()
     found = []
-    for row, power, mean in ((rows[0], 1, 2 / np.pi), (rows[1], 1, 2 / np.pi), (rows[2] / np.sqrt(ratios), 2, 3 / 4)):
-        ends, strips = np.polyfit(ratios, row, 1)
+    for (ends, strips), power, mean in zip(forces, (1, 1, 2), (2 / np.pi, 2 / np.pi, 3 / 4), strict=True):
         ups_and_downs = np.abs(np.diff(half_length ** (power + 1), prepend=0.0, append=0.0)).sum()
         patch = strips * mean * (half_length**power).sum() * width + ends * ups_and_downs / 2
         found.append(patch / (strips * a**power * b + ends * a ** (power + 1)))
-    (steep, flat), *_ = np.linalg.lstsq(np.stack([1 / ratios, 0 * ratios + 1], axis=1), rows[3], rcond=None)
     spread = 8 / np.pi * (half_length * position**2).sum() * width
     found.append((steep * spread + flat * (a * b) ** 2) / (steep * a * b**3 + flat * (a * b) ** 2))
     return a, b, tuple(float(c * share) for c, share in zip(kalker_coefficients(a / b), found, strict=True))

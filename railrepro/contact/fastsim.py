@@ -12,9 +12,9 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from railrepro.contact.creep import polach, strip_coefficients
-from railrepro.contact.normal import contact_modulus, elastic_contact
+from railrepro.contact.normal import contact_modulus
 from railrepro.contact.points import STANDARD, Pair
-from railrepro.contact.table import section
+from railrepro.contact.table import elastic_patch, section
 from railrepro.vehicle.parameters import Vehicle
 
 
@@ -117,8 +117,7 @@ def centring_forces(shift: float, vehicle: Vehicle, load: float, friction: float
     material, weight, pushed = vehicle.contact, 0.0, 0.0
     modulus, radius = contact_modulus(material.young, material.poisson), vehicle.wheel.radius
     for side in (1, -1):
-        cut = section(side * shift)
-        patch = elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
+        patch = elastic_patch(side * shift, radius, load, modulus)
         a, b, coefficients = strip_coefficients(patch.half_lengths, patch.strips)
         spin = -np.sin(np.arctan(patch.slope)) / (radius + patch.height)
         law = (*coefficients, material.shear_modulus, 1.0, 1.0, friction, 1.0, 0.0, 0.0)

@@ -216,6 +216,12 @@ def section(shift: float, step: float = _LATERAL_STEP, pair: Pair = STANDARD) ->
 
 
 @stored
+def elastic_patch(shift: float, radius: float, load: float, modulus: float, pair: Pair = STANDARD):
+    """Contact of a wheel at a shift (m), see `normal.elastic_contact` and `pair_table`."""
+    cut = section(shift, pair=pair)
+    return normal.elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
+
+
 def pair_table(radius: float, load: float, modulus: float, stiffness: float, pair: Pair = STANDARD) -> ContactTable:
     """A pair of profiles, by default S1002 on 60E1 at 1:40, averaged over the elastic patch.
 
@@ -242,12 +248,7 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
 
     Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (half spaces, coefficients).
     """
-    patches = []
-    for shift in SHIFTS:
-        cut = section(shift, pair=pair)
-        patches.append(
-            normal.elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
-        )
+    patches = [elastic_patch(shift, radius, load, modulus, pair) for shift in SHIFTS]
     position, height, slope, approach = (
         np.array([getattr(patch, name) for patch in patches]) for name in ("position", "height", "slope", "approach")
     )

@@ -133,5 +133,3 @@ def _chain(command: Callable) -> None:
     added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products")
     added.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
     added.add_argument("--into", type=Path, help="new or empty folder for the products, default build/verify")
-    added = command("variants", "chain.verify:variants", "rerun the quick notebooks with other compilers")
-    added.add_argument("names", nargs="*", metavar="NAME")

@@ -16,6 +16,7 @@ from railrepro.contact.table import (
     ContactTable,
     cone_patch,
     contact_table,
+    elastic_patch,
     in_cell,
     middle_patch,
     section,
@@ -133,8 +134,7 @@ def test_cone_stands_on_the_crown_of_the_rail():
 
 
 def elastic(shift, load=8e4):
-    cut, modulus = section(shift), normal.contact_modulus(2.1e11, 0.28)
-    return normal.elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, 0.46, load, modulus)
+    return elastic_patch(shift, 0.46, load, normal.contact_modulus(2.1e11, 0.28))
 
 
 def ellipse(patch):

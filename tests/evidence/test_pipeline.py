@@ -38,7 +38,7 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
 
 @pytest.mark.parametrize(("ending", "shown"), [("1", False), ("os._exit(1)", True)])
 def test_what_a_kernel_writes_beside_its_cells_is_shown_where_it_ends_early(tiny, capfd, ending, shown):
-    """A kernel that is told to stop may write a traceback about its sockets."""
+    """A kernel that is asked to stop may write a traceback about its sockets."""
     write_notebook(
         tiny / "notebooks", [CELLS[0], CELLS[1], f"import os; os.write(2, b'of a socket'); {ending}", CELLS[2]]
     )

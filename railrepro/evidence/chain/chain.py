@@ -220,7 +220,7 @@ def _environment(staging: Path) -> Iterator[None]:
 def _kept_stderr() -> Iterator[None]:
     """Keep what a kernel and its workers write to stderr for the case that the kernel ends before its time.
 
-    A kernel that is told to stop may still write a traceback about its sockets.
+    A kernel that is asked to stop may still write a traceback about its sockets.
     """
     sys.stderr.flush()
     with tempfile.TemporaryFile() as kept, os.fdopen(os.dup(2), "wb") as stderr:
@@ -318,8 +318,7 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
             with _environment(staging):
                 failure = _execute(notebook, parameters, output, keep_going)
             taken = _taken(staging / "reads", notebook)
-            own_car = root != paths.ROOT and (root / VEHICLE).exists()
-            if not failure and not own_car and (false := _false(output)) and _is_committed(notebook, parameters, taken):
+            if not failure and (false := _false(output)) and _is_committed(notebook, parameters, taken, root):
                 failure = f"{_counted(false)} with the committed values: {' | '.join(false)}"
             missing = [product for product in notebook.products if not (staging / product).exists()]
             failure = failure or (f"did not write {missing[0]}, which chain.toml declares" if missing else "")
@@ -349,16 +348,18 @@ def _counted(false: list[str]) -> str:
     return "1 sentence does not hold" if len(false) == 1 else f"{len(false)} sentences do not hold"
 
 
-def _is_committed(notebook: Notebook, parameters: dict, taken: Reads) -> bool:
+def _is_committed(notebook: Notebook, parameters: dict, taken: Reads, root: Path) -> bool:
     """Whether its parameters and what it reads, but for products of the chain, are those of the last commit.
 
-    Where no Git answers they count as changed.
+    A file of one's own below `root` counts as changed, and all do where no Git answers.
     """
 
     def git(*arguments: str) -> subprocess.CompletedProcess:
         return subprocess.run(["git", "-C", str(paths.ROOT), *arguments], capture_output=True, text=True)
 
     given = set(taken) - {product for one in chain().values() for product in one.products}
+    if root != paths.ROOT and any((root / file).exists() for file in given):
+        return False
     if parameters != notebook.parameters or (given and git("status", "--porcelain", "--", *sorted(given)).stdout):
         return False
     committed = git("show", f"HEAD:{paths.NOTEBOOKS.name}/{notebook.path.name}").stdout

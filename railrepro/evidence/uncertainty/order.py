@@ -91,20 +91,7 @@ choice "S1002, filter"."""
 def experiment(
     axis: str, value: float | str, setting: str, controller: str, seed: int = 0, scenario: str = SCENARIO
 ) -> Experiment:
-    """The run of a tuned set with one thing changed.
-
-    Parameters
-    ----------
-    axis : str
-        Key of `AXES`.
-    value : float or str
-        What it is changed to.
-    setting, controller : str
-    seed : int
-        Of the noise, where there is some.
-    scenario : str
-        Entry of data/scenarios.toml.
-    """
+    """The run of a tuned set with an axis (key of `AXES`) at some value; `seed` is of the noise, if there is any."""
     changed, parameters = dict(AXES[axis].change(value)), tuning.load(controller, setting)["parameters"]
     if noisy(changed):
         changed["sensors"] = changed["sensors"] | {"seed": seed}
