@@ -286,8 +286,8 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     parameters : dict
         Values for its parameters cell.
     root : Path
-        Products land in root/data and root/figures; a vehicle and products of notebooks before this one are read there,
-        where they are.
+        Products land in root/data and root/figures; TOML files of one's own in root/data and products of notebooks
+        before this one are read there, where they are.
     executed : Path
         Folder of the executed notebook; a failed one is kept there as NAME.failed.ipynb.
     keep_going : bool
@@ -310,15 +310,16 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     with written():
         executed.mkdir(parents=True, exist_ok=True)
         with scratch(paths.BUILD / "staging", f"{notebook.name}-{os.getpid()}") as staging:
-            for product in [VEHICLE, *(product for name in first for product in notebooks[name].products)]:
-                if root != paths.ROOT and (root / product).exists():
-                    (staging / product).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(root / product, staging / product)
+            own = [str(file.relative_to(root)) for file in (root / "data").glob("*.toml")]
+            for file in [*own, *(product for name in first for product in notebooks[name].products)]:
+                if root != paths.ROOT and (root / file).exists():
+                    (staging / file).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copy2(root / file, staging / file)
             output = staging / "executed.ipynb"
             with _environment(staging):
                 failure = _execute(notebook, parameters, output, keep_going)
             taken = _taken(staging / "reads", notebook)
-            if not failure and (false := _false(output)) and _is_committed(notebook, parameters, taken, root):
+            if not failure and (false := false_sentences(output)) and _is_committed(notebook, parameters, taken, root):
                 failure = f"{_counted(false)} with the committed values: {' | '.join(false)}"
             missing = [product for product in notebook.products if not (staging / product).exists()]
             failure = failure or (f"did not write {missing[0]}, which chain.toml declares" if missing else "")
@@ -339,7 +340,7 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     return taken
 
 
-def _false(executed: Path) -> list[str]:
+def false_sentences(executed: Path) -> list[str]:
     """False sentences of an executed notebook; none where there is no such file."""
     return false_in(json.loads(executed.read_text(encoding="utf-8"))["cells"]) if executed.is_file() else []
 
@@ -436,7 +437,7 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
             finally:
                 _write_manifests(notebooks, fresh)
                 for name in sorted(wanted):
-                    if false := _false(paths.BUILD / "notebooks" / f"{name}.ipynb"):
+                    if false := false_sentences(paths.BUILD / "notebooks" / f"{name}.ipynb"):
                         _say(f"{name}: {_counted(false)} with these values")
 
 
@@ -465,7 +466,7 @@ def drive(vehicle: Path) -> int:
         except InputError as error:
             _say(str(error))
             stopped = 1
-        for sentence in _false(root / "notebooks" / f"{notebook.name}.ipynb"):
+        for sentence in false_sentences(root / "notebooks" / f"{notebook.name}.ipynb"):
             _say(f"  does not hold on this car: {sentence}")
     _say(f"figures and executed chapters are in {_short(root)}")
     return stopped

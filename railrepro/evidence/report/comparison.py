@@ -214,9 +214,8 @@ def compare(
     assert series is not None, "a stride keeps rows"
     series = series.assign(error_m=series["y_m"] - series["y_ref_m"])
     last = "case" if isinstance(controllers, Mapping) else "controller"
-    return Comparison(
-        rows, series, (*(name for name, values in grid.items() if len(values) > 1), last), _headings(facts)
-    )
+    levels = [name for name, values in grid.items() if len(values) > 1 or name in varied]
+    return Comparison(rows, series, (*levels, last), _headings(facts))
 
 
 def _facts(setup: ProbeSetup, scenario: Scenario, cases: Mapping) -> dict[str, str]:

@@ -68,7 +68,7 @@ def experiments(
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
     """Tidy metrics of all runs, as data/results/settings_metrics.csv has them."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
-    wide = table.drop(columns="scenario").rename(columns={"case": "scenario"})[[*keys, *_UNITS]]
+    wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()
     tidy = tidy.assign(unit=tidy["metric"].map(_UNITS))
     return tidy[["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]]
