@@ -99,12 +99,12 @@ report: figures  ## write REPLICATION.md from the measured results
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
 	$(PY) -m railrepro chain verify
 
-bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also a second opinion on the car
+bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also the car in Exudyn (half an hour)
 	$(PY) -m railrepro bench
 	$(PY) tests/validation/peers.py
 	$(PY) tests/validation/published.py
-	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) tests/validation/second_opinion.py; \
-	  else echo "no second opinion on the car: \`make test-extras\` installs Exudyn, which gives it"; fi
+	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) tests/validation/second_opinion.py && \
+	  $(PY) tests/validation/second_plant.py; else echo "no second car: \`make test-extras\` installs Exudyn"; fi
 
 study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (long, resumes)
 	$(PY) -m railrepro probe

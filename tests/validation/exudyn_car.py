@@ -2,10 +2,11 @@
 
 Exudyn gets three floating bodies in inertial coordinates with four wheels on revolute joints, forms their equations of
 motion and integrates them. All forces come from positions and velocities in space: each spring between its two points,
-each wheel as a cone whose deepest point is searched along the curve of the rail. The rails, the contact ellipse and the
-creep forces are its own: the curvature integrated, Hertz's ellipse from Carlson's integrals, Kalker's coefficients from
-rows of his table, his linear force and moment reduced together. Only data are shared with the core: vehicle, segments
-of the track, samples of the irregularities.
+each wheel as a surface of revolution whose deepest point is searched along the curve of the rail. The rails, the
+contact and the creep forces are its own: the curvature integrated; of a cone Hertz's ellipse from Carlson's integrals
+and Kalker's coefficients from rows of his table, of S1002 the patch of `rolling_contact`; the linear force and moment
+reduced together. Only data are shared with the core: vehicle, profiles, segments of the track, samples of the
+irregularities.
 
 One convention decides curves under torque and must be the same in both: a rotational element of the suspension has the
 potential k e^2/2 of the product e of one axis of each body. The pitch reaction (e = x_carrier . z_body) therefore acts
@@ -18,11 +19,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import exp
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline
+import rolling_contact
+from scipy.interpolate import CubicSpline, PPoly
 from scipy.optimize import brentq
 from scipy.special import elliprd
 
@@ -38,12 +41,32 @@ MEASURED = (
     *(f"{gear}.{name}" for name in ("y", "psi_TrAx") for gear in GEARS),
     *(f"{wheel}.{name}" for name in ("w", "N") for wheel in WHEELS),
 )
+OBSERVED = (
+    *MEASURED,
+    *(f"{gear}.{name}" for gear in GEARS for name in ("p", "v", "psi_Ax", "psidot_Ax")),
+    *(f"{wheel}.{name}" for wheel in WHEELS for name in ("adhesion", "sx", "nu_y", "angle", "place", "tau")),
+)
+"""Columns of a run: `MEASURED`, what law and metrics need besides, and the place of the rail on the wheel."""
 STEP = 5e-4
 """Usual step of Exudyn's Runge-Kutta method (s)."""
 WHEEL_MASS = 400.0
 """Share of a wheel in the mass of a gear (kg); of no influence: the inertias of the gear contain the wheels."""
 CROWN_RADIUS = 0.3
 """Radius of the rail across (m)."""
+
+
+class Stiffness(NamedTuple):
+    """Creep forces over the shear modulus: by creepage along and across (m^2), by spin and as moment by creepage across
+    (m^3), moment by spin (m^4)."""
+
+    along: ca.SX
+    across: ca.SX
+    spin: ca.SX
+    turn: ca.SX
+
+
+_COLUMNS = ("effective", "rolling", *Stiffness._fields)
+_PLACES = [OBSERVED.index(f"{wheel}.place") for wheel in WHEELS]
 _GAUSS = np.polynomial.legendre.leggauss(4)
 _CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 _LINE = ("p", "x", "y", "z", "psi", "kappa", "dkappa", "phi", "dphi", "eps", "deps")
@@ -90,23 +113,54 @@ def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
     return a, flat * a, np.array([np.interp(flat, ratios, column[::-1]) for column in rows.T])
 
 
-def creep(vehicle: Vehicle, load, nu_x, nu_y, spin, slip_speed) -> tuple[ca.SX, ...]:
+class Wheels:
+    """Wheels on their rails, piecewise cubic over the place of the rail on the wheel, outwards of the tape circle (m).
+
+    Columns: effective radius less the nominal one, rolling radius (m), and `Stiffness` at nominal load.
+    """
+
+    def __init__(self, spline: PPoly):
+        self._starts, self._cells = spline.x[:-1], spline.c
+
+    def at(self, places) -> np.ndarray:
+        """Start and coefficients of the cells of some places, shape (n, 25)."""
+        cell = np.clip(np.searchsorted(self._starts, places, side="right") - 1, 0, len(self._starts) - 1)
+        return np.column_stack([self._starts[cell], self._cells[:, cell].transpose(1, 0, 2).reshape(len(cell), -1)])
+
+
+def cones(vehicle: Vehicle) -> Wheels:
+    """Conic wheels on the crown of the rail."""
+    a, b, (c11, c22, c23, c33) = patch(vehicle)
+    constant = 0.0, vehicle.wheel.radius, c11 * a * b, c22 * a * b, c23 * (a * b) ** 1.5, c33 * (a * b) ** 2
+    cubics = np.zeros((4, 1, len(_COLUMNS)))
+    cubics[2, 0, :2], cubics[3, 0] = -np.tan(vehicle.wheel.cone_angle), constant
+    return Wheels(PPoly(cubics, [0.0, 1.0]))
+
+
+def s1002() -> Wheels:
+    """S1002 on 60E1 at 1:40."""
+    return Wheels(rolling_contact.splines(pd.read_csv(rolling_contact.TABLE)))
+
+
+def creep(
+    vehicle: Vehicle, stiffness: Stiffness, load, nu_x, nu_y, spin, slip_speed, rail: str = "dry"
+) -> tuple[ca.SX, ...]:
     """Forces along and across the rail (N) and moment about the normal (N m) on a wheel.
 
-    From its load (N), creepages (-, -, 1/m) and slip speed (m/s).
+    From its load (N), creepages (-, -, 1/m), slip speed (m/s), and the adhesion set of the rail.
 
-    Kalker's linear force and moment, all reduced as Polach reduces their resultant.
+    The linear force and moment, all reduced as Polach reduces their resultant.
 
     Source: Kalker 1967 (linear theory); Polach 2005, eqs. (2) and (3); Shen, Hedrick and Elkins 1983 (direction).
     """
-    a, b, (c11, c22, c23, c33) = patch(vehicle)
-    rail, area = vehicle.adhesion["dry"], a * b * ((load + 1) / vehicle.contact.nominal_load) ** (2 / 3)
-    root, unit = ca.sqrt(area), vehicle.contact.shear_modulus * area
-    along, across = unit * c11 * nu_x, unit * (c22 * nu_y + root * c23 * spin)
-    friction = rail.mu0 * ((1 - rail.a_ratio) * ca.exp(-rail.b_decay * slip_speed) + rail.a_ratio)
+    law, unit, longer = vehicle.adhesion[rail], vehicle.contact.shear_modulus, (load + 1) / vehicle.contact.nominal_load
+    along = unit * longer ** (2 / 3) * stiffness.along * nu_x
+    across = unit * (longer ** (2 / 3) * stiffness.across * nu_y + longer * stiffness.spin * spin)
+    turning = unit * (longer * stiffness.spin * nu_y - longer ** (4 / 3) * stiffness.turn * spin)
+    friction = law.mu0 * ((1 - law.a_ratio) * ca.exp(-law.b_decay * slip_speed) + law.a_ratio)
     ratio = np.pi / 4 * ca.sqrt(along**2 + across**2 + 1e-6) / (friction * (load + 1))
-    reduced = (rail.k_a / (1 + (rail.k_a * ratio) ** 2) + ca.atan(rail.k_s * ratio) / ratio) / 2
-    return -reduced * along, -reduced * across, reduced * unit * root * (c23 * nu_y - root * c33 * spin)
+    reduced = (law.k_a / (1 + (law.k_a * ratio) ** 2) + ca.atan(law.k_s * ratio) / ratio) / 2
+    return -reduced * along, -reduced * across, reduced * turning
 
 
 class Rails:
@@ -165,13 +219,14 @@ def _frame(get: dict, s: ca.SX) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(get["x"], get["y"], get["z"]) + d * travelled, ca.horzcat(x, y, ca.cross(x, y))
 
 
-def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
-    """Force and torque about the wheel's centre (in space), and the normal force (N).
+def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, cell, s, speed, axle, wheel) -> tuple[ca.SX, ...]:
+    """Force and torque about the wheel's centre (in space), normal force (N), adhesion, slip, lateral creepage (-),
+    contact angle (rad), and the place (m).
 
-    The cone r = r0 - side tan(delta) eta stands on a line-shaped rail where the rail is deepest inside it. There the
-    normal of the cone is at right angles with the rail and meets the axle.
+    The wheel, with the effective radius of the place of the rail on it, stands on a line-shaped rail where the rail is
+    deepest inside it. There its normal is at right angles with the rail and meets the axle.
     """
-    (centre, velocity, turn), data, angle = wheel, vehicle.contact, vehicle.wheel.cone_angle
+    (centre, velocity, turn), data = wheel, vehicle.contact
     half, variable = side * vehicle.gear.contact_base / 2, ca.SX.sym("s")
 
     def rail(place):
@@ -184,11 +239,15 @@ def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, s, speed, ax
         )
         return position + rotation @ ca.vertcat(0, half + lateral + side * gauge / 2, vertical + half * cross)
 
+    def shape(at):
+        """Columns of `Wheels` at a place."""
+        d, cubics = at - cell[0], ca.vertsplit(cell[1:], len(_COLUMNS))
+        return ((cubics[0] * d + cubics[1]) * d + cubics[2]) * d + cubics[3]
+
     def depth(point):
         arm = point - centre
         lateral = ca.dot(arm, axle)
-        radius = vehicle.wheel.radius - side * np.tan(angle) * lateral
-        return (radius - ca.norm_2(arm - lateral * axle)) * np.cos(angle)
+        return vehicle.wheel.radius + shape(side * lateral)[0] - ca.norm_2(arm - lateral * axle)
 
     slope = ca.gradient(depth(rail(variable)), variable)
     deepest, newton = s, variable - slope / ca.gradient(slope, variable)
@@ -197,18 +256,25 @@ def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, s, speed, ax
     tangent = ca.substitute(ca.jacobian(rail(variable), variable), variable, deepest)
     tangent /= ca.norm_2(tangent)
     point = rail(deepest)
-    arm = point - centre
-    radial = arm - ca.dot(arm, axle) * axle
-    normal = np.cos(angle) * radial / ca.norm_2(radial) + side * np.sin(angle) * axle
+    arm, axial = point - centre, ca.dot(point - centre, axle)
+    radial, place = arm - axial * axle, ca.SX.sym("place")
+    incline = ca.substitute(-ca.jacobian(shape(place)[0], place), place, side * axial)
+    effective, rolling, *stiffness = ca.vertsplit(shape(side * axial))
+    cosine = 1 / ca.sqrt(1 + incline**2)
+    outwards = radial / ca.norm_2(radial)
+    normal = cosine * (outwards + side * incline * axle)
+    arm += (rolling - vehicle.wheel.radius - effective) * outwards  # the effective radius is none to roll on
     lateral, slide = ca.cross(normal, tangent), velocity + ca.cross(turn, arm)
 
-    elastic, rate = data.normal_stiffness * ca.fmax(depth(point), 0) ** 1.5, ca.dot(slide, normal)
+    elastic, rate = data.normal_stiffness * ca.fmax(cosine * depth(point), 0) ** 1.5, ca.dot(slide, normal)
     load = ca.fmax(elastic * (1 + data.normal_damping * rate), 0)
-    rolling, slides = ca.sqrt(speed**2 + data.rest_speed**2), (ca.dot(slide, tangent), ca.dot(slide, lateral))
+    forwards, slides = ca.sqrt(speed**2 + data.rest_speed**2), (ca.dot(slide, tangent), ca.dot(slide, lateral))
     slip_speed = ca.norm_2(ca.vertcat(*slides, 1e-6))
-    f_x, f_y, moment = law(vehicle, load, *(v / rolling for v in slides), ca.dot(turn, normal) / rolling, slip_speed)
+    creepages = (*(v / forwards for v in slides), ca.dot(turn, normal) / forwards)
+    f_x, f_y, moment = law(vehicle, Stiffness(*stiffness), load, *creepages, slip_speed)
     force = f_x * tangent + f_y * lateral - load * normal
-    return force, ca.cross(arm, force) + moment * normal, load
+    found = f_x / (load + 1), slides[0] / ca.fmax(speed, 1.0), creepages[1], ca.atan(incline), side * axial
+    return force, ca.cross(arm, force) + moment * normal, load, *found
 
 
 def _beyond(value, clearance):
@@ -257,16 +323,17 @@ def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
     Returns
     -------
     casadi.Function
-        (motion[18, 3], turns[3, 4], stations[n, 2], s[2], tau[4]) -> loads[6, 7], s[2], measured[12]. Motion of body,
-        front and rear gear: position, velocity, angular velocity, rotation by columns; turns: angular velocity of the
-        wheels; stations and s of the gears, s a guess nearby; loads on body, gears, wheels: force and torque about the
-        centre; measured: `MEASURED`.
+        (motion[18, 3], turns[3, 4], stations[n, 2], cells[25, 4], s[2], tau[4]) -> loads[6, 7], s[2], observed. Motion
+        of body, front and rear gear: position, velocity, angular velocity, rotation by columns; turns: angular velocity
+        of the wheels; stations and s of the gears, s a guess nearby; cells of `Wheels.at`; loads on body, gears,
+        wheels: force and torque about the centre; observed: `OBSERVED`.
     """
     motion, turns = ca.SX.sym("motion", 18, 3), ca.SX.sym("turns", 3, 4)
     stations, guess, tau = ca.SX.sym("stations", len(_STATION), 2), ca.SX.sym("s", 2), ca.SX.sym("tau", 4)
+    cells = ca.SX.sym("cells", 1 + 4 * len(_COLUMNS), 4)
     parts = [(*ca.vertsplit(motion[:9, i], 3), ca.reshape(motion[9:, i], 3, 3)) for i in range(3)]
     loads = [ca.SX.zeros(6) for _ in range(7)]
-    places, lateral, yaw, spins, normals = [], [], [], [], []
+    places, lateral, yaw, spins, normals, of_gears, of_wheels = [], [], [], [], [], [], []
     for g, end in enumerate((1, -1)):
         gear, s = parts[1 + g], guess[g]
         get = dict(zip(_STATION, ca.vertsplit(stations[:, g]), strict=True))
@@ -278,37 +345,46 @@ def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
         places.append(s)
         lateral.append(ca.dot(rotation[:, 1], gear[0] - position))
         yaw.append(ca.atan2(relative[1, 0], relative[0, 0]))
+        speed, heading = ca.dot(rotation[:, 0], gear[1]), ca.atan2(gear[3][1, 0], gear[3][0, 0])
+        of_gears += [s, speed, heading, ca.dot(gear[2], rotation[:, 2])]
         force, on_gear, on_body = _suspension(vehicle, end, parts[0], gear)
         loads[0] -= ca.vertcat(force, -on_body)
         loads[1 + g] += ca.vertcat(force, on_gear)
         for i, side in ((2 * g, -1), (2 * g + 1, 1)):
-            arm, speed = side * vehicle.gear.contact_base / 2 * axle, ca.dot(rotation[:, 0], gear[1])
+            arm = side * vehicle.gear.contact_base / 2 * axle
             wheel = gear[0] + arm, gear[1] + ca.cross(gear[2], arm), turns[:, i]
-            force, torque, normal = _contact(vehicle, law, side, get, s, speed, axle, wheel)
+            force, torque, normal, *more = _contact(vehicle, law, side, get, cells[:, i], s, speed, axle, wheel)
             loads[3 + i] += ca.vertcat(force, torque - tau[i] * axle)
             loads[1 + g] += ca.vertcat(0, 0, 0, tau[i] * axle)
             spins, normals = [*spins, -ca.dot(axle, turns[:, i])], [*normals, normal]
-    results = [ca.densify(ca.horzcat(*loads)), ca.vertcat(*places), ca.vertcat(*lateral, *yaw, *spins, *normals)]
-    return ca.Function("space_forces", [motion, turns, stations, guess, tau], results, {"cse": True})
+            of_wheels += [*more, tau[i]]
+    observed = ca.vertcat(*lateral, *yaw, *spins, *normals, *of_gears, *of_wheels)
+    results = [ca.densify(ca.horzcat(*loads)), ca.vertcat(*places), observed]
+    return ca.Function("space_forces", [motion, turns, stations, cells, guess, tau], results, {"cse": True})
 
 
 class ExudynCar:
     """The car in Exudyn: bodies, joints and loads by user functions; starts rolling with the front gear at s = 0."""
 
-    def __init__(self, vehicle: Vehicle, rails: Rails, speed: float, law: Callable = creep):
+    def __init__(
+        self, vehicle: Vehicle, rails: Rails, speed: float, law: Callable = creep, wheels: Wheels | None = None
+    ):
         import exudyn
 
+        self._wheels = wheels or cones(vehicle)
         self._exu, self._lag, self._rails = exudyn, vehicle.drive.lag, rails
         self._container = exudyn.SystemContainer()
         self._mbs = self._container.AddSystem()
         self._forces = codegen.compiled(forces(vehicle, law))
-        self._motion, self._turns, self._stations, self._s, self._tau = self._forces.arguments
+        self._motion, self._turns, self._stations, self._cells, self._s, self._tau = self._forces.arguments
         body, gear, wheel = vehicle.body, vehicle.gear, vehicle.wheel
         wheels = 2 * (wheel.diametral_inertia + WHEEL_MASS * (gear.contact_base / 2) ** 2)
         carrier = (gear.inertia_x - wheels, gear.inertia_y, gear.inertia_z - wheels)
         load = (body.mass / 4 + gear.mass / 2) * vehicle.gravity / np.cos(wheel.cone_angle)
         sunk = (load / vehicle.contact.normal_stiffness) ** (2 / 3) / np.cos(wheel.cone_angle)
-        spin, half = speed / (wheel.radius - sunk), body.gear_spacing / 2
+        self._cells[:] = self._wheels.at(np.zeros(4)).ravel()
+        rolling = float(self._cells.reshape(4, -1)[0, 1 + 3 * len(_COLUMNS) + 1])  # at the start of the cell of 0
+        spin, half = speed / (rolling - sunk), body.gear_spacing / 2
         start = (-half, sunk - body.cg_height, speed)
         self._markers = self._floating(vehicle, start, body.mass, (body.inertia_x, body.inertia_y, body.inertia_z), ())
         for s in (0.0, -2 * half):
@@ -370,13 +446,14 @@ class ExudynCar:
         self._motion[:] = np.concatenate(values)
         self._turns[:] = np.concatenate([read(marker, kind.AngularVelocity) for marker in self._markers[3:]])
         self._tau[:] = self._command + (self._before - self._command) * exp((self._since - time) / self._lag)
-        loads, self._found, self._measured = self._forces()
+        loads, self._found, self._observed = self._forces()
         self._loads = loads.reshape(7, 6).tolist()
 
     def run(self, law: Callable, cycles: int, step: float = STEP) -> pd.DataFrame:
-        """Drive under law(number of the control cycle, measured) -> torque commands (4), each held for a cycle.
+        """Drive under law(number of the control cycle, observed) -> torque commands (4), each held for a cycle, until
+        that gives None.
 
-        A control cycle has a whole number of steps. One row per cycle, columns `MEASURED` (SI).
+        A control cycle has a whole number of steps. One row per cycle, columns `OBSERVED` (SI).
         """
         self._command, self._before, self._since = np.zeros(4), np.zeros(4), 0.0
         per_cycle, log, count = round(CONTROL_PERIOD / step), [], 0
@@ -390,8 +467,12 @@ class ExudynCar:
                 self._stations[:] = self._rails.at(self._s).ravel()
                 self._evaluate(time)
                 self._before, self._since = self._tau.copy(), time
-                log.append(self._measured.copy())
-                self._command = np.asarray(law(len(log) - 1, log[-1]))
+                self._cells[:] = self._wheels.at(self._observed[_PLACES]).ravel()
+                log.append(self._observed.copy())
+                command = law(len(log) - 1, log[-1])
+                if command is None:
+                    return False
+                self._command = np.asarray(command)
             # A step has one station, that of its middle: a kink of the track then comes neither early nor late.
             self._stations[:] = self._rails.at(self._s + advance / 2).ravel()
             count += 1
@@ -404,4 +485,4 @@ class ExudynCar:
         settings.timeIntegration.explicit.computeEndOfStepAccelerations = False
         settings.solution.file.write = False
         self._mbs.SolveDynamic(settings, solverType=self._exu.DynamicSolverType.RK44)
-        return pd.DataFrame(log, columns=MEASURED)
+        return pd.DataFrame(log, columns=OBSERVED)

@@ -21,7 +21,7 @@ from railrepro.vehicle.parameters import load_vehicle
 MISSING = "the group `bench` is installed by `make test-extras`"
 
 
-def our_creep(vehicle, load, nu_x, nu_y, spin, slip_speed):
+def our_creep(vehicle, _stiffness, load, nu_x, nu_y, spin, slip_speed):
     """The creep law of the core as the second car takes it."""
     a, b, kalker = cone_patch(vehicle)
     scale = ((load + 1) / vehicle.contact.nominal_load) ** (1 / 3)
@@ -79,10 +79,11 @@ def test_small_creepages_make_kalkers_linear_forces_on_the_second_car():
     vehicle = load_vehicle(**{"adhesion.dry.k_s": 1.0})
     a, b, (c11, c22, c23, c33) = exudyn_car.patch(vehicle)
     unit, root, load = vehicle.contact.shear_modulus * a * b, np.sqrt(a * b), vehicle.contact.nominal_load
-    found = [float(v) for v in exudyn_car.creep(vehicle, load, 1e-6, 2e-6, 1e-4, 1e-5)]
+    stiffness = exudyn_car.Stiffness(c11 * a * b, c22 * a * b, c23 * (a * b) ** 1.5, c33 * (a * b) ** 2)
+    found = [float(v) for v in exudyn_car.creep(vehicle, stiffness, load, 1e-6, 2e-6, 1e-4, 1e-5)]
     expected = [-c11 * 1e-6, -c22 * 2e-6 - root * c23 * 1e-4, root * (c23 * 2e-6 - root * c33 * 1e-4)]
     assert found == pytest.approx(unit * np.array(expected), rel=1e-4)
-    slides = exudyn_car.creep(vehicle, load, 0.3, 0.4, 0.0, 50.0)
+    slides = exudyn_car.creep(vehicle, stiffness, load, 0.3, 0.4, 0.0, 50.0)
     friction = vehicle.adhesion["dry"].mu0 * vehicle.adhesion["dry"].a_ratio
     assert float(np.hypot(slides[0], slides[1])) == pytest.approx(friction * load, rel=0.02)
 
@@ -130,8 +131,8 @@ def test_pitch_reaction_acts_about_vertical_of_body_and_axis_of_carrier():
         motion[9:, 0] = tilt.ravel(order="F")
         nose = np.array([[np.cos(pitched), 0, np.sin(pitched)], [0, 1, 0], [-np.sin(pitched), 0, np.cos(pitched)]])
         motion[9:, 1] = nose.ravel(order="F")
-        cells = rails.at(places).T
-        loads, *_ = exudyn_car.forces(weightless).call([motion, np.zeros((3, 4)), cells, places, np.zeros(4)])
+        stations, cells = rails.at(places).T, exudyn_car.cones(weightless).at(np.zeros(4)).T
+        loads, *_ = exudyn_car.forces(weightless).call([motion, np.zeros((3, 4)), stations, cells, places, np.zeros(4)])
         return float(loads[5, 1])
 
     springs = ("k_x", "k_y", "k_z", "link_stiffness", "antiroll_stiffness")

@@ -1,0 +1,178 @@
+"""The second plant: the project's controllers on the independent car in Exudyn, on S1002 wheels, in closed loop.
+
+`python tests/validation/second_plant.py [scenario ...]` drives both cars through the scenarios of Figs. 6 to 9 under
+the paper's controllers with the tuned sets of the setting `paper`, probes both for the statements, and writes
+data/results/second_plant.csv and second_plant_verdicts.csv (half an hour); it needs the group `bench`. The law of the
+1 kHz control cycle, allocation of torques and adhesion law among it, is that of the project; bodies, integrator, rails,
+contact and creep are not (`exudyn_car`, `rolling_contact`).
+
+How close two cars can be: professional programs with one vehicle and one contact differ by .095 to .373 mm RMS in
+closed loop (OpenRailVehicleDynamics against SIMPACK).
+
+Serves the paper's section Multi-Body Simulation Results.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from itertools import product
+from unittest import mock
+
+import exudyn_car
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from railrepro import paths
+from railrepro.car.component import DERAILED
+from railrepro.clock import CONTROL_PERIOD
+from railrepro.control import interface, lateral, law
+from railrepro.control.registry import CONTROLLERS, PAPER_TRIO
+from railrepro.data import InputError, write
+from railrepro.evidence.claims import probe, statements
+from railrepro.evidence.commands import report_errors
+from railrepro.evidence.runs import store, tuning
+from railrepro.quantities import indices, pack
+from railrepro.simulation import metrics, simulate
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.track.alignment import alignments
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+SCENARIOS = ("curve_entry_T2", "curve_entry_T3", "curve_entry_T4", "sine_tracking", "adhesion_loss", "braking")
+PARTS = ("curve", "curves", "sine", "loss")
+"""What the probe of the statements drives here; its sweeps of braking would take hours."""
+SLOWEST = 36.0
+"""Speed to which both cars brake (km/h): below some 28 km/h the explicit steps of Exudyn are too long for the creep."""
+SLACK = 0.02
+"""Errors of two controllers that differ by less (relative) are level."""
+
+
+def run(
+    scenario: Scenario, guidance, *, vehicle: Vehicle | None = None, plant_vehicle: Vehicle | None = None,
+    adhesion=None, estimate=None, fixed_share: float = 0.0, sensors=None, irregularities=None, line=None,
+    substeps: int = 1,
+) -> simulate.Run:  # fmt: skip
+    """`simulate.run` with the second car: ideal rails, perfect measurements."""
+    if sensors is not None or irregularities is not None or line is not None:
+        raise InputError("the second plant has ideal rails and perfect measurements")
+    vehicle = vehicle or load_vehicle()
+    body, way = plant_vehicle or vehicle, simulate.checked_route(scenario, vehicle)
+    lateral_law, factory = lateral.split(guidance)
+    limits = {"lateral_limit": DERAILED, "track_end": way.length, "stop_speed": scenario.stop_speed}
+    control = law.control_law(vehicle, lateral_law, law.LawSettings(adhesion, estimate, fixed_share), **limits)
+    planners = [factory(vehicle, way, gear) for gear in range(2)] if factory else []
+    every = round(planners[0].period / CONTROL_PERIOD) if planners else 1
+    memory, held, records, ended = np.zeros(len(control.signature.memory)), np.zeros(2), [], "time limit reached"
+    of_memory, measured = indices(control.signature.Memory), indices(interface.Measured)
+    base = [gear.u for gear in (of_memory.front, of_memory.rear)]
+    gears = np.array([pack(measured.front), pack(measured.rear)])
+    order = [exudyn_car.OBSERVED.index(name) for name in interface.MEASURED]
+
+    def cycle(k: int, observed: np.ndarray) -> np.ndarray | None:
+        nonlocal ended
+        values = observed[order]
+        if k % every == 0:
+            for g, planner in enumerate(planners):
+                held[g] = planner.plan(values[gears[g]], memory[base[g]])
+        inputs = values, way.rows_at(values[gears[:, 0]]).T, held, control.gains, memory
+        torque, memory[:], record, margins = (np.array(found).ravel() for found in control.function(*inputs))
+        records.append(record)
+        if (margins > 0).all():
+            return torque
+        ended = min(zip(margins, interface.MARGINS, strict=True))[1]
+        return None
+
+    rails = exudyn_car.Rails(alignments()[scenario.track])
+    rail = scenario.poor if scenario.poor_share else scenario.good
+    creep = partial(exudyn_car.creep, rail=rail)
+    car = exudyn_car.ExudynCar(body, rails, scenario.speed, creep, exudyn_car.s1002())
+    longest = max(10.0, 10.0 * way.length / scenario.speed)
+    series = car.run(cycle, round(longest / CONTROL_PERIOD)).iloc[: len(records)]
+    series = series.join(pd.DataFrame(records, columns=control.signature.record))
+    series = series.assign(**{"front.rail_y": 0.0, "rear.rail_y": 0.0})
+    series.insert(0, "t_s", np.arange(len(series)) * CONTROL_PERIOD)
+    return simulate.Run(series, ended, ended.endswith("lateral"), (), tuple(planners))
+
+
+PLANTS = {"project": simulate.run, "exudyn": run}
+
+
+def driven(task: tuple[str, str, str]) -> dict:
+    """Row of a scenario, a controller and a plant: error (mm), delay (m), torque (N m), way (m), flanges touched."""
+    name, controller, plant = task
+    scenario = load_scenario(name)
+    if scenario.stop_kmh is not None:
+        scenario = scenario.but(stop_kmh=SLOWEST)
+    series = PLANTS[plant](scenario, tuning.tuned(controller, CONTROLLERS[controller].quick)).series
+    row = {"scenario": name, "controller": controller, "plant": plant, "rmse_mm": 1e3 * metrics.rmse(series)}
+    row |= {"delay_m": metrics.delay(series), "effort_Nm": metrics.effort(series)}
+    return row | {"way_m": metrics.stopping_distance(series), "flange": metrics.reaches_flange(series)}
+
+
+def probed(task: tuple[str, str]) -> list[tuple]:
+    """What the statements ask of the car in a part of the probe, on one of the plants."""
+    part, plant = task
+    with mock.patch.dict(os.environ, {store.FOLDER: "off"}), mock.patch.object(simulate, "run", PLANTS[plant]):
+        rows = probe.probe(probe.nominal_setup("paper", 0, 0), (part,))
+    return [(plant, *row) for row in rows]
+
+
+def verdicts(rows: list[tuple]) -> pd.DataFrame:
+    """Verdicts of the statements that the probes of both plants answer: id, statement, project, exudyn."""
+    evidence = {
+        plant: statements.Evidence({tuple(key): value for of, *key, value in rows if of == plant}) for plant in PLANTS
+    }
+    found = []
+    for identity, rule in statements.load().items():
+        try:
+            judged = {plant: rule.judge(statements.find(identity, evidence[plant])) for plant in PLANTS}
+        except (KeyError, statements.MissingEvidence):
+            continue
+        found.append({"id": identity, "statement": rule.statement} | judged)
+    return pd.DataFrame(found)
+
+
+def same_order(table: pd.DataFrame, slack: float = SLACK) -> pd.Series:
+    """Whether the errors of the controllers are in the same order on both plants, by scenario.
+
+    Two that differ by less than `slack` on either plant are level.
+    """
+
+    def signs(errors: pd.Series) -> np.ndarray:
+        ratio = np.log(errors.to_numpy()[:, None] / errors.to_numpy())
+        return np.sign(ratio) * (np.abs(ratio) > np.log1p(slack))
+
+    found = {}
+    for scenario, rows in table.groupby("scenario", sort=False):
+        errors = rows.pivot_table(index="controller", columns="plant", values="rmse_mm")
+        found[scenario] = bool((signs(errors["project"]) * signs(errors["exudyn"]) >= 0).all())
+    return pd.Series(found, name="same order")
+
+
+def main(names: list[str]) -> None:
+    """Drive the named scenarios and print the table, or all and write it."""
+    if importlib.util.find_spec("exudyn") is None:
+        raise InputError("the second plant needs exudyn; install the group `bench` into .venv for it")
+    if unknown := set(names) - set(SCENARIOS):
+        raise InputError(f"scenario {min(unknown)!r} is not known; there are {list(SCENARIOS)}")
+    chosen = [name for name in SCENARIOS if name in names or not names]
+    tasks = [(name, controller, plant) for name in chosen for controller in PAPER_TRIO for plant in PLANTS]
+    parts = [] if names else [*product(PARTS, PLANTS)]
+    with ProcessPoolExecutor() as pool:
+        table = pd.DataFrame(tqdm(pool.map(driven, tasks), "runs", len(tasks)))
+        rows = [row for rows in tqdm(pool.map(probed, parts), "probes", len(parts)) for row in rows]
+    print(table.to_string(index=False, float_format="{:.4g}".format))
+    print(same_order(table).to_string())
+    if not names:
+        judged = verdicts(rows)
+        print(judged.to_string(index=False))
+        for name, found in {"second_plant": table, "second_plant_verdicts": judged}.items():
+            write(paths.product(f"data/results/{name}.csv"), found.to_csv(index=False, float_format="%.5g"))
+
+
+if __name__ == "__main__":
+    sys.exit(report_errors(lambda: main(sys.argv[1:])))
