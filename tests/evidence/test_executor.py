@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from threading import Thread
+from threading import Barrier, Thread
 
 import pytest
 
@@ -82,6 +83,26 @@ def test_the_number_of_threads_is_given_back():
     with one_thread(), one_thread():
         assert all(get() == 1 for get, _ in threads._switches())
     assert [get() for get, _ in threads._switches()] == before
+
+
+def test_tasks_run_one_at_a_time_but_wait_side_by_side():
+    """CasADi's objects must not be used by two threads at a time; a map within a task must not wait for itself."""
+    inside, crowds, meeting = [], [], Barrier(4)
+
+    def busy(number):
+        inside.append(number)
+        time.sleep(0.02)
+        crowds.append(len(inside))
+        inside.pop()
+        return number
+
+    def task(number):
+        work(meeting.wait, 20)  # passes when all four tasks wait
+        return busy(number) + sum(ordered_map(pool, busy, [1, 2], "inner", quiet=True))
+
+    with ThreadPoolExecutor(4) as pool:
+        assert ordered_map(pool, task, range(4), "outer", quiet=True) == [3, 4, 5, 6]
+    assert set(crowds) == {1}, "two tasks ran side by side"
 
 
 def test_a_killed_worker_is_told_in_one_sentence(monkeypatch):

@@ -1,7 +1,8 @@
 """Parallel studies: plain functions side by side, whose runs go to local processes or to a Dask cluster.
 
 `ordered_map` calls a function of each argument in a thread of its own. What such a function hands to `work` is computed
-by a process; results are looked up and stored by the caller (`store`), so that a worker needs neither disk nor folder.
+by a process, and only then do others of these threads run: CasADi's objects must not be used by two threads at a time.
+Results are looked up and stored by the caller (`store`), so that a worker needs neither disk nor folder.
 Set `RAILREPRO_DASK=tcp://host:port` to use a running Dask scheduler; without it, one process per core is used
 (`RAILREPRO_WORKERS` changes the number). Results never depend on the choice, because seeds belong to the task.
 """
@@ -50,6 +51,21 @@ class _Around(threading.local):
 
 
 _around = _Around()
+_turn = threading.Lock()
+"""Held by the thread of `ordered_map` that runs: reference counts of CasADi's objects are not atomic."""
+
+
+@contextmanager
+def _waiting() -> Iterator[None]:
+    """Let other threads run while this one waits."""
+    held = _around.pool is not None
+    if held:
+        _turn.release()
+    try:
+        yield
+    finally:
+        if held:
+            _turn.acquire()
 
 
 @contextmanager
@@ -167,7 +183,8 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
     threads = ThreadPoolExecutor(2 * _workers(pool))  # so that each process finds its next run waiting
     try:
         futures = [threads.submit(_called, pool, ended, task, argument) for argument in arguments]
-        _follow(pool, futures, title, quiet)
+        with _waiting():
+            _follow(pool, futures, title, quiet)
         return [future.result() for future in futures]
     except (BrokenExecutor, CancelledError) as error:
         _lost(pool, error)
@@ -197,8 +214,12 @@ def _follow(pool: Executor, futures: list[Future], title: str, quiet: bool) -> N
 
 def _called(pool: Executor, ended: threading.Event, task: Callable, argument):
     """Result of a task, in a thread."""
-    _around.pool, _around.ended = pool, ended
-    return task(argument)
+    with _turn:
+        _around.pool, _around.ended = pool, ended
+        try:
+            return task(argument)
+        finally:
+            _around.pool = None
 
 
 def work(function: Callable, *arguments):
@@ -206,9 +227,10 @@ def work(function: Callable, *arguments):
     if _around.pool is None:
         return function(*arguments)
     future = _around.pool.submit(_checked, _code(function), function, *arguments)
-    while not wait([future], _LOOK).done:
-        if _around.ended.is_set():  # whoever waits for this has gone; a lost cluster never answers
-            raise CancelledError
+    with _waiting():
+        while not wait([future], _LOOK).done:
+            if _around.ended.is_set():  # whoever waits for this has gone; a lost cluster never answers
+                raise CancelledError
     return future.result()
 
 
