@@ -29,7 +29,6 @@ from railrepro import __main__ as command
 from railrepro import paths
 from railrepro.compile import cache
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.law import EstimateSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
 from railrepro.data import InputError, Quantity, build, read
@@ -208,7 +207,7 @@ def test_a_number_within_its_range_is_taken_and_the_ends_are_those_that_are_stat
             assert taken
 
 
-SETTINGS = (MPCSettings, AdhesionSettings, EstimateSettings, LqgSettings, NDI)
+SETTINGS = (MPCSettings, AdhesionSettings, LqgSettings, NDI)
 
 
 @pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)

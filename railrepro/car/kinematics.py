@@ -5,7 +5,6 @@ Serves the paper's section Coordinate Frames, for the plant.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -76,14 +75,6 @@ class Section:
             tangent.append(ca.jacobian(tangent[-1], q))
         at_start = [ca.substitute(term, q, 0) for term in tangent]
         return d * (at_start[0] + d / 2 * (at_start[1] + d / 3 * at_start[2]))
-
-
-@lru_cache(maxsize=1)
-def section_kinematics() -> ca.Function:
-    """Track frame inside a cell: (s, row of a `Route`) -> rotation (3, 3), turn rate (1/m), position (m)."""
-    s, row = ca.SX.sym("s"), ca.SX.sym("row", len(route.COLUMNS))
-    section = Section(s, row)
-    return ca.Function("section", [s, row], [section.rotation, section.turn_rate, section.position])
 
 
 class Body(Coordinates):  # type: ignore[valid-type, misc]

@@ -10,7 +10,7 @@ Serves the paper's section Adhesion Control.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import casadi as ca
 
@@ -23,29 +23,13 @@ SLOWEST = 1.0
 """Speed below which the dead zone grows no more (m/s)."""
 
 
-LongitudinalInputs = group(
-    "LongitudinalInputs",
+AdhesionInputs = group(
+    "AdhesionInputs",
     {"f": listed(SIDES), "s": listed(SIDES)},
-    "f_star -, v m/s, ticks ms, u N m, nominal_load N, tau_max N m, r_0 m, J_Wy kg m2, m_x_eff kg",
+    "f_star -, v m/s, u N m, nominal_load N, tau_max N m, r_0 m",
 )
-"""Quantities that a law of the base torque is given: estimated adhesion (traction-positive) and slip s = (v - w r)/v of
-both wheels; adhesion set point (traction-positive), speed, control cycles since the start, base torque of the cycle
-before; and of the vehicle wheel load, torque limit, wheel radius, spin inertia of a wheel, effective longitudinal
-mass."""
-
-
-class LongitudinalLaw:
-    """Settings of a law that gives the base torque of a running gear each millisecond: a dataclass of numbers.
-
-    In the compiled loop the settings are symbols, so that one compiled object serves all their values.
-    """
-
-    Memory: ClassVar[type]
-    """Dataclass of the states of the law."""
-
-    def base_torque(self, q: Any, memory: Any) -> tuple:
-        """Next base torque per wheel (N m), memory and segment (1, 2 or 3) from `LongitudinalInputs` q and `Memory`."""
-        raise NotImplementedError
+"""What the law is given: adhesion (traction-positive) and slip s = (v - w r)/v of both wheels, adhesion set point
+(traction-positive), speed, base torque of the cycle before; wheel load, torque limit, wheel radius."""
 
 
 AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)})
@@ -53,7 +37,7 @@ AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)
 
 
 @dataclass(frozen=True)
-class AdhesionSettings(LongitudinalLaw):
+class AdhesionSettings:
     """Parameters of the law.
 
     Raises
@@ -66,25 +50,24 @@ class AdhesionSettings(LongitudinalLaw):
     """Step up in segment I, the paper's p1."""
     lower_step: _STEP = 5.0
     """Step down above the corridor, the paper's p2."""
-    drop_step: _STEP = 15.0
+    drop_step: _STEP = 100.0
     """Step down in segment III past the maximum."""
     corridor: Annotated[float, between(0.0, 1.0)] = 0.003
     """Half width of the tolerance corridor around the set point (-)."""
     filter_time: Annotated[float, between(0.0, 10.0, "s")] = 5e-3
     """Time constant of the derivative filters."""
-    dead_zone: Annotated[float, between(0.0, 1e9, "1/s")] = 1e-3
+    dead_zone: Annotated[float, between(0.0, 1e9, "1/s")] = 2e-3
     """Slip rate below which the switching function is ignored."""
     noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
     """Speed below which the dead zone grows as 1/v, as the noise of a slip made of speeds does; 0: constant."""
     active: bool = True
     """False gives the baseline without slip control: the torque follows the demand with `raise_step`."""
-    Memory: ClassVar[type] = AdhesionMemory
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     def base_torque(self, q: Any, memory: Any) -> tuple:
-        """Next base torque, see `LongitudinalLaw.base_torque`; the segments are those of the paper.
+        """Next base torque per wheel (N m), memory and segment (1, 2 or 3) from `AdhesionInputs` and `AdhesionMemory`.
 
         Source: eqs. (21), (22), (23), (25); with s as printed, the stable branch in
         traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
@@ -116,44 +99,3 @@ class AdhesionSettings(LongitudinalLaw):
         u = ca.if_else(self.active, seeking, follow)
         segment = ca.if_else(ca.logic_or(unstable, above), 3, ca.if_else(below, 1, 2))
         return u, filtered, segment
-
-
-@dataclass(frozen=True)
-class EstimateSettings:
-    """Quality of the adhesion and slip estimates that the adhesion law gets without sensors.
-
-    Raises
-    ------
-    InputError
-        When a value is no number or beyond its range.
-    """
-
-    noise_f: Annotated[float, between(0.0, 10.0)] = 0.0
-    """Standard deviation of white noise of the adhesion per control cycle (-)."""
-    noise_s: Annotated[float, between(0.0, 10.0)] = 0.0
-    """The same of the slip (-)."""
-    bias_f: Annotated[float, between(-10.0, 10.0)] = 0.0
-    """Relative error of scale of the adhesion (-)."""
-    bias_s: Annotated[float, between(-10.0, 10.0)] = 0.0
-    """The same of the slip (-)."""
-    lag: Annotated[float, between(0.0, 100.0, "s")] = 0.0
-    """Time constant of a first-order lag."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    def estimates(self, f, s, f_hat, s_hat, ticks, channel: int) -> tuple:
-        """Next estimates of adhesion f and slip s of a wheel, with the noise of `channel` and the next one."""
-        pole = CONTROL_PERIOD / (self.lag + CONTROL_PERIOD)
-        f_read = f * (1 + self.bias_f) + self.noise_f * white_noise(ticks, channel)
-        s_read = s * (1 + self.bias_s) + self.noise_s * white_noise(ticks, channel + 1)
-        return f_hat + pole * (f_read - f_hat), s_hat + pole * (s_read - s_hat)
-
-
-def white_noise(ticks: ca.SX, channel: int) -> ca.SX:
-    """Deterministic noise of unit variance: sum of three hashed uniform numbers of the tick and channel."""
-    total = ca.SX(0)
-    for k in range(3):
-        hashed = ca.sin(12.9898 * (ticks + 1) + 78.233 * (3 * channel + k)) * 43758.5453
-        total += hashed - ca.floor(hashed) - 0.5
-    return 2 * total

@@ -20,14 +20,14 @@ import numpy as np
 
 from railrepro.compile import codegen
 from railrepro.control import interface, lateral
-from railrepro.control.adhesion import AdhesionSettings, EstimateSettings, LongitudinalInputs, LongitudinalLaw
+from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
 from railrepro.control.allocation import allocate
 from railrepro.control.measurement import MeasuredGear, SensedGear, track_ahead
 from railrepro.data import between, require
 from railrepro.estimation import observers
 from railrepro.estimation.sensors import Readings, SensorGains, SensorMemory
 from railrepro.model.control_model import States
-from railrepro.quantities import GEARS, SIDES, group, listed, named, names, pack, symbols, unpack
+from railrepro.quantities import GEARS, group, listed, named, names, pack, symbols, unpack
 from railrepro.track.route import COLUMNS, reference_in
 from railrepro.vehicle.parameters import Drive, Vehicle
 
@@ -41,11 +41,8 @@ class LawSettings:
 
     Attributes
     ----------
-    adhesion : LongitudinalLaw, optional
-        The law of the base torque; default the paper's adhesion law with its own settings, or those that the sensors
-        need.
-    estimate : EstimateSettings, optional
-        Quality of the estimates of adhesion and slip without sensors; default exact.
+    adhesion : AdhesionSettings, optional
+        Parameters of the adhesion law; default its own, or those that the sensors need.
     fixed_share : float
         See `allocate` (-).
     sensors : Readings, optional
@@ -57,13 +54,12 @@ class LawSettings:
         When one is of another kind or beyond its range.
     """
 
-    adhesion: LongitudinalLaw | None = None
-    estimate: EstimateSettings | None = None
+    adhesion: AdhesionSettings | None = None
     fixed_share: float = 0.0
     sensors: Readings | None = None
 
     def __post_init__(self) -> None:
-        for name, allowed in (("adhesion", LongitudinalLaw), ("estimate", EstimateSettings), ("sensors", Readings)):
+        for name, allowed in (("adhesion", AdhesionSettings), ("sensors", Readings)):
             if getattr(self, name) is not None:
                 require(name, getattr(self, name), allowed)
         require("fixed_share", self.fixed_share, between(0.0, 1.0))
@@ -82,37 +78,33 @@ class LawSignature:
     lateral : lateral.Signature
     sensed : bool
         Whether sensors and filter stand between the car and the controllers.
-    longitudinal_law : type
-        Which law gives the base torque.
     """
 
     lateral: lateral.Signature
     sensed: bool = False
-    longitudinal_law: type[LongitudinalLaw] = AdhesionSettings
 
     @cached_property
     def Gains(self) -> Any:
         """Dataclass of the run-time gains."""
-        laws = {"lateral": listed(self.lateral.gains), "longitudinal": self.longitudinal_law}
+        laws = {"lateral": listed(self.lateral.gains), "adhesion": AdhesionSettings}
         car = {"model": interface.Model, "drive": Drive, "limit": interface.Limits}
         sensed = {"front": SensorGains, "rear": SensorGains, "filter": observers.FilterGains} if self.sensed else {}
-        return group("Gains", laws, {"estimate": EstimateSettings}, "fixed_share -, nominal_load N", car, sensed)
+        return group("Gains", laws, "fixed_share -, nominal_load N", car, sensed)
 
     @cached_property
     def Memory(self) -> Any:
-        """Dataclass of the states of the law; of each gear base torque `u` (N m), and estimates of adhesion and slip.
+        """Dataclass of the states of the law, base torque `u` of each gear (N m) among them.
 
         With sensors also delay lines, filter, and what the controllers got last: estimated states and readings.
         """
-        laws = {"longitudinal": self.longitudinal_law.Memory, "lateral": listed(self.lateral.memory)}
+        laws = {"adhesion": AdhesionMemory, "lateral": listed(self.lateral.memory)}
         sensed = {
             "sensor": SensorMemory,
             "filter": observers.FilterState,
             "estimated": States,
             "read": interface.ReadGear,
         }
-        estimates = dict.fromkeys(("f_hat", "s_hat"), listed(SIDES))
-        gear = group("GearMemory", "u N m", laws, estimates, sensed if self.sensed else {})
+        gear = group("GearMemory", "u N m", laws, sensed if self.sensed else {})
         return group("Memory", "ticks ms", dict.fromkeys(GEARS, gear))
 
     @cached_property
@@ -177,11 +169,10 @@ def control_law(
     """
     law, sensors = guidance or lateral.ZeroOrderHold(), settings.sensors
     adhesion = settings.adhesion or AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
-    signature = LawSignature(lateral.signature(law), sensors is not None, type(adhesion))
+    signature = LawSignature(lateral.signature(law), sensors is not None)
     gains = {
         "lateral": list(lateral.gains_of(law).values()),
-        "longitudinal": adhesion,
-        "estimate": settings.estimate or EstimateSettings(),
+        "adhesion": adhesion,
         "fixed_share": settings.fixed_share,
         "nominal_load": vehicle.wheel_load,
         "model": _model(vehicle),
@@ -262,9 +253,8 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
     state, f, s = gear.look(track)
     f_star = gear.cell["force"] / (2 * gain.nominal_load)
     tau_max = gain.drive.limit(state.xdot / model.r_0)
-    q = [*f, *s, f_star, state.xdot, gear.ticks, old.u, gain.nominal_load, tau_max, model.r_0, model.J_Wy]
-    inputs = unpack(LongitudinalInputs, [*q, model.m_x_eff])
-    u_d, longitudinal, segment = gain.longitudinal.base_torque(inputs, old.longitudinal)
+    inputs = AdhesionInputs(f, s, f_star, state.xdot, old.u, gain.nominal_load, tau_max, model.r_0)
+    u_d, adhesion, segment = gain.adhesion.base_torque(inputs, old.adhesion)
 
     xddot = 2 * u_d / (model.r_0 * model.m_x_eff)
     groups = [*pack(state), xddot, held], pack(track), old.lateral, gain.lateral, [*pack(model), tau_max]
@@ -272,7 +262,7 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
     du *= _fade(state.xdot, GUIDANCE_FADE)
     tau_le, tau_ri, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
     torques, sensed = gear.send([tau_le, tau_ri], track)
-    stored = {"u": u_d, "longitudinal": longitudinal, "f_hat": f, "s_hat": s, "lateral": ca.vertsplit(following)}
+    stored = {"u": u_d, "adhesion": adhesion, "lateral": ca.vertsplit(following)}
     y_ref = reference_in(gear.cell, gear.truth.x)[0]  # at the true position
     record: list[Any] = [interface.Record(u_d, du, tau_long, f_star, segment, y_ref)]
     if signature.sensed:

@@ -19,22 +19,17 @@ from railrepro.track.route import irregularity_in, reference_in, track_in
 
 
 class MeasuredGear:
-    """One gear whose controllers get its true states, and estimates of its adhesion as good as is asked."""
+    """One gear whose controllers get its true states, adhesion and slip."""
 
     def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
-        self.index, self.cell, self.gain = g, cell, gain
+        self.cell, self.gain = cell, gain
         self.truth = States(*pack(getattr(measured, GEARS[g])))
         self.wheels = [getattr(measured, wheel) for wheel in WHEELS[2 * g : 2 * g + 2]]
         self.memory, self.ticks, self.position = getattr(memory, GEARS[g]), memory.ticks, self.truth.x
 
     def look(self, track: Any) -> tuple[Any, list, list]:
-        """States, and estimates of adhesion and slip of the wheels."""
-        found = [
-            self.gain.estimate.estimates(wheel.adhesion, wheel.sx, f, s, self.ticks, 1 + 4 * self.index + 2 * i)
-            for i, (wheel, f, s) in enumerate(zip(self.wheels, self.memory.f_hat, self.memory.s_hat, strict=True))
-        ]
-        f_hat, s_hat = (list(values) for values in zip(*found, strict=True))
-        return self.truth, f_hat, s_hat
+        """States, and adhesion and slip of the wheels."""
+        return self.truth, [wheel.adhesion for wheel in self.wheels], [wheel.sx for wheel in self.wheels]
 
     def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
         """Torques that reach the motors in this cycle (N m), and what the memory keeps of sensors and filter."""

@@ -1,7 +1,7 @@
 """One driven wheel on a bare adhesion characteristic under the adhesion law: many cases at once.
 
 The smallest system on which the law can be watched: wheel spin, speed of a quarter of the car, Polach's creep law,
-1 kHz law with estimates. Serves the paper's Fig. 5 and section Adhesion Control.
+1 kHz law. Serves the paper's Fig. 5 and section Adhesion Control.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.contact.creep import polach
 from railrepro.contact.table import middle_patch
-from railrepro.control.adhesion import AdhesionMemory, AdhesionSettings, EstimateSettings, LongitudinalInputs
+from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
 from railrepro.quantities import group, indices, names, pack, symbols
 from railrepro.vehicle.parameters import AdhesionSet, Vehicle
 
@@ -28,11 +28,10 @@ _SUBSTEPS = 20
 
 @dataclass(frozen=True)
 class Case:
-    """One wheel: law, estimates and adhesion."""
+    """One wheel: law and adhesion."""
 
     law: AdhesionSettings
     adhesion: AdhesionSet
-    estimate: EstimateSettings = EstimateSettings()
 
 
 @dataclass(frozen=True)
@@ -58,15 +57,13 @@ class Traces:
     segment: np.ndarray
 
 
-_State = group("State", "w rad/s, v m/s, u N m", {"law": AdhesionMemory}, "f_hat -, s_hat -, tick ms")
+_State = group("State", "w rad/s, v m/s, u N m", {"law": AdhesionMemory})
 _Wheel = group(
     "Wheel",
     "radius m, inertia kg m2, load N, gravity m/s2, tau_max N m, a m, b m, c11 -, c22 -, c23 -, c33 -, "
     "shear_modulus Pa",
 )
-_Numbers = group(
-    "Numbers", {"law": AdhesionSettings, "estimate": EstimateSettings, "adhesion": AdhesionSet, "wheel": _Wheel}
-)
+_Numbers = group("Numbers", {"law": AdhesionSettings, "adhesion": AdhesionSet, "wheel": _Wheel})
 """Run-time numbers of a case."""
 
 
@@ -86,10 +83,7 @@ def _cycle() -> ca.Function:
     (state, x), (case_, case) = symbols(_State, "state"), symbols(_Numbers, "case")
     f_star, factor, wheel = ca.SX.sym("f_star"), ca.SX.sym("factor"), case.wheel
     f_now, s_now = _grip(x.w, x.v, case, factor)
-    f_hat, s_hat = case.estimate.estimates(f_now, s_now, x.f_hat, x.s_hat, x.tick, 0)
-    q = LongitudinalInputs(
-        [f_hat] * 2, [s_hat] * 2, f_star, x.v, x.tick, x.u, wheel.load, wheel.tau_max, wheel.radius, wheel.inertia, 0
-    )
+    q = AdhesionInputs([f_now] * 2, [s_now] * 2, f_star, x.v, x.u, wheel.load, wheel.tau_max, wheel.radius)
     u, law, segment = case.law.base_torque(q, x.law)
 
     w_, v_, u_ = ca.SX.sym("w"), ca.SX.sym("v"), ca.SX.sym("u")
@@ -100,7 +94,7 @@ def _cycle() -> ca.Function:
     for _ in range(_SUBSTEPS):
         faster, stiffness, f = rate(w, v, u, factor, case_)
         w, v = w + h * faster / (1 - h * stiffness), v + h * wheel.gravity * f
-    new = _State(w, v, u, law, f_hat, s_hat, x.tick + 1)
+    new = _State(w, v, u, law)
     outputs = [f_now, s_now, u, x.v, segment]
     inputs = [state, f_star, factor, case_]
     return ca.Function("bare_wheel", inputs, [ca.vertcat(*pack(new)), ca.vertcat(*outputs)], {"cse": True})
@@ -130,7 +124,7 @@ def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0)
         wheel.radius, wheel.spin_inertia, vehicle.wheel_load, vehicle.gravity, 1e5, a, b, *kalker,
         vehicle.contact.shear_modulus,
     )  # fmt: skip
-    columns = [pack(_Numbers(c.law, c.estimate, c.adhesion, body)) for c in cases]
+    columns = [pack(_Numbers(c.law, c.adhesion, body)) for c in cases]
     call = codegen.compiled(_cycle().map("bare_wheels", "serial", len(cases), [], []))
     state, f_star, friction, case = call.arguments
     start, index = np.zeros((len(cases), len(names(_State)))), indices(_State)

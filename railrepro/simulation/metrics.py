@@ -25,11 +25,6 @@ ACTIVITY = 5.0
 """Frequency above which a differential torque follows no set point (Hz): a sweep of 40 m at 400 km/h has 2.8 Hz."""
 
 
-def order_of_magnitude(value: float, floor: float) -> float:
-    """Smallest power of ten above |value|, `floor` at least: what can be said of a difference that is rounding."""
-    return float(10.0 ** np.ceil(np.log10(max(abs(value), floor))))
-
-
 class Part:
     """Columns of a part of the car in the series of a run: `Part(series, "front").y_ref` is the column front.y_ref.
 

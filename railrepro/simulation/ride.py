@@ -19,10 +19,9 @@ import pandas as pd
 import scipy
 
 from railrepro.car.equations import FLOOR
-from railrepro.data import InputError, is_number
+from railrepro.data import InputError
 from railrepro.quantities import GEAR_AND_SIDE, GEARS, WHEELS
 from railrepro.simulation.metrics import FLANGE_ANGLE, Part
-from railrepro.track.irregularity import D1, sampling
 from railrepro.vehicle.parameters import Vehicle
 
 FORCE_CUTOFF = 20.0
@@ -38,16 +37,12 @@ WEIGHTINGS = {
     "Wk": (12.5, 0.63, (2.37, 0.91, 3.35, 0.91), 1.0),
     "Wd": (2.0, 0.63, None, 1.0),
     "Wb": (16.0, 0.63, (2.5, 0.8, 4.0, 0.8), 1.024),
-    "Wb_ISO": (16.0, 0.55, (2.5, 0.9, 4.0, 0.95), 1.024),
 }
-"""Frequency weightings: Wk, Wd of ISO 2631-1, Wb of EN 12299, and Wb of ISO 2631-4 and BS 6841, which is another curve
-of the same name (EN 12299 is 7 % lower at 5 Hz, 13 % higher at 16 Hz).
+"""Frequency weightings: Wk, Wd of ISO 2631-1, Wb of EN 12299 (ISO 2631-4 and BS 6841 have another curve of that name).
 
-Source: Wk, Wd, Wb_ISO: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open
-software, agrees with what is recalled of UIC 513)."""
+Source: Wk, Wd: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open software, agrees
+with what is recalled of UIC 513)."""
 _BAND = (0.4, 100.0)
-D2 = 25.0, 70.0
-"""Longer wavelengths (m) than `D1` in which EN 13848-1 judges level and alignment."""
 _FEWEST = 20
 
 
@@ -89,14 +84,14 @@ def outward(side: str) -> int:
     return 1 if side == "ri" else -1
 
 
-def low_pass(values, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
+def low_pass(values, rate: float) -> np.ndarray:
     """Low-pass of a force without phase: Butterworth of second order, forwards and backwards.
 
-    Both passes together reach -3 dB at `cutoff` (Hz), with 24 dB per octave beyond.
+    Both passes together reach -3 dB at `FORCE_CUTOFF`, with 24 dB per octave beyond.
 
     Source: EN 14363 (cut-off read, slope of 24 dB per octave recalled).
     """
-    single = cutoff / (np.sqrt(2) - 1) ** 0.25
+    single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
 
@@ -178,22 +173,21 @@ def y_over_q(y, q, p, rate: float, least: float = 1e3) -> np.ndarray:
     return sliding_mean(low_pass(y, rate) / np.maximum(low_pass(q, rate), least), p)
 
 
-def wheel_unloading(q, wheel_load: float, rate: float, cutoff: float = FORCE_CUTOFF) -> np.ndarray:
+def wheel_unloading(q, wheel_load: float, rate: float) -> np.ndarray:
     """dQ/Q0 = (Q0 - Q)/Q0 of a wheel with the static load Q0 (N), positive where it is relieved (-), shape (n,).
 
-    Low-pass of 20 Hz, as EN 14363 filters Q (read); 2 Hz gives the quantity of cross wind, EN 14067-6, limit 0.9 (both
-    recalled).
+    Low-pass of 20 Hz, as EN 14363 filters Q (read).
     """
-    return 1 - low_pass(q, rate, cutoff) / wheel_load
+    return 1 - low_pass(q, rate) / wheel_load
 
 
-def flange_contacts(angle, p, threshold: float = FLANGE_ANGLE, gap: float = 1.0) -> float:
-    """Flange contacts of a wheel (1/km): stretches with a contact angle above a threshold (rad).
+def flange_contacts(angle, p, gap: float = 1.0) -> float:
+    """Flange contacts of a wheel (1/km): stretches with a contact angle above `FLANGE_ANGLE`.
 
     Stretches less than `gap` (m) apart count as one, so that a bouncing flange is one contact.
     """
     p = np.asarray(p, dtype=float)
-    edges = np.diff((np.abs(angle) > threshold).astype(int), prepend=0, append=0)
+    edges = np.diff((np.abs(angle) > FLANGE_ANGLE).astype(int), prepend=0, append=0)
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     separate = np.count_nonzero(p[starts[1:]] - p[ends[:-1]] >= gap)
     return float(1e3 * (separate + (starts.size > 0)) / (p[-1] - p[0]))
@@ -330,69 +324,18 @@ def mean_comfort(along, across, vertical, rate: float) -> float:
     return float(6 * np.linalg.norm(np.percentile(blocks, 95, axis=1)))
 
 
-def motor_energy(torque, speed, t) -> tuple[float, float, float]:
-    """Mechanical energy of the motors.
+def motor_energy(torque, speed, t) -> float:
+    """Mechanical energy given by the motors less what was taken back (J).
 
     Parameters
     ----------
-    torque, speed : array_like, shape (n,) or (n, motors)
+    torque, speed : array_like, shape (n, motors)
         Motor torque (N m) and wheel speed (rad/s), traction-positive. The carrier's pitch rate, which the motor feels
         as well, is left out.
     t : array_like, shape (n,)
         Time (s).
-
-    Returns
-    -------
-    net, traction, braking : float
-        Energy given, its positive part and what was taken back (J), net = traction - braking. Each motor counts by
-        itself, so that a differential torque drives on one side and brakes on the other.
     """
-    power = np.multiply(torque, speed)
-    traction = float(np.sum(scipy.integrate.trapezoid(np.maximum(power, 0), t, axis=0)))
-    braking = float(np.sum(scipy.integrate.trapezoid(np.maximum(-power, 0), t, axis=0)))
-    return traction - braking, traction, braking
-
-
-def band_standard_deviation(frame: pd.DataFrame, band: tuple[float, float] = D1) -> pd.Series:
-    """Standard deviation of each channel within a band of wavelengths.
-
-    Butterworth high-pass and low-pass of fourth order over the distance, forwards and backwards (no phase), with the
-    half-power points of the whole at the ends of the band. A stretch of the longest wavelength is left out at both
-    ends, where filter and fade have not settled.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Evenly spaced p_m and any channels: track centre or rails (as EN 13848 judges them).
-    band : tuple of float
-        Shortest and longest wavelength (m): `D1` or `D2`.
-
-    Returns
-    -------
-    Series
-        By column, in its unit.
-
-    Source: EN 13848-1, bands; its filter is less steep (confidence R).
-    """
-    ends = [end for end in band if is_number(end)] if isinstance(band, tuple | list) else []
-    if len(ends) != 2 or not 0 < ends[0] < ends[1]:
-        raise InputError(f"irregularities: band is {band!r}, two wavelengths (m), the shorter first, are needed")
-    shortest, longest = ends
-    step, order = sampling(frame), 4
-    # Two passes damp twice: each is widened so that the power is halved at the ends of the band only once.
-    widened = (np.sqrt(2) - 1) ** (1 / (2 * order))
-    if widened * shortest <= 2 * step or len(frame) * step < 3 * longest:
-        raise InputError(
-            f"irregularities: {len(frame)} rows each {step:g} m, waves of {shortest:g} to {longest:g} m need rows "
-            f"closer than {widened * shortest / 2:.3g} m over at least {3 * longest:g} m"
-        )
-    values = frame.drop(columns="p_m")
-    for kind, edge in (("highpass", widened / longest), ("lowpass", 1 / (widened * shortest))):
-        values = scipy.signal.sosfiltfilt(
-            scipy.signal.butter(order, edge, kind, fs=1 / step, output="sos"), values, axis=0
-        )
-    margin = int(np.ceil(longest / step))
-    return pd.Series(values[margin:-margin].std(axis=0), frame.columns.drop("p_m"))
+    return float(np.sum(scipy.integrate.trapezoid(np.multiply(torque, speed), t, axis=0)))
 
 
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
@@ -421,7 +364,6 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
     rate = (t.size - 1) / (t[-1] - t[0])
     found = _force_figures(series, static_wheel_load(vehicle), rate)
     found |= {name: (work, "N") for name, work in creep_work(series).items()}
-    found["comfort_duration"] = (float(t[-1] - t[0]), "s")
     for point in FLOOR:
         of_point = Part(series, point)
         along, across, vertical = of_point.ax, of_point.ay, of_point.az
@@ -432,9 +374,7 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
         }
     wheels = [Part(series, wheel) for wheel in WHEELS]
     torque, speed = np.transpose([wheel.tau for wheel in wheels]), np.transpose([wheel.w for wheel in wheels])
-    names = ("motor_energy_net", "motor_energy_traction", "motor_energy_braking")
-    energies = motor_energy(torque, speed, t)
-    return found | {name: (energy / 3.6e6, "kWh") for name, energy in zip(names, energies, strict=True)}
+    return found | {"motor_energy_net": (motor_energy(torque, speed, t) / 3.6e6, "kWh")}
 
 
 def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:

@@ -15,7 +15,7 @@ from railrepro.car import equations
 from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import lateral, law
-from railrepro.control.adhesion import LongitudinalLaw
+from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS
 from railrepro.data import InputError, require
 from railrepro.estimation.sensors import Loop, Readings
@@ -68,8 +68,7 @@ def run(
     *,
     vehicle: Vehicle | None = None,
     plant_vehicle: Vehicle | None = None,
-    adhesion: LongitudinalLaw | None = None,
-    estimate: law.EstimateSettings | None = None,
+    adhesion: AdhesionSettings | None = None,
     fixed_share: float = 0.0,
     sensors: Readings | None = None,
     irregularities: pd.DataFrame | None = None,
@@ -88,7 +87,7 @@ def run(
         What the controllers believe; default data/vehicle.toml.
     plant_vehicle : Vehicle, optional
         The car itself; default the same.
-    adhesion, estimate, fixed_share, sensors : optional
+    adhesion, fixed_share, sensors : optional
         See `law.LawSettings`.
     irregularities, line : optional
         See `railrepro.track.route.lay`.
@@ -112,7 +111,7 @@ def run(
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
-    settings = law.LawSettings(adhesion, estimate, fixed_share, sensors)
+    settings = law.LawSettings(adhesion, fixed_share, sensors)
     route = checked_route(scenario, body, irregularities, line)
     lateral_law, factory = lateral.split(guidance)
     latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from railrepro.car.kinematics import COORDINATES, Body, Coordinates, Section, orientation, section_kinematics
+from railrepro.car.kinematics import COORDINATES, Body, Coordinates, Section, orientation
 from railrepro.quantities import symbols
 from railrepro.track.route import COLUMNS
 
@@ -83,14 +83,17 @@ def test_the_track_frame_turns_as_it_passes():
 
 def test_a_section_lies_where_its_cell_says():
     s, d = 20.3, 0.3
-    rotation, turn_rate, position = (np.array(value).squeeze() for value in section_kinematics()(s, ROW))
+    place, row = ca.SX.sym("s"), ca.SX.sym("row", len(ROW))
+    section = Section(place, row)
+    kinematics = ca.Function("section", [place, row], [section.rotation, section.turn_rate, section.position])
+    rotation, turn_rate, position = (np.array(value).squeeze() for value in kinematics(s, ROW))
     angles = 0.4 + 6e-3 * d + 3e-4 * d**2 / 2, -0.05 + 2e-3 * d, 0.08 + 4e-3 * d
     assert rotation == pytest.approx(Rotation.from_euler("ZYX", angles).as_matrix(), abs=1e-14)
     fine = np.linspace(0, d, 2001)
     psi, eps = 0.4 + 6e-3 * fine + 3e-4 * fine**2 / 2, -0.05 + 2e-3 * fine
     tangent = np.array([np.cos(eps) * np.cos(psi), np.cos(eps) * np.sin(psi), -np.sin(eps)])
     assert position - [100.0, -7.0, 3.0] == pytest.approx(np.trapezoid(tangent, fine, axis=1), abs=1e-8)
-    ahead = np.array(section_kinematics()(s + H, ROW)[0])
+    ahead = np.array(kinematics(s + H, ROW)[0])
     assert turn_rate == pytest.approx(vector(rotation.T @ (ahead - rotation) / H), rel=1e-3)
 
 

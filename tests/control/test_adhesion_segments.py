@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.control.adhesion import AdhesionMemory, AdhesionSettings, LongitudinalInputs
+from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
 from railrepro.quantities import pack, symbols
 
 LAW = AdhesionSettings(raise_step=2.0, lower_step=5.0, drop_step=15.0, corridor=3e-3, filter_time=4e-3, dead_zone=1e-3)
@@ -23,7 +23,7 @@ POLE = 1 / 5  # of the filter: 1 ms / (4 ms + 1 ms)
 
 
 def law_function():
-    groups = {"q": LongitudinalInputs, "memory": AdhesionMemory, "settings": AdhesionSettings}
+    groups = {"q": AdhesionInputs, "memory": AdhesionMemory, "settings": AdhesionSettings}
     (q_, q), (memory_, memory), (settings_, settings) = (symbols(group, name) for name, group in groups.items())
     u, kept, segment = settings.base_torque(q, memory)
     return ca.Function("law", [q_, memory_, settings_], [u, ca.vertcat(u, *pack(kept)), segment])
@@ -35,7 +35,7 @@ FUNCTION = law_function()
 def call(f, s, f_star, memory, settings=LAW, v=SPEED):
     """Next torque, memory (torque first) and segment; all as the controller sees them, slip as printed."""
     u, *filtered = memory
-    q = LongitudinalInputs(list(f), list(s), f_star, v, 0, u, LOAD, LIMIT, RADIUS, J_Wy=60.0, m_x_eff=16e3)
+    q = AdhesionInputs(list(f), list(s), f_star, v, u, LOAD, LIMIT, RADIUS)
     u, kept, segment = FUNCTION(pack(q), filtered, pack(settings))
     return float(u), np.array(kept).ravel(), int(segment)
 

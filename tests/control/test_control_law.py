@@ -1,11 +1,10 @@
-"""The 1 kHz law by itself: what it estimates, what a lateral law gets to see, demand, fading, margins, record."""
+"""The 1 kHz law by itself: what its adhesion law and a lateral law get to see, demand, fading, margins, record."""
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from railrepro.control import interface, lateral, law
-from railrepro.control.adhesion import AdhesionSettings, EstimateSettings, white_noise
+from railrepro.control.adhesion import AdhesionSettings
 from railrepro.quantities import GEARS, SIDES, WHEELS
 from railrepro.track.route import CELL, COLUMNS, INDEX
 from railrepro.vehicle.parameters import load_vehicle
@@ -49,9 +48,9 @@ def measured(**values):
     return states | values
 
 
-def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, estimate=None, guidance=None, **options):
+def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, guidance=None, **options):
     """Command by wheel, memory, record and margins by name."""
-    settings = law.LawSettings(adhesion, estimate, **options)
+    settings = law.LawSettings(adhesion, **options)
     control = law.control_law(load_vehicle(), guidance or Probe(), settings, **LIMITS)
     before = dict.fromkeys(control.signature.memory, 0.0) | (memory or {})
     inputs = [y[name] for name in interface.MEASURED], cells() if rows is None else rows, held, control.gains
@@ -152,74 +151,13 @@ def test_margins_are_distances_to_the_limits():
     assert margins == pytest.approx(expected)
 
 
-def estimates(settings, ticks=0, before=0.0, exact=None):
-    """Estimates after one call, adhesion and slip of all wheels, shape (2, 4)."""
-    exact = exact or {
-        f"{wheel}.{name}": value for wheel in WHEELS for name, value in (("adhesion", 0.1), ("sx", -0.01))
-    }
-    names = [[f"{gear}.{short}_hat.{side}" for gear in GEARS for side in SIDES] for short in "fs"]
-    memory = dict.fromkeys(sum(names, []), before) | {"ticks": ticks}
-    found = call(measured(**exact), memory=memory, estimate=settings)[1]
-    return np.array([[found[name] for name in kind] for kind in names])
-
-
-def test_estimates_are_those_of_their_own_wheel():
+def test_the_adhesion_law_gets_adhesion_and_slip_of_its_own_wheels():
     exact = {
         f"{wheel}.{name}": 1.0 + 2 * i + k
         for i, wheel in enumerate(WHEELS)
         for k, name in enumerate(("adhesion", "sx"))
     }
-    assert estimates(EstimateSettings(), exact=exact) == pytest.approx(np.array([[1, 3, 5, 7], [2, 4, 6, 8]]))
-
-
-def test_the_adhesion_law_works_on_the_estimates():
-    over = {f"{gear}_{side}.adhesion": 0.002 for gear in GEARS for side in SIDES}
-    for bias, segment in ((0.0, 2), (1.0, 3)):
-        record = call(measured(**over), estimate=EstimateSettings(bias_f=bias))[2]
-        assert [record[f"{gear}.segment"] for gear in GEARS] == [segment] * 2
-
-
-def test_scale_errors_of_the_estimates():
-    found = estimates(EstimateSettings(bias_f=0.2, bias_s=-0.5))
-    assert found[0] == pytest.approx(0.12)
-    assert found[1] == pytest.approx(-0.005)
-
-
-def test_lag_of_the_estimates_is_a_first_order_lag():
-    """A lag of 9 ms takes a tenth of the way per control cycle, which keeps the time constant to half a cycle."""
-    found = estimates(EstimateSettings(lag=9e-3), before=0.05)
-    assert found[0] == pytest.approx(0.05 + 0.1 * (0.1 - 0.05))
-    assert found[1] == pytest.approx(0.05 + 0.1 * (-0.01 - 0.05))
-
-
-def test_noise_is_white_of_unit_variance_and_bounded():
-    """Channels 1 to 8 serve four wheels. Two are correlated by 0.06 after two cycles, none with its own past."""
-    tick, count = ca.SX.sym("tick"), 20_000
-    noise = ca.Function("noise", [tick], [ca.vertcat(*(white_noise(tick, channel) for channel in range(1, 9)))])
-    series = np.array(noise(np.arange(count)[None, :]))
-    assert series.mean(axis=1) == pytest.approx(0.0, abs=0.03)
-    assert np.abs(series @ series.T / count - np.eye(8)).max() < 0.03
-    assert 2.7 < np.abs(series).max() < 3.0
-    for delay in (1, 2, 3, 10):
-        correlation = series[:, delay:] @ series[:, :-delay].T / count
-        assert np.abs(np.diag(correlation)).max() < 0.03
-        assert np.abs(correlation).max() < 0.08
-
-
-def test_noise_of_each_wheel_and_quantity_is_its_own_and_the_same_in_every_run():
-    settings = EstimateSettings(noise_f=0.02, noise_s=0.003)
-    plain = estimates(EstimateSettings())
-    noise = np.array([estimates(settings, tick) - plain for tick in range(60)]) / [[[0.02], [0.003]]]
-    assert np.array_equal(noise[7], (estimates(settings, 7) - plain) / [[0.02], [0.003]])
-    assert noise.std(axis=0) == pytest.approx(1.0, rel=0.3)
-    correlation = np.corrcoef(noise.reshape(60, 8).T)
-    assert np.abs(correlation - np.eye(8)).max() < 0.6
-
-
-def test_noise_is_added_before_the_lag():
-    plain, noisy, slow = (
-        estimates(settings, ticks=5)
-        for settings in (EstimateSettings(), EstimateSettings(noise_f=0.1), EstimateSettings(noise_f=0.1, lag=3e-3))
-    )
-    assert np.abs(noisy - plain)[0].min() > 1e-4
-    assert slow[0] == pytest.approx(noisy[0] / 4)
+    settings = AdhesionSettings(filter_time=4e-3)  # 1 ms takes a fifth of the way
+    kept = call(measured(**exact), adhesion=settings)[1]
+    found = [[kept[f"{gear}.adhesion.{name}.{side}"] for gear in GEARS for side in SIDES] for name in "fs"]
+    assert 5 * np.array(found) == pytest.approx(np.array([[1, 3, 5, 7], [2, 4, 6, 8]]))

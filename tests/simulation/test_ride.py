@@ -36,7 +36,6 @@ def gain(name, frequency):
     [
         ("Wk", {0.1: 0.0312, 0.5: 0.418, 1: 0.482, 2: 0.531, 4: 0.967, 5: 1.039, 8: 1.036, 16: 0.768}),
         ("Wd", {0.1: 0.0624, 0.5: 0.853, 1: 1.011, 2: 0.890, 4: 0.512, 8: 0.253, 100 / (2 * np.pi): 0.1261}),
-        ("Wb_ISO", {100 / (2 * np.pi): 0.8126}),
     ],
 )
 def test_weights_are_those_of_the_standard(name, weights):
@@ -44,11 +43,8 @@ def test_weights_are_those_of_the_standard(name, weights):
 
 
 # The bilinear transform moves frequencies and nothing else, so moved frequencies leave rounding only.
-@pytest.mark.parametrize(
-    ("name", "transition", "q4", "step"),
-    [("Wb", 16, 0.63, (2.5, 0.8, 4, 0.8, 1.024)), ("Wb_ISO", 16, 0.55, (2.5, 0.9, 4, 0.95, 1.024))],
-)
-def test_both_weightings_wb_follow_their_transfer_functions(name, transition, q4, step):
+def test_the_weighting_wb_follows_its_transfer_function():
+    transition, q4, step = 16, 0.63, (2.5, 0.8, 4, 0.8, 1.024)
     at = np.array([0.3, 0.5, 1, 2, 3, 4, 5, 8, 12, 16, 25, 50, 100, 150])
     f = RATE / np.pi * np.tan(np.pi * at / RATE)
     f5, q5, f6, q6, k = step
@@ -59,7 +55,7 @@ def test_both_weightings_wb_follow_their_transfer_functions(name, transition, q4
     band = f**2 / np.sqrt(f**4 + 0.4**4) / np.sqrt(1 + (f / 100) ** 4)
     expected = band * k * np.hypot(1, f / transition) / size(transition, q4)
     expected *= (f5 / f6) ** 2 * size(f5, q5) / size(f6, q6)
-    np.testing.assert_allclose(gain(name, at), expected, rtol=1e-6)
+    np.testing.assert_allclose(gain("Wb", at), expected, rtol=1e-6)
 
 
 def test_a_constant_acceleration_is_not_felt():
@@ -191,10 +187,9 @@ def test_y_over_q_is_a_quotient_of_filtered_forces_and_finite_when_the_wheel_lif
 def test_wheel_unloading_is_positive_for_a_relieved_wheel_and_filtered():
     t = time(2)
     q = 70e3 + 20e3 * np.sin(2 * np.pi * 10 * t)
-    at_20_hz, at_2_hz = (ride.wheel_unloading(q, 100e3, RATE, cutoff)[500:1500] for cutoff in (20.0, 2.0))
-    assert at_20_hz.max() == pytest.approx(0.3 + 0.2, rel=0.03)
-    assert at_2_hz.max() == pytest.approx(0.3, rel=0.03)
-    np.testing.assert_allclose(ride.wheel_unloading(q, 100e3, RATE).max(), at_20_hz.max(), rtol=0.01)
+    assert ride.wheel_unloading(q, 100e3, RATE)[500:1500].max() == pytest.approx(0.3 + 0.2, rel=0.03)
+    q = 70e3 + 20e3 * np.sin(2 * np.pi * 100 * t)
+    assert ride.wheel_unloading(q, 100e3, RATE)[500:1500].max() == pytest.approx(0.3, rel=0.03)
 
 
 def test_flange_contacts_are_counted_once_when_they_bounce():
@@ -233,11 +228,8 @@ def test_creep_work_of_all_wheels_is_the_loss_of_the_car_and_t_gamma_leaves_out_
 
 def test_energy_of_constant_power_and_of_opposed_motors():
     t = np.linspace(0, 36, 36_001)
-    net, traction, braking = ride.motor_energy(np.full(t.size, 2e3), np.full(t.size, 50.0), t)
-    assert (net, traction, braking) == pytest.approx((3.6e6, 3.6e6, 0.0))
     torque = np.tile([2e3, -1e3], (t.size, 1))
-    energies = ride.motor_energy(torque, np.full(torque.shape, 50.0), t)
-    assert energies == pytest.approx((1.8e6, 3.6e6, 1.8e6))
+    assert ride.motor_energy(torque, np.full(torque.shape, 50.0), t) == pytest.approx(1.8e6)
 
 
 def steady_series(vehicle, duration=8.0, speed=50.0):
@@ -267,19 +259,15 @@ def test_summary_names_every_figure_with_its_unit(vehicle):
         "flange_contacts": (0.0, "1/km"),
         "t_gamma": (6.0, "N"),
         "creep_work": (6.5, "N"),
-        "comfort_duration": (7.999, "s"),
         "n_mv_floor_front": (6 * 0.957 / np.sqrt(2), "-"),
         "a_wk_vertical_floor_rear": (1.039 / np.sqrt(2), "m/s2"),
         "a_wd_lateral_floor_centre": (0.0409 / np.sqrt(2), "m/s2"),
         "a_wd_lateral_floor_front": (0.0, "m/s2"),
         "motor_energy_net": (4 * 9e3 * 7.999 / 3.6e6, "kWh"),
-        "motor_energy_traction": (4 * 9e3 * 7.999 / 3.6e6, "kWh"),
-        "motor_energy_braking": (0.0, "kWh"),
     }
     for name, (value, unit) in expected.items():
         assert found[name][0] == pytest.approx(value, rel=5e-3, abs=1e-9), name
         assert found[name][1] == unit, name
-    assert len(found) == 4 + 2 + 2 + 1 + 9 + 3
     assert all(isinstance(value, float) for value, _ in found.values())
 
 

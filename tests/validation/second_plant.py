@@ -53,7 +53,7 @@ SLACK = 0.02
 
 def run(
     scenario: Scenario, guidance, *, vehicle: Vehicle | None = None, plant_vehicle: Vehicle | None = None,
-    adhesion=None, estimate=None, fixed_share: float = 0.0, sensors=None, irregularities=None, line=None,
+    adhesion=None, fixed_share: float = 0.0, sensors=None, irregularities=None, line=None,
     substeps: int = 1,
 ) -> simulate.Run:  # fmt: skip
     """`simulate.run` with the second car: ideal rails, perfect measurements."""
@@ -63,7 +63,7 @@ def run(
     body, way = plant_vehicle or vehicle, simulate.checked_route(scenario, vehicle)
     lateral_law, factory = lateral.split(guidance)
     limits = {"lateral_limit": DERAILED, "track_end": way.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, lateral_law, law.LawSettings(adhesion, estimate, fixed_share), **limits)
+    control = law.control_law(vehicle, lateral_law, law.LawSettings(adhesion, fixed_share), **limits)
     planners = [factory(vehicle, way, gear) for gear in range(2)] if factory else []
     every = round(planners[0].period / CONTROL_PERIOD) if planners else 1
     memory, held, records, ended = np.zeros(len(control.signature.memory)), np.zeros(2), [], "time limit reached"

@@ -22,7 +22,6 @@ from railrepro.control.registry import EMPHASIS, PAPER_TRIO, r_times
 from railrepro.data import InputError
 
 REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE = "reproduced", "partly", "tie", "not reproduced", "not testable"
-VERDICTS = (REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE)
 NOTHING = "nothing"
 """Name under which evidence has what y = 0 gives."""
 SOFT = r_times(EMPHASIS, "nmpc")

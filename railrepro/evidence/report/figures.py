@@ -182,18 +182,3 @@ def draw_map(axis: Axes, table: pd.DataFrame, number: str = "{:.0f}", factor: fl
     for ticks, names in ((axis.set_xticks, table.columns), (axis.set_yticks, table.index)):
         ticks(range(len(names)), [name if isinstance(name, str) else f"{name:g}" for name in names])
     axis.grid(False)
-
-
-def draw_settings(axis: Axes, values: pd.DataFrame, lost: pd.DataFrame | None = None) -> None:
-    """Draw one number per controller (rows) and setting of comparison (columns) as marks, crossed where lost."""
-    faces = {"paper": ("0.35", "white"), "equal": ("0.55", "0.55"), "loop": (BLACK, BLACK)}
-    for shift, (setting, column) in enumerate(values.items()):
-        color, face = faces[setting]
-        rows = np.arange(len(column)) + 0.25 * (shift - 1)
-        look = {"color": color, "markerfacecolor": face, "markersize": 3.5, "linestyle": ""}
-        axis.plot(column, rows, marker=SETTING_MARKERS[setting], label=f"setting {setting}", **look)
-        if lost is not None:
-            axis.plot(column.where(lost[setting]), rows, "x", color=color, markersize=6)
-    axis.set_yticks(range(len(values)), [LOOKS[name].label for name in values.index])
-    if not axis.yaxis_inverted():
-        axis.invert_yaxis()

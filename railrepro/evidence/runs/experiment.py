@@ -19,8 +19,7 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.contact.points import read_pair
-from railrepro.control.adhesion import LongitudinalLaw
-from railrepro.control.law import EstimateSettings
+from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.data import InputError, require
 from railrepro.estimation import sensors
@@ -59,7 +58,7 @@ class Experiment:
         See `registry.guidance`.
     vehicle, plant : dict
         Vehicle parameters changed for car and controllers, and for the car alone (`parameters.load_vehicle`).
-    adhesion, estimate, fixed_share
+    adhesion, fixed_share
         See `simulate.run`.
     alignment : Alignment, optional
         Track in place of that of the scenario.
@@ -91,8 +90,7 @@ class Experiment:
     changes: dict = field(default_factory=dict)
     vehicle: dict = field(default_factory=dict)
     plant: dict = field(default_factory=dict)
-    adhesion: LongitudinalLaw | None = None
-    estimate: EstimateSettings | None = None
+    adhesion: AdhesionSettings | None = None
     fixed_share: float = 0.0
     alignment: Alignment | None = None
     irregular: dict = field(default_factory=dict)
@@ -149,7 +147,6 @@ class Experiment:
                 vehicle=load_vehicle(**self.vehicle),
                 plant_vehicle=self.car(),
                 adhesion=self.adhesion,
-                estimate=self.estimate,
                 fixed_share=self.fixed_share,
             )
 
@@ -175,7 +172,7 @@ class Experiment:
         scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
         track = None if self.alignment else load_track(self.scenario.track_file())
         scenario["track"] = (track.table.to_numpy(), track.design_speed) if track else self.alignment
-        plan = self.tuned(), self.options, self.changes, self.adhesion, self.estimate, self.fixed_share
+        plan = self.tuned(), self.options, self.changes, self.adhesion, self.fixed_share
         sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
         believed = load_vehicle(**self.vehicle)
         cars = believed, self.car() if self.plant else believed
