@@ -59,7 +59,7 @@ _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3,
 
 @dataclass(frozen=True)
 class LqgSettings:
-    """Constants of the design; chapter 15 derives them."""
+    """Constants of the design; `11_lqg` derives them."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 1e-8
     """Weight rho of a change of torque per millisecond on ideal rails."""

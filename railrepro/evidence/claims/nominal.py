@@ -1,7 +1,7 @@
 """Evidence on the nominal case: the stored probes of each setting, as `statements.Evidence`.
 
 What predicates read comes from nominal_metrics.csv (`python -m railrepro probe`), the same runs as in the studies; what
-the prose says of other controllers from settings_metrics.csv (notebook 14_settings).
+the prose says of other controllers from settings_metrics.csv (notebook 10_settings).
 """
 
 from __future__ import annotations
