@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from railrepro.car import component, equations
-from railrepro.car.component import DERAILED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
+from railrepro.car.component import DERAILED, LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
+from railrepro.export.fmu import Fmu, Parameter, constant, fmu_file, parameters, parameters_text, write_fmu
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -19,8 +19,9 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     """Write the car on a route as a co-simulation FMU for this platform.
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
-    communication step must be a whole number of ms; route, contact table and vehicle are built in. A torque that is no
-    number or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
+    communication step must be a whole number of ms; route and contact table are built in. What the car reads at run
+    time (`equations.CarParameters`, as "body.mass" or "adhesion.poor.mu0") and its speed are parameters. A torque that
+    is no number or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
     The code runs on any processor of this kind, unless RAILREPRO_CFLAGS asks for more.
 
     Parameters
@@ -40,8 +41,12 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     """
     path = fmu_file(path)  # refused before the car is built
     car = SteppedCar(route, speed, vehicle)
-    text = codegen.source_text(component.functions()) + component.c_text() + _constants(car)
-    fmu = Fmu("car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE)
+    found = parameters(equations.CarParameters, car.parameters)
+    found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
+    text = codegen.source_text([*component.functions(), equations.rest(car.table)]) + component.c_text()
+    text += _constants(car) + parameters_text(found)
+    description = "Multibody car on independently rotating wheels"
+    fmu = Fmu("car", description, equations.car().outputs, _INPUTS, LARGEST_TORQUE, found)
     return write_fmu(path, fmu, text, Path(__file__).with_name("car_fmu.c").read_text())
 
 
@@ -61,5 +66,5 @@ def _constants(car: SteppedCar) -> str:
     text += f'#define INPUT_TEXT "a torque must be a number of at most {LARGEST_TORQUE:g} N m"\n'
     text += "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     text += "".join(f"#define {name} {float(value).hex()}\n" for name, value in grids.items())
-    arrays = {"CELLS": car.route.cells, "CONTACTS": contacts, "PARAMETERS": car.parameters, "START": car.state}
+    arrays = {"CELLS": car.route.cells, "CONTACTS": contacts, "START": car.state}
     return text + "".join(constant(name, values) for name, values in arrays.items())
