@@ -1,4 +1,4 @@
-"""Parameters of the FMUs: set before a run they give the run of `simulate` with the same change, out of range a sentence."""
+"""Parameters of the FMUs: a run with them equals `simulate` with the same change; out of range they get a sentence."""
 
 import pytest
 from test_export import MPC, SCENARIO, coupled
