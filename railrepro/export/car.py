@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from railrepro.car import component, equations
@@ -12,7 +13,8 @@ from railrepro.export.fmu import Fmu, Parameter, constant, fmu_file, parameters,
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
-_INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
+INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
+MODEL = Path(__file__).with_name("car_fmu.c")
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
@@ -40,17 +42,21 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
         Without C compiler, with an impossible speed, or where the file cannot be written.
     """
     path = fmu_file(path)  # refused before the car is built
-    car = SteppedCar(route, speed, vehicle)
+    text, found = written(SteppedCar(route, speed, vehicle), speed)
+    description = "Multibody car on independently rotating wheels"
+    fmu = Fmu("car", description, equations.car().outputs, INPUTS, LARGEST_TORQUE, found)
+    return write_fmu(path, fmu, text, MODEL.read_text())
+
+
+def written(car: SteppedCar, speed: float, route: Callable = constant) -> tuple[str, list[Parameter]]:
+    """C source of a car before `MODEL`, and its parameters; `route` writes the table of the route, see `constant`."""
     found = parameters(equations.CarParameters, car.parameters)
     found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
     text = codegen.source_text([*component.functions(), equations.rest(car.table)]) + component.c_text()
-    text += _constants(car) + parameters_text(found)
-    description = "Multibody car on independently rotating wheels"
-    fmu = Fmu("car", description, equations.car().outputs, _INPUTS, LARGEST_TORQUE, found)
-    return write_fmu(path, fmu, text, Path(__file__).with_name("car_fmu.c").read_text())
+    return text + _constants(car, route) + parameters_text(found), found
 
 
-def _constants(car: SteppedCar) -> str:
+def _constants(car: SteppedCar, route: Callable) -> str:
     """C constants of an FMU: tables, parameters, start state."""
 
     contacts = car.table.cells()
@@ -66,5 +72,5 @@ def _constants(car: SteppedCar) -> str:
     text += f'#define INPUT_TEXT "a torque must be a number of at most {LARGEST_TORQUE:g} N m"\n'
     text += "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     text += "".join(f"#define {name} {float(value).hex()}\n" for name, value in grids.items())
-    arrays = {"CELLS": car.route.cells, "CONTACTS": contacts, "START": car.state}
-    return text + "".join(constant(name, values) for name, values in arrays.items())
+    arrays = {"CONTACTS": contacts, "START": car.state}
+    return text + route("CELLS", car.route.cells) + "".join(constant(*array) for array in arrays.items())

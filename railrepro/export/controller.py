@@ -8,7 +8,7 @@ and gives the four torques; a master that steps the controller before the car, e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -45,6 +45,12 @@ TORQUES = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""
 _HERE = Path(__file__).parent
+MODEL = _HERE / "controller_fmu.c"
+SIZES = f"""#define N_OUTPUT {len(TORQUES)}
+#define INPUTS_TEXT "what is measured"
+#define INPUT_TEXT "what is measured must be a number of at most {_LARGEST:g}"
+"""
+"""What `MODEL` needs besides `Export.source`."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,7 @@ class Export:
     Attributes
     ----------
     guidance : lateral.Guidance
-        A 1 kHz law, or a factory of `NMPC` by real-time iteration, of `LTVMPC` or of `LqgPreview`.
+        A 1 kHz law, or a factory of `NMPC` (not by Ipopt), of `LTVMPC` or of `LqgPreview`.
     route : Route
     vehicle : Vehicle
         What it believes of the car.
@@ -83,10 +89,10 @@ class Export:
         Places in them are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A
         step takes 1 ms. Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
         """
-        return self._written()[0]
+        return self.written()[0]
 
-    def _written(self) -> tuple[str, list[Parameter]]:
-        """C source, and the parameters."""
+    def written(self, road: Callable = constant) -> tuple[str, list[Parameter]]:
+        """C source, and the parameters; `road` writes the table of the route, see `constant`."""
         lateral_law, factory = lateral.split(self.guidance)
         limits = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, self.settings, **limits)
@@ -99,7 +105,7 @@ class Export:
         found = parameters(control.signature.Gains, control.gains)
         if predictive:
             found += self._solver_parameters(planners)
-        text += self._constants(control) + parameters_text(found)
+        text += self._constants(control, road) + parameters_text(found)
         text += _inputs(planners[0].period, control.signature) if planners else ""
         if predictive:
             text += self._solver(planners, control.signature)
@@ -121,14 +127,12 @@ class Export:
         predictive controller weights ("cost.r") and model ("belief.J_z").
         """
         path = fmu_file(path)
-        text, found = self._written()
+        text, found = self.written()
         description = "Controller of two running gears with independently rotating wheels"
         fmu = Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST, found)
-        sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}
-        sizes |= {"INPUT_TEXT": f'"what is measured must be a number of at most {_LARGEST:g}"'}
-        return write_fmu(path, fmu, text + _defines(sizes), (_HERE / "controller_fmu.c").read_text())
+        return write_fmu(path, fmu, text + SIZES, MODEL.read_text())
 
-    def _constants(self, control: law.ControlLaw) -> str:
+    def _constants(self, control: law.ControlLaw, road: Callable) -> str:
         """Sizes, road and gains of the law."""
         sizes: dict[str, int | str] = {"N_MEASURED": len(interface.MEASURED), "N_TORQUE": len(TORQUES)}
         sizes |= {"N_MEMORY": len(control.signature.memory), "GEARS": len(GEARS), "N_CELLS": len(self.route.cells)}
@@ -142,7 +146,7 @@ class Export:
         cells = self.route.cells.copy()
         if lateral.split(self.guidance)[1] is None:
             cells[:, ~_read(control.function)] = 0.0
-        return text + constant("CELLS", cells)
+        return text + road("CELLS", cells)
 
     def _solver_functions(self, planner: PredictiveController) -> list[ca.Function]:
         """Functions of the solver, and the torque limit (N m) over the speed (m/s) from the numbers of the drive."""
@@ -195,12 +199,12 @@ def _inputs(period: float, signature: law.LawSignature) -> str:
 
 def _checked(planner: lateral.SlowController | lateral.CompiledController):
     """A controller that has C of its own; InputError for any other one."""
-    solved = isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver == "rti")
+    solved = isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver != "ipopt")
     if solved or hasattr(planner, "exported"):
         return planner
     raise InputError(
-        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by real-time iteration "
-        '(options {"solver": "rti"}) or LqgPreview, which alone have C of their own'
+        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or LqgPreview, "
+        "which alone have C of their own"
     )
 
 
