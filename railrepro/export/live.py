@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from railrepro import __version__, paths
+from railrepro import paths
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.compile import codegen
@@ -98,14 +98,14 @@ def content(tell: Callable[[str], None] = print) -> dict:
     text, found = car_export.written(SteppedCar(any_route, 50.0), 50.0, _writable)
     car = {"module": _packed(webassembly(text, car_export.MODEL)), "parameters": _stated(found)}
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
-    controllers = {}
+    controllers: dict[str, dict] = {}
     for name in (*SHOWN, OWN):
         tell(name)
         text, found = Export(_law(name), any_route).written(_writable)
         module = webassembly(text, controller_export.MODEL, controller_export.SIZES)
         controllers[name] = {"label": SHOWN.get(name, "Law of your own"), "module": _packed(module)}
         controllers[name]["parameters"] = _stated(found)
-    figures = {}
+    figures: dict[str, dict] = {}
     for title, name in FIGURES.items():
         tell(title)
         scenario = scenarios[name]
@@ -118,7 +118,7 @@ def content(tell: Callable[[str], None] = print) -> dict:
             for of, run in series.items()
         }
     return {
-        "version": __version__, "columns": list(COLUMNS), "torques": list(TORQUES), "stride": STRIDE, "car": car,
+        "columns": list(COLUMNS), "torques": list(TORQUES), "stride": STRIDE, "car": car,
         "controllers": controllers, "figures": figures,
     }  # fmt: skip
 
