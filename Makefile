@@ -40,7 +40,7 @@ VENV := .venv/ready-$(LOCK_HASH)
 READY = .venv/ready-$(1)-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 ~ "^($(1))$$"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study html script lock strip clean distclean FORCE
+.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study html live script lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
@@ -116,6 +116,9 @@ study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (lon
 
 html: $(call READY,book)  ## the book in build/html: executed notebooks (runs those that are missing), report, library reference
 	$(PY) -m railrepro chain html
+
+live: $(call READY,compiler)  ## the car in a browser: build/live/index.html, one file that needs no network
+	$(PY) -m railrepro live
 
 script: $(VENV)  ## a chapter as a Python script in build/scripts: NB=06
 	@$(PY) -m railrepro chain script "$(or $(NB),00)"

@@ -63,6 +63,16 @@ def names(of: type) -> tuple[str, ...]:
     return tuple(found)
 
 
+def notes(of: type) -> tuple:
+    """What each entry is annotated with, a unit or a range with its unit, in the order of `names`; None for lists."""
+    hints = get_type_hints(of, include_extras=True)
+    found: list = []
+    for name, inner, labels, _ in _members(of):
+        note = get_args(hints[name])[1:] or (None,)
+        found += notes(inner) if inner else note[:1] if labels is None else [None] * len(labels)
+    return tuple(found)
+
+
 def pack(values: Any) -> list:
     """Entries of an instance, in the order of `names`."""
     found: list = []

@@ -310,6 +310,17 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
+    return np.array(pack(_rest(vehicle, table, speed, p)))
+
+
+def rest(table: ContactTable) -> ca.Function:
+    """`rest_state` with the front gear at 0 as a function: (par, speed) -> state."""
+    (par, vehicle), speed = symbols(CarParameters, "par"), ca.SX.sym("speed")
+    return ca.Function("car_rest", [par, speed], [ca.vertcat(*pack(_rest(vehicle, table, speed, 0.0)))])
+
+
+def _rest(vehicle: Any, table: ContactTable, speed: Any, p: float) -> Any:
+    """State of `rest_state` from numbers or symbols."""
     cell = dict(zip(CELL_COLUMNS, table.cells()[round((0.0 - table.start) / table.step)], strict=True))
     contact = in_cell(cell, 0.0 - cell["shift"])
     cos_angle = 1 / np.hypot(1, contact["slope"])
@@ -321,11 +332,10 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0
     def rolling(s: float, z: float) -> Any:
         return Coordinates(s, 0.0, z, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    state = CarState(
+    return CarState(
         body=rolling(p - half, sink - vehicle.body.cg_height),
         front=rolling(p, axle),
         rear=rolling(p - 2 * half, axle),
         w=[speed / (contact["rolling_radius"] - drop)] * len(WHEELS),
         tau=[0.0] * len(WHEELS),
     )
-    return np.array(pack(state))

@@ -37,6 +37,11 @@ _SECONDS = 600.0
 """Time limit of a compilation (s)."""
 PACKAGED = "ziglang"
 """The compiler of a Python package, the extra `compiler`; `CC=ziglang` chooses it."""
+WEBASSEMBLY = (
+    *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic", "-msimd128", "-O2"),
+    *("-ffp-contract=off", "-fno-math-errno", "-w"),
+)
+"""How the packaged compiler makes modules for browsers; their bits are those of objects."""
 _OTHERS = 0o022
 """Write permission of group and others."""
 
@@ -154,8 +159,8 @@ def own_file(file: Path) -> bytes | None:
         return None
 
 
-def build(text: str, portable: bool = False, level: str = "-Og") -> Path:
-    """Compile C source text to a shared object, or find it in the cache.
+def build(text: str, portable: bool = False, level: str = "-Og", webassembly: bool = False) -> Path:
+    """Compile C source text to a shared object, or to a module of WebAssembly, or find it in the cache.
 
     Parameters
     ----------
@@ -170,7 +175,11 @@ def build(text: str, portable: bool = False, level: str = "-Og") -> Path:
         When there is no compiler, when it refuses the source or takes too long, or when the object cannot be stored;
         the sentence names the kept source file.
     """
-    command, options, folder = compiler(), flags(portable, len(text), level), cache_folder()
+    if webassembly and not found(PACKAGED):
+        raise CompilerError("modules of WebAssembly need `pip install railrepro[compiler]`")
+    command = PACKAGED if webassembly else compiler()
+    options = WEBASSEMBLY if webassembly else flags(portable, len(text), level)
+    folder = cache_folder()
     key = hashlib.sha256((text + "\0" + identity(command, options)).encode()).hexdigest()[:24]
     target, lock = folder / f"{key}.so", folder / f"{key}.lock"
     try:

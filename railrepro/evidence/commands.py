@@ -116,6 +116,8 @@ def _tools(command: Callable) -> None:
     added.add_argument("--small", action="store_true", help="only the quick runs of the published draw, no margins")
     added = command("leaderboard", "benchmark:leaderboard", "score registered controllers and examples/ (long)")
     added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
+    added = command("live", "", "the page in build/live that drives the car in a browser")
+    added.set_defaults(call="railrepro.export.live:main")
 
 
 def _chain(command: Callable) -> None:

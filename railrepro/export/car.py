@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from railrepro.car import component, equations
-from railrepro.car.component import DERAILED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
+from railrepro.car.component import DERAILED, LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
+from railrepro.export.fmu import Fmu, Parameter, constant, fmu_file, parameters, parameters_text, write_fmu
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
-_INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
+INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
+MODEL = Path(__file__).with_name("car_fmu.c")
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
     """Write the car on a route as a co-simulation FMU for this platform.
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
-    communication step must be a whole number of ms; route, contact table and vehicle are built in. A torque that is no
-    number or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
+    communication step must be a whole number of ms; route and contact table are built in. What the car reads at run
+    time (`equations.CarParameters`, as "body.mass" or "adhesion.poor.mu0") and its speed are parameters. A torque that
+    is no number or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
     The code runs on any processor of this kind, unless RAILREPRO_CFLAGS asks for more.
 
     Parameters
@@ -39,13 +42,21 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
         Without C compiler, with an impossible speed, or where the file cannot be written.
     """
     path = fmu_file(path)  # refused before the car is built
-    car = SteppedCar(route, speed, vehicle)
-    text = codegen.source_text(component.functions()) + component.c_text() + _constants(car)
-    fmu = Fmu("car", "Multibody car on independently rotating wheels", equations.car().outputs, _INPUTS, LARGEST_TORQUE)
-    return write_fmu(path, fmu, text, Path(__file__).with_name("car_fmu.c").read_text())
+    text, found = written(SteppedCar(route, speed, vehicle), speed)
+    description = "Multibody car on independently rotating wheels"
+    fmu = Fmu("car", description, equations.car().outputs, INPUTS, LARGEST_TORQUE, found)
+    return write_fmu(path, fmu, text, MODEL.read_text())
 
 
-def _constants(car: SteppedCar) -> str:
+def written(car: SteppedCar, speed: float, route: Callable = constant) -> tuple[str, list[Parameter]]:
+    """C source of a car before `MODEL`, and its parameters; `route` writes the table of the route, see `constant`."""
+    found = parameters(equations.CarParameters, car.parameters)
+    found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
+    text = codegen.source_text([*component.functions(), equations.rest(car.table)]) + component.c_text()
+    return text + _constants(car, route) + parameters_text(found), found
+
+
+def _constants(car: SteppedCar, route: Callable) -> str:
     """C constants of an FMU: tables, parameters, start state."""
 
     contacts = car.table.cells()
@@ -61,5 +72,5 @@ def _constants(car: SteppedCar) -> str:
     text += f'#define INPUT_TEXT "a torque must be a number of at most {LARGEST_TORQUE:g} N m"\n'
     text += "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     text += "".join(f"#define {name} {float(value).hex()}\n" for name, value in grids.items())
-    arrays = {"CELLS": car.route.cells, "CONTACTS": contacts, "PARAMETERS": car.parameters, "START": car.state}
-    return text + "".join(constant(name, values) for name, values in arrays.items())
+    arrays = {"CONTACTS": contacts, "START": car.state}
+    return text + route("CELLS", car.route.cells) + "".join(constant(*array) for array in arrays.items())

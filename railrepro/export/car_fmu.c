@@ -5,7 +5,7 @@ enum { LOOKUPS = BODIES + WHEELS, POINTERS = 16, INTEGERS = 256, WORK = 65536 };
 
 typedef struct {
   double x[N_STATE], next[N_STATE], error[N_STATE], inputs[N_INPUT], y[N_OUTPUT], places[LOOKUPS], period;
-  double rows[BODIES * N_CELL], contacts[WHEELS * N_CONTACT];
+  double rows[BODIES * N_CELL], contacts[WHEELS * N_CONTACT], parameters[N_PARAMETER];
   lookup_t lookups[LOOKUPS];
   const double *in[3][POINTERS];
   double *out[3][POINTERS];
@@ -22,9 +22,9 @@ static call_t bind(fmu_t *u, int function, casadi_fn evaluate) {
 
 /* Let the generated functions share the buffers of the FMU. */
 static void connect(fmu_t *u) {
-  const double *in[3][6] = {{u->x, u->rows, PARAMETERS},
-                            {u->x, u->inputs, u->rows, u->contacts, PARAMETERS},
-                            {u->x, u->inputs, u->rows, u->contacts, PARAMETERS, &u->period}};
+  const double *in[3][6] = {{u->x, u->rows, u->parameters},
+                            {u->x, u->inputs, u->rows, u->contacts, u->parameters},
+                            {u->x, u->inputs, u->rows, u->contacts, u->parameters, &u->period}};
   double *out[3][2] = {{u->places}, {u->y}, {u->next, u->error}};
   for (int i = 0; i < 3; ++i) memcpy(u->in[i], in[i], sizeof in[i]), memcpy(u->out[i], out[i], sizeof out[i]);
   for (int i = 0; i < BODIES; ++i)
@@ -38,6 +38,7 @@ static void connect(fmu_t *u) {
 
 static void reset(fmu_t *u) {
   memcpy(u->x, START, sizeof u->x);
+  memcpy(u->parameters, PARAMETERS, sizeof u->parameters);
   memset(u->inputs, 0, sizeof u->inputs);
   memset(u->rows, 0, sizeof u->rows);
   u->period = PERIOD, u->told = 0;
@@ -45,8 +46,17 @@ static void reset(fmu_t *u) {
   car_measure(&u->car);
 }
 
-/* Outputs before the first step. */
-static void begin(fmu_t *u) { car_measure(&u->car); }
+/* At rest on its wheels as its parameters have it, and outputs before the first step. */
+static void begin(fmu_t *u) {
+  if (memcmp(u->parameters, PARAMETERS, sizeof u->parameters)) {
+    const double *in[POINTERS] = {u->parameters, u->parameters + PARAMETER_SPEED};
+    double *out[POINTERS] = {u->x};
+    car_rest(in, out, u->integers, u->work, 0);
+    car_look_up(&u->car);
+    car_look_up(&u->car);
+  }
+  car_measure(&u->car);
+}
 
 static status_t advance(fmu_t *u, casadi_int steps) {
   if (car_run(&u->car, steps, LARGEST_STATE) < steps)

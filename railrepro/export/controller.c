@@ -5,6 +5,8 @@
 typedef struct {
   /* what is measured (SI), by the enumerated MEASURED_...; torques that follow (N m), by TORQUE_... */
   double measured[N_MEASURED], torque[N_TORQUE];
+  /* by PARAMETER_..., the gains of the law first */
+  double parameters[N_PARAMETER];
   double rows[GEARS * N_CELL_COLUMNS], held[GEARS], memory[N_MEMORY], next[N_MEMORY];
   const double *in[LAW_ARG];
   double *out[LAW_RES];
@@ -16,11 +18,19 @@ typedef struct {
 #endif
 } controller_t;
 
+/* At the start of a run with the parameters as they are. */
+void controller_start(controller_t *c) {
+  memset(c->memory, 0, sizeof c->memory), memset(c->held, 0, sizeof c->held), c->cycles = 0;
+#ifdef PLAN_STEPS
+  for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g, c->parameters);
+#endif
+}
+
+/* The same with all parameters as exported. */
 void controller_reset(controller_t *c) {
   memset(c, 0, sizeof *c);
-#ifdef PLAN_STEPS
-  for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g);
-#endif
+  memcpy(c->parameters, PARAMETERS, sizeof c->parameters);
+  controller_start(c);
 }
 
 /* One control cycle: from `measured` to `torque`; not 0 when the law fails. */
@@ -41,7 +51,7 @@ int controller_step(controller_t *c) {
       c->held[g] = planner_sample(&c->planner[g], state, readings, c->memory[BASE[g]]);
     }
 #endif
-  const double *in[] = {c->measured, c->rows, c->held, GAINS, c->memory};
+  const double *in[] = {c->measured, c->rows, c->held, c->parameters, c->memory};
   double *out[] = {c->torque, c->next};
   memset(c->out, 0, sizeof c->out);  /* nobody reads what the law records */
   memcpy(c->in, in, sizeof in), memcpy(c->out, out, sizeof out);

@@ -8,8 +8,8 @@ and gives the four torques; a master that steps the controller before the car, e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import casadi as ca
@@ -20,20 +20,37 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import interface, lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
+from railrepro.control.problem import TUNING
 from railrepro.control.solvers import riccati
 from railrepro.data import InputError, location, require, write
-from railrepro.export.fmu import Fmu, constant, fmu_file, write_fmu
+from railrepro.export.fmu import (
+    Fmu,
+    Parameter,
+    constant,
+    fmu_file,
+    index_enum,
+    parameters,
+    parameters_text,
+    write_fmu,
+)
 from railrepro.model.control_model import STATES
-from railrepro.model.forecast import nominal_values
-from railrepro.quantities import GEARS, indices, names, pack
+from railrepro.model.forecast import NOMINAL, nominal_values
+from railrepro.model.parameters import PARAMETERS
+from railrepro.quantities import GEARS, indices, names, pack, symbols
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
+from railrepro.vehicle.parameters import Drive, Vehicle, load_vehicle
 
 TORQUES = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
 """Outputs of a controller (N m), inputs of the car."""
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""
 _HERE = Path(__file__).parent
+MODEL = _HERE / "controller_fmu.c"
+SIZES = f"""#define N_OUTPUT {len(TORQUES)}
+#define INPUTS_TEXT "what is measured"
+#define INPUT_TEXT "what is measured must be a number of at most {_LARGEST:g}"
+"""
+"""What `MODEL` needs besides `Export.source`."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +60,7 @@ class Export:
     Attributes
     ----------
     guidance : lateral.Guidance
-        A 1 kHz law, or a factory of `NMPC` by real-time iteration, of `LTVMPC` or of `LqgPreview`.
+        A 1 kHz law, or a factory of `NMPC` (not by Ipopt), of `LTVMPC` or of `LqgPreview`.
     route : Route
     vehicle : Vehicle
         What it believes of the car.
@@ -67,10 +84,15 @@ class Export:
         lateral.split(self.guidance)
 
     def source(self) -> str:
-        """C source: controller_t with `measured` and `torque`, controller_reset(c), controller_step(c) every ms.
+        """C source: controller_t with `measured`, `torque` and `parameters`, controller_reset(c), controller_step(c).
 
-        Places in both are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI).
+        Places in them are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A
+        step takes 1 ms. Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
         """
+        return self.written()[0]
+
+    def written(self, road: Callable = constant) -> tuple[str, list[Parameter]]:
+        """C source, and the parameters; `road` writes the table of the route, see `constant`."""
         lateral_law, factory = lateral.split(self.guidance)
         limits = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, self.settings, **limits)
@@ -80,13 +102,17 @@ class Export:
         predictive = bool(planners) and isinstance(planners[0], PredictiveController)
         functions = [control.function, *(self._solver_functions(planners[0]) if predictive else ())]
         text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
-        text += self._constants(control) + (_inputs(planners[0].period, control.signature) if planners else "")
+        found = parameters(control.signature.Gains, control.gains)
         if predictive:
-            text += self._solver(planners)
+            found += self._solver_parameters(planners)
+        text += self._constants(control, road) + parameters_text(found)
+        text += _inputs(planners[0].period, control.signature) if planners else ""
+        if predictive:
+            text += self._solver(planners, control.signature)
         elif planners:
             sensors = self.settings.sensors
             text += planners[0].exported(planners, sensors.loop if sensors else None)
-        return text + (_HERE / "controller.c").read_text()
+        return text + (_HERE / "controller.c").read_text(), found
 
     def write_source(self, path: Path | str) -> Path:
         """Write `source` to a file."""
@@ -95,15 +121,18 @@ class Export:
         return file
 
     def write_fmu(self, path: Path | str) -> Path:
-        """Write an FMU (FMI 2.0) for this platform; inputs `interface.MEASURED`, outputs `TORQUES`."""
-        path = fmu_file(path)
-        description = "Controller of two running gears with independently rotating wheels"
-        fmu = Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST)
-        sizes = {"N_OUTPUT": len(TORQUES), "INPUTS_TEXT": '"what is measured"'}
-        sizes |= {"INPUT_TEXT": f'"what is measured must be a number of at most {_LARGEST:g}"'}
-        return write_fmu(path, fmu, self.source() + _defines(sizes), (_HERE / "controller_fmu.c").read_text())
+        """Write an FMU (FMI 2.0) for this platform; inputs `interface.MEASURED`, outputs `TORQUES`.
 
-    def _constants(self, control: law.ControlLaw) -> str:
+        Parameters are the gains of the law (as "lateral.k0", "adhesion.drop_step", "drive.torque_limit"), and of a
+        predictive controller weights ("cost.r") and model ("belief.J_z").
+        """
+        path = fmu_file(path)
+        text, found = self.written()
+        description = "Controller of two running gears with independently rotating wheels"
+        fmu = Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST, found)
+        return write_fmu(path, fmu, text + SIZES, MODEL.read_text())
+
+    def _constants(self, control: law.ControlLaw, road: Callable) -> str:
         """Sizes, road and gains of the law."""
         sizes: dict[str, int | str] = {"N_MEASURED": len(interface.MEASURED), "N_TORQUE": len(TORQUES)}
         sizes |= {"N_MEMORY": len(control.signature.memory), "GEARS": len(GEARS), "N_CELLS": len(self.route.cells)}
@@ -112,33 +141,43 @@ class Export:
         measured = indices(interface.Measured)
         sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}
         positions = [gear.p for gear in (measured.front, measured.rear)]
-        text = _index_enum("MEASURED", interface.MEASURED) + _index_enum("TORQUE", TORQUES)
+        text = index_enum("MEASURED", interface.MEASURED) + index_enum("TORQUE", TORQUES)
         text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("POSITIONS", positions)
         cells = self.route.cells.copy()
         if lateral.split(self.guidance)[1] is None:
             cells[:, ~_read(control.function)] = 0.0
-        return text + constant("CELLS", cells) + constant("GAINS", control.gains)
+        return text + road("CELLS", cells)
 
     def _solver_functions(self, planner: PredictiveController) -> list[ca.Function]:
-        """Functions of the solver, and the torque limit (N m) over the speed (m/s)."""
-        speed, settings = ca.SX.sym("speed"), planner.settings
-        limit = ca.SX(self.vehicle.drive.limit(speed / self.vehicle.wheel.radius))
+        """Functions of the solver, and the torque limit (N m) over the speed (m/s) from the numbers of the drive."""
+        (numbers, drive), speed, settings = symbols(Drive, "drive"), ca.SX.sym("speed"), planner.settings
+        limit = ca.SX(drive.limit(speed / self.vehicle.wheel.radius))
         solver = riccati.functions(settings.variant, settings.discretisation)
-        return [*solver, ca.Function("torque_limit", [speed], [limit])]
+        return [*solver, ca.Function("torque_limit", [speed, numbers], [limit])]
 
-    def _solver(self, planners: list[PredictiveController]) -> str:
+    def _solver_parameters(self, planners: list[PredictiveController]) -> list[Parameter]:
+        """Numbers of the predictive controllers of both gears; what fixes a size keeps its value."""
+        first, large = planners[0], 1e15
+        tables = {"cost": (TUNING, first.settings.tuning()), "belief": (PARAMETERS, first.parameters)}
+        for gear, name in enumerate(GEARS):
+            tables[f"forecast.{name}"] = NOMINAL, nominal_values(self.vehicle, gear)
+        found = [
+            Parameter(f"{below}.{name}", float(value), "", -large, large)
+            for below, (of, values) in tables.items()
+            for name, value in zip(of, values, strict=True)
+        ]
+        found.append(Parameter("observer", first.settings.observer, "", 0.0, 1.0))
+        return [replace(one, low=one.value, high=one.value) if one.name == "cost.period" else one for one in found]
+
+    def _solver(self, planners: list[PredictiveController], signature: law.LawSignature) -> str:
         """The predictive controllers of both gears: solver, numbers and memory."""
         settings, first = planners[0].settings, planners[0]
         sizes: dict[str, int | str] = {"STEPS": settings.steps, "MOST_SETS": riccati.MOST_SETS, "MODE": first.mode}
         sizes |= {"YIELDING": int(settings.yielding), "INFORMED": int(settings.informed)}
         sizes |= _work("PLAN", self._solver_functions(first))
-        numbers = {"OBSERVER": settings.observer, "AFFINE": first.horizon.c.affine}
-        sizes |= {name: float(value).hex() for name, value in numbers.items()}
-        nominal = np.array([nominal_values(self.vehicle, gear) for gear in range(len(planners))])
-        sizes["N_NOMINAL"] = nominal.shape[1]
-        tables = {"NOMINAL": nominal, "MODEL": first.parameters, "TUNING": settings.tuning()}
-        text = _defines(sizes) + "".join(constant(name, table) for name, table in tables.items())
-        text += riccati.c_text(settings.variant, settings.discretisation)
+        sizes |= {"AFFINE": float(first.horizon.c.affine).hex(), "N_NOMINAL": len(NOMINAL)}
+        sizes |= {"DRIVE": indices(signature.Gains).drive.torque_limit}
+        text = _defines(sizes) + riccati.c_text(settings.variant, settings.discretisation)
         return text + (_HERE / "planner_memory.c").read_text()
 
 
@@ -160,12 +199,12 @@ def _inputs(period: float, signature: law.LawSignature) -> str:
 
 def _checked(planner: lateral.SlowController | lateral.CompiledController):
     """A controller that has C of its own; InputError for any other one."""
-    solved = isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver == "rti")
+    solved = isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver != "ipopt")
     if solved or hasattr(planner, "exported"):
         return planner
     raise InputError(
-        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by real-time iteration "
-        '(options {"solver": "rti"}) or LqgPreview, which alone have C of their own'
+        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or LqgPreview, "
+        "which alone have C of their own"
     )
 
 
@@ -184,11 +223,6 @@ def _read(function: ca.Function) -> np.ndarray:
     rows = function.index_in("rows")
     used = [i for output in range(2) for i in function.jac_sparsity(output, rows).get_triplet()[1]]
     return np.isin(np.arange(len(COLUMNS)), [INDEX["p"], *(i % len(COLUMNS) for i in used)])
-
-
-def _index_enum(prefix: str, names: tuple[str, ...]) -> str:
-    """C enumeration of the indices of named values, MEASURED_FRONT_P and so on."""
-    return f"enum {{ {', '.join(f'{prefix}_{name.replace(chr(46), chr(95)).upper()}' for name in names)} }};\n"
 
 
 def _integers(name: str, values) -> str:

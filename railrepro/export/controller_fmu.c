@@ -2,11 +2,12 @@
 
 typedef struct {
   double inputs[N_INPUT], y[N_OUTPUT];
+  double *parameters;  /* those of the controller */
   controller_t controller;
   const host_t *host;
 } fmu_t;
 
-static void connect(fmu_t *u) {}
+static void connect(fmu_t *u) { u->parameters = u->controller.parameters; }
 
 static void reset(fmu_t *u) {
   memset(u->inputs, 0, sizeof u->inputs);
@@ -14,7 +15,7 @@ static void reset(fmu_t *u) {
   controller_reset(&u->controller);
 }
 
-static void begin(fmu_t *u) {}
+static void begin(fmu_t *u) { controller_start(&u->controller); }
 
 /* What is measured is held for all cycles of a step. */
 static status_t advance(fmu_t *u, casadi_int steps) {

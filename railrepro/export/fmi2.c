@@ -35,9 +35,9 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean t, fmi2Real tol, fmi
   return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return begin(&((instance_t *)c)->fmu), fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return (fmi2Status)start(c); }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { return reset(&((instance_t *)c)->fmu), fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) { return (fmi2Status)start_anew(c); }
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]) {
   return (fmi2Status)get_numbers(c, r, n, v);
 }

@@ -1,7 +1,7 @@
 """From C source text to an FMU (FMI 2.0) for co-simulation, for this platform.
 
 What an FMU does stands in its own C (`fmu_t`, connect, reset, begin, advance) between fmi.h and fmi.c; fmi2.c
-translates to the standard.
+translates to the standard. All run-time numbers of car and controllers are parameters of their FMUs.
 """
 
 from __future__ import annotations
@@ -11,15 +11,54 @@ import platform
 import sys
 import uuid
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
+from railrepro import data
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.data import InputError, location, write
+from railrepro.quantities import names, notes
+
+_ANY = data.Quantity(-1e12, 1e12, "", closed=True)
+"""Range of what states none."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an exported car or controller that may be changed before a run (SI)."""
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+
+
+def parameters(of: type, values: Iterable[float], below: str = "") -> list[Parameter]:
+    """The entries of a dataclass of quantities as parameters, their names `below` another one."""
+    found = []
+    for name, note, value in zip(names(of), notes(of), values, strict=True):
+        allowed = note if isinstance(note, data.Quantity) else replace(_ANY, unit=note or "")
+        low = -allowed.high if allowed.signed else allowed.low
+        found.append(Parameter(below + name, float(value), allowed.unit, low, allowed.high))
+    return found
+
+
+def parameters_text(of: Sequence[Parameter]) -> str:
+    """C of start values and ranges, and where each stands: PARAMETER_BODY_MASS and so on."""
+    tables = {"PARAMETERS": "value", "LOWEST": "low", "HIGHEST": "high"}
+    text = "".join(constant(name, np.array([getattr(one, key) for one in of])) for name, key in tables.items())
+    return index_enum("PARAMETER", [one.name for one in of]) + f"enum {{ N_PARAMETER = {len(of)} }};\n" + text
+
+
+def index_enum(prefix: str, of: Iterable[str]) -> str:
+    """C enumeration of the indices of named values, MEASURED_FRONT_P and so on."""
+    return f"enum {{ {', '.join(f'{prefix}_{name.replace(chr(46), chr(95)).upper()}' for name in of)} }};\n"
 
 
 @dataclass(frozen=True)
@@ -32,6 +71,7 @@ class Fmu:
     outputs, inputs : tuple of str
     largest : float
         Largest magnitude of an input (SI).
+    parameters : sequence of Parameter
     """
 
     name: str
@@ -39,6 +79,7 @@ class Fmu:
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     largest: float
+    parameters: Sequence[Parameter]
 
     @property
     def identifier(self) -> str:
@@ -96,6 +137,7 @@ def write_fmu(path: Path | str, fmu: Fmu, text: str, model: str) -> Path:
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.write(compiled, f"binaries/{_system()}/{fmu.identifier}.{suffix}")
         archive.writestr("modelDescription.xml", _description(fmu, guid))
+        archive.writestr(f"sources/{_SOURCE}", text)
     write(Path(path), packed.getvalue())
     return Path(path)
 
@@ -105,15 +147,29 @@ def _system() -> str:
     return {"linux": "linux64", "darwin": "darwin64"}.get(sys.platform, sys.platform + platform.machine()[-2:])
 
 
+_SOURCE = "all.c"
+
+
 def _variables(fmu: Fmu) -> list[tuple[dict[str, str], dict[str, str]]]:
-    """Attributes of each variable, and those of its number; value references count outputs first, then inputs."""
+    """Attributes of each variable, and those of its number; value references count outputs, inputs, parameters."""
     limits = {"min": f"{-fmu.largest:g}", "max": f"{fmu.largest:g}", "start": "0"}
-    names: list[tuple] = [(name, "output", {}) for name in fmu.outputs] + [
-        (name, "input", limits) for name in fmu.inputs
-    ]
+    shown: list[tuple] = [(name, "output", {}) for name in fmu.outputs]
+    shown += [(name, "input", limits) for name in fmu.inputs]
+    for one in fmu.parameters:
+        edges = {"start": repr(one.value), "min": repr(one.low), "max": repr(one.high)}
+        shown.append((one.name, "parameter", edges | ({"unit": one.unit} if one.unit.strip("-") else {})))
+    kinds = {"parameter": "fixed"}
     return [
-        ({"variability": "continuous", "name": name, "valueReference": str(i), "causality": causality}, number)
-        for i, (name, causality, number) in enumerate(names)
+        (
+            {
+                "variability": kinds.get(causality, "continuous"),
+                "name": name,
+                "valueReference": str(i),
+                "causality": causality,
+            },
+            number,
+        )
+        for i, (name, causality, number) in enumerate(shown)
     ]
 
 
@@ -123,7 +179,11 @@ def _description(fmu: Fmu, guid: str) -> str:
     own = {"description": fmu.description, "generationTool": "railrepro", "variableNamingConvention": "structured"}
     root = ElementTree.Element("fmiModelDescription", named | own)
     can = {"canHandleVariableCommunicationStepSize": "true", "canGetAndSetFMUstate": "false"}
-    ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": fmu.identifier} | can)
+    simulation = ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": fmu.identifier} | can)
+    ElementTree.SubElement(ElementTree.SubElement(simulation, "SourceFiles"), "File", name=_SOURCE)
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in sorted({one.unit for one in fmu.parameters if one.unit.strip("-")}):
+        ElementTree.SubElement(units, "Unit", name=unit)
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusError", "logStatusWarning"):
         ElementTree.SubElement(categories, "Category", name=name)

@@ -15,29 +15,32 @@ typedef struct {
   double *res[FUNCTIONS][PLAN_RES];
   casadi_int iw[FUNCTIONS][PLAN_IW + 1];
   double w[FUNCTIONS][PLAN_W + 1];
+  const double *parameters;
 } planner_memory_t;
 
-static void planner_reset(planner_memory_t *m, int gear) {
+static void planner_reset(planner_memory_t *m, int gear, const double *parameters) {
   static const casadi_fn functions[FUNCTIONS] = {preview_position, preview_stage,     riccati_terminal, riccati_backward,
                                                  riccati_forward,  barrier_stiffness, barrier_terminal, barrier_backward,
                                                  barrier_again};
   memset(m, 0, sizeof *m);
+  m->parameters = parameters;
   call_t calls[FUNCTIONS];
   for (int i = 0; i < FUNCTIONS; ++i) calls[i] = (call_t){functions[i], m->arg[i], m->res[i], m->iw[i], m->w[i]};
   m->h = (horizon_t){STEPS, N_CELLS, MOST_SETS, CELL_START, CELL_STEP, CELLS,
                      calls[0], calls[1], calls[2], calls[3], calls[4], calls[5], calls[6], calls[7], calls[8],
-                     m->x_hat, NOMINAL + gear * N_NOMINAL, MODEL, TUNING, 0, 0, AFFINE,
+                     m->x_hat, parameters + PARAMETER_FORECAST_FRONT_ACCELERATION_PER_TORQUE + gear * N_NOMINAL,
+                     parameters + PARAMETER_BELIEF_M, parameters + PARAMETER_COST_Q_X, 0, 0, AFFINE,
                      m->x_d, m->theta, m->x, m->u, m->x_next, m->a, m->b, m->cost_matrix, m->cost_vector,
                      m->feedback, m->feedforward, m->dx, m->du, m->slope, m->fixed, m->side,
                      m->inner, m->slack, m->multiplier, m->slack_step, m->multiplier_step, m->target, m->barrier,
                      &m->passes};
-  m->p = (planner_t){&m->h, m->x_hat, m->plan, OBSERVER, 0, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
+  m->p = (planner_t){&m->h, m->x_hat, m->plan, parameters[PARAMETER_OBSERVER], 0, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
 }
 
 /* Torque limit (N m) at a speed (m/s). */
 static double limit_at(planner_memory_t *m, double speed) {
   double limit, *out[PLAN_RES] = {&limit};
-  const double *in[PLAN_ARG] = {&speed};
+  const double *in[PLAN_ARG] = {&speed, m->parameters + DRIVE};
   torque_limit(in, out, m->iw[0], m->w[0], 0);
   return limit;
 }

@@ -5,7 +5,8 @@ typedef struct {
   double rails[2 * LQG_ROWS], torques[LQG_TORQUES];
 } planner_memory_t;
 
-static void planner_reset(planner_memory_t *m, int gear) {
+static void planner_reset(planner_memory_t *m, int gear, const double *parameters) {
+  (void)parameters;  /* its designs are tables */
   memset(m, 0, sizeof *m);
   m->gear = LQG_GEARS[gear];
   m->gear.designs = LQG_DESIGNS, m->gear.route = CELLS, m->gear.bend = LQG_BEND;

@@ -1,9 +1,11 @@
 """The car as an FMI unit: valid, its own GUID, portable, with an answer to every input, several at a time, anywhere."""
 
+import ctypes
 import math
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -39,6 +41,15 @@ def test_the_unit_is_valid(unit):
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(unit)) == []
+
+
+def test_the_unit_holds_sources_that_compile_to_the_interface(unit, tmp_path):
+    with zipfile.ZipFile(unit) as archive:
+        source = archive.extract("sources/all.c", tmp_path)
+    listed = description(unit).find("CoSimulation/SourceFiles/File").get("name")
+    assert source.endswith(listed)
+    library = ctypes.CDLL(str(codegen.build(Path(source).read_text(), portable=True)))
+    assert library.fmi2DoStep and library.fmi2SetReal
 
 
 def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):

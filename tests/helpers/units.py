@@ -9,7 +9,7 @@ fmi2 = pytest.importorskip("fmpy.fmi2")
 class Instance:
     """One instance with what it logs."""
 
-    def __init__(self, file, name="unit", guid=None):
+    def __init__(self, file, name="unit", guid=None, parameters=None):
         description = fmpy.read_model_description(str(file))
         self.references = {v.name: v.valueReference for v in description.modelVariables}
         self.said, self.time = [], 0.0
@@ -18,6 +18,7 @@ class Instance:
         self.slave = fmi2.FMU2Slave(**own)
         self._get, self._set = self.slave.getReal, self.slave.setReal
         self.slave.instantiate(callbacks=self._callbacks())
+        self.set(list(parameters or {}), list((parameters or {}).values()))
         self.slave.enterInitializationMode()
         self.slave.exitInitializationMode()
 

@@ -1,8 +1,9 @@
 """Vehicles whose critical speeds other people published, built from our car: a lab wheelset and Cooperrider's bogie.
 
 Each is the car with data and a contact table of its own, of which some bodies are held or stand on further springs.
-`python tests/validation/published.py` writes data/results/published_vehicles.csv, which `14_validation` shows. Serves the
-paper's section Simulation Environment.
+`python tests/validation/published.py` writes data/results/published_vehicles.csv, which `14_validation` shows.
+
+Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations

@@ -1,0 +1,140 @@
+"""The live page: car and controllers as WebAssembly in one HTML file that needs neither network nor installation.
+
+`python -m railrepro live` (`make live`) writes build/live/index.html. Its JavaScript (page/) steps the same C as
+the FMUs, so with the committed values its curve is that of `simulate`, bit for bit.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from railrepro import paths
+from railrepro.car import equations
+from railrepro.car.component import SteppedCar
+from railrepro.compile import codegen
+from railrepro.control import interface
+from railrepro.control.lateral import Guidance, ZeroOrderHold
+from railrepro.control.registry import guidance, parameters
+from railrepro.data import write
+from railrepro.export import car as car_export
+from railrepro.export import controller as controller_export
+from railrepro.export.controller import TORQUES, Export
+from railrepro.export.fmu import Parameter
+from railrepro.simulation import simulate
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.track.route import COLUMNS, Route
+
+_HERE = Path(__file__).with_name("page")
+FIGURES = {
+    "Figure 6: curve entry, T3, 280 km/h": "curve_entry_T3",
+    "Figure 7: sine, straight, 400 km/h": "sine_tracking",
+    "Figure 8: poor rail, 400 km/h": "adhesion_loss",
+    "Figure 9: braking, T2, 160 km/h": "braking",
+}
+SHOWN = {
+    "nmpc": "NMPC",
+    "ltv_mpc": "LTV-MPC",
+    "ltv_mpc_printed": "LTV-MPC as printed",
+    "ndi": "NDI",
+    "ndi_feedforward": "NDI with rates of the set point",
+    "ndi_integral": "NDI with rates and integral",
+}
+OWN = "own"
+"""Name of the module that holds what a law of one's own, written in the page, gives."""
+STRIDE = 10
+"""Cycles from one row of the committed runs to the next."""
+
+
+def webassembly(text: str, model: Path, sizes: str = "") -> bytes:
+    """Module of a car or a controller from its C before `model`."""
+    parts = (_HERE.parent / "fmi.h", model, _HERE / "module.c")
+    inputs = len(car_export.INPUTS) if model == car_export.MODEL else len(interface.MEASURED)
+    text = f'{text}{sizes}\n#define N_INPUT {inputs}\n#define FMU_NAME "live"\n'
+    return codegen.build(text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
+
+
+def _writable(name: str, values: np.ndarray) -> str:
+    """C table that the page fills."""
+    return f"static double {name}[{np.size(values)}];\n"
+
+
+def _law(name: str) -> Guidance:
+    """Guidance of a controller with its set of the setting `paper`, in a form that is exported."""
+    if name == OWN:
+        return ZeroOrderHold()
+    return guidance(name, parameters(name, "paper"))
+
+
+def _alike(scenarios: dict[str, Scenario]) -> dict[str, Route]:
+    """Routes of scenarios with as many cells as the longest; those behind the end of a route repeat its last one."""
+    routes = {name: scenario.route() for name, scenario in scenarios.items()}
+    most = max(len(route.cells) for route in routes.values())
+    tails = {name: route.cells[-1:].repeat(most - len(route.cells), axis=0) for name, route in routes.items()}
+    return {name: Route(np.concatenate([of.cells, tails[name]]), of.length) for name, of in routes.items()}
+
+
+def _packed(content: bytes | np.ndarray) -> str:
+    data = content if isinstance(content, bytes) else np.ascontiguousarray(content, dtype="<f8").tobytes()
+    return base64.b64encode(zlib.compress(data, 9)).decode()
+
+
+def _stated(found: list[Parameter]) -> list[dict]:
+    return [asdict(one) for one in found]
+
+
+def content(tell: Callable[[str], None] = print) -> dict:
+    """What the page embeds: modules, their parameters and names, routes, and the committed runs."""
+    scenarios = {name: load_scenario(name) for name in FIGURES.values()}
+    routes = _alike(scenarios)
+    any_route = next(iter(routes.values()))
+    tell("car")
+    text, found = car_export.written(SteppedCar(any_route, 50.0), 50.0, _writable)
+    car = {"module": _packed(webassembly(text, car_export.MODEL)), "parameters": _stated(found)}
+    car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
+    controllers: dict[str, dict] = {}
+    for name in (*SHOWN, OWN):
+        tell(name)
+        text, found = Export(_law(name), any_route).written(_writable)
+        module = webassembly(text, controller_export.MODEL, controller_export.SIZES)
+        controllers[name] = {"label": SHOWN.get(name, "Law of your own"), "module": _packed(module)}
+        controllers[name]["parameters"] = _stated(found)
+    figures: dict[str, dict] = {}
+    for title, name in FIGURES.items():
+        tell(title)
+        scenario = scenarios[name]
+        figures[name] = {"title": title, "cells": _packed(routes[name].cells), "end": scenario.end_m}
+        figures[name] |= {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
+        figures[name]["force"] = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
+        series = {of: simulate.run(scenario, _law(of)).series.iloc[::STRIDE] for of in SHOWN}
+        figures[name]["committed"] = {
+            of: {"y": _packed(run["front.y"].to_numpy()), "p": _packed(run["front.p"].to_numpy().round(1))}
+            for of, run in series.items()
+        }
+    return {
+        "columns": list(COLUMNS), "torques": list(TORQUES), "stride": STRIDE, "car": car,
+        "controllers": controllers, "figures": figures,
+    }  # fmt: skip
+
+
+def page(found: dict) -> str:
+    """The HTML file."""
+    text = (_HERE / "page.html").read_text()
+    for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
+        text = text.replace(f"/* {name} */", (_HERE / name).read_text().replace("</script", "<\\/script"))
+    return text.replace("/* content */", json.dumps(found).replace("</", "<\\/"))
+
+
+def main() -> None:
+    """Write build/live/index.html, and beside it what other programs of JavaScript import."""
+    found, folder = content(), paths.BUILD / "live"
+    write(folder / "index.html", page(found))
+    write(folder / "car.mjs", (_HERE / "car.mjs").read_text())
+    write(folder / "content.json", json.dumps(found))
+    print(f"{folder / 'index.html'}: {(folder / 'index.html').stat().st_size / 1e6:.2f} MB")

@@ -1,0 +1,193 @@
+// The car and its controllers in JavaScript: modules of WebAssembly stepped as the FMUs are, the controller before the car,
+// each by 1 ms. SI units, torques traction-positive, y to the right.
+//
+//   load(content)                 what `python -m railrepro live` wrote as content.json, made ready
+//   Unit.of(given, cells)         the car or a controller: set(name, value), start(), step(), inputs, outputs, parameter(name)
+//   settings(loaded, figure)      what `drive` takes, as committed; change what you like
+//   drive(loaded, settings)       an async generator of rows, see ROW; its return value says why the run ended
+//   changes(loaded, settings)     numbers of car and controller that follow from the settings
+//   cells(loaded, settings)       the route as the settings have it
+//   lawOf(text)                   a law of one's own from its text
+//   score(rows)                   errors, delay, stopping distance, torques
+
+export const ROW = ["t", "p", "v", "y_ref", "y", "psi", "du", "tau_le", "tau_ri", "f_le", "f_ri", "sx_le", "sx_ri", "y_rear", "psi_rear"];
+const MS = 1e-3, DERAILED = 0.03;
+
+/* Bytes, or numbers, from what the page embeds. */
+async function unpacked(text) {
+  const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return await new Response(stream).arrayBuffer();
+}
+
+export const numbers = async (text) => new Float64Array(await unpacked(text));
+
+export async function load(content) {
+  const module = async (of) => ({ ...of, module: await WebAssembly.compile(await unpacked(of.module)) });
+  const all = async (group, each) => Object.fromEntries(await Promise.all(Object.entries(group).map(async ([k, v]) => [k, await each(v)])));
+  const figure = async (of) => ({ ...of, cells: await numbers(of.cells) });
+  const [car, controllers, figures] = await Promise.all([module(content.car), all(content.controllers, module), all(content.figures, figure)]);
+  return { ...content, car, controllers, figures };
+}
+
+export class Unit {
+  static async of(given, cells) {
+    const imports = {};  // a module of WASI; nothing that it would ask for is ever called
+    for (const i of WebAssembly.Module.imports(given.module)) (imports[i.module] ??= {})[i.name] = () => 0;
+    const unit = new Unit(), { exports } = await WebAssembly.instantiate(given.module, imports);
+    const at = (pointer, n) => new Float64Array(exports.memory.buffer, pointer, n);
+    exports._initialize?.();
+    exports.reset();
+    const inputs = given.outputs ? 4 : given.n_inputs, outputs = given.outputs?.length ?? 4;
+    unit.inputs = at(exports.inputs(), inputs), unit.outputs = at(exports.outputs(), outputs);
+    unit.held = exports.held && at(exports.held(), 2);
+    unit.numbers = at(exports.parameters(), given.parameters.length);
+    unit.places = new Map(given.parameters.map(({ name }, i) => [name, i]));
+    at(exports.cells(), cells.length).set(cells);
+    unit.exports = exports;
+    return unit;
+  }
+  set(name, value) {
+    if (!this.places.has(name)) throw Error(`there is no parameter ${name}`);
+    this.numbers[this.places.get(name)] = value;
+  }
+  parameter(name) { return this.numbers[this.places.get(name)]; }
+  start() { this.exports.begin(); }
+  step() { return this.exports.step(1); }
+}
+
+export function settings(loaded, figure, controller = "nmpc") {
+  const { speed_kmh, set_point } = loaded.figures[figure];
+  return { figure, controller, speed_kmh, set_point: { ...set_point }, force: 1, r: 1, pole: 30, car: {}, law: "" };
+}
+
+export function changes(loaded, s) {
+  const stated = new Map(loaded.controllers[s.controller].parameters.map((p) => [p.name, p.value]));
+  const car = { ...s.car, speed: s.speed_kmh / 3.6 }, controller = {};
+  if (s.car["drive.torque_limit"]) controller["drive.torque_limit"] = s.car["drive.torque_limit"];
+  if (stated.has("cost.r") && s.r !== 1) controller["cost.r"] = s.r * stated.get("cost.r");
+  const faster = s.pole / 30;
+  if (stated.has("lateral.k0") && faster !== 1)
+    for (const [name, power] of [["k2", 1], ["k1", 2], ["k0", 3], ["ki", 4]])
+      controller[`lateral.${name}`] = faster ** power * stated.get(`lateral.${name}`);
+  return { car, controller };
+}
+
+const smooth = (x) => { const r = Math.min(Math.max(x, 0), 1); return r ** 4 * (35 + r * (-84 + r * (70 - 20 * r))); };
+
+/* Set point (m) at a coordinate (m), as railrepro.track.route has it. */
+function setPoint(of) {
+  if (of.kind === "none") return () => 0;
+  const { start_m: start, end_m = 1e6, fade_m = FADE, amplitude_mm } = of;
+  const within = (p) => smooth((p - start) / fade_m) * (1 - smooth((p - end_m + fade_m) / fade_m));
+  const phase = of.kind === "sine" ? (p) => (p - start) / of.period_m : (p) => {
+    const d = Math.min(Math.max(p - start, 0), end_m - start), a = 1 / of.period_start_m, b = 1 / of.period_end_m;
+    return d * a + (b - a) * d * d / (2 * (end_m - start));
+  };
+  return (p) => 1e-3 * amplitude_mm * within(p) * Math.sin(2 * Math.PI * phase(p));
+}
+const FADE = 30;
+
+export function cells(loaded, s) {
+  const of = loaded.figures[s.figure], found = of.cells.slice(), width = loaded.columns.length;
+  const at = Object.fromEntries(loaded.columns.map((name, i) => [name, i]));
+  const moved = JSON.stringify(s.set_point) !== JSON.stringify(of.set_point), y = setPoint(s.set_point), h = 0.05;
+  for (let i = 0; i < found.length; i += width) {
+    found[i + at.force] *= s.force;
+    if (!moved) continue;
+    const p = found[i + at.p], [a, b, c, d, e] = [-2, -1, 0, 1, 2].map((k) => y(p + k * h));
+    found[i + at.y_ref] = c;
+    found[i + at.dy_ref] = (a - 8 * b + 8 * d - e) / (12 * h);
+    found[i + at.ddy_ref] = (-a + 16 * b - 30 * c + 16 * d - e) / (12 * h * h);
+    found[i + at.dddy_ref] = (-a + 2 * b - 2 * d + e) / (2 * h ** 3);
+  }
+  return found;
+}
+
+/* What a law of one's own is given, and how its errors are told. */
+export function lawOf(text) {
+  let law;
+  try {
+    law = new Function("q", "memory", `"use strict";\n${text}`);
+  } catch (fault) {
+    throw Error(`The law cannot be read: ${fault.message}.`);
+  }
+  const memories = [{}, {}];
+  return (q, gear) => {
+    let torque;
+    try {
+      torque = law(q, memories[gear]);
+    } catch (fault) {
+      throw Error(`The law stopped at p = ${q.p.toFixed(1)} m: ${fault.message}.`);
+    }
+    if (!Number.isFinite(torque)) throw Error(`The law returned ${torque} at p = ${q.p.toFixed(1)} m; a torque (N m) is needed.`);
+    return torque;
+  };
+}
+
+export async function* drive(loaded, s) {
+  const of = loaded.figures[s.figure], road = cells(loaded, s), width = loaded.columns.length, { car: names } = loaded;
+  const given = { ...loaded.controllers[s.controller], n_inputs: names.measured.length };
+  const [car, law] = await Promise.all([Unit.of(names, road), Unit.of(given, road)]), changed = changes(loaded, s);
+  for (const [unit, of] of [[car, changed.car], [law, changed.controller]]) for (const [name, value] of Object.entries(of)) unit.set(name, value);
+  car.start(), law.start();
+  const own = s.controller === "own" ? lawOf(s.law) : null, limit = car.parameter("drive.torque_limit");
+  const place = (name) => names.outputs.indexOf(name), measured = names.measured.map(place), column = loaded.columns;
+  const y0 = column.indexOf("y_ref"), kappa = column.indexOf("kappa");
+  const cell = (p) => width * Math.min(Math.max(Math.floor((p - road[0]) / 0.5), 0), road.length / width - 1);
+  const reference = (p) => {
+    const i = cell(p) + y0, d = p - road[cell(p)], [y, y1, y2, y3] = road.subarray(i, i + 4);
+    return [y + d * (y1 + d * (y2 / 2 + d * y3 / 6)), y1 + d * (y2 + d * y3 / 2), y2 + d * y3];
+  };
+  const gear = (name) => Object.fromEntries(["p", "v", "y", "psi_TrAx", "psidot_Ax"].map((key) => [key, place(`${name}.${key}`)]));
+  const gears = [gear("front"), gear("rear")], seen = ["front_le.adhesion", "front_ri.adhesion", "front_le.sx", "front_ri.sx"].map(place);
+  for (let k = 0; ; k++) {
+    const x = car.outputs, [front, rear] = gears, stop = of.stop_kmh / 3.6 || -1;
+    for (let i = 0; i < measured.length; i++) law.inputs[i] = x[measured[i]];
+    if (own)
+      for (const [g, at] of gears.entries()) {
+        const p = x[at.p], [y_ref, dy_ref, ddy_ref] = reference(p);
+        const q = { t: k * MS, p, v: x[at.v], y: x[at.y], psi: x[at.psi_TrAx], r: x[at.psidot_Ax], kappa: road[cell(p) + kappa], y_ref, dy_ref, ddy_ref, limit };
+        law.held[g] = Math.min(Math.max(own(q, g), -limit), limit);
+      }
+    const failed = law.step(), [le, ri] = law.outputs;
+    const beyond = x[front.p] >= of.end, slow = x[front.v] <= stop, off = Math.max(Math.abs(x[front.y]), Math.abs(x[rear.y])) >= DERAILED;
+    if (k % loaded.stride === 0 || beyond || slow || off)
+      yield [k * MS, x[front.p], x[front.v], reference(x[front.p])[0], x[front.y], x[front.psi_TrAx], (le - ri) / 2, le, ri,
+             ...seen.map((i) => x[i]), x[rear.y], x[rear.psi_TrAx]];
+    if (off) return "A running gear derailed.";
+    if (beyond) return "End of the track.";
+    if (slow) return "The car stands.";
+    if (failed || k > 600e3) return "The run was ended.";
+    car.inputs.set(law.outputs);
+    if (car.step() === 3) return "A number of the car left all bounds.";
+  }
+}
+
+/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way and time. */
+export function score(rows) {
+  const of = (name) => rows.map((row) => row[ROW.indexOf(name)]), y = of("y"), y_ref = of("y_ref"), p = of("p"), du = of("du");
+  const rms = (values) => Math.sqrt(values.reduce((sum, v) => sum + v * v, 0) / values.length);
+  const error = y.map((value, i) => value - y_ref[i]);
+  return {
+    rmse_mm: 1e3 * rms(error), largest_mm: 1e3 * Math.max(...error.map(Math.abs)), delay_m: delay(p, y, y_ref),
+    du_rms_Nm: rms(du), du_largest_Nm: Math.max(...du.map(Math.abs)), way_m: p.at(-1) - p[0], time_s: rows.at(-1)[0],
+  };
+}
+
+/* Way (m) by which y trails its set point: lag of the largest correlation of both, less their means, within 60 m. */
+function delay(p, y, y_ref) {
+  const step = 0.5, n = Math.floor((p.at(-1) - p[0]) / step), most = Math.min(120, n >> 1);
+  let k = 0;
+  const grid = Array.from({ length: n }, (_, i) => { while (k < p.length - 2 && p[k + 1] < p[0] + i * step) k++; return k; });
+  const centred = (values) => { const on = grid.map((i) => values[i]), mean = on.reduce((a, b) => a + b, 0) / n; return on.map((v) => v - mean); };
+  const a = centred(y), b = centred(y_ref);
+  if (Math.max(...b) - Math.min(...b) < 1e-9) return NaN;
+  let best = [-Infinity, 0];
+  for (let lag = -most; lag <= most; lag++) {
+    let sum = 0, count = 0;
+    for (let i = Math.max(lag, 0); i < n + Math.min(lag, 0); i++) sum += a[i] * b[i - lag], count++;
+    if (sum / count > best[0]) best = [sum / count, lag];
+  }
+  return best[1] * step;
+}

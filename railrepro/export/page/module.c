@@ -1,0 +1,19 @@
+/* A car or a controller as a module of WebAssembly. Starts after its own C with fmu_t; one instance a module. */
+
+#define EXPORT(name) __attribute__((export_name(#name)))
+
+static fmu_t fmu;
+static const host_t nobody;
+
+EXPORT(reset) void module_reset(void) { fmu.host = &nobody, connect(&fmu), reset(&fmu); }
+EXPORT(begin) void module_begin(void) { begin(&fmu); }
+/* 0, 1 where a gear derailed, 3 where the step failed */
+EXPORT(step) int module_step(int n) { return advance(&fmu, n); }
+EXPORT(inputs) double *module_inputs(void) { return fmu.inputs; }
+EXPORT(outputs) double *module_outputs(void) { return fmu.y; }
+EXPORT(parameters) double *module_parameters(void) { return fmu.parameters; }
+EXPORT(cells) double *module_cells(void) { return CELLS; }
+#ifdef N_TORQUE
+/* Differential torques of a slower controller of one's own, front and rear (N m). */
+EXPORT(held) double *module_held(void) { return fmu.controller.held; }
+#endif

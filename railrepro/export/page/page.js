@@ -1,0 +1,262 @@
+const byId = (id) => document.getElementById(id);
+const coreUrl = URL.createObjectURL(new Blob([byId("core").textContent], { type: "text/javascript" }));
+const { ROW, score, settings } = await import(coreUrl);
+const content = JSON.parse(byId("content").textContent);
+const COLORS = ["#0072b2", "#d55e00", "#009e73"], GREY = "#8a8a8a", MOST = 3, MARGIN = 2;
+const EXAMPLE = `// proportional to the error, with yaw angle and yaw rate against the track as damping
+const e = q.y_ref - q.y, course = q.dy_ref - q.psi, turn = q.v * q.kappa - q.r;
+return 3e5 * e + 3e5 * course + 2e4 * turn;`;
+
+/* Values that can be changed: where they stand in the settings, text, range, step, and whether they apply. */
+const VALUES = [
+  { key: "speed_kmh", text: "speed (km/h)", low: 20, high: 430, step: 1 },
+  { key: "set_point.amplitude_mm", text: "amplitude of the set point (mm)", low: 0.1, high: 6, step: 0.1 },
+  { key: "set_point.period_m", text: "period of the sine (m)", low: 30, high: 300, step: 1 },
+  { key: "set_point.period_start_m", text: "first period of the sweep (m)", low: 20, high: 300, step: 1 },
+  { key: "set_point.period_end_m", text: "last period of the sweep (m)", low: 15, high: 300, step: 1 },
+  { key: "force", text: "force demand, times the committed one", low: 0, high: 2, step: 0.05, if: (s) => content.figures[s.figure].force },
+  { key: "r", text: "R of the predictive controllers, factor", low: 1e-3, high: 1e4, log: true },
+  { key: "pole", text: "poles of NDI (rad/s)", low: 5, high: 120, step: 1 },
+  { key: "adhesion.good.mu0", text: "friction of dry rail", low: 0.05, high: 0.6, step: 0.005, car: true },
+  { key: "adhesion.poor.mu0", text: "friction of poor rail", low: 0.03, high: 0.4, step: 0.005, car: true, if: (s) => s.figure === "adhesion_loss" },
+  { key: "drive.torque_limit", text: "torque limit of a motor (N m)", low: 500, high: 8000, step: 50, car: true },
+  { key: "drive.lag", text: "lag of the drives (s)", low: 0.001, high: 0.05, step: 0.001, car: true },
+  { key: "body.mass", text: "mass of the car body (kg)", low: 12000, high: 60000, step: 500, car: true },
+];
+const stated = new Map(content.car.parameters.map((p) => [p.name, p.value]));
+const committedOf = (v, figure) => v.car ? stated.get(v.key) : v.key.split(".").reduce((o, k) => o?.[k], settings(content, figure));
+
+let state = restored() ?? { figure: "curve_entry_T3", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
+let runs = [], workers = [], pointed = null, plots = [];
+
+function restored() {
+  try {
+    const found = JSON.parse(decodeURIComponent(location.hash.slice(1)));
+    const known = found.figure in content.figures && found.shown.every((name) => name in content.controllers);
+    return known ? { values: {}, law: EXAMPLE, ...found } : null;
+  } catch { return null; }
+}
+function remember() { history.replaceState(null, "", "#" + encodeURIComponent(JSON.stringify(state))); }
+
+/* Settings of a run from the values that differ from the committed ones. */
+function asked(controller) {
+  const s = { ...settings(content, state.figure, controller), law: state.law };
+  for (const v of shownValues()) {
+    if (!(v.key in state.values)) continue;
+    if (v.car) s.car[v.key] = state.values[v.key];
+    else if (v.key.startsWith("set_point.")) s.set_point[v.key.slice(10)] = state.values[v.key];
+    else s[v.key] = state.values[v.key];
+  }
+  return s;
+}
+const shownValues = () => VALUES.filter((v) => committedOf(v, state.figure) !== undefined && (v.if?.(settings(content, state.figure)) ?? true));
+const isCommitted = (run) => run.controller !== "own" && Object.keys(state.values).length === 0;
+
+function slider(v) {
+  const committed = committedOf(v, state.figure), box = document.createElement("label");
+  const to = (x) => (v.log ? Math.log10(x) : x), from = (x) => (v.log ? Number((10 ** x).toPrecision(3)) : x);
+  box.className = "slider";
+  box.innerHTML = `<span>${v.text}</span><input type="range" min="${to(v.low)}" max="${to(v.high)}" step="${v.log ? 0.05 : v.step}">
+    <input type="number" min="${v.low}" max="${v.high}" step="any" aria-label="${v.text}"><button type="button" title="committed: ${committed}" aria-label="committed value of ${v.text}">↺</button>`;
+  const [range, number, back] = box.querySelectorAll("input, button");
+  const show = (x) => { range.value = to(x), number.value = x; box.classList.toggle("changed", x !== committed); };
+  const take = (x) => {
+    const fits = x >= v.low && x <= v.high;
+    if (!fits) return show(state.values[v.key] ?? committed), say(`${v.text}: a number from ${v.low} to ${v.high} is needed.`);
+    if (x === committed) delete state.values[v.key]; else state.values[v.key] = x;
+    return show(x), true;
+  };
+  range.addEventListener("input", () => take(from(Number(range.value))));
+  range.addEventListener("change", run);
+  number.addEventListener("change", () => take(Number(number.value)) && run());
+  back.addEventListener("click", () => take(committed) && run());
+  show(state.values[v.key] ?? committed);
+  return box;
+}
+
+function build() {
+  byId("figure").replaceChildren(...Object.entries(content.figures).map(([name, { title }]) => new Option(title, name, false, name === state.figure)));
+  const boxes = Object.entries(content.controllers).map(([name, { label }]) => {
+    const box = document.createElement("label");
+    box.innerHTML = `<input type="checkbox" value="${name}"> ${label}`;
+    box.firstChild.checked = state.shown.includes(name);
+    return box;
+  });
+  byId("controllers").replaceChildren(byId("controllers").firstElementChild, ...boxes);
+  byId("sliders").replaceChildren(byId("sliders").firstElementChild, ...shownValues().map(slider));
+  byId("law").value = state.law;
+  byId("own").open = state.shown.includes("own");
+}
+function say(text) { byId("message").textContent = text; }
+
+/* One worker for each run, so that the page never waits; they keep their compiled modules. */
+function worker(i) {
+  if (workers[i]) return workers[i];
+  // from a file a worker cannot import, so it holds the text
+  const text = byId("core").textContent.replaceAll(/^export /gm, "") + `
+    let loaded, current = 0;
+    onmessage = async ({ data }) => {
+      if (data.content) return void (loaded = load(data.content));
+      const mine = current = data.number;
+      try {
+        const rows = drive(await loaded, data.settings); let block = [], sent = performance.now();
+        for (;;) {
+          const { done, value } = await rows.next();
+          if (mine !== current) return;
+          if (!done) block.push(value);
+          if (done || performance.now() - sent > 40) {
+            postMessage({ number: mine, block, ended: done ? value : null }), block = [], sent = performance.now();
+            await new Promise((then) => setTimeout(then));
+          }
+          if (done) return;
+        }
+      } catch (fault) { postMessage({ number: mine, block: [], fault: fault.message }); }
+    };`;
+  const made = new Worker(URL.createObjectURL(new Blob([text], { type: "text/javascript" })));
+  made.postMessage({ content });
+  made.onmessage = ({ data }) => take(i, data);
+  return (workers[i] = made);
+}
+
+let number = 0;
+function run() {
+  remember(), say("");
+  number++;
+  runs = state.shown.map((controller) => ({ controller, rows: [], ended: null, fault: null, number, begun: performance.now() }));
+  runs.forEach((one, i) => worker(i).postMessage({ number, settings: asked(one.controller) }));
+  byId("stop").disabled = false;
+  draw();
+}
+function stop() {
+  number++;
+  workers.forEach((each) => each.terminate()), workers = [];
+  runs.forEach((one) => (one.ended ??= "Stopped."));
+  byId("stop").disabled = true;
+  draw();
+}
+function take(i, { number: of, block, ended, fault }) {
+  const one = runs[i];
+  if (!one || one.number !== of) return;
+  for (const row of block) one.rows.push(row);
+  if (fault) one.fault = fault, say(fault);
+  if (ended || fault) one.ended = ended ?? "Stopped.", one.seconds = (performance.now() - one.begun) / 1e3;
+  if (runs.every((each) => each.ended)) byId("stop").disabled = true;
+  draw();
+}
+
+const col = Object.fromEntries(ROW.map((name, i) => [name, i]));
+const numbersOf = new Map();
+async function committedRun(figure, controller) {
+  const key = figure + controller;
+  if (!numbersOf.has(key)) {
+    const { numbers } = await import(coreUrl), of = content.figures[figure].committed[controller];
+    numbersOf.set(key, of ? { y: await numbers(of.y), p: await numbers(of.p) } : null);
+  }
+  return numbersOf.get(key);
+}
+
+/* Values of rows at a grid of coordinates, straight lines between rows; null beyond them. */
+function onGrid(grid, p, values) {
+  let k = 0;
+  return grid.map((x) => {
+    while (k < p.length - 2 && p[k + 1] < x) k++;
+    if (p.length < 2 || x < p[0] || x > p[k + 1]) return null;
+    return values[k] + ((values[k + 1] - values[k]) * (x - p[k])) / (p[k + 1] - p[k] || 1);
+  });
+}
+
+const PLOTS = [
+  { title: "lateral position y (mm)", of: (row) => 1e3 * row[col.y], reference: true },
+  { title: "error y - y* (mm)", of: (row) => 1e3 * (row[col.y] - row[col.y_ref]) },
+  { title: "differential torque (N m)", of: (row) => row[col.du] },
+  { title: "adhesion of the left front wheel", of: (row) => row[col.f_le] },
+];
+
+let waiting = false;
+function draw() {
+  if (waiting) return;
+  waiting = true;
+  requestAnimationFrame(async () => { waiting = false; await drawNow(); });
+}
+async function drawNow() {
+  const end = content.figures[state.figure].end, grid = Array.from({ length: 701 }, (_, i) => (end * i) / 700);
+  const p = runs.map((one) => one.rows.map((row) => row[col.p]));
+  const before = await Promise.all(runs.map((one) => committedRun(state.figure, one.controller)));
+  const ink = getComputedStyle(document.body).color, axis = { stroke: ink, grid: { stroke: "#8883" }, ticks: { stroke: "#8883" } };
+  const width = byId("plots").clientWidth;
+  PLOTS.forEach((plot, n) => {
+    const data = [grid], series = [{ label: "p (m)" }];
+    const add = (label, values, look) => { data.push(values), series.push({ label, points: { show: false }, ...look }); };
+    if (plot.reference) {
+      before.forEach((run, i) => run && !isCommitted(runs[i]) &&
+        add(`${content.controllers[runs[i].controller].label}, committed`, onGrid(grid, run.p, run.y.map((y) => 1e3 * y)), { stroke: COLORS[i] + "66", width: 2.5 }));
+      if (runs[0]) add("set point", onGrid(grid, p[0], runs[0].rows.map((row) => 1e3 * row[col.y_ref])), { stroke: ink, dash: [2, 4] });
+    }
+    runs.forEach((one, i) => add(content.controllers[one.controller].label, onGrid(grid, p[i], one.rows.map(plot.of)), { stroke: COLORS[i], width: 1.4 }));
+    const key = series.map((s) => s.label).join("|") + state.figure + width + ink;
+    if (plots[n]?.key !== key) {
+      plots[n]?.plot.destroy();
+      const options = { width, height: n ? 150 : 210, title: plot.title, series, axes: [axis, { ...axis, size: 60 }], scales: { x: { time: false } },
+                        legend: { show: n === 0 }, cursor: { sync: { key: "p" } }, hooks: { setCursor: [(u) => { pointed = u.cursor.idx == null ? null : grid[u.cursor.idx]; plan(); }] } };
+      const place = byId("plots").children[n] ?? byId("plots").appendChild(document.createElement("div"));
+      plots[n] = { key, plot: new uPlot(options, data, place) };
+    } else plots[n].plot.setData(data);
+  });
+  table(before), plan();
+}
+
+function table(before) {
+  const text = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "");
+  byId("scores").tBodies[0].replaceChildren(...runs.map((one, i) => {
+    const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows) : {};
+    let said = one.fault ? "The law failed." : one.ended ?? "driving …";
+    if (one.ended && one.seconds && one.rows.length) {
+      said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
+      if (isCommitted(one) && before[i]) said += before[i].y.every((y, k) => one.rows[k]?.[col.y] === y) ? " Equal to the committed run." : " Differs from the committed run.";
+    }
+    row.innerHTML = `<td><span class="swatch" style="background:${COLORS[i]}"></span>${content.controllers[one.controller].label}</td><td>${text(found.rmse_mm, 3)}</td>
+      <td>${text(found.largest_mm, 2)}</td><td>${text(found.delay_m, 1)}</td><td>${text(found.du_rms_Nm, 0)}</td><td>${text(found.way_m, 1)}</td><td></td>`;
+    row.lastElementChild.textContent = said;
+    return row;
+  }));
+}
+
+/* Both running gears from above: a millimetre aside as long as a metre along, yaw angles 100 times. */
+function plan() {
+  const canvas = byId("plan"), pen = canvas.getContext("2d"), rows = runs[0]?.rows ?? [];
+  canvas.width = canvas.clientWidth * devicePixelRatio, canvas.height = canvas.clientHeight * devicePixelRatio;
+  pen.scale(devicePixelRatio, devicePixelRatio);
+  if (!rows.length) return;
+  const at = pointed == null ? rows.length - 1 : Math.max(0, rows.findIndex((row) => row[col.p] >= pointed) + rows.length) % rows.length;
+  const row = rows[at], scale = 6, middle = canvas.clientHeight / 2, x0 = canvas.clientWidth - 60, ink = getComputedStyle(document.body).color, half = 42;
+  const gap = 2 * stated.get("body.gear_spacing") / 2;
+  const x = (p) => x0 + (p - row[col.p]) * scale, y = (mm) => middle + mm * scale;
+  pen.strokeStyle = GREY, pen.lineWidth = 2;
+  for (const side of [-half, half]) pen.beginPath(), pen.moveTo(0, middle + side), pen.lineTo(canvas.clientWidth, middle + side), pen.stroke();
+  pen.setLineDash([2, 4]), pen.strokeStyle = ink, pen.lineWidth = 1, pen.beginPath();
+  for (let k = Math.max(0, at - 200); k < Math.min(rows.length, at + 40); k++) pen.lineTo(x(rows[k][col.p]), y(1e3 * rows[k][col.y_ref]));
+  pen.stroke(), pen.setLineDash([]);
+  const gear = (p, mm, psi) => {
+    pen.save(), pen.translate(x(p), y(mm)), pen.rotate(100 * psi), pen.fillStyle = COLORS[0];
+    for (const side of [-half, half]) pen.fillRect(-10, side - 4, 20, 8);
+    pen.fillRect(-2, -half, 4, 2 * half), pen.restore();
+  };
+  gear(row[col.p], 1e3 * row[col.y], row[col.psi]);
+  gear(row[col.p] - gap, 1e3 * row[col.y_rear], row[col.psi_rear]);
+  pen.fillStyle = ink, pen.font = "12px system-ui", pen.fillText(`p = ${row[col.p].toFixed(1)} m, y = ${(1e3 * row[col.y]).toFixed(2)} mm, v = ${(3.6 * row[col.v]).toFixed(0)} km/h, t = ${row[0].toFixed(2)} s`, 8, 16);
+}
+
+byId("settings").addEventListener("submit", (event) => { event.preventDefault(); state.law = byId("law").value; run(); });
+byId("stop").addEventListener("click", stop);
+byId("committed").addEventListener("click", () => { state.values = {}, build(), run(); });
+byId("figure").addEventListener("change", (event) => { state.figure = event.target.value, state.values = {}, build(), run(); });
+byId("law").addEventListener("change", () => { state.law = byId("law").value, remember(); });
+byId("controllers").addEventListener("change", (event) => {
+  const chosen = [...byId("controllers").querySelectorAll("input:checked")].map((box) => box.value);
+  if (chosen.length > MOST) { event.target.checked = false; return say(`Up to ${MOST} controllers are shown.`); }
+  state.shown = chosen, byId("own").open = chosen.includes("own"), run();
+});
+byId("sliders").open = innerWidth > 900;
+addEventListener("resize", draw);
+addEventListener("hashchange", () => { state = restored() ?? state, build(), run(); });
+build(), run();

@@ -1,0 +1,126 @@
+"""The live page in a real browser: the run of `simulate` bit for bit, values that act, laws of one's own, sentences."""
+
+import json
+import time
+
+import pytest
+from browser import needs_browser, opened
+
+from railrepro.compile import cache
+from railrepro.export import live
+
+pytestmark = [
+    needs_browser,
+    pytest.mark.skipif(cache.found(cache.PACKAGED) is None, reason="`make live` installs the compiler of WebAssembly"),
+]
+SCORES = (
+    "[...document.querySelectorAll('#scores tbody tr')].map(row => [...row.cells].map(cell => cell.innerText.trim()))"
+)
+MESSAGE = "document.getElementById('message').innerText"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The page with one figure and two controllers, its modules compiled without optimisation."""
+    folder = tmp_path_factory.mktemp("live")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cache, "WEBASSEMBLY", tuple("-O0" if flag == "-O2" else flag for flag in cache.WEBASSEMBLY))
+        patch.setattr(live, "FIGURES", {"Figure 6": "curve_entry_T3"})
+        patch.setattr(live, "SHOWN", {name: live.SHOWN[name] for name in ("nmpc", "ndi")})
+        (folder / "index.html").write_text(live.page(live.content(tell=lambda _: None)))
+    with opened((folder / "index.html").as_uri(), folder / "browser") as opened_page:
+        yield opened_page
+
+
+def finished(page, seconds=300.0):
+    """Rows of the table of scores once all runs have ended."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        time.sleep(0.2)
+        rows = page.evaluated(SCORES)
+        if rows and not any("driving" in row[-1] for row in rows):
+            return {row[0]: row for row in rows}
+    raise TimeoutError(str(rows))
+
+
+def give(page, text, value):
+    """Type a value into the field of a slider."""
+    page.evaluated(
+        f"""{{const sliders = [...document.querySelectorAll('.slider')];
+        const box = sliders.find(each => each.innerText.includes({json.dumps(text)}));
+        const field = box.querySelector('input[type=number]');
+        field.value = {value}; field.dispatchEvent(new Event('change'));}}"""
+    )
+
+
+def choose(page, *names):
+    """Check these controllers and no others."""
+    page.evaluated(
+        f"""for (const box of document.querySelectorAll('#controllers input'))
+        if (box.checked !== {json.dumps(names)}.includes(box.value)) box.click();"""
+    )
+
+
+def committed(page):
+    page.evaluated("document.getElementById('committed').click()")
+
+
+def test_the_committed_values_give_the_committed_run_bit_for_bit(page):
+    rows = finished(page)
+    assert set(rows) == {"NMPC", "NDI"}
+    assert all("Equal to the committed run." in row[-1] for row in rows.values())
+    assert [rows[name][1] for name in ("NMPC", "NDI")] == ["0.615", "2.023"]
+    assert page.errors == []
+
+
+def test_a_value_acts_is_marked_and_is_in_the_link(page):
+    give(page, "poles of NDI", 60)
+    rows = finished(page)
+    assert float(rows["NDI"][1]) < 1.5 and rows["NMPC"][1] == "0.615"
+    assert "committed" not in rows["NDI"][-1]
+    assert page.evaluated("document.querySelectorAll('.slider.changed').length") == 1
+    assert json.loads(page.evaluated("decodeURIComponent(location.hash.slice(1))"))["values"] == {"pole": 60}
+    give(page, "amplitude", 1.5)
+    assert float(finished(page)["NDI"][1]) < 1.0
+    committed(page)
+    assert finished(page)["NDI"][1] == "2.023"
+
+
+@pytest.mark.parametrize(("text", "value"), [("friction of dry", 0.05), ("mass of the car", 50000), ("lag of", 0.03)])
+def test_values_of_the_car_change_its_run(page, text, value):
+    give(page, text, value)
+    changed = finished(page)["NMPC"]
+    assert changed[1] != "0.615"
+    committed(page)
+    finished(page)
+
+
+def test_a_value_out_of_range_is_refused_with_a_sentence(page):
+    give(page, "speed", 9999)
+    assert page.evaluated(MESSAGE) == "speed (km/h): a number from 20 to 430 is needed."
+    assert page.evaluated("document.querySelectorAll('.slider.changed').length") == 0
+
+
+def test_a_law_of_ones_own_scores_and_its_faults_are_sentences(page):
+    choose(page, "own")
+    assert 0.5 < float(finished(page)["Law of your own"][1]) < 5
+    for law, said in (
+        ("return q.nothing.y", "The law stopped at p = 0.0 m: "),
+        ("return 1 +", "The law cannot be read: "),
+        ("return q.p > 50 ? NaN : 0", "The law returned NaN at p = 50"),
+    ):
+        page.evaluated(
+            f"document.getElementById('law').value = {json.dumps(law)}; document.getElementById('run').click()"
+        )
+        assert finished(page)["Law of your own"][-1] == "The law failed."
+        assert page.evaluated(MESSAGE).startswith(said)
+    choose(page, "nmpc", "ndi")
+    finished(page)
+
+
+def test_a_run_that_is_stopped_says_so_and_the_next_one_is_whole(page):
+    page.evaluated("document.getElementById('run').click(); document.getElementById('stop').click()")
+    assert finished(page)["NMPC"][-1].startswith("Stopped.")
+    page.evaluated("document.getElementById('run').click()")
+    assert "Equal to the committed run." in finished(page)["NMPC"][-1]
+    assert page.errors == []
