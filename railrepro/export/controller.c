@@ -7,6 +7,8 @@ typedef struct {
   double measured[N_MEASURED], torque[N_TORQUE];
   /* by PARAMETER_..., the gains of the law first */
   double parameters[N_PARAMETER];
+  /* the road, a table that the caller may exchange */
+  const double *cells;
   double rows[GEARS * N_CELL_COLUMNS], held[GEARS], memory[N_MEMORY], next[N_MEMORY];
   const double *in[LAW_ARG];
   double *out[LAW_RES];
@@ -22,7 +24,7 @@ typedef struct {
 void controller_start(controller_t *c) {
   memset(c->memory, 0, sizeof c->memory), memset(c->held, 0, sizeof c->held), c->cycles = 0;
 #ifdef PLAN_STEPS
-  for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g, c->parameters);
+  for (int g = 0; g < GEARS; ++g) planner_reset(&c->planner[g], g, c->parameters, c->cells);
 #endif
 }
 
@@ -30,13 +32,27 @@ void controller_start(controller_t *c) {
 void controller_reset(controller_t *c) {
   memset(c, 0, sizeof *c);
   memcpy(c->parameters, PARAMETERS, sizeof c->parameters);
+  c->cells = CELLS;
   controller_start(c);
+}
+
+/* Road with set point and force demand of the parameters, in memory of the caller. */
+void controller_lay(controller_t *c, double cells[N_CELLS * N_CELL_COLUMNS]) {
+  const double *asked = c->parameters + PARAMETER_SET_POINT_KIND;
+  memcpy(cells, CELLS, sizeof CELLS);
+  for (double *row = cells; row < cells + N_CELLS * N_CELL_COLUMNS; row += N_CELL_COLUMNS) {
+    const double *in[LAW_ARG] = {row + AT_P, asked};
+    double *out[LAW_RES] = {row + AT_Y_REF};
+    row[AT_FORCE] *= c->parameters[PARAMETER_FORCE_FACTOR];
+    if (*asked >= 0) set_point(in, out, c->integers, c->work, 0);
+  }
+  c->cells = cells;
 }
 
 /* One control cycle: from `measured` to `torque`; not 0 when the law fails. */
 int controller_step(controller_t *c) {
   for (int g = 0; g < GEARS; ++g) {
-    const double *row = row_at(CELLS, c->measured[POSITIONS[g]], CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
+    const double *row = row_at(c->cells, c->measured[POSITIONS[g]], CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
     memcpy(c->rows + g * N_CELL_COLUMNS, row, N_CELL_COLUMNS * sizeof(double));
   }
 #ifdef PLAN_STEPS

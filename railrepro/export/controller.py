@@ -37,7 +37,7 @@ from railrepro.model.control_model import STATES
 from railrepro.model.forecast import NOMINAL, nominal_values
 from railrepro.model.parameters import PARAMETERS
 from railrepro.quantities import GEARS, indices, names, pack, symbols
-from railrepro.track.route import CELL, COLUMNS, INDEX, Route
+from railrepro.track.route import CELL, COLUMNS, INDEX, Route, set_point
 from railrepro.vehicle.parameters import Drive, Vehicle, load_vehicle
 
 TORQUES = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
@@ -51,6 +51,17 @@ SIZES = f"""#define N_OUTPUT {len(TORQUES)}
 #define INPUT_TEXT "what is measured must be a number of at most {_LARGEST:g}"
 """
 """What `MODEL` needs besides `Export.source`."""
+_LAID = (
+    Parameter("set_point.kind", -1.0, "", -1.0, 2.0),  # -1: as the route has it, else see `SetPoint`
+    Parameter("set_point.amplitude", 3e-3, "m", -0.02, 0.02),
+    Parameter("set_point.period_start", 150.0, "m", 1.0, 1e5),
+    Parameter("set_point.period_end", 40.0, "m", 1.0, 1e5),
+    Parameter("set_point.start", 0.0, "m", -1e5, 1e5),
+    Parameter("set_point.end", 1e5, "m", -1e5, 1e6),
+    Parameter("set_point.fade", 30.0, "m", 0.1, 1e5),
+    Parameter("force_factor", 1.0, "", -10.0, 10.0),
+)
+"""What `controller_lay` puts on the road, in the order of `SetPoint`, and a factor on the force demand."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +111,9 @@ class Export:
         if factory:
             planners += [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
         predictive = bool(planners) and isinstance(planners[0], PredictiveController)
-        functions = [control.function, *(self._solver_functions(planners[0]) if predictive else ())]
+        functions = [control.function, set_point(), *(self._solver_functions(planners[0]) if predictive else ())]
         text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
-        found = parameters(control.signature.Gains, control.gains)
+        found = parameters(control.signature.Gains, control.gains) + list(_LAID)
         if predictive:
             found += self._solver_parameters(planners)
         text += self._constants(control, road) + parameters_text(found)
@@ -124,7 +135,8 @@ class Export:
         """Write an FMU (FMI 2.0) for this platform; inputs `interface.MEASURED`, outputs `TORQUES`.
 
         Parameters are the gains of the law (as "lateral.k0", "adhesion.drop_step", "drive.torque_limit"), and of a
-        predictive controller weights ("cost.r") and model ("belief.J_z").
+        predictive controller weights ("cost.r") and model ("belief.J_z"). `set_point.kind` 0, 1 or 2 puts another set
+        point on the road than the route's (-1), see `railrepro.track.route.SetPoint`.
         """
         path = fmu_file(path)
         text, found = self.written()
@@ -136,7 +148,8 @@ class Export:
         """Sizes, road and gains of the law."""
         sizes: dict[str, int | str] = {"N_MEASURED": len(interface.MEASURED), "N_TORQUE": len(TORQUES)}
         sizes |= {"N_MEMORY": len(control.signature.memory), "GEARS": len(GEARS), "N_CELLS": len(self.route.cells)}
-        sizes |= _work("LAW", [control.function])
+        sizes |= _work("LAW", [control.function, set_point()])
+        sizes |= {f"AT_{name.upper()}": INDEX[name] for name in ("p", "y_ref", "force")}
         sizes |= {"CELL_START": float(self.route.cells[0, INDEX["p"]]).hex(), "CELL_STEP": float(CELL).hex()}
         measured = indices(interface.Measured)
         sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}

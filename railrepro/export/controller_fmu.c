@@ -4,6 +4,7 @@ typedef struct {
   double inputs[N_INPUT], y[N_OUTPUT];
   double *parameters;  /* those of the controller */
   controller_t controller;
+  double cells[N_CELLS * N_CELL_COLUMNS];
   const host_t *host;
 } fmu_t;
 
@@ -15,7 +16,7 @@ static void reset(fmu_t *u) {
   controller_reset(&u->controller);
 }
 
-static void begin(fmu_t *u) { controller_start(&u->controller); }
+static void begin(fmu_t *u) { controller_lay(&u->controller, u->cells), controller_start(&u->controller); }
 
 /* What is measured is held for all cycles of a step. */
 static status_t advance(fmu_t *u, casadi_int steps) {

@@ -21,13 +21,13 @@ from railrepro.car.component import SteppedCar
 from railrepro.compile import codegen
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
-from railrepro.control.registry import guidance, parameters
+from railrepro.control.registry import NOTHING, guidance, parameters
 from railrepro.data import write
 from railrepro.export import car as car_export
 from railrepro.export import controller as controller_export
 from railrepro.export.controller import TORQUES, Export
 from railrepro.export.fmu import Parameter
-from railrepro.simulation import simulate
+from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.track.route import COLUMNS, Route
 
@@ -112,6 +112,8 @@ def content(tell: Callable[[str], None] = print) -> dict:
         figures[name] = {"title": title, "cells": _packed(routes[name].cells), "end": scenario.end_m}
         figures[name] |= {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
         figures[name]["force"] = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
+        idle = simulate.run(scenario, guidance(NOTHING, {})).series
+        figures[name]["idle_mm"] = 1e3 * metrics.rmse(idle)
         series = {of: simulate.run(scenario, _law(of)).series.iloc[::STRIDE] for of in SHOWN}
         figures[name]["committed"] = {
             of: {"y": _packed(run["front.y"].to_numpy()), "p": _packed(run["front.p"].to_numpy().round(1))}

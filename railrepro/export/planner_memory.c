@@ -18,7 +18,7 @@ typedef struct {
   const double *parameters;
 } planner_memory_t;
 
-static void planner_reset(planner_memory_t *m, int gear, const double *parameters) {
+static void planner_reset(planner_memory_t *m, int gear, const double *parameters, const double *cells) {
   static const casadi_fn functions[FUNCTIONS] = {preview_position, preview_stage,     riccati_terminal, riccati_backward,
                                                  riccati_forward,  barrier_stiffness, barrier_terminal, barrier_backward,
                                                  barrier_again};
@@ -26,7 +26,7 @@ static void planner_reset(planner_memory_t *m, int gear, const double *parameter
   m->parameters = parameters;
   call_t calls[FUNCTIONS];
   for (int i = 0; i < FUNCTIONS; ++i) calls[i] = (call_t){functions[i], m->arg[i], m->res[i], m->iw[i], m->w[i]};
-  m->h = (horizon_t){STEPS, N_CELLS, MOST_SETS, CELL_START, CELL_STEP, CELLS,
+  m->h = (horizon_t){STEPS, N_CELLS, MOST_SETS, CELL_START, CELL_STEP, cells,
                      calls[0], calls[1], calls[2], calls[3], calls[4], calls[5], calls[6], calls[7], calls[8],
                      m->x_hat, parameters + PARAMETER_FORECAST_FRONT_ACCELERATION_PER_TORQUE + gear * N_NOMINAL,
                      parameters + PARAMETER_BELIEF_M, parameters + PARAMETER_COST_Q_X, 0, 0, AFFINE,

@@ -20,6 +20,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from railrepro.data import InputError, require
+from railrepro.quantities import group, symbols
 from railrepro.track.irregularity import CHANNELS, check
 from railrepro.track.table import Track
 
@@ -261,9 +262,7 @@ def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.in
     Source: paper, caption of Fig. 7 (period 150 m).
     """
     s = ca.SX.sym("p")
-    end = min(end, 1e6)
-    window = _within(s, start, end, fade)
-    return ca.Function("sine", [s], [amplitude * window * ca.sin(2 * np.pi * (s - start) / period)])
+    return ca.Function("sine", [s], [_sine(s, amplitude, period, start, min(end, 1e6), fade)])
 
 
 @lru_cache
@@ -278,6 +277,29 @@ def sweep(
     Source: paper, Figs. 6 and 9 (parameters not printed there).
     """
     s = ca.SX.sym("p")
+    return ca.Function("sweep", [s], [_sweep(s, amplitude, period_start, period_end, start, end, fade)])
+
+
+SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m, start m, end m, fade m")
+"""Set point by numbers: none (kind 0), `sine` of `period_start` (1), `sweep` (2)."""
+
+
+def set_point() -> ca.Function:
+    """Set point and its first three derivatives over the coordinate (m): (p, `SetPoint`) -> [4]."""
+    s, (numbers, of) = ca.SX.sym("p"), symbols(SetPoint, "of")
+    sine = _sine(s, of.amplitude, of.period_start, of.start, of.end, of.fade)
+    sweep = _sweep(s, of.amplitude, of.period_start, of.period_end, of.start, of.end, of.fade)
+    terms = [ca.if_else(of.kind == 1, sine, ca.if_else(of.kind == 2, sweep, 0))]
+    for _ in range(3):
+        terms.append(ca.jacobian(terms[-1], s))
+    return ca.Function("set_point", [s, numbers], [ca.densify(ca.vertcat(*terms))])
+
+
+def _sine(s: ca.SX, amplitude, period, start, end, fade) -> ca.SX:
+    return amplitude * _within(s, start, end, fade) * ca.sin(2 * np.pi * (s - start) / period)
+
+
+def _sweep(s: ca.SX, amplitude, period_start, period_end, start, end, fade) -> ca.SX:
     d = ca.fmin(ca.fmax(s - start, 0), end - start)
     phase = 2 * np.pi * (d / period_start + (1 / period_end - 1 / period_start) * d**2 / (2 * (end - start)))
-    return ca.Function("sweep", [s], [amplitude * _within(s, start, end, fade) * ca.sin(phase)])
+    return amplitude * _within(s, start, end, fade) * ca.sin(phase)

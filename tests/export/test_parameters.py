@@ -74,3 +74,14 @@ def test_a_parameter_is_set_before_initialisation_ends_and_a_reset_forgets_it(un
     assert car.said == ["a parameter is set before initialisation ends, not later"]
     car.slave.reset()
     assert car.get(["speed"]) == [SCENARIO.speed]
+
+
+def test_a_set_point_and_a_force_demand_of_ones_own_are_laid_on_the_road(units):
+    """Elementary functions of C and of NumPy differ in their last digits, so the paths do."""
+    sine = {"kind": "sine", "amplitude_mm": 2.0, "start_m": 5.0, "period_m": 50.0}
+    laid = {"kind": 1, "amplitude": 2e-3, "start": 5.0, "period_start": 50.0}
+    expected = simulate.run(SCENARIO.but(set_point=sine), LAW).series[["front.y", "rear.y"]].to_numpy()[:-1]
+    controller = Instance(units["ndi"], parameters={f"set_point.{name}": value for name, value in laid.items()})
+    found = coupled(Instance(units["car"]), controller, len(expected))
+    assert abs(expected).max() > 1e-3
+    assert found == pytest.approx(expected, abs=1e-12)

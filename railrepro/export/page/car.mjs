@@ -6,9 +6,8 @@
 //   settings(loaded, figure)      what `drive` takes, as committed; change what you like
 //   drive(loaded, settings)       an async generator of rows, see ROW; its return value says why the run ended
 //   changes(loaded, settings)     numbers of car and controller that follow from the settings
-//   cells(loaded, settings)       the route as the settings have it
 //   lawOf(text)                   a law of one's own from its text
-//   score(rows)                   errors, delay, stopping distance, torques
+//   score(rows, idle_mm)          points, errors, delay, way, torques
 
 export const ROW = ["t", "p", "v", "y_ref", "y", "psi", "du", "tau_le", "tau_ri", "f_le", "f_ri", "sx_le", "sx_ri", "y_rear", "psi_rear"];
 const MS = 1e-3, DERAILED = 0.03;
@@ -40,7 +39,7 @@ export class Unit {
     exports.reset();
     const inputs = given.outputs ? 4 : given.n_inputs, outputs = given.outputs?.length ?? 4;
     unit.inputs = at(exports.inputs(), inputs), unit.outputs = at(exports.outputs(), outputs);
-    unit.held = exports.held && at(exports.held(), 2);
+    unit.held = exports.held && at(exports.held(), 2), unit.laid = exports.laid && at(exports.laid(), cells.length);
     unit.numbers = at(exports.parameters(), given.parameters.length);
     unit.places = new Map(given.parameters.map(({ name }, i) => [name, i]));
     at(exports.cells(), cells.length).set(cells);
@@ -66,42 +65,18 @@ export function changes(loaded, s) {
   const car = { ...s.car, speed: s.speed_kmh / 3.6 }, controller = {};
   if (s.car["drive.torque_limit"]) controller["drive.torque_limit"] = s.car["drive.torque_limit"];
   if (stated.has("cost.r") && s.r !== 1) controller["cost.r"] = s.r * stated.get("cost.r");
+  const point = s.set_point, committed = loaded.figures[s.figure].set_point;
+  if (s.force !== 1) controller.force_factor = s.force;
+  if (JSON.stringify(point) !== JSON.stringify(committed)) {
+    const { kind, amplitude_mm = 0, period_m, period_start_m = period_m, period_end_m = 1e3, start_m = 0, end_m = 1e6, fade_m = 30 } = point;
+    const values = { kind: ["none", "sine", "sweep"].indexOf(kind), amplitude: 1e-3 * amplitude_mm, period_start: period_start_m, period_end: period_end_m, start: start_m, end: end_m, fade: fade_m };
+    for (const [name, value] of Object.entries(values)) controller[`set_point.${name}`] = value;
+  }
   const faster = s.pole / 30;
   if (stated.has("lateral.k0") && faster !== 1)
     for (const [name, power] of [["k2", 1], ["k1", 2], ["k0", 3], ["ki", 4]])
       controller[`lateral.${name}`] = faster ** power * stated.get(`lateral.${name}`);
   return { car, controller };
-}
-
-const smooth = (x) => { const r = Math.min(Math.max(x, 0), 1); return r ** 4 * (35 + r * (-84 + r * (70 - 20 * r))); };
-
-/* Set point (m) at a coordinate (m), as railrepro.track.route has it. */
-function setPoint(of) {
-  if (of.kind === "none") return () => 0;
-  const { start_m: start, end_m = 1e6, fade_m = FADE, amplitude_mm } = of;
-  const within = (p) => smooth((p - start) / fade_m) * (1 - smooth((p - end_m + fade_m) / fade_m));
-  const phase = of.kind === "sine" ? (p) => (p - start) / of.period_m : (p) => {
-    const d = Math.min(Math.max(p - start, 0), end_m - start), a = 1 / of.period_start_m, b = 1 / of.period_end_m;
-    return d * a + (b - a) * d * d / (2 * (end_m - start));
-  };
-  return (p) => 1e-3 * amplitude_mm * within(p) * Math.sin(2 * Math.PI * phase(p));
-}
-const FADE = 30;
-
-export function cells(loaded, s) {
-  const of = loaded.figures[s.figure], found = of.cells.slice(), width = loaded.columns.length;
-  const at = Object.fromEntries(loaded.columns.map((name, i) => [name, i]));
-  const moved = JSON.stringify(s.set_point) !== JSON.stringify(of.set_point), y = setPoint(s.set_point), h = 0.05;
-  for (let i = 0; i < found.length; i += width) {
-    found[i + at.force] *= s.force;
-    if (!moved) continue;
-    const p = found[i + at.p], [a, b, c, d, e] = [-2, -1, 0, 1, 2].map((k) => y(p + k * h));
-    found[i + at.y_ref] = c;
-    found[i + at.dy_ref] = (a - 8 * b + 8 * d - e) / (12 * h);
-    found[i + at.ddy_ref] = (-a + 16 * b - 30 * c + 16 * d - e) / (12 * h * h);
-    found[i + at.dddy_ref] = (-a + 2 * b - 2 * d + e) / (2 * h ** 3);
-  }
-  return found;
 }
 
 /* What a law of one's own is given, and how its errors are told. */
@@ -126,11 +101,12 @@ export function lawOf(text) {
 }
 
 export async function* drive(loaded, s) {
-  const of = loaded.figures[s.figure], road = cells(loaded, s), width = loaded.columns.length, { car: names } = loaded;
+  const of = loaded.figures[s.figure], width = loaded.columns.length, { car: names } = loaded;
   const given = { ...loaded.controllers[s.controller], n_inputs: names.measured.length };
-  const [car, law] = await Promise.all([Unit.of(names, road), Unit.of(given, road)]), changed = changes(loaded, s);
+  const [car, law] = await Promise.all([Unit.of(names, of.cells), Unit.of(given, of.cells)]), changed = changes(loaded, s);
   for (const [unit, of] of [[car, changed.car], [law, changed.controller]]) for (const [name, value] of Object.entries(of)) unit.set(name, value);
   car.start(), law.start();
+  const road = law.laid;
   const own = s.controller === "own" ? lawOf(s.law) : null, limit = car.parameter("drive.torque_limit");
   const place = (name) => names.outputs.indexOf(name), measured = names.measured.map(place), column = loaded.columns;
   const y0 = column.indexOf("y_ref"), kappa = column.indexOf("kappa");
@@ -164,14 +140,16 @@ export async function* drive(loaded, s) {
   }
 }
 
-/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way and time. */
-export function score(rows) {
+/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way, time, and points: 0 as a car without guidance,
+   whose RMSE is `idle_mm`, 100 without error and torque; the benchmark's, without its terms for activity, adhesion and safety. */
+export function score(rows, idle_mm = NaN) {
   const of = (name) => rows.map((row) => row[ROW.indexOf(name)]), y = of("y"), y_ref = of("y_ref"), p = of("p"), du = of("du");
   const rms = (values) => Math.sqrt(values.reduce((sum, v) => sum + v * v, 0) / values.length);
-  const error = y.map((value, i) => value - y_ref[i]);
+  const error = y.map((value, i) => value - y_ref[i]), rmse_mm = 1e3 * rms(error), du_rms_Nm = rms(du);
+  const quality = 1 / (1 + rmse_mm + du_rms_Nm / 4e3), idle = 1 / (1 + idle_mm);
   return {
-    rmse_mm: 1e3 * rms(error), largest_mm: 1e3 * Math.max(...error.map(Math.abs)), delay_m: delay(p, y, y_ref),
-    du_rms_Nm: rms(du), du_largest_Nm: Math.max(...du.map(Math.abs)), way_m: p.at(-1) - p[0], time_s: rows.at(-1)[0],
+    points: Math.min(Math.max((100 * (quality - idle)) / (1 - idle), 0), 100), rmse_mm, largest_mm: 1e3 * Math.max(...error.map(Math.abs)), delay_m: delay(p, y, y_ref),
+    du_rms_Nm, du_largest_Nm: Math.max(...du.map(Math.abs)), way_m: p.at(-1) - p[0], time_s: rows.at(-1)[0],
   };
 }
 

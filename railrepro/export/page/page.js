@@ -208,14 +208,14 @@ async function drawNow() {
 function table(before) {
   const text = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "");
   byId("scores").tBodies[0].replaceChildren(...runs.map((one, i) => {
-    const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows) : {};
+    const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows, content.figures[state.figure].idle_mm) : {};
     let said = one.fault ? "The law failed." : one.ended ?? "driving …";
     if (one.ended && one.seconds && one.rows.length) {
       said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
       if (isCommitted(one) && before[i]) said += before[i].y.every((y, k) => one.rows[k]?.[col.y] === y) ? " Equal to the committed run." : " Differs from the committed run.";
     }
     row.innerHTML = `<td><span class="swatch" style="background:${COLORS[i]}"></span>${content.controllers[one.controller].label}</td><td>${text(found.rmse_mm, 3)}</td>
-      <td>${text(found.largest_mm, 2)}</td><td>${text(found.delay_m, 1)}</td><td>${text(found.du_rms_Nm, 0)}</td><td>${text(found.way_m, 1)}</td><td></td>`;
+      <td>${text(found.largest_mm, 2)}</td><td>${text(found.delay_m, 1)}</td><td>${text(found.du_rms_Nm, 0)}</td><td>${text(found.way_m, 1)}</td><td>${text(found.points, 1)}</td><td></td>`;
     row.lastElementChild.textContent = said;
     return row;
   }));
