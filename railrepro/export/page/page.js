@@ -3,9 +3,9 @@ const coreUrl = URL.createObjectURL(new Blob([byId("core").textContent], { type:
 const { ROW, score, settings } = await import(coreUrl);
 const content = JSON.parse(byId("content").textContent);
 const COLORS = ["#0072b2", "#d55e00", "#009e73"], GREY = "#8a8a8a", MOST = 3, MARGIN = 2;
-const EXAMPLE = `// proportional to the error, with yaw angle and yaw rate against the track as damping
-const e = q.y_ref - q.y, course = q.dy_ref - q.psi, turn = q.v * q.kappa - q.r;
-return 3e5 * e + 3e5 * course + 2e4 * turn;`;
+const EXAMPLE = `// proportional to the error, with yaw angle and yaw rate against track and set point as damping
+const e = q.y_ref - q.y, course = q.dy_ref - q.psi, turn = q.v * (q.kappa + q.ddy_ref) - q.r;
+return 3e5 * e + 3e4 * q.v * course + 1e3 * q.v * turn;`;
 
 /* Values that can be changed: where they stand in the settings, text, range, step, and whether they apply. */
 const VALUES = [

@@ -1,0 +1,44 @@
+"""The moving picture of the front page, a recording of the live page: `make live`, then this script."""
+
+import base64
+import io
+import tempfile
+from pathlib import Path
+
+from browser import opened
+from PIL import Image
+
+from railrepro import paths
+
+SIZE, SCALE, SHOWN = (1180, 760), 0.62, ("nmpc", "ltv_mpc_printed", "ndi")
+CHOOSE = f"""(async () => {{
+  const done = () => (document.body?.innerText ?? '').split('End of the track').length > 2;
+  while (!done()) await new Promise(then => setTimeout(then, 50));
+  document.querySelectorAll('#controllers input').forEach(box => box.checked = {list(SHOWN)}.includes(box.value));
+  document.getElementById('controllers').dispatchEvent(new Event('change'));
+}})()"""
+DRIVING = "document.getElementById('scores').innerText.includes('driving')"
+
+
+def frames() -> list[Image.Image]:
+    """Pictures of a run, as many as the browser gives."""
+    url, found = (paths.BUILD / "live/index.html").as_uri(), []
+    with tempfile.TemporaryDirectory() as folder, opened(url, Path(folder), ",".join(map(str, SIZE))) as page:
+        page.evaluated(CHOOSE)
+        while not page.evaluated(DRIVING):
+            pass
+        running = True
+        while running:
+            running = page.evaluated(DRIVING)
+            shot = base64.b64decode(page.ask("Page.captureScreenshot", format="png")["data"])
+            picture = Image.open(io.BytesIO(shot)).convert("RGB")
+            found.append(picture.resize([round(SCALE * side) for side in picture.size], Image.Resampling.LANCZOS))
+    return found
+
+
+if __name__ == "__main__":
+    taken = [picture.quantize(48, dither=Image.Dither.NONE) for picture in frames()]
+    file = paths.ROOT / "figures/live.gif"
+    times = [120] * (len(taken) - 1) + [4000]
+    taken[0].save(file, save_all=True, append_images=taken[1:], duration=times, loop=0, optimize=True)
+    print(f"{file.name}: {len(taken)} pictures, {file.stat().st_size / 1e3:.0f} kB")
