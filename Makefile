@@ -71,8 +71,8 @@ test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 test-slow: $(VENV)  ## run the tests that take minutes
 	$(PY) -m pytest -m slow $(PYTEST_JOBS)
 
-test-extras: $(call READY,bench)  ## install the group `bench` and run its tests: Exudyn, Gymnasium
-	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation
+test-extras: $(call READY,bench) $(call READY,compiler)  ## install two groups and run their tests: Exudyn, Gymnasium, live page
+	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/export/test_live.py
 
 faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, Ctrl-C, full disk
 	$(PY) -m pytest -m slow tests/evidence/test_faults.py
