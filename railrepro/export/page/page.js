@@ -125,14 +125,14 @@ function run() {
   runs = state.shown.map((controller) => ({ controller, rows: [], ended: null, fault: null, number, begun: performance.now() }));
   runs.forEach((one, i) => worker(i).postMessage({ number, settings: asked(one.controller) }));
   byId("stop").disabled = false;
-  draw();
+  table([]), draw();
 }
 function stop() {
   number++;
   workers.forEach((each) => each.terminate()), workers = [];
   runs.forEach((one) => (one.ended ??= "Stopped."));
   byId("stop").disabled = true;
-  draw();
+  table([]), draw();
 }
 function take(i, { number: of, block, ended, fault }) {
   const one = runs[i];
@@ -210,7 +210,7 @@ function table(before) {
   byId("scores").tBodies[0].replaceChildren(...runs.map((one, i) => {
     const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows, content.figures[state.figure].idle_mm) : {};
     let said = one.fault ? "The law failed." : one.ended ?? "driving …";
-    if (one.ended && one.seconds && one.rows.length) {
+    if (one.ended && one.seconds && one.rows.length && !one.fault) {
       said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
       if (isCommitted(one) && before[i]) said += before[i].y.every((y, k) => one.rows[k]?.[col.y] === y) ? " Equal to the committed run." : " Differs from the committed run.";
     }
