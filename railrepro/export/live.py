@@ -11,6 +11,7 @@ import json
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,12 @@ SHOWN = {
 }
 OWN = "own"
 """Name of the module that holds what a law of one's own, written in the page, gives."""
-STRIDE = 10
-"""Cycles from one row of the committed runs to the next."""
+SETTINGS = {
+    "paper": "paper: weights tuned on dry rail, poles designed",
+    "equal": "equal: all tuned alike, poor rail among the runs",
+}
+FEW, FEWER = 10, 50
+"""Cycles from one row of a run to the next, and of a run to standstill."""
 
 
 def webassembly(text: str, model: Path, sizes: str = "") -> bytes:
@@ -65,11 +70,9 @@ def _writable(name: str, values: np.ndarray) -> str:
     return f"static double {name}[{np.size(values)}];\n"
 
 
-def _law(name: str) -> Guidance:
-    """Guidance of a controller with its set of the setting `paper`, in a form that is exported."""
-    if name == OWN:
-        return ZeroOrderHold()
-    return guidance(name, parameters(name, "paper"))
+def _law(name: str, setting: str) -> Guidance:
+    """Guidance of a controller with its set of a setting, in a form that is exported."""
+    return ZeroOrderHold() if name == OWN else guidance(name, parameters(name, setting))
 
 
 def _alike(scenarios: dict[str, Scenario]) -> dict[str, Route]:
@@ -98,31 +101,33 @@ def content(tell: Callable[[str], None] = print) -> dict:
     text, found = car_export.written(SteppedCar(any_route, 50.0), 50.0, _writable)
     car = {"module": _packed(webassembly(text, car_export.MODEL)), "parameters": _stated(found)}
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
-    controllers: dict[str, dict] = {}
-    for name in (*SHOWN, OWN):
-        tell(name)
-        text, found = Export(_law(name), any_route).written(_writable)
+    controllers: dict[str, dict] = {setting: {} for setting in SETTINGS}
+    for setting, name in product(SETTINGS, (*SHOWN, OWN)):
+        tell(f"{setting} {name}")
+        text, found = Export(_law(name, setting), any_route).written(_writable)
         module = webassembly(text, controller_export.MODEL, controller_export.SIZES)
-        controllers[name] = {"label": SHOWN.get(name, "Law of your own"), "module": _packed(module)}
-        controllers[name]["parameters"] = _stated(found)
-    figures: dict[str, dict] = {}
+        one = {"label": SHOWN.get(name, "Law of your own"), "module": _packed(module), "parameters": _stated(found)}
+        controllers[setting][name] = one
+    figures = {}
     for title, name in FIGURES.items():
         tell(title)
-        scenario = scenarios[name]
-        figures[name] = {"title": title, "cells": _packed(routes[name].cells), "end": scenario.end_m}
-        figures[name] |= {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
-        figures[name]["force"] = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
-        idle = simulate.run(scenario, guidance(NOTHING, {})).series
-        figures[name]["idle_mm"] = 1e3 * metrics.rmse(idle)
-        series = {of: simulate.run(scenario, _law(of)).series.iloc[::STRIDE] for of in SHOWN}
-        figures[name]["committed"] = {
-            of: {"y": _packed(run["front.y"].to_numpy()), "p": _packed(run["front.p"].to_numpy().round(1))}
-            for of, run in series.items()
-        }
-    return {
-        "columns": list(COLUMNS), "torques": list(TORQUES), "stride": STRIDE, "car": car,
-        "controllers": controllers, "figures": figures,
-    }  # fmt: skip
+        figures[name] = {"title": title, "cells": _packed(routes[name].cells)} | _experiment(scenarios[name])
+    names = {"columns": list(COLUMNS), "torques": list(TORQUES)}
+    return names | {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
+
+
+def _experiment(scenario: Scenario) -> dict:
+    """A scenario as the page has it, with its committed runs by setting and controller."""
+    found = {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
+    found |= {"end": scenario.end_m, "stride": FEW if scenario.stop_kmh is None else FEWER}
+    found["force"] = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
+    found["idle_mm"] = 1e3 * metrics.rmse(simulate.run(scenario, guidance(NOTHING, {})).series)
+    found["committed"] = {setting: {} for setting in SETTINGS}
+    for setting, name in product(SETTINGS, SHOWN):
+        series = simulate.run(scenario, _law(name, setting)).series.iloc[:: found["stride"]]
+        path = {"y": _packed(series["front.y"].to_numpy()), "p": _packed(series["front.p"].to_numpy().round(1))}
+        found["committed"][setting][name] = path
+    return found
 
 
 def page(found: dict) -> str:

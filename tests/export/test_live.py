@@ -80,13 +80,22 @@ def test_the_committed_values_give_the_committed_run_bit_for_bit(page):
     assert page.errors == []
 
 
+def test_a_setting_is_chosen(page):
+    page.evaluated(
+        "{const s = document.getElementById('setting'); s.value = 'equal'; s.dispatchEvent(new Event('change'));}"
+    )
+    rows = finished(page)
+    assert all("Equal to the committed run." in row[-1] for row in rows.values())
+    assert [rows[name][1] for name in ("NMPC", "NDI")] == ["1.790", "0.496"]
+
+
 def test_a_value_acts_is_marked_and_is_in_the_link(page):
-    give(page, "poles of NDI", 60)
+    give(page, "poles of NDI", 2)
     rows = finished(page)
     assert float(rows["NDI"][1]) < 1.5 and rows["NMPC"][1] == "0.615"
     assert "committed" not in rows["NDI"][-1]
     assert page.evaluated("document.querySelectorAll('.slider.changed').length") == 1
-    assert json.loads(page.evaluated("decodeURIComponent(location.hash.slice(1))"))["values"] == {"pole": 60}
+    assert json.loads(page.evaluated("decodeURIComponent(location.hash.slice(1))"))["values"] == {"faster": 2}
     give(page, "amplitude", 1.5)
     assert float(finished(page)["NDI"][1]) < 1.0
     page.evaluated("document.getElementById('committed').click()")

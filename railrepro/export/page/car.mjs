@@ -25,7 +25,7 @@ export async function load(content) {
   const module = async (of) => ({ ...of, module: await WebAssembly.compile(await unpacked(of.module)) });
   const all = async (group, each) => Object.fromEntries(await Promise.all(Object.entries(group).map(async ([k, v]) => [k, await each(v)])));
   const figure = async (of) => ({ ...of, cells: await numbers(of.cells) });
-  const [car, controllers, figures] = await Promise.all([module(content.car), all(content.controllers, module), all(content.figures, figure)]);
+  const [car, controllers, figures] = await Promise.all([module(content.car), all(content.controllers, (of) => all(of, module)), all(content.figures, figure)]);
   return { ...content, car, controllers, figures };
 }
 
@@ -55,13 +55,13 @@ export class Unit {
   step() { return this.exports.step(1); }
 }
 
-export function settings(loaded, figure, controller = "nmpc") {
+export function settings(loaded, figure, controller = "nmpc", setting = "paper") {
   const { speed_kmh, set_point } = loaded.figures[figure];
-  return { figure, controller, speed_kmh, set_point: { ...set_point }, force: 1, r: 1, pole: 30, car: {}, law: "" };
+  return { figure, controller, setting, speed_kmh, set_point: { ...set_point }, force: 1, r: 1, faster: 1, car: {}, law: "" };
 }
 
 export function changes(loaded, s) {
-  const stated = new Map(loaded.controllers[s.controller].parameters.map((p) => [p.name, p.value]));
+  const stated = new Map(loaded.controllers[s.setting][s.controller].parameters.map((p) => [p.name, p.value]));
   const car = { ...s.car, speed: s.speed_kmh / 3.6 }, controller = {};
   if (s.car["drive.torque_limit"]) controller["drive.torque_limit"] = s.car["drive.torque_limit"];
   if (stated.has("cost.r") && s.r !== 1) controller["cost.r"] = s.r * stated.get("cost.r");
@@ -72,10 +72,9 @@ export function changes(loaded, s) {
     const values = { kind: ["none", "sine", "sweep"].indexOf(kind), amplitude: 1e-3 * amplitude_mm, period_start: period_start_m, period_end: period_end_m, start: start_m, end: end_m, fade: fade_m };
     for (const [name, value] of Object.entries(values)) controller[`set_point.${name}`] = value;
   }
-  const faster = s.pole / 30;
-  if (stated.has("lateral.k0") && faster !== 1)
+  if (stated.has("lateral.k0") && s.faster !== 1)
     for (const [name, power] of [["k2", 1], ["k1", 2], ["k0", 3], ["ki", 4]])
-      controller[`lateral.${name}`] = faster ** power * stated.get(`lateral.${name}`);
+      controller[`lateral.${name}`] = s.faster ** power * stated.get(`lateral.${name}`);
   return { car, controller };
 }
 
@@ -102,7 +101,7 @@ export function lawOf(text) {
 
 export async function* drive(loaded, s) {
   const of = loaded.figures[s.figure], width = loaded.columns.length, { car: names } = loaded;
-  const given = { ...loaded.controllers[s.controller], n_inputs: names.measured.length };
+  const given = { ...loaded.controllers[s.setting][s.controller], n_inputs: names.measured.length };
   const [car, law] = await Promise.all([Unit.of(names, of.cells), Unit.of(given, of.cells)]), changed = changes(loaded, s);
   for (const [unit, of] of [[car, changed.car], [law, changed.controller]]) for (const [name, value] of Object.entries(of)) unit.set(name, value);
   car.start(), law.start();
@@ -128,7 +127,7 @@ export async function* drive(loaded, s) {
       }
     const failed = law.step(), [le, ri] = law.outputs;
     const beyond = x[front.p] >= of.end, slow = x[front.v] <= stop, off = Math.max(Math.abs(x[front.y]), Math.abs(x[rear.y])) >= DERAILED;
-    if (k % loaded.stride === 0 || beyond || slow || off)
+    if (k % of.stride === 0 || beyond || slow || off)
       yield [k * MS, x[front.p], x[front.v], reference(x[front.p])[0], x[front.y], x[front.psi_TrAx], (le - ri) / 2, le, ri,
              ...seen.map((i) => x[i]), x[rear.y], x[rear.psi_TrAx]];
     if (off) return "A running gear derailed.";

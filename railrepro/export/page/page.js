@@ -16,23 +16,24 @@ const VALUES = [
   { key: "set_point.period_end_m", text: "last period of the sweep (m)", low: 15, high: 300, step: 1 },
   { key: "force", text: "force demand, times the committed one", low: 0, high: 2, step: 0.05, if: (s) => content.figures[s.figure].force },
   { key: "r", text: "R of the predictive controllers, factor", low: 1e-3, high: 1e4, log: true },
-  { key: "pole", text: "poles of NDI (rad/s)", low: 5, high: 120, step: 1 },
+  { key: "faster", text: "poles of NDI, factor", low: 0.1, high: 5, step: 0.05 },
   { key: "adhesion.good.mu0", text: "friction of dry rail", low: 0.05, high: 0.6, step: 0.005, car: true },
   { key: "adhesion.poor.mu0", text: "friction of poor rail", low: 0.03, high: 0.4, step: 0.005, car: true, if: (s) => s.figure === "adhesion_loss" },
   { key: "drive.torque_limit", text: "torque limit of a motor (N m)", low: 500, high: 8000, step: 50, car: true },
   { key: "drive.lag", text: "lag of the drives (s)", low: 0.001, high: 0.05, step: 0.001, car: true },
   { key: "body.mass", text: "mass of the car body (kg)", low: 12000, high: 60000, step: 500, car: true },
 ];
+const labels = Object.fromEntries(Object.entries(content.controllers.paper).map(([name, { label }]) => [name, label]));
 const stated = new Map(content.car.parameters.map((p) => [p.name, p.value]));
 const committedOf = (v, figure) => v.car ? stated.get(v.key) : v.key.split(".").reduce((o, k) => o?.[k], settings(content, figure));
 
-let state = restored() ?? { figure: "curve_entry_T3", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
+let state = restored() ?? { figure: "curve_entry_T3", setting: "paper", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
 let runs = [], workers = [], pointed = null, plots = [];
 
 function restored() {
   try {
     const found = JSON.parse(decodeURIComponent(location.hash.slice(1)));
-    const known = found.figure in content.figures && found.shown.every((name) => name in content.controllers);
+    const known = found.figure in content.figures && found.setting in content.settings && found.shown.every((name) => name in labels);
     return known ? { values: {}, law: EXAMPLE, ...found } : null;
   } catch { return null; }
 }
@@ -40,7 +41,7 @@ function remember() { history.replaceState(null, "", "#" + encodeURIComponent(JS
 
 /* Settings of a run from the values that differ from the committed ones. */
 function asked(controller) {
-  const s = { ...settings(content, state.figure, controller), law: state.law };
+  const s = { ...settings(content, state.figure, controller, state.setting), law: state.law };
   for (const v of shownValues()) {
     if (!(v.key in state.values)) continue;
     if (v.car) s.car[v.key] = state.values[v.key];
@@ -76,7 +77,8 @@ function slider(v) {
 
 function build() {
   byId("figure").replaceChildren(...Object.entries(content.figures).map(([name, { title }]) => new Option(title, name, false, name === state.figure)));
-  const boxes = Object.entries(content.controllers).map(([name, { label }]) => {
+  byId("setting").replaceChildren(...Object.entries(content.settings).map(([name, text]) => new Option(text, name, false, name === state.setting)));
+  const boxes = Object.entries(labels).map(([name, label]) => {
     const box = document.createElement("label");
     box.innerHTML = `<input type="checkbox" value="${name}"> ${label}`;
     box.firstChild.checked = state.shown.includes(name);
@@ -147,9 +149,9 @@ function take(i, { number: of, block, ended, fault }) {
 const col = Object.fromEntries(ROW.map((name, i) => [name, i]));
 const numbersOf = new Map();
 async function committedRun(figure, controller) {
-  const key = figure + controller;
+  const key = [figure, state.setting, controller].join();
   if (!numbersOf.has(key)) {
-    const { numbers } = await import(coreUrl), of = content.figures[figure].committed[controller];
+    const { numbers } = await import(coreUrl), of = content.figures[figure].committed[state.setting][controller];
     numbersOf.set(key, of ? { y: await numbers(of.y), p: await numbers(of.p) } : null);
   }
   return numbersOf.get(key);
@@ -189,10 +191,10 @@ async function drawNow() {
     const add = (label, values, look) => { data.push(values), series.push({ label, points: { show: false }, ...look }); };
     if (plot.reference) {
       before.forEach((run, i) => run && !isCommitted(runs[i]) &&
-        add(`${content.controllers[runs[i].controller].label}, committed`, onGrid(grid, run.p, run.y.map((y) => 1e3 * y)), { stroke: COLORS[i] + "66", width: 2.5 }));
+        add(`${labels[runs[i].controller]}, committed`, onGrid(grid, run.p, run.y.map((y) => 1e3 * y)), { stroke: COLORS[i] + "66", width: 2.5 }));
       if (runs[0]) add("set point", onGrid(grid, p[0], runs[0].rows.map((row) => 1e3 * row[col.y_ref])), { stroke: ink, dash: [2, 4] });
     }
-    runs.forEach((one, i) => add(content.controllers[one.controller].label, onGrid(grid, p[i], one.rows.map(plot.of)), { stroke: COLORS[i], width: 1.4 }));
+    runs.forEach((one, i) => add(labels[one.controller], onGrid(grid, p[i], one.rows.map(plot.of)), { stroke: COLORS[i], width: 1.4 }));
     const key = series.map((s) => s.label).join("|") + state.figure + width + ink;
     if (plots[n]?.key !== key) {
       plots[n]?.plot.destroy();
@@ -214,7 +216,7 @@ function table(before) {
       said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
       if (isCommitted(one) && before[i]) said += before[i].y.every((y, k) => one.rows[k]?.[col.y] === y) ? " Equal to the committed run." : " Differs from the committed run.";
     }
-    row.innerHTML = `<td><span class="swatch" style="background:${COLORS[i]}"></span>${content.controllers[one.controller].label}</td><td>${text(found.rmse_mm, 3)}</td>
+    row.innerHTML = `<td><span class="swatch" style="background:${COLORS[i]}"></span>${labels[one.controller]}</td><td>${text(found.rmse_mm, 3)}</td>
       <td>${text(found.largest_mm, 2)}</td><td>${text(found.delay_m, 1)}</td><td>${text(found.du_rms_Nm, 0)}</td><td>${text(found.way_m, 1)}</td><td>${text(found.points, 1)}</td><td></td>`;
     row.lastElementChild.textContent = said;
     return row;
@@ -250,6 +252,7 @@ byId("settings").addEventListener("submit", (event) => { event.preventDefault();
 byId("stop").addEventListener("click", stop);
 byId("committed").addEventListener("click", () => { state.values = {}, build(), run(); });
 byId("figure").addEventListener("change", (event) => { state.figure = event.target.value, state.values = {}, build(), run(); });
+byId("setting").addEventListener("change", (event) => { state.setting = event.target.value, run(); });
 byId("law").addEventListener("change", () => { state.law = byId("law").value, remember(); });
 byId("controllers").addEventListener("change", (event) => {
   const chosen = [...byId("controllers").querySelectorAll("input:checked")].map((box) => box.value);
