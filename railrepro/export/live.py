@@ -50,8 +50,8 @@ SHOWN = {
 OWN = "own"
 """Name of the module that holds what a law of one's own, written in the page, gives."""
 SETTINGS = {
-    "paper": "paper: weights tuned on dry rail, poles designed",
-    "equal": "equal: all tuned alike, poor rail among the runs",
+    "paper": "paper: tuned on dry rail",
+    "equal": "equal: all tuned alike",
 }
 FEW, FEWER = 10, 50
 """Cycles from one row of a run to the next, and of a run to standstill."""

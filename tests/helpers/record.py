@@ -10,12 +10,14 @@ from PIL import Image
 
 from railrepro import paths
 
-SIZE, SCALE, SHOWN = (1180, 760), 0.62, ("nmpc", "ltv_mpc_printed", "ndi")
+SIZE, SCALE, SHOWN = (1180, 900), 0.62, ("nmpc", "ndi", "ndi_integral")
 CHOOSE = f"""(async () => {{
   const done = () => (document.body?.innerText ?? '').split('End of the track').length > 2;
   while (!done()) await new Promise(then => setTimeout(then, 50));
   document.querySelectorAll('#controllers input').forEach(box => box.checked = {list(SHOWN)}.includes(box.value));
-  document.getElementById('controllers').dispatchEvent(new Event('change'));
+  const figure = document.getElementById('figure');
+  figure.value = 'braking', document.getElementById('controllers').dispatchEvent(new Event('change'));
+  figure.dispatchEvent(new Event('change'));
 }})()"""
 DRIVING = "document.getElementById('scores').innerText.includes('driving')"
 
@@ -37,7 +39,7 @@ def frames() -> list[Image.Image]:
 
 
 if __name__ == "__main__":
-    taken = [picture.quantize(48, dither=Image.Dither.NONE) for picture in frames()]
+    taken = [picture.quantize(64, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE) for picture in frames()[::2]]
     file = paths.ROOT / "figures/live.gif"
     times = [120] * (len(taken) - 1) + [4000]
     taken[0].save(file, save_all=True, append_images=taken[1:], duration=times, loop=0, optimize=True)
