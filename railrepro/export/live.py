@@ -15,14 +15,16 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from railrepro import paths
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
-from railrepro.control.registry import NOTHING, guidance, parameters
+from railrepro.control.registry import CONTROLLERS, NOTHING, guidance, parameters
 from railrepro.data import write
 from railrepro.export import car as car_export
 from railrepro.export import controller as controller_export
@@ -71,8 +73,8 @@ def _writable(name: str, values: np.ndarray) -> str:
 
 
 def _law(name: str, setting: str) -> Guidance:
-    """Guidance of a controller with its set of a setting, in a form that is exported."""
-    return ZeroOrderHold() if name == OWN else guidance(name, parameters(name, setting))
+    """Guidance of a controller with its set of a setting, as the figures of the paper have it."""
+    return ZeroOrderHold() if name == OWN else guidance(name, parameters(name, setting), CONTROLLERS[name].quick)
 
 
 def _alike(scenarios: dict[str, Scenario]) -> dict[str, Route]:
@@ -112,7 +114,9 @@ def content(tell: Callable[[str], None] = print) -> dict:
     for title, name in FIGURES.items():
         tell(title)
         figures[name] = {"title": title, "cells": _packed(routes[name].cells)} | _experiment(scenarios[name])
-    names = {"columns": list(COLUMNS), "torques": list(TORQUES)}
+    sections = scipy.signal.butter(4, metrics.ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
+    activity = {"sections": sections.tolist(), "start": scipy.signal.sosfilt_zi(sections).tolist()}
+    names = {"activity": activity, "columns": list(COLUMNS), "torques": list(TORQUES)}
     return names | {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
 
 

@@ -1,13 +1,20 @@
 """The live page in a real browser: the run of `simulate` bit for bit, values that act, laws of one's own, sentences."""
 
+import base64
 import json
 import time
+import zlib
 
+import numpy as np
+import pandas as pd
 import pytest
 from browser import needs_browser, opened
 
+from railrepro import load_scenario, metrics, paths, tuned
 from railrepro.compile import cache
+from railrepro.evidence import benchmark
 from railrepro.export import live
+from railrepro.simulation import simulate
 
 pytestmark = [
     needs_browser,
@@ -27,16 +34,17 @@ def browser_page(tmp_path_factory):
         patch.setattr(cache, "WEBASSEMBLY", tuple("-O0" if flag == "-O2" else flag for flag in cache.WEBASSEMBLY))
         patch.setattr(live, "FIGURES", {"Figure 6": "curve_entry_T3"})
         patch.setattr(live, "SHOWN", {name: live.SHOWN[name] for name in ("nmpc", "ndi")})
-        (folder / "index.html").write_text(live.page(live.content(tell=lambda _: None)))
+        found = live.content(tell=lambda _: None)
+    (folder / "index.html").write_text(live.page(found))
     address = (folder / "index.html").as_uri()
     with opened(address, folder / "browser") as opened_page:
-        yield opened_page, address
+        yield opened_page, address, found
 
 
 @pytest.fixture
 def page(browser_page):
     """The page as somebody opens it who knows nothing of the tests before, its first runs ended."""
-    opened_page, address = browser_page
+    opened_page, address, _ = browser_page
     opened_page.ask("Page.navigate", url="about:blank")
     opened_page.ask("Page.navigate", url=address)
     finished(opened_page)
@@ -80,13 +88,28 @@ def test_the_committed_values_give_the_committed_run_bit_for_bit(page):
     assert page.errors == []
 
 
+def test_the_committed_run_is_that_of_the_committed_figure(browser_page):
+    packed = browser_page[2]["figures"]["curve_entry_T3"]["committed"]["paper"]["nmpc"]["y"]
+    y = np.frombuffer(zlib.decompress(base64.b64decode(packed)))[::2]
+    drawn = pd.read_csv(paths.FIGURES / "fig06_curve_entry.csv").query("car == 'uncalibrated' and controller == 'nmpc'")
+    assert len(y) > 300 and y == pytest.approx(drawn["y_m"].to_numpy()[: len(y)], rel=1e-8)
+
+
+def test_points_are_those_of_the_benchmark(page, browser_page):
+    idle = browser_page[2]["figures"]["curve_entry_T3"]["idle_mm"]
+    series = simulate.run(load_scenario("curve_entry_T3"), tuned("ndi")).series
+    row = {"error": metrics.rmse(series), "effort_du": metrics.effort(series), "activity_du": metrics.activity(series)}
+    row |= {"y_over_q": 0.0, "sum_y_over_limit": 0.0, "failure": "", "nothing": idle, "best": 0.0}
+    assert float(finished(page)["NDI"][6]) == pytest.approx(benchmark.points(row), abs=0.06)
+
+
 def test_a_setting_is_chosen(page):
     page.evaluated(
         "{const s = document.getElementById('setting'); s.value = 'equal'; s.dispatchEvent(new Event('change'));}"
     )
     rows = finished(page)
     assert all("Equal to the committed run." in row[-1] for row in rows.values())
-    assert [rows[name][1] for name in ("NMPC", "NDI")] == ["1.790", "0.496"]
+    assert [float(rows[name][1]) for name in ("NMPC", "NDI")] == pytest.approx([1.790, 0.496], abs=2e-3)
 
 
 def test_a_value_acts_is_marked_and_is_in_the_link(page):

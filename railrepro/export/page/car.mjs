@@ -4,7 +4,7 @@
 //   load(content)                 what `python -m railrepro live` wrote as content.json, made ready
 //   Unit.of(given, cells)         the car or a controller: set(name, value), start(), step(), inputs, outputs, parameter(name)
 //   settings(loaded, figure)      what `drive` takes, as committed; change what you like
-//   drive(loaded, settings)       an async generator of rows, see ROW; its return value says why the run ended
+//   drive(loaded, settings)       an async generator of rows, see ROW; it returns why the run ended, and the torque's part above 5 Hz
 //   changes(loaded, settings)     numbers of car and controller that follow from the settings
 //   lawOf(text)                   a law of one's own from its text
 //   score(rows, idle_mm)          points, errors, delay, way, torques
@@ -116,6 +116,7 @@ export async function* drive(loaded, s) {
   };
   const gear = (name) => Object.fromEntries(["p", "v", "y", "psi_TrAx", "psidot_Ax"].map((key) => [key, place(`${name}.${key}`)]));
   const gears = [gear("front"), gear("rear")], seen = ["front_le.adhesion", "front_ri.adhesion", "front_le.sx", "front_ri.sx"].map(place);
+  const torques = [], ended = (why) => ({ why, activity_Nm: activity(loaded.activity, torques) });
   for (let k = 0; ; k++) {
     const x = car.outputs, [front, rear] = gears, stop = of.stop_kmh / 3.6 || -1;
     for (let i = 0; i < measured.length; i++) law.inputs[i] = x[measured[i]];
@@ -126,26 +127,43 @@ export async function* drive(loaded, s) {
         law.held[g] = Math.min(Math.max(own(q, g), -limit), limit);
       }
     const failed = law.step(), [le, ri] = law.outputs;
+    torques.push((le - ri) / 2);
     const beyond = x[front.p] >= of.end, slow = x[front.v] <= stop, off = Math.max(Math.abs(x[front.y]), Math.abs(x[rear.y])) >= DERAILED;
     if (k % of.stride === 0 || beyond || slow || off)
       yield [k * MS, x[front.p], x[front.v], reference(x[front.p])[0], x[front.y], x[front.psi_TrAx], (le - ri) / 2, le, ri,
              ...seen.map((i) => x[i]), x[rear.y], x[rear.psi_TrAx]];
-    if (off) return "A running gear derailed.";
-    if (beyond) return "End of the track.";
-    if (slow) return "The car stands.";
-    if (failed || k > 600e3) return "The run was ended.";
+    if (off) return ended("A running gear derailed.");
+    if (beyond) return ended("End of the track.");
+    if (slow) return ended("The car stands.");
+    if (failed || k > 600e3) return ended("The run was ended.");
     car.inputs.set(law.outputs);
-    if (car.step() === 3) return "A number of the car left all bounds.";
+    if (car.step() === 3) return ended("A number of the car left all bounds.");
   }
 }
 
-/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way, time, and points: 0 as a car without guidance,
-   whose RMSE is `idle_mm`, 100 without error and torque; the benchmark's, without its terms for activity, adhesion and safety. */
-export function score(rows, idle_mm = NaN) {
+/* RMS of a torque above 5 Hz (N m): a high-pass forth and back over values each millisecond, as railrepro.simulation.metrics has it. */
+function activity({ sections, start }, torques) {
+  const n = torques.length, pad = Math.min(100, n - 1);
+  const mirrored = (edge, at) => Array.from({ length: pad }, (_, i) => 2 * edge - at(i));
+  let x = [...mirrored(torques[0], (i) => torques[pad - i]), ...torques, ...mirrored(torques[n - 1], (i) => torques[n - 2 - i])];
+  for (let pass = 0; pass < 2; pass++) {
+    const first = x[0];
+    for (const [s, [b0, b1, b2, , a1, a2]] of sections.entries()) {
+      let [z0, z1] = start[s].map((z) => z * first);
+      x = x.map((v) => { const y = b0 * v + z0; z0 = b1 * v - a1 * y + z1, z1 = b2 * v - a2 * y; return y; });
+    }
+    x.reverse();
+  }
+  return Math.sqrt(x.slice(pad, pad + n).reduce((sum, v) => sum + v * v, 0) / n);
+}
+
+/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way, time, and the points of the benchmark: 0 as a car
+   without guidance, whose RMSE is `idle_mm`, 100 without error and torque. Its terms for adhesion and safety are left out. */
+export function score(rows, idle_mm = NaN, activity_Nm = 0) {
   const of = (name) => rows.map((row) => row[ROW.indexOf(name)]), y = of("y"), y_ref = of("y_ref"), p = of("p"), du = of("du");
   const rms = (values) => Math.sqrt(values.reduce((sum, v) => sum + v * v, 0) / values.length);
   const error = y.map((value, i) => value - y_ref[i]), rmse_mm = 1e3 * rms(error), du_rms_Nm = rms(du);
-  const quality = 1 / (1 + rmse_mm + du_rms_Nm / 4e3), idle = 1 / (1 + idle_mm);
+  const cost = rmse_mm + du_rms_Nm / 4e3 + Math.max(0, activity_Nm / 500 - 1), quality = 1 / (1 + cost), idle = 1 / (1 + idle_mm);
   return {
     points: Math.min(Math.max((100 * (quality - idle)) / (1 - idle), 0), 100), rmse_mm, largest_mm: 1e3 * Math.max(...error.map(Math.abs)), delay_m: delay(p, y, y_ref),
     du_rms_Nm, du_largest_Nm: Math.max(...du.map(Math.abs)), way_m: p.at(-1) - p[0], time_s: rows.at(-1)[0],

@@ -107,7 +107,7 @@ function worker(i) {
           if (mine !== current) return;
           if (!done) block.push(value);
           if (done || performance.now() - sent > 40) {
-            postMessage({ number: mine, block, ended: done ? value : null }), block = [], sent = performance.now();
+            postMessage({ number: mine, block, ended: done ? value.why : null, activity_Nm: value?.activity_Nm }), block = [], sent = performance.now();
             await new Promise((then) => setTimeout(then));
           }
           if (done) return;
@@ -136,10 +136,11 @@ function stop() {
   byId("stop").disabled = true;
   table([]), draw();
 }
-function take(i, { number: of, block, ended, fault }) {
+function take(i, { number: of, block, ended, fault, activity_Nm }) {
   const one = runs[i];
   if (!one || one.number !== of) return;
   for (const row of block) one.rows.push(row);
+  one.activity_Nm = activity_Nm;
   if (fault) one.fault = fault, say(fault);
   if (ended || fault) one.ended = ended ?? "Stopped.", one.seconds = (performance.now() - one.begun) / 1e3;
   if (runs.every((each) => each.ended)) byId("stop").disabled = true;
@@ -170,6 +171,7 @@ function onGrid(grid, p, values) {
 const PLOTS = [
   { title: "lateral position y (mm)", of: (row) => 1e3 * row[col.y], reference: true },
   { title: "error y - y* (mm)", of: (row) => 1e3 * (row[col.y] - row[col.y_ref]) },
+  { title: "yaw angle against the track (mrad)", of: (row) => 1e3 * row[col.psi] },
   { title: "differential torque (N m)", of: (row) => row[col.du] },
   { title: "adhesion of the left front wheel", of: (row) => row[col.f_le] },
 ];
@@ -210,7 +212,7 @@ async function drawNow() {
 function table(before) {
   const text = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "");
   byId("scores").tBodies[0].replaceChildren(...runs.map((one, i) => {
-    const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows, content.figures[state.figure].idle_mm) : {};
+    const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows, content.figures[state.figure].idle_mm, one.activity_Nm) : {};
     let said = one.fault ? "The law failed." : one.ended ?? "driving …";
     if (one.ended && one.seconds && one.rows.length && !one.fault) {
       said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
