@@ -23,6 +23,7 @@ from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
 from railrepro.control.problem import TUNING
 from railrepro.control.solvers import riccati
 from railrepro.data import InputError, location, require, write
+from railrepro.export.car import INPUTS
 from railrepro.export.fmu import (
     Fmu,
     Parameter,
@@ -40,7 +41,7 @@ from railrepro.quantities import GEARS, indices, names, pack, symbols
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route, set_point
 from railrepro.vehicle.parameters import Drive, Vehicle, load_vehicle
 
-TORQUES = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
+TORQUES = INPUTS
 """Outputs of a controller (N m), inputs of the car."""
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""

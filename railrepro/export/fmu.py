@@ -24,6 +24,8 @@ from railrepro.compile import codegen
 from railrepro.data import InputError, location, write
 from railrepro.quantities import names, notes
 
+_SOURCE = "all.c"
+"""Name of the C source in an FMU."""
 _ANY = data.Quantity(-1e12, 1e12, "", closed=True)
 """Range of what states none."""
 
@@ -147,9 +149,6 @@ def _system() -> str:
     return {"linux": "linux64", "darwin": "darwin64"}.get(sys.platform, sys.platform + platform.machine()[-2:])
 
 
-_SOURCE = "all.c"
-
-
 def _variables(fmu: Fmu) -> list[tuple[dict[str, str], dict[str, str]]]:
     """Attributes of each variable, and those of its number; value references count outputs, inputs, parameters."""
     limits = {"min": f"{-fmu.largest:g}", "max": f"{fmu.largest:g}", "start": "0"}
@@ -158,19 +157,12 @@ def _variables(fmu: Fmu) -> list[tuple[dict[str, str], dict[str, str]]]:
     for one in fmu.parameters:
         edges = {"start": repr(one.value), "min": repr(one.low), "max": repr(one.high)}
         shown.append((one.name, "parameter", edges | ({"unit": one.unit} if one.unit.strip("-") else {})))
-    kinds = {"parameter": "fixed"}
-    return [
-        (
-            {
-                "variability": kinds.get(causality, "continuous"),
-                "name": name,
-                "valueReference": str(i),
-                "causality": causality,
-            },
-            number,
-        )
-        for i, (name, causality, number) in enumerate(shown)
-    ]
+    found = []
+    for i, (name, causality, number) in enumerate(shown):
+        variability = "fixed" if causality == "parameter" else "continuous"
+        head = {"variability": variability, "name": name, "valueReference": str(i), "causality": causality}
+        found.append((head, number))
+    return found
 
 
 def _description(fmu: Fmu, guid: str) -> str:

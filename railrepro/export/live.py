@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
@@ -59,11 +59,10 @@ FEW, FEWER = 10, 50
 """Cycles from one row of a run to the next, and of a run to standstill."""
 
 
-def webassembly(text: str, model: Path, sizes: str = "") -> bytes:
-    """Module of a car or a controller from its C before `model`."""
+def webassembly(text: str, model: Path, inputs: Sequence[str]) -> bytes:
+    """Module of a car or a controller from its C before `model`, and the names of its inputs."""
     parts = (_HERE.parent / "fmi.h", model, _HERE / "module.c")
-    inputs = len(car_export.INPUTS) if model == car_export.MODEL else len(interface.MEASURED)
-    text = f'{text}{sizes}\n#define N_INPUT {inputs}\n#define FMU_NAME "live"\n'
+    text = f'{text}\n#define N_INPUT {len(inputs)}\n#define FMU_NAME "live"\n'
     return codegen.build(text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
 
 
@@ -101,13 +100,13 @@ def content(tell: Callable[[str], None] = print) -> dict:
     any_route = next(iter(routes.values()))
     tell("car")
     text, found = car_export.written(SteppedCar(any_route, 50.0), 50.0, _writable)
-    car = {"module": _packed(webassembly(text, car_export.MODEL)), "parameters": _stated(found)}
+    car = {"module": _packed(webassembly(text, car_export.MODEL, TORQUES)), "parameters": _stated(found)}
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
     controllers: dict[str, dict] = {setting: {} for setting in SETTINGS}
     for setting, name in product(SETTINGS, (*SHOWN, OWN)):
         tell(f"{setting} {name}")
         text, found = Export(_law(name, setting), any_route).written(_writable)
-        module = webassembly(text, controller_export.MODEL, controller_export.SIZES)
+        module = webassembly(text + controller_export.SIZES, controller_export.MODEL, interface.MEASURED)
         one = {"label": SHOWN.get(name, "Law of your own"), "module": _packed(module), "parameters": _stated(found)}
         controllers[setting][name] = one
     figures = {}
@@ -116,7 +115,7 @@ def content(tell: Callable[[str], None] = print) -> dict:
         figures[name] = {"title": title, "cells": _packed(routes[name].cells)} | _experiment(scenarios[name])
     sections = scipy.signal.butter(4, metrics.ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     activity = {"sections": sections.tolist(), "start": scipy.signal.sosfilt_zi(sections).tolist()}
-    names = {"activity": activity, "columns": list(COLUMNS), "torques": list(TORQUES)}
+    names = {"activity": activity, "columns": list(COLUMNS)}
     return names | {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
 
 

@@ -78,7 +78,7 @@ export function changes(loaded, s) {
   return { car, controller };
 }
 
-/* What a law of one's own is given, and how its errors are told. */
+/* A law from the text in the page; its errors are sentences. */
 export function lawOf(text) {
   let law;
   try {

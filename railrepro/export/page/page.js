@@ -1,6 +1,6 @@
 const byId = (id) => document.getElementById(id);
 const coreUrl = URL.createObjectURL(new Blob([byId("core").textContent], { type: "text/javascript" }));
-const { ROW, score, settings } = await import(coreUrl);
+const { ROW, numbers, score, settings } = await import(coreUrl);
 const content = JSON.parse(byId("content").textContent);
 const COLORS = ["#0072b2", "#d55e00", "#009e73"], GREY = "#8a8a8a", MOST = 3, MARGIN = 2;
 const EXAMPLE = `// proportional to the error, with yaw angle and yaw rate against track and set point as damping
@@ -152,7 +152,7 @@ const numbersOf = new Map();
 async function committedRun(figure, controller) {
   const key = [figure, state.setting, controller].join();
   if (!numbersOf.has(key)) {
-    const { numbers } = await import(coreUrl), of = content.figures[figure].committed[state.setting][controller];
+    const of = content.figures[figure].committed[state.setting][controller];
     numbersOf.set(key, of ? { y: await numbers(of.y), p: await numbers(of.p) } : null);
   }
   return numbersOf.get(key);
@@ -233,7 +233,7 @@ function plan() {
   if (!rows.length) return;
   const at = pointed == null ? rows.length - 1 : Math.max(0, rows.findIndex((row) => row[col.p] >= pointed) + rows.length) % rows.length;
   const row = rows[at], scale = 6, middle = canvas.clientHeight / 2, x0 = canvas.clientWidth - 60, ink = getComputedStyle(document.body).color, half = 42;
-  const gap = 2 * stated.get("body.gear_spacing") / 2;
+  const gap = stated.get("body.gear_spacing");
   const x = (p) => x0 + (p - row[col.p]) * scale, y = (mm) => middle + mm * scale;
   pen.strokeStyle = GREY, pen.lineWidth = 2;
   for (const side of [-half, half]) pen.beginPath(), pen.moveTo(0, middle + side), pen.lineTo(canvas.clientWidth, middle + side), pen.stroke();
