@@ -215,13 +215,13 @@ def section(shift: float, step: float = _LATERAL_STEP, pair: Pair = STANDARD) ->
     return Section(position, height, -slope, depth)
 
 
-@stored
 def elastic_patch(shift: float, radius: float, load: float, modulus: float, pair: Pair = STANDARD):
     """Contact of a wheel at a shift (m), see `normal.elastic_contact` and `pair_table`."""
     cut = section(shift, pair=pair)
     return normal.elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
 
 
+@stored
 def pair_table(radius: float, load: float, modulus: float, stiffness: float, pair: Pair = STANDARD) -> ContactTable:
     """A pair of profiles, by default S1002 on 60E1 at 1:40, averaged over the elastic patch.
 
