@@ -6,8 +6,9 @@ An entry is a number or an expression, a list with labels, or a group of further
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass, make_dataclass
+from functools import cache
 from itertools import product
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
@@ -43,15 +44,18 @@ def group(name: str, *members: str | Mapping[str, Any]) -> Any:
     return make_dataclass(name, types.items(), frozen=True)
 
 
-def _members(of: type) -> Iterator[tuple[str, type | None, tuple[str, ...] | None, str]]:
+@cache
+def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, str]]:
     """Each field with its class if it is a group, its labels if it is a list, and the name that its entries show."""
     hints = get_type_hints(of, include_extras=True)
-    for field in fields(of):  # type: ignore[arg-type]
+    found: list = []
+    for field in fields(of):
         inner, *more = get_args(hints[field.name]) or (hints[field.name],)
         if is_dataclass(inner):
-            yield field.name, inner, None, more[0] if more else field.name  # type: ignore[misc]
+            found.append((field.name, inner, None, more[0] if more else field.name))
         elif inner is not str:
-            yield field.name, None, more[0] if inner is list else None, field.name
+            found.append((field.name, None, more[0] if inner is list else None, field.name))
+    return found
 
 
 def names(of: type) -> tuple[str, ...]:
@@ -76,7 +80,7 @@ def notes(of: type) -> tuple:
 def pack(values: Any) -> list:
     """Entries of an instance, in the order of `names`."""
     found: list = []
-    for name, inner, labels, _ in _members(type(values)):
+    for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
         found += pack(value) if inner else [value] if labels is None else value
     return found
@@ -86,7 +90,7 @@ def unpack(of: type[Group], entries: Iterable) -> Group:
     """An instance with entries in the order of `names`; they are not checked, so that they may be expressions."""
     source = iter(entries)
     made = object.__new__(of)
-    for name, inner, labels, _ in _members(of):
+    for name, inner, labels, _ in _members(of):  # type: ignore[arg-type]
         if inner:
             vars(made)[name] = unpack(inner, source)
         else:

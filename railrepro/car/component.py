@@ -22,6 +22,7 @@ import pandas as pd
 from railrepro.car import equations
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
+from railrepro.compile.pairs import pairs_text
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.data import InputError, above, between, require
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route, lay
@@ -66,27 +67,24 @@ class _Car(ctypes.Structure):
     ]
 
 
-def functions() -> tuple[ca.Function, ca.Function, ca.Function]:
-    """The functions behind a step: coordinates, output, step."""
-    car = equations.car()
-    return car.coordinates, car.output, car.step
-
-
 @codegen.stored
-def _generated() -> str:
-    """C source of the functions."""
-    return codegen.source_text(functions())
+def _pairs() -> str:
+    """C of the functions of a car, front and rear running gear side by side."""
+    car = equations.car()
+    written = (pairs_text(function, equations.mirrored()) for function in (car.coordinates, car.output, car.step))
+    return codegen.lanes_header(2) + "".join(written)
 
 
-def c_text() -> str:
-    """Hand-written C around the generated functions."""
-    return Path(codegen.__file__).with_name("call.h").read_text() + Path(__file__).with_name("car.c").read_text()
+def c_text(*more: ca.Function) -> str:
+    """C of the car between its tables, and of more functions."""
+    written = Path(codegen.__file__).with_name("call.h"), Path(__file__).with_name("car.c")
+    return codegen.source_text(more) + _pairs() + "".join(file.read_text() for file in written)
 
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
     """The car as a shared object."""
-    loaded = codegen.library(_generated(), c_text())
+    loaded = codegen.library(c_text())
     loaded.car_run.restype = ctypes.c_longlong
     return loaded
 

@@ -14,6 +14,7 @@ Serves the paper's section Simulation Environment. The parts: `kinematics`, `sus
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -62,6 +63,19 @@ SLIP_FLOOR = 1.0
 """Speed below which the slip estimate is scaled by this value instead of the speed (m/s)."""
 HOLDING_SPEED = 0.2
 """Circumferential wheel speed below which a braking torque follows its wheel, to hold it at rest (m/s)."""
+
+
+def mirrored() -> dict[str, list[int]]:
+    """The entries of the other running gear in the inputs of the functions of `Car`, see `compile.pairs`."""
+    other = {"front": "rear", "rear": "front"}
+    entries: dict[str, list[str]] = {"x": list(STATES), "u": list(WHEELS)}
+    entries["rows"] = [f"{body} {column}" for body in BODIES for column in route.COLUMNS]
+    entries["contacts"] = [f"{wheel} {column}" for wheel in WHEELS for column in CELL_COLUMNS]
+
+    def partner(entry: str) -> str:
+        return re.sub("front|rear", lambda gear: other[gear[0]], entry)
+
+    return {name: [of.index(partner(entry)) for entry in of] for name, of in entries.items()}
 
 
 def indices(*names: str) -> list[int]:

@@ -95,10 +95,10 @@ def factorise(matrix: ca.SX):
     for column in range(n):
         for entry in range(matrix.colind(column), matrix.colind(column + 1)):
             rows[matrix.row(entry)][column] = matrix.nz[entry]
-    order, remaining = [], set(range(n))
+    order, remaining, coupled = [], set(range(n)), [len(row) for row in rows]
     lower, inverse = {}, {}
     while remaining:
-        pivot = min(remaining, key=lambda i: _fill_in(rows, remaining, i))
+        pivot = min(remaining, key=lambda i: (_fill_in(rows, remaining, i), coupled[i], i))
         remaining.remove(pivot)
         order.append(pivot)
         inverse[pivot] = 1 / rows[pivot][pivot]
@@ -128,8 +128,8 @@ def factorise(matrix: ca.SX):
     return solve
 
 
-def _fill_in(rows: list[dict], remaining: set[int], i: int) -> tuple[int, int]:
-    """Markowitz count of pivot i among the remaining rows (ties broken by index)."""
+def _fill_in(rows: list[dict], remaining: set[int], i: int) -> int:
+    """Markowitz count of pivot i among the remaining rows."""
     in_row = sum(1 for column in rows[i] if column != i)
     in_column = sum(1 for j in remaining if j != i and i in rows[j])
-    return in_row * in_column, i
+    return in_row * in_column

@@ -47,9 +47,9 @@ def source_text(functions: Sequence[ca.Function]) -> str:
     return ELEMENTARY + generator.dump()
 
 
-def lanes_header() -> str:
-    """C that functions of `lanes_text` need, to stand after `source_text`."""
-    return (_ROOM / "lanes.h").read_text() + ELEMENTARY
+def lanes_header(lanes: int = 4) -> str:
+    """C that functions of `lanes_text` (4 lanes) and `pairs.pairs_text` (2) need, to stand after `source_text`."""
+    return f"#define LANES {lanes}\n{(_ROOM / 'lanes.h').read_text()}{ELEMENTARY}"
 
 
 _OPERATIONS = {
@@ -69,6 +69,34 @@ _OPERATIONS = {
     )},
     ca.OP_IF_ELSE_ZERO: "{own}pick({} != 0, {}, {zero})",
 }  # fmt: skip
+
+
+class Statements:
+    """Statements of C, each an operation of CasADi on numbers or on lanes; `lines` so far."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._turned: dict[str, str] = {}
+
+    def name(self, text: str, wide: bool) -> str:
+        """Name of a new number or of new lanes with some value."""
+        found = f"t{len(self.lines)}"
+        self.lines.append(f"const {'lanes_t' if wide else 'double'} {found} = {text};")
+        return found
+
+    def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
+        """Name of what an operation gives; ValueError for one that is not translated here."""
+        own = "lanes_" if wide else "own_"
+        if kind in (ca.OP_SIN, ca.OP_COS):
+            (angle,) = values
+            if angle not in self._turned:
+                self._turned[angle] = f"both{len(self.lines)}"
+                self.lines.append(f"const {own}pair_t {self._turned[angle]} = {own}both({angle});")
+            part = (".sin", ".cos") if wide else ("[0]", "[1]")
+            return self.name(self._turned[angle] + part[kind == ca.OP_COS], wide)
+        if kind not in _OPERATIONS:
+            raise ValueError(f"operation {kind} is not translated to lanes")
+        return self.name(_OPERATIONS[kind].format(*values, own=own, one=f"{own}all(1.0)", zero=f"{own}all(0.0)"), wide)
 
 
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
@@ -96,38 +124,24 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
     signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
     signature += [f"lanes_t *out_{name}" for name in outputs]
-    lines: list[str] = []
-    slots: dict[int, tuple[str, bool]] = {}
-    turned: dict[str, str] = {}
+    body, slots = Statements(), dict[int, tuple[str, bool]]()
     for i in range(function.n_instructions()):
         kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
         if kind == ca.OP_OUTPUT:
             value, wide = slots[of[0]]
-            lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes_all({value})'};")
-            continue
-        if kind == ca.OP_CONST:
-            text, wide = repr(function.instruction_constant(i)), False
+            body.lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes_all({value})'};")
+        elif kind == ca.OP_CONST:
+            slots[to[0]] = body.name(repr(function.instruction_constant(i)), False), False
         elif kind == ca.OP_INPUT:
-            text, wide = f"in_{inputs[of[0]]}[{of[1]}]", kinds[of[0]] == "lanes_t"
-        elif kind in (ca.OP_SIN, ca.OP_COS):
-            angle, wide = slots[of[0]]
-            own = "lanes" if wide else "own"
-            if angle not in turned:
-                turned[angle] = f"both{i}"
-                lines.append(f"const {own}_pair_t both{i} = {own}_both({angle});")
-            text = turned[angle] + (("[0]", "[1]"), (".sin", ".cos"))[wide][kind == ca.OP_COS]
-        elif kind in _OPERATIONS:
+            wide = kinds[of[0]] == "lanes_t"
+            slots[to[0]] = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide), wide
+        else:
             operands = [slots[slot] for slot in of]
             wide = any(is_wide for _, is_wide in operands)
             values = [value if is_wide or not wide else f"lanes_all({value})" for value, is_wide in operands]
-            own = "lanes_" if wide else "own_"
-            text = _OPERATIONS[kind].format(*values, own=own, one=f"{own}all(1.0)", zero=f"{own}all(0.0)")
-        else:
-            raise ValueError(f"{function.name()}: operation {kind} is not translated to lanes")
-        lines.append(f"const {'lanes_t' if wide else 'double'} t{i} = {text};")
-        slots[to[0]] = f"t{i}", wide
-    body = "\n  ".join(lines)
-    return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {body}\n}}\n"
+            slots[to[0]] = body.operation(kind, values, wide), wide
+    text = "\n  ".join(body.lines)
+    return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {text}\n}}\n"
 
 
 def library(functions: Sequence[ca.Function] | str, extra: str = "", level: str = "-Og") -> ctypes.CDLL:

@@ -1,9 +1,11 @@
-/* Several numbers side by side in vector registers, for functions of `codegen.lanes_text`; elementary.c stands before
-   and after it. Masks are words of ones. */
+/* Several numbers side by side in vector registers, for functions of `codegen.lanes_text` and
+   `pairs.pairs_text`; elementary.c stands before and after it. Masks are words of ones. */
 
 #include <math.h>
 
+#ifndef LANES
 #define LANES 4
+#endif
 typedef double lanes_t __attribute__((vector_size(LANES * sizeof(double))));
 typedef unsigned long long words_t __attribute__((vector_size(LANES * sizeof(double))));
 
@@ -12,6 +14,9 @@ static inline lanes_t lanes_all(double value) {
   for (int i = 0; i < LANES; ++i) all[i] = value;
   return all;
 }
+#if LANES == 2
+static inline lanes_t lanes_of(double one, double other) { return (lanes_t){one, other}; }
+#endif
 static inline words_t lanes_word(lanes_t x) { return (words_t)x; }
 static inline lanes_t lanes_number(words_t w) { return (lanes_t)w; }
 

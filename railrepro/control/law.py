@@ -169,7 +169,7 @@ def control_law(
     """
     law, sensors = guidance or lateral.ZeroOrderHold(), settings.sensors
     adhesion = settings.adhesion or AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
-    signature = LawSignature(lateral.signature(law), sensors is not None)
+    signature = _shared(lateral.signature(law), sensors is not None)
     gains = {
         "lateral": list(lateral.gains_of(law).values()),
         "adhesion": adhesion,
@@ -183,6 +183,12 @@ def control_law(
         gains |= {gear: sensors.gains(g) for g, gear in enumerate(GEARS)}
         gains |= {"filter": observers.stationary_gains(vehicle, sensors.loop)}
     return ControlLaw(signature, np.array(pack(signature.Gains(**gains)), dtype=float))
+
+
+@lru_cache
+def _shared(of_lateral: lateral.Signature, sensed: bool) -> LawSignature:
+    """One object for equal signatures, whose dataclasses are made once."""
+    return LawSignature(of_lateral, sensed)
 
 
 def _model(vehicle: Vehicle) -> Any:

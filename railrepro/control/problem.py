@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile.codegen import stored
+from railrepro.compile.codegen import share_reciprocals, stored
 from railrepro.data import InputError, above, between, check_fields, is_number
 from railrepro.model.control_model import (
     INPUTS,
@@ -108,7 +108,7 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
     reported = ca.densify(affine * x_next + (1 - affine) * linear)
     inputs = [x, du, u_d, theta, par, period, affine]
     names = ["x", "du", "u_d", "theta", "par", "T", "affine"], ["x_next", "A", "B"]
-    return ca.Function("prediction", inputs, [reported, a, b], *names, {"cse": True})
+    return share_reciprocals(ca.Function("prediction", inputs, [reported, a, b], *names, {"cse": True}))
 
 
 @lru_cache

@@ -8,7 +8,6 @@ from pathlib import Path
 from railrepro.car import component, equations
 from railrepro.car.component import DERAILED, LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile import codegen
 from railrepro.export.fmu import Fmu, Parameter, constant, fmu_file, parameters, parameters_text, write_fmu
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
@@ -52,7 +51,7 @@ def written(car: SteppedCar, speed: float, route: Callable = constant) -> tuple[
     """C source of a car before `MODEL`, and its parameters; `route` writes the table of the route, see `constant`."""
     found = parameters(equations.CarParameters, car.parameters)
     found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
-    text = codegen.source_text([*component.functions(), equations.rest(car.table)]) + component.c_text()
+    text = component.c_text(equations.rest(car.table))
     return text + _constants(car, route) + parameters_text(found), found
 
 

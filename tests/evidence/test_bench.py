@@ -58,3 +58,9 @@ def test_samples_are_timed_in_closed_loop():
     assert len(table) == 12 and not table["failed"].any() and not table["fallbacks"].any()
     assert (table["median_ms"] <= table["p99_ms"]).all() and (table["p99_ms"] <= table["max_ms"]).all()
     assert set(table["solver"]) == {"gauss_newton", "rti", "one QP"} and table["median_ms"].min() > 0
+
+
+def test_steps_of_the_car_are_timed_in_both_forms():
+    table = speed.step_times(calls=20, drives=2)
+    assert table.groupby("function").size().to_dict() == {"coordinates": 2, "output": 2, "step": 2}
+    assert (table["us"] > 0).all() and (table["ratio"][::2] == 1).all()

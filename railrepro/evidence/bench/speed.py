@@ -1,7 +1,7 @@
-"""Times of the solvers of the predictive controllers, as ratios within one run.
+"""Times of the solvers of the predictive controllers and of a step of the car, as ratios within one run.
 
-`python -m railrepro bench` writes solve_times.csv, horizon_times.csv and sample_times.csv of data/results and prints
-them. Times of different machines are never compared; the machine's name stands in each table.
+`python -m railrepro bench` writes solve_times.csv, horizon_times.csv, sample_times.csv and step_times.csv of
+data/results and prints them. Times of different machines are never compared; the machine's name stands in each table.
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import platform
+import timeit
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,8 @@ import pandas as pd
 from tqdm import tqdm
 
 from railrepro import paths
+from railrepro.car.component import SteppedCar
+from railrepro.compile import codegen
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.registry import WITH_OBSERVER, mpc_settings
@@ -175,6 +178,20 @@ def sample_times(settings=tuning.SETTINGS, names=SCENARIOS, drives: int = 3, end
     return pd.DataFrame(rows)
 
 
+def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
+    """Time of the functions of the car, one gear after the other and both side by side, the least of some drives."""
+    car, rows = SteppedCar("T3", 70.0), []
+    car.step(steps=400)
+    for name, together in car.functions.items():
+        alone = codegen.compiled(getattr(car.model, name))
+        for argument, value in zip(alone.arguments, together.arguments, strict=True):
+            argument[:] = value
+        least = [1e6 * min(timeit.repeat(bound, number=calls, repeat=drives)) / calls for bound in (alone, together)]
+        forms = zip(("one after the other", "side by side"), least, strict=True)
+        rows += [{"function": name, "gears": form, "us": time, "ratio": time / least[0]} for form, time in forms]
+    return pd.DataFrame(rows)
+
+
 def _least_times(run: simulate.Run, experiment: Experiment, again: int) -> np.ndarray:
     """Time of each sample of the slower controllers (s), the least of a run and of some more that go like it.
 
@@ -206,6 +223,7 @@ def main(names: list[str]) -> None:
         ),
         "horizon_times": lambda: horizon_times(vehicle, settings),
         "sample_times": sample_times,
+        "step_times": step_times,
     }
     unknown = set(names) - set(measures)
     if unknown:
