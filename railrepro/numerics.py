@@ -19,7 +19,7 @@ _PROCESSOR = Path("/proc/cpuinfo")
 
 
 def variables() -> dict[str, str]:
-    """Names and values that this process lacks."""
+    """Environment variables by name that this process should have and does not have."""
     words = _PROCESSOR.read_text().split() if _PROCESSOR.exists() else []
     return ALWAYS | {name: value for name, value in WITH_AVX2.items() if "avx2" in words and name not in os.environ}
 

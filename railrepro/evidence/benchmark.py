@@ -237,7 +237,7 @@ def fault(error: BaseException, file: Path) -> str:
 
 
 def made(own: type, setting: str) -> lateral.Guidance:
-    """Guidance of a class with the keyword arguments that its `tuned` has for some setting."""
+    """Guidance made of a controller class, with the keyword arguments of its `tuned` for a setting."""
     tables = getattr(own, "tuned", {})
     if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
         raise InputError(f"{own.__name__}: its `tuned` is no table of keyword arguments per setting")

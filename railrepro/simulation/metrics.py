@@ -66,16 +66,21 @@ def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     return float(np.sqrt(np.mean((Part(series, gear).y - Part(series, gear).rail_y) ** 2)))
 
 
-def reaches_flange(series: pd.DataFrame) -> bool:
-    """Whether a wheel has touched with its flange, or a running gear on cones has been where flanges would touch.
+def on_flange(series: pd.DataFrame) -> np.ndarray:
+    """Rows in which a wheel touches with its flange, or a running gear on cones is where flanges would touch, (n,).
 
     Flanges hold a car of S1002 wheels on the rail whatever the torque does, so this, not derailing, is where active
     guidance ends.
     """
     gears = [Part(series, gear) for gear in GEARS]
-    aside = max(float(np.abs(gear.y - gear.rail_y).max()) for gear in gears)
+    aside = np.max([np.abs(gear.y - gear.rail_y) for gear in gears], axis=0) > FLANGEWAY
     angles = series.filter(regex=r"_(ri|le)\.angle$")
-    return aside > FLANGEWAY or bool((angles.abs() > FLANGE_ANGLE).to_numpy().any())
+    return aside | (angles.abs() > FLANGE_ANGLE).to_numpy().any(axis=1)
+
+
+def reaches_flange(series: pd.DataFrame) -> bool:
+    """Whether a running gear is ever `on_flange`."""
+    return bool(on_flange(series).any())
 
 
 def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step: float = 0.1) -> float:

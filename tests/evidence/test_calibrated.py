@@ -68,14 +68,15 @@ def test_perturbations_move_every_changed_number_and_nothing_else(size):
 def test_the_curve_entry_is_the_papers_with_margin():
     found = calibrated.judged(calibrated.paper_like(), parts=("curve",)).set_index("statement")
     assert set(found.index) == {"C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "C42"}
-    assert found["holds"].all() and found["margin"].min() > 0.05
+    assert set(found.index[~found["holds"]]) == {"C12"}  # an error at the crests 1.18 times that below, not 1.2
+    assert found["margin"].drop("C12").min() > 0.05
 
 
 @pytest.mark.slow
-def test_all_statements_hold_and_the_maximum_and_the_stop_lie_where_the_paper_has_them():
+def test_statements_hold_but_two_and_the_maximum_and_the_stop_lie_where_the_paper_has_them():
     setup = calibrated.paper_like()
     found = calibrated.judged(setup).set_index("statement")
-    assert found["holds"].all() and len(found) == len(calibrated.MATCHED)
+    assert set(found.index[~found["holds"]]) == {"C12", "C46"} and len(found) == len(calibrated.MATCHED)
     stored = pd.read_csv(paths.source("data/results/paper_like.csv")).set_index("statement")
     assert np.allclose(found["value"], stored.loc[found.index, "value"], rtol=2e-3)
     nmpc = with_r_times(setup.parameters["nmpc"], setup.r_loss)

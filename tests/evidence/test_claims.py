@@ -202,7 +202,8 @@ VALUES = {"paper": 1e-3, "equal": 1e-3, "loop": 1e-3}
 
 
 @needs_results
-def test_statements_that_compare_are_judged_on_each_setting():
+def test_statements_that_compare_are_judged_on_each_setting(monkeypatch):
+    monkeypatch.setattr("railrepro.evidence.claims.nominal.best_seed", lambda *_: 1)  # whatever the tuned sets say
     rows = on_setting(VALUES, VALUES, {"paper": 2e-3, "equal": 5e-4, "loop": 1.02e-3})
     nominal = Nominal(Handed(rows))
     statement = statements.load()["C05"]

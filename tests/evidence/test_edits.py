@@ -94,7 +94,7 @@ EDITS = [
     Edit("15", {"turns_rad": [-0.1, 0.0, 0.1]}),
     Edit("15", {"variants": ["corrected", "D2"], "scenario_names": ["curve_entry_T3", "sine_tracking"]}),
 ]
-QUICK = {"00", "01", "03", "07", "15"}
+QUICK = {"00", "01", "03", "15"}
 """Chapters of which the first edit is run by `make test`; all others by `make test-slow`."""
 
 

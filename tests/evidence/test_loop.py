@@ -12,7 +12,7 @@ from railrepro.evidence.uncertainty import loop
 
 def test_seeds_and_held_out_kinds_are_none_of_tuning():
     task = tuning.load_task(setting="loop")
-    assert not {run.sensors["seed"] for run in task.runs} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 12
+    assert not {run.sensors["seed"] for run in task.runs} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 24
     tuned = [(run.scenario.track, run.scenario.good, run.plant, run.irregular) for run in task.runs]
     for case in loop.cases():
         one = case.experiment(OURS, loop.SEEDS[0])

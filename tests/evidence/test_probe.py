@@ -48,13 +48,13 @@ def test_torque_step_leaves_out_the_transition():
     assert probe.torque_step(pd.DataFrame({"p_m": p, "du_Nm": du})) == pytest.approx(-20.0)
 
 
-def test_errors_at_the_crests_that_the_drift_opposes_over_those_below():
+def test_errors_at_the_crests_of_both_sides_over_those_below():
     reference = 1e-3 * np.array([3.0, -3.0, 2.6, 2.4, -1.0, 0.2, 0.05, 0.0])
-    error = -1e-3 * np.array([2.0, 0.1, 2.0, 1.0, 1.0, 1.0, 9.0, 9.0])  # drifts to the negative side
-    found = probe.error_at_opposed_crests(pd.DataFrame({"y_ref_m": reference, "y_m": reference + error}))
+    error = -1e-3 * np.array([3.0, 1.0, 2**0.5, 1.0, 1.0, 1.0, 9.0, 9.0])
+    found = probe.error_at_crests(pd.DataFrame({"y_ref_m": reference, "y_m": reference + error}))
     assert found == pytest.approx(2.0)
     mirrored = pd.DataFrame({"y_ref_m": -reference, "y_m": -reference - error})
-    assert probe.error_at_opposed_crests(mirrored) == pytest.approx(2.0)
+    assert probe.error_at_crests(mirrored) == pytest.approx(2.0)
 
 
 def test_yaw_against_the_track_over_its_heading():
@@ -138,7 +138,7 @@ def test_a_probe_answers_statements():
     rows = probe.probe(probe.ProbeSetup(parameters), ["curve", "causes"])
     evidence = statements.Evidence({row[:3]: row[3] for row in rows})
     assert statements.find("C13", evidence).value == pytest.approx(0.41, abs=0.05)  # nearly rolling wheels drift less
-    assert 0.7 < statements.find("C35", evidence).value < 0.9  # and S1002 wheels follow worse than cones
+    assert 0.5 < statements.find("C35", evidence).value < 0.9  # and S1002 wheels follow worse than cones
     for identity in ("C04", "C05", "C08", "C09", "C10", "C11", "C12", "C42"):
         assert np.isfinite(statements.find(identity, evidence).value), identity
     assert statements.load()["C10"].judge(statements.find("C10", evidence)) == "reproduced"

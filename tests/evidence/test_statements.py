@@ -32,7 +32,7 @@ def _metrics():
         found.update({(scenario, controller, metric): value for metric, value in values.items()})
 
     put("curve_entry_T3", "nothing", rmse_y=2e-3, largest_error=3e-3, shortest_wave=40.0)
-    shared = {"gyroscopic_share": 1.0, "error_at_opposed_crests": 1.5, "path_error": 0.01, "failed": 0.0}
+    shared = {"gyroscopic_share": 1.0, "error_at_crests": 1.5, "path_error": 0.01, "failed": 0.0}
     for name, error, delay in zip(TRIO, (0.5e-3, 0.6e-3, 1.2e-3), (0.2, 0.3, 5.0), strict=True):
         put("curve_entry_T3", name, rmse_y=error, delay=delay, mean_error_last_third=-6e-4, effort_du=80.0, **shared)
     put("curve_entry_T3", "ndi", torque_later=4.0, torque_alike=0.95)
@@ -56,15 +56,17 @@ def _metrics():
             put(f"sine_tracking {speed}", name, rmse_y=slope * speed, failed=0.0)
     put("adhesion_loss", "nothing", rmse_y=1.4e-3, slip_at_maximum=0.02)
     good = {"rmse_y": 0.7e-3, "largest_slip": 0.025, "utilisation_late": 0.9, "recovered_share": 1.0, "failed": 0.0}
-    good |= {"set_point_gain": 0.9, "error_growth": 1.1}
+    good |= {"set_point_gain": 0.9, "error_growth": 1.1, "flange": 0.0}
     for name in ("nmpc", SOFT):
         put("adhesion_loss", name, **good)
         put("adhesion_loss", f"{name}, regular operation", regular_end_deviation=0.05)
         put("adhesion_loss", f"{name}, no slip control", **SLIPPING)
+    put("adhesion_loss", "ndi", rmse_y=1.4e-3, flange=0.0, failed=0.0)
     for factor, way, error in ((1, 1003.0, 1e-3), (10, 1002.0, 2e-3), (100, 1001.0, 3e-3)):
         put("braking", "sweep of R", **{f"stopping_distance {factor}": way, f"rmse_y {factor}": error})
-        put("braking", "sweep of poles", **{f"stopping_distance {factor}": way + 5, f"rmse_y {factor}": error})
-    put("braking", "nmpc", rmse_y=1e-3, stopping_distance=1003.0)
+        poles = {f"stopping_distance {factor}": 2014.0 - way, f"rmse_y {factor}": 5e-3 - error}
+        put("braking", "sweep of poles", **poles | {"stopping_distance 10": 1014.0})
+    put("braking", "nmpc", rmse_y=1e-3, stopping_distance=1003.0, rmse_y_spread=0.02, stopping_distance_spread=1e-4)
     put("braking", "nmpc, base torque unknown", rmse_y=1.2e-3)
     put("braking", BETWEEN, rmse_y=2e-3, stopping_distance=1002.0)
     put("braking", SOFTEST, rmse_y=3e-3, stopping_distance=1001.0)
@@ -153,7 +155,7 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C04", [(T3, "ndi", "path_error", 0.8)], PARTLY),
         ("C05", [(T3, "ltv_mpc_printed", "rmse_y", 1.3e-3)], PARTLY),
         ("C05", [(T3, "ndi", "rmse_y", 0.4e-3)], NOT),
-        ("C05", [(T3, "ndi", "failed", 1.0)], REPRODUCED),
+        ("C05", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C05", [(T3, "nmpc", "failed", 1.0)], PARTLY),
         ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], PARTLY),
         ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3), (T3, "ndi", "rmse_y", 0.4e-3)], NOT),
@@ -169,7 +171,7 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C10", [(T3, "ltv_mpc_printed", "gyroscopic_share", 1.4)], NOT),
         ("C10", [(T3, "ndi", "gyroscopic_share", 0.6)], NOT),
         ("C11", [(T3, "nmpc", "mean_error_last_third", 2.9e-4)], NOT),
-        ("C12", [(T3, "nmpc", "error_at_opposed_crests", 1.1)], NOT),
+        ("C12", [(T3, "nmpc", "error_at_crests", 1.1)], NOT),
         ("C16", [("curve_entry_T1", "ltv_mpc_printed", "failed", 1.0)], PARTLY),
         ("C17", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 0.7e-4)], PARTLY),
         ("C18", [("sine_tracking 240", "ndi", "rmse_y", 9e-3)], PARTLY),
@@ -177,7 +179,7 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C19", [("sine_tracking 400", "ndi", "rmse_y", 0.5e-3)], NOT),
         ("C20", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 9e-3)], PARTLY),
         ("C20", [("sine_tracking 80", "nmpc", "rmse_y", 9e-3)], NOT),
-        ("C16", [(f"curve_entry_T{i}", "ndi", "failed", 1.0) for i in (1, 2)], REPRODUCED),
+        ("C16", [(f"curve_entry_T{i}", "ndi", "failed", 1.0) for i in (1, 2)], PARTLY),
         ("C16", [(f"curve_entry_T{i}", "ltv_mpc_printed", "failed", 1.0) for i in (1, 2, 4)], NOT),
         ("C13", [(T3, "nmpc, nearly rolling", "mean_error_last_third", -3.1e-4)], NOT),
         ("C21", [(LOSS, "nmpc, regular operation", "regular_end_deviation", 0.11)], PARTLY),
@@ -188,7 +190,7 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C23", [(LOSS, f"{name}, no slip control", "largest_slip", 0.026) for name in ("nmpc", SOFT)], NOT),
         ("C24", [(LOSS, f"{SOFT}, no slip control", "recovered_share", 0.95)], REPRODUCED),
         ("C23", [(LOSS, "nmpc", "failed", 1.0)], PARTLY),
-        ("C23", [(LOSS, "nmpc", "largest_slip", 0.041), (LOSS, SOFT, "largest_slip", 0.041)], NOT),
+        ("C23", [(LOSS, "nmpc", "largest_slip", 0.031), (LOSS, SOFT, "largest_slip", 0.031)], NOT),
         ("C24", [(LOSS, "nmpc", "recovered_share", 0.8)], PARTLY),
         ("C50", [(LOSS, "nmpc", "utilisation_late", 0.7)], PARTLY),
         ("C50", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
@@ -198,15 +200,20 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C28", [(LOSS, name, "error_growth", 1.6) for name in ("nmpc", SOFT)], NOT),
         ("C28", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
         ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5)], NOT),
+        ("C49", [(LOSS, "ndi", "rmse_y", 1e-5)], NOT),
+        ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5), (LOSS, "nmpc", "flange", 0.2)], REPRODUCED),
+        ("C49", [(LOSS, name, "flange", 1.0) for name in ("nmpc", NDI)], NOT),
         ("C30", [(BRAKE, BETWEEN, "rmse_y", 0.9e-3), (BRAKE, "sweep of R", "rmse_y 10", 0.9e-3)], NOT),
         ("C30", [(BRAKE, SOFTEST, "stopping_distance", 1002.5)], PARTLY),
+        ("C30", [(BRAKE, "nmpc", "stopping_distance_spread", 1.5e-3)], NOT),
         ("C30", [*SWEPT_WRONG, (BRAKE, BETWEEN, "stopping_distance", 1000.5)], NOT),
         ("C30", [*SWEPT_WRONG, (BRAKE, BETWEEN, "rmse_y", 1.002e-3), (BRAKE, SOFTEST, "rmse_y", 1.005e-3)], NOT),
         ("C30", [(BRAKE, name, "failed", 1.0) for name in (SOFTEST, "sweep of R")], NOT),
-        ("C46", [(BRAKE, "sweep of poles", f"stopping_distance {f}", 1001.5) for f in (1, 10, 100)], NOT),
-        ("C46", [(BRAKE, "sweep of poles", "rmse_y 1", 0.9e-3)], PARTLY),
+        ("C46", [(BRAKE, "sweep of poles", "stopping_distance 10", 1011.5)], NOT),
+        ("C46", [(BRAKE, "sweep of R", f"stopping_distance {f}", 1003.0 + f) for f in (1, 10, 100)], NOT),
         ("C31", [(BRAKE, SOFTEST, "rmse_y", 5e-3)], PARTLY),
         ("C31", [(BRAKE, NDI, "rmse_y_spread", 0.4)], TIE),
+        ("C31", [(BRAKE, "nmpc", "rmse_y_spread", 0.4)], TIE),
         ("C32", [(BRAKE, NDI, "stopping_distance_spread", 0.01)], TIE),
         ("C32", [(BRAKE, "nmpc", "stopping_distance", 1012.0)], PARTLY),
         ("C32", [(BRAKE, "ndi", "stopping_distance", 1000.0)], NOT),
@@ -215,7 +222,7 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C35", [(STRAIGHT, "nmpc on cones", "rmse_y", 0.75e-3)], PARTLY),
         ("C35", [(STRAIGHT, "nmpc", "rmse_y", 3e-4), (STRAIGHT, "nmpc on cones", "rmse_y", 1e-4)], REPRODUCED),
         ("C35", [(T3, "nmpc on cones", "rmse_y", 0.15e-3)], NOT),
-        ("C37", [(BRAKE, "nmpc, base torque unknown", "rmse_y", 1.005e-3)], PARTLY),
+        ("C37", [(BRAKE, "nmpc, base torque unknown", "rmse_y", 1.04e-3)], PARTLY),
         ("C37", [(BRAKE, "nmpc, base torque unknown", "rmse_y", 0.95e-3)], NOT),
         ("C39", [("irregular straight", "nmpc, preview", "rail_rmse_y", 0.6)], PARTLY),
         ("C41", [("irregular straight", "nmpc, preview", "n_mv_floor_front", 1.1)], PARTLY),
@@ -272,7 +279,7 @@ def test_what_is_not_a_number_never_holds():
 
 
 def test_missing_evidence_is_told():
-    with pytest.raises(MissingEvidence, match="curve_entry_T3, nmpc, rmse_y"):
+    with pytest.raises(MissingEvidence, match="curve_entry_T3, ndi, rmse_y"):
         statements.find("C05", Evidence({}))
     with pytest.raises(MissingEvidence, match="table1"):
         statements.find("C01", Evidence({}))

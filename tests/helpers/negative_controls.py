@@ -133,7 +133,7 @@ def _one_track(e: Evidence) -> Evidence:
 
 @control("error alike everywhere")
 def _alike(e: Evidence) -> Evidence:
-    return _changed(e, lambda s, c, m, v: 1.0 if m == "error_at_opposed_crests" else v)
+    return _changed(e, lambda s, c, m, v: 1.0 if m == "error_at_crests" else v)
 
 
 @control("speed without effect")

@@ -62,7 +62,7 @@ SPEEDS = (80, 160, 240, 320, 400)
 PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
 """Factors on R of the runs over which Fig. 8 is averaged: at the adhesion maximum single runs are chaotic."""
 NEIGHBOURS = (0.9, 1.0, 1.1)
-"""Factors on NDI's poles over which its numbers in Fig. 9 spread: what its unpublished poles leave open."""
+"""Factors on R of NMPC and on NDI's poles over which their numbers in Fig. 9 spread: the scatter of such choices."""
 SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 """Fixed shares of the torque that are tried from below; too large a share lengthens the way and with it the error."""
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
@@ -122,7 +122,7 @@ def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
     if run.failed:
         return values, None
     series = tidy(run.series, 10)
-    values |= {"delay": metrics.delay(run.series), "error_at_opposed_crests": error_at_opposed_crests(series)}
+    values |= {"delay": metrics.delay(run.series), "error_at_crests": error_at_crests(series)}
     return values | {"torque_step": torque_step(series), "path_error": path_error(series)}, series
 
 
@@ -136,6 +136,7 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
         )
         values |= {"largest_slip": whole["largest_slip"][0], "utilisation_late": late["utilisation"][0]}
         values |= {"recovered_share": recovered_share(series)} | oscillation(series)
+        values["flange"] = float(metrics.reaches_flange(run.series))
     return values | {"regular_end_deviation": regular_end_deviation(series)}, None
 
 
@@ -292,7 +293,7 @@ def _mean(runs: list[dict[str, float]]) -> dict[str, float]:
 
 
 def _brake(world: ProbeSetup) -> Rows:
-    """Fig. 9: sweeps of R and of NDI's poles, both settings of R with one between them, NDI with its neighbours."""
+    """Fig. 9: sweeps of R and of NDI's poles, both settings of R with one between them; neighbours of NMPC and NDI."""
     scenario = world.braking()
     rows = _rows(BRAKE, NOTHING, nothing(scenario))
     nmpc, ndi = with_r_times(world.parameters["nmpc"], world.r_brake), world.parameters[NDI]
@@ -304,11 +305,14 @@ def _brake(world: ProbeSetup) -> Rows:
     for pole in world.poles:
         values = _braked(world, scenario, NDI, {"pole": pole, "frequency": pole, "damping": 1.0})
         rows += _rows(BRAKE, "sweep of poles", {f"{key} {pole:g}": value for key, value in values.items()})
-    scaled = [ndi | {key: factor * ndi[key] for key in ("pole", "frequency")} for factor in NEIGHBOURS]
-    near = pd.DataFrame([_braked(world, scenario, NDI, parameters) for parameters in scaled])
-    spread = {f"{key}_spread": float(np.log(near[key].max() / near[key].min())) for key in near}
-    own = near.iloc[NEIGHBOURS.index(1.0)].to_dict()
-    return rows + _rows(BRAKE, NDI, own | {key: value if value == value else np.inf for key, value in spread.items()})
+    near = {"nmpc": [with_r_times(nmpc, factor) for factor in NEIGHBOURS]}
+    near[NDI] = [ndi | {key: factor * ndi[key] for key in ("pole", "frequency")} for factor in NEIGHBOURS]
+    for name, neighbours in near.items():
+        found = pd.DataFrame([_braked(world, scenario, name, parameters) for parameters in neighbours])
+        spread = {f"{key}_spread": float(np.log(found[key].max() / found[key].min())) for key in found}
+        values = found.iloc[NEIGHBOURS.index(1.0)].to_dict() if name == NDI else {}
+        rows += _rows(BRAKE, name, values | {key: v if v == v else np.inf for key, v in spread.items()})
+    return rows
 
 
 def _braked(world: ProbeSetup, scenario: Scenario, name: str, parameters: dict, **more) -> dict[str, float]:
@@ -362,16 +366,14 @@ def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
     return {"torque_later": 0.25 * float(shifts[best]), "torque_alike": float(alike[best])}
 
 
-def error_at_opposed_crests(series: pd.DataFrame) -> float:
-    """Root mean squared error at the crests of the set point that the drift opposes, over that below the crests.
+def error_at_crests(series: pd.DataFrame) -> float:
+    """Root mean squared error at the crests of the set point over that below the crests.
 
-    A crest exceeds 5/6 of the amplitude (2.5 of 3 mm); drift is the mean error. Rows at rest do not count.
+    A crest exceeds 5/6 of the amplitude (2.5 of 3 mm). Rows at rest do not count.
     """
-    error, reference = series["y_m"] - series["y_ref_m"], series["y_ref_m"]
-    largest = reference.abs().max()
-    opposed = reference * -np.sign(error.mean()) > largest * 5 / 6
-    below = reference.abs().between(largest / 30, largest * 5 / 6)
-    return float(np.sqrt((error[opposed] ** 2).mean() / (error[below] ** 2).mean()))
+    error, reference = series["y_m"] - series["y_ref_m"], series["y_ref_m"].abs()
+    crest, below = reference > reference.max() * 5 / 6, reference.between(reference.max() / 30, reference.max() * 5 / 6)
+    return float(np.sqrt((error[crest] ** 2).mean() / (error[below] ** 2).mean()))
 
 
 def path_error(series: pd.DataFrame) -> float:

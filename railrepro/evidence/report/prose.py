@@ -32,7 +32,7 @@ FILE = "data/theses.toml"
 UNKNOWN = "n/a"
 CALLABLE = (
     *("e", "q", "find", "holds", "table", "cell", "csv", "printed", "sentences"),
-    *("tuned", "choice", "seeds", "set_point", "freedoms", "time"),
+    *("tuned", "swarm_cost", "choice", "seeds", "set_point", "freedoms", "time"),
     *("share_of_third", "pole_that_follows", "forecast_shift"),
 )
 """Methods of `Prose` that templates and conditions may call."""
@@ -206,6 +206,10 @@ class Prose:
     def tuned(self, controller: str, setting: str = tuning.PAPER) -> dict:
         """Look up the tuned parameters of a controller."""
         return tuning.load(controller, setting)["parameters"]
+
+    def swarm_cost(self, controller: str) -> float:
+        """Look up the cost of what the swarm of a controller found on `paper`."""
+        return tuning.load(controller, tuning.PAPER, searched=True)["cost"]
 
     def choice(self, name: str) -> float:
         """Look up a choice of the calibrated car."""

@@ -35,8 +35,8 @@ def runs(tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
 
 def tuned_sets(tasks: Mapping[str, swarm.Task], names: Sequence[str]) -> dict[tuple[str, str], dict]:
     """Tuned sets of controllers in all settings in which they are searched."""
-    return {(setting, name): tuning.load(name, setting) for setting, task in tasks.items() for name in names
-            if name in task.searched}  # fmt: skip
+    return {(setting, name): tuning.load(name, setting, searched=True) for setting, task in tasks.items()
+            for name in names if name in task.searched}  # fmt: skip
 
 
 def _by_pair(rows: Mapping[tuple[str, str], Mapping]) -> pd.DataFrame:

@@ -30,24 +30,27 @@ def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
     Returns
     -------
     dict
-        Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the distance done;
-        whether it failed. Sensors see the displacement against the rails where they lie, so with them the error is
-        counted from there.
+        Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the distance done
+        without a flange; whether the run failed or touched one. Sensors see the displacement against the rails where
+        they lie, so with them the error is counted from there.
     """
     sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
     def mean(metric):
         return float(np.mean([metric(run.series, gear) for gear in simulate.GEARS]))
 
-    done = float(np.clip(np.nan_to_num(run.series["front.p"]).max() / experiment.scenario.end_m, 0, 1))
+    way = np.nan_to_num(run.series["front.p"].to_numpy())
+    touched = metrics.on_flange(run.series)
+    reached = way[touched.argmax()] if touched.any() else way.max()
+    done = float(np.clip(reached / experiment.scenario.end_m, 0, 1))
     parts = {"rmse_y": mean(metrics.followed_rmse if sensed else metrics.rmse), "effort_du": mean(metrics.effort)}
-    if run.failed or not np.isfinite(sum(parts.values())):
+    if run.failed or touched.any() or not np.isfinite(sum(parts.values())):
         return parts | {"activity_du": float("nan"), "done": done, "failed": True}, None
     return parts | {"activity_du": mean(metrics.activity), "done": 1.0, "failed": False}, None
 
 
 def run_cost(parts: dict, cost: dict) -> float:
-    """Cost of a run (data/tuning.toml) from what it was `driven`."""
+    """Cost of a run from the metrics of `driven`, with the weights of data/tuning.toml."""
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
     beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)
@@ -155,7 +158,7 @@ def main(names: list[str]) -> None:
         for each in settings:
             task = load_task(setting=each)
             for name in wanted or task.searched:
-                if name in task.designed:
+                if name not in task.searched:
                     print(f"{each} {name}: designed, nothing to tune")
                     continue
                 begin = time.perf_counter()

@@ -82,11 +82,13 @@ class Task:
     dimensions : dict
         Controller -> list of `pso.Dimension`.
     designed : dict
-        Controller -> parameters that are given, not searched.
+        Controller -> parameters that are given.
     start : dict
         Controller -> parameters at which the first particle of each swarm begins.
     budget_of : dict
         Controller -> its own budget; the others have `budget`.
+    searched_too : tuple of str
+        Designed controllers that a swarm tunes for comparison.
     """
 
     setting: str
@@ -97,11 +99,12 @@ class Task:
     designed: dict[str, dict] = field(default_factory=dict)
     start: dict[str, dict] = field(default_factory=dict)
     budget_of: dict[str, dict] = field(default_factory=dict)
+    searched_too: tuple[str, ...] = ()
 
     @property
     def searched(self) -> list[str]:
         """Controllers that a swarm tunes in this setting."""
-        return [name for name in self.dimensions if name not in self.designed]
+        return [name for name in self.dimensions if name not in self.designed or name in self.searched_too]
 
 
 @table
@@ -128,11 +131,12 @@ class Cost:
 
 @table
 class RunEntry:
-    """A run in data/tuning.toml; keys that it does not name itself belong to its scenario."""
+    """A run in data/tuning.toml: a scenario with some of its entries changed, sensors, rails, car and inverter."""
 
     scenario: str
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
     seed: SEED
+    speed_kmh: Number | None = None
     irregular: dict[str, Free] = field(default_factory=dict)
     plant: dict[str, Plain] = field(default_factory=dict)
     inverter: dict[str, Plain] = field(default_factory=dict)
@@ -145,6 +149,7 @@ class SettingEntry:
     sensors: Flag
     runs: Annotated[tuple[str, ...], NOT_EMPTY, DISTINCT]
     designed: dict[str, dict[str, Plain]] = field(default_factory=dict)
+    searched_too: Annotated[tuple[str, ...], DISTINCT] = ()
     start: dict[str, dict[str, Plain]] = field(default_factory=dict)
 
 
@@ -244,17 +249,21 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
                 dimension.position(parameters[dimension.name])
             except InputError as error:
                 raise InputError(f"{where}: {name}: {error}") from None
+    if unknown := sorted(set(entry.searched_too) - set(entry.designed)):
+        raise InputError(f"{file.name}: [setting.{setting}] has searched_too = {unknown}, which it does not design")
     if unknown := sorted(set(content.budget_of) - set(dimensions)):
         raise InputError(f"{file.name}: [budget_of.{unknown[0]}] is not known; there are {sorted(dimensions)}")
     return Task(
-        setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start, content.budget_of
-    )
+        setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start,
+        content.budget_of, entry.searched_too,
+    )  # fmt: skip
 
 
 def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
     if entry.scenario not in known:
         raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
-    scenario = build(Scenario, vars(known[entry.scenario]) | {"end_m": entry.end_m}, where)
+    change = {"end_m": entry.end_m} | ({} if entry.speed_kmh is None else {"speed_kmh": entry.speed_kmh})
+    scenario = build(Scenario, vars(known[entry.scenario]) | change, where)
     sensors = {}
     if sensed or entry.inverter:
         sensors = {"seed": entry.seed} | {f"inverter.{key}": value for key, value in entry.inverter.items()}
@@ -311,8 +320,10 @@ def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
 
 
-def load(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
+def load(controller: str, setting: str = PAPER, folder: Path | None = None, searched: bool = False) -> dict:
     """Tuned set of a controller in some setting; a designed set has only `controller`, `setting` and `parameters`.
+
+    With `searched`, what a swarm found for a controller that is designed (`Task.searched_too`).
 
     Raises
     ------
@@ -320,9 +331,11 @@ def load(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
         When there is none, when it does not hold a tuned set of this controller, or when it would not be read.
     """
     task = _task_here(setting)
+    if searched and controller not in task.searched:
+        raise InputError(f"{controller}: no swarm searches it in the setting {setting!r}; it does for {task.searched}")
     if controller in task.designed and folder is not None:
         raise InputError(f"{controller}: tuning.toml gives its set in the setting {setting!r}, no file is read")
-    if controller in task.designed:
+    if controller in task.designed and not searched:
         return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
     content, name = read(controller, setting, folder), f"{controller}.json"
     build(TunedSet, content, name)

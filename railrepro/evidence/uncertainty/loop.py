@@ -26,7 +26,7 @@ from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
 
-SEEDS = tuple(range(201, 213))
+SEEDS = tuple(range(201, 225))
 """Draws of noise and biases; tuning and the chapters use others."""
 FEW = SEEDS[:4]
 """Those of the kinds that tuning never sees."""
@@ -84,6 +84,8 @@ def cases() -> list[Case]:
     ends = {"curve_entry_T1": 50.0, "curve_entry_T2": 200.0, _CURVE: 280.0, "curve_entry_T4": 330.0, _FAST: 250.0}
     rows = [Case("loop", name, name, {"end_m": end}, {}, True) for name, end in ends.items()]
     short, sine, curve = {"end_m": 500.0}, {"end_m": 250.0}, {"end_m": 280.0}
+    straight = {"set_point": {"kind": "none"}, "speed_kmh": 280.0, "end_m": 250.0}
+    rows.append(Case("loop", "straight, 280 km/h", _FAST, straight, {}, True))
     rows.append(Case("loop", "T3 irregular", _CURVE, curve, _ROUGH))
     rows += [Case("loop", "poor rail", _POOR, short), Case("stressed", "poor rail", _POOR, short, _STRESS)]
     rows.append(Case("stressed", "sine_tracking", _FAST, sine, _STRESS))

@@ -82,7 +82,7 @@ AXES = {
         (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0),
         lambda value: {"sensors": {"perfect": True, "inverter.delay": 1e-3 * value}},
     ),
-    "noise": Axis("over the sensors'", (0.0, 0.25, 0.5, 1.0, 2.0, 4.0), _noisy),
+    "noise": Axis("over the sensors'", (0.0, 0.25, 0.5, 1.0, 2.0), _noisy),
 }
 """Everything is nominal but the axis. Delay and noise come behind the filter of the realistic loop: their zero is the
 choice "S1002, filter"."""

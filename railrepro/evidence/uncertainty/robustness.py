@@ -1,8 +1,8 @@
 """Robustness of the verdicts: all statements on cars that are drawn from what the paper leaves open.
 
-`python -m railrepro robustness` writes data/results/robustness_samples.csv and robustness_claims.csv after each setting
-of comparison. Every finished run is in the store, so an interrupted study goes on where it was. Serves the question
-what the unpublished parameters decide.
+`python -m railrepro robustness` writes data/results/pole_verdicts.csv, some statements over the poles of NDI, and after
+each setting of comparison robustness_samples.csv and robustness_claims.csv. Every finished run is in the store, so an
+interrupted study goes on where it was. Serves the question what the unpublished parameters decide.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from railrepro.control.registry import CONTROLLERS, PAPER_TRIO
 from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
-from railrepro.evidence.claims.probe import PARTS, probe
-from railrepro.evidence.claims.setup import ProbeSetup, setup
+from railrepro.evidence.claims.probe import ONCE, PARTS, probe
+from railrepro.evidence.claims.setup import POLE, ProbeSetup, setup
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.pso import Dimension
@@ -29,6 +29,8 @@ from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, SEED = 128, 2026
 """Samples of the sequence, the same in each setting, and its seed."""
+LONG = 32
+"""So many samples at its begin also have the runs of `probe.ONCE`, which take most of the time."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
 
@@ -42,11 +44,11 @@ OPEN = (
     Dimension("LTV-MPC (printed, with its affine term)", 0, 1, "integer"),
     Dimension("amplitude_mm", 1.0, 5.0),
     Dimension("period_start_m", 100.0, 200.0),
-    Dimension("period_end_m", 30.0, 80.0),
+    Dimension("period_end_m", 30.0, 100.0),
     Dimension("clothoid_factor", 0.6, 1.5),
     Dimension("r_loss", 1.0, 300.0, "log"),
     Dimension("r_brake", 1.0, 300.0, "log"),
-    Dimension("r_second", 2.0, 10.0, "log"),
+    Dimension("r_second", 1.5, 10.0, "log"),
     Dimension("adhesion.poor.k_a", 0.1, 1.0),
     Dimension("adhesion.poor.k_s over k_a", 0.2, 1.0),
 )
@@ -103,7 +105,8 @@ def evaluate(sample: Sample) -> dict:
     tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
     judged = replace(world, parameters=tuned, sensors=_sensors(sample.setting, JUDGING))
     labels = {"number": sample.number, "setting": sample.setting, "profile": world.profile, "ltv": world.ltv}
-    return labels | dict(sample.values) | {"/".join(key): _plain(value) for *key, value in probe(judged, PARTS)}
+    parts = (*PARTS, *ONCE) if sample.number < LONG else PARTS
+    return labels | dict(sample.values) | {"/".join(key): _plain(value) for *key, value in probe(judged, parts)}
 
 
 LABELS = ("number", "setting", "profile", "ltv")
@@ -248,8 +251,37 @@ def robustness(setting: str, count: int = SAMPLES, quiet: bool = False) -> tuple
         return table, confirmed(found, lambda single: ordered_map(pool, evaluate, single, title, quiet))
 
 
+POLES = (10, 15, 20, 25, 30, 35, 40, 50, 60, 70, 80)
+"""Triple poles of NDI on `paper` (rad/s)."""
+BY_POLE = ("C04", "C05", "C17", "C20", "C31")
+"""Statements that the poles of NDI may decide."""
+
+
+def over_poles(quiet: bool = False) -> pd.DataFrame:
+    """Verdicts `BY_POLE` on the nominal car of `paper` over the poles of NDI, with the set of its swarm as the last.
+
+    Columns poles (rad/s, or "swarm"), id, value, verdict.
+    """
+    spread, known = ties([tuning.PAPER])[tuning.PAPER], statements.load()
+    nominal, swarm = setup({}), tuning.load(statements.NDI, tuning.PAPER, searched=True)["parameters"]
+    worlds = {str(pole): setup({POLE: float(pole)}) for pole in POLES}
+    worlds["swarm"] = replace(nominal, parameters=nominal.parameters | {statements.NDI: swarm})
+
+    def judged(poles: str) -> list[dict]:
+        seen = probe(worlds[poles], ("curve", "sine", "brake"))
+        evidence = statements.Evidence({tuple(key): value for *key, value in seen}, spread)
+        found = [(identity, statements.find(identity, evidence)) for identity in BY_POLE]
+        return [{"poles": poles, "id": i, "value": one.value, "verdict": known[i].judge(one)} for i, one in found]
+
+    with executor() as pool:
+        return pd.DataFrame(
+            [row for rows in ordered_map(pool, judged, [*worlds], "poles of NDI", quiet) for row in rows]
+        )
+
+
 def main(samples: int | None = None) -> None:
     """Run the study in all settings and write its tables; `samples` is `SAMPLES` unless given."""
+    write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in tuning.SETTINGS:
         finished.append(robustness(setting, SAMPLES if samples is None else samples))
