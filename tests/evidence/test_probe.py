@@ -138,7 +138,7 @@ def test_a_probe_answers_statements():
     rows = probe.probe(probe.ProbeSetup(parameters), ["curve", "causes"])
     evidence = statements.Evidence({row[:3]: row[3] for row in rows})
     assert statements.find("C13", evidence).value == pytest.approx(0.41, abs=0.05)  # nearly rolling wheels drift less
-    assert 0.5 < statements.find("C35", evidence).value < 0.9  # and S1002 wheels follow worse than cones
+    assert 0.6 < statements.find("C35", evidence).value < 0.75  # and S1002 wheels follow worse than cones
     for identity in ("C04", "C05", "C08", "C09", "C10", "C11", "C12", "C42"):
         assert np.isfinite(statements.find(identity, evidence).value), identity
     assert statements.load()["C10"].judge(statements.find("C10", evidence)) == "reproduced"

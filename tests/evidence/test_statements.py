@@ -273,6 +273,14 @@ def test_a_lost_lead_is_no_tie():
     assert judged("C05", evidence) == NOT and not KNOWN["C05"].tied(statements.find("C05", evidence))
 
 
+def test_a_rail_without_effect_fails_also_where_one_controller_is_on_its_flanges():
+    """Whichever controller C49 is judged by, the negative control reaches it."""
+    control = negative_controls.CONTROLS["rail without effect"]
+    for name in ("nmpc", NDI):
+        evidence = but((LOSS, name, "flange", 1.0))
+        assert judged("C49", evidence) == REPRODUCED != judged("C49", control(evidence))
+
+
 def test_what_is_not_a_number_never_holds():
     for statement in KNOWN.values():
         assert statement.judge(Finding(float("nan"), float("nan"))) == NOT

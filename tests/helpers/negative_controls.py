@@ -145,12 +145,12 @@ def _any_speed(e: Evidence) -> Evidence:
 
 @control("rail without effect")
 def _any_rail(e: Evidence) -> Evidence:
-    """Poor rail gives what dry rail gives, relative to y = 0."""
+    """Poor rail gives what dry rail gives, relative to y = 0, to whichever controller is judged."""
     idle = e.metrics[LOSS, NOTHING, "rmse_y"] / e.metrics["sine_tracking 400", NOTHING, "rmse_y"]
 
     def change(scenario, controller, metric, value):
-        if (scenario, controller, metric) == (LOSS, "nmpc", "rmse_y"):
-            return idle * e("sine_tracking 400", "nmpc", "rmse_y")
+        if scenario == LOSS and controller in ("nmpc", NDI) and metric == "rmse_y":
+            return idle * e("sine_tracking 400", controller, "rmse_y")
         return value
 
     return _changed(e, change)
