@@ -40,7 +40,7 @@ VENV := .venv/ready-$(LOCK_HASH)
 READY = .venv/ready-$(1)-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 ~ "^($(1))$$"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study html live script lock strip clean distclean FORCE
+.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study release html live lock strip clean distclean FORCE
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
@@ -114,17 +114,17 @@ study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (lon
 	$(PY) -m railrepro loop
 	$(PY) -m railrepro order
 
+release: figures  ## the committed state and the runs of Figs. 6 to 9 as data for other programs: build/railrepro-VERSION.tar.gz
+	$(PY) -m railrepro release
+
 html: $(call READY,book)  ## the book in build/html: executed notebooks (runs those that are missing), report, library reference
 	$(PY) -m railrepro chain html
 
 live: $(call READY,compiler)  ## the car in a browser: build/live/index.html, one file that needs no network
 	$(PY) -m railrepro live
 
-script: $(VENV)  ## a chapter as a Python script in build/scripts: NB=06
-	@$(PY) -m railrepro chain script "$(or $(NB),00)"
-
-strip: $(VENV)  ## remove outputs from the notebooks, tag the cells that the book folds
-	$(PY) -m railrepro chain strip
+strip: $(VENV)  ## remove outputs from the notebooks
+	.venv/bin/nbstripout --keep-id --extra-keys "metadata.vscode metadata.widgets metadata.language_info.version" notebooks/*.ipynb
 
 lock:  ## renew environment.lock from pyproject.toml; pins stay, but for those of NEWER="numpy scipy" or NEWER=--upgrade
 	@.ci/lock $(NEWER)

@@ -63,7 +63,7 @@ class GuidanceEnv(gymnasium.Env):
         names = self.loop.car.model.states
         for gear in GEARS:
             self.loop.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)
-        self.loop.measure()
+        self.loop.car.measure()
         return self._observation(), self._info()
 
     def step(self, action):
@@ -76,7 +76,7 @@ class GuidanceEnv(gymnasium.Env):
         left = self.duration - loop.time
         loop.held[:] = np.clip(torque, -1.0, 1.0) * self.vehicle.drive.torque_limit
         loop.run(CYCLES)
-        loop.measure()
+        loop.car.measure()
         observation, info = self._observation(), self._info()
         if not np.isfinite(observation).all() or min(loop.margins[f"{gear}.lateral"] for gear in GEARS) <= 0:
             return np.nan_to_num(observation, posinf=0.0, neginf=0.0), -WORST * left, True, False, info

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import signal
 import sys
+from functools import partial
 
 if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     # A command imports for seconds: Ctrl-C ends it without a traceback until `report_errors` takes over.
@@ -21,7 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code, see `evidence.commands.report_errors`; 2 after wrong arguments. What is no number is printed.
+        Exit code, see `evidence.commands.report_errors`; 2 after wrong arguments.
     """
     chosen = vars(parser().parse_args(arguments))
     numerics.fix()  # before a command imports NumPy
@@ -32,16 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, ModuleNotFoundError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-
-    def run() -> int:
-        result = call(**chosen)
-        if isinstance(result, int):
-            return result
-        if result is not None:
-            print(result)
-        return 0
-
-    return report_errors(run)
+    return report_errors(partial(call, **chosen))
 
 
 if __name__ == "__main__":

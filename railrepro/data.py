@@ -111,21 +111,11 @@ def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole
 def check_fields(settings: Any) -> None:
     """Refuse (InputError) a dataclass with a number beyond its annotated range, or a flag or text that is none."""
     kind = type(settings)
-    for name, (base, allowed) in _declared(kind).items():  # type: ignore[arg-type]
-        require(f"{kind.__name__}: {name}", getattr(settings, name), allowed, whole=base is int)
-
-
-@functools.lru_cache
-def _declared(kind: type) -> dict[str, tuple[type, Quantity | type]]:
-    """Type and range, or type alone, of the fields of a class that `check_fields` looks at."""
-    found: dict[str, tuple[type, Quantity | type]] = {}
     for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-        base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint,)
-        for allowed in (note for note in notes if isinstance(note, Quantity)):
-            found[name] = base, allowed
-        if hint in (bool, str):
-            found[name] = hint, hint
-    return found
+        base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
+        for allowed in notes:
+            if isinstance(allowed, Quantity) or allowed in (bool, str):
+                require(f"{kind.__name__}: {name}", getattr(settings, name), allowed, whole=base is int)
 
 
 Plain = Annotated[Number, between(-1e12, 1e12)]
@@ -295,15 +285,8 @@ def write(path: Path, content: str | bytes) -> None:
 
 
 @contextmanager
-def alone(lock: Path, wait: bool = True) -> Iterator[bool]:
-    """Hold a lock file against other processes; a process that dies lets it go. The file stays.
-
-    Without `wait` it gives False at once when another process holds the lock.
-    """
+def alone(lock: Path) -> Iterator[None]:
+    """Hold a lock file against other processes; a process that dies lets it go. The file stays."""
     with open(lock, "a") as guard:
-        try:
-            fcntl.flock(guard, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            yield False
-            return
-        yield True
+        fcntl.flock(guard, fcntl.LOCK_EX)
+        yield

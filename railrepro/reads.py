@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import UserDict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -43,7 +44,7 @@ def follow(root: Path) -> None:
         sys.addaudithook(opened)
 
 
-class Entries(dict[str, Value]):
+class Entries(UserDict[str, Value]):
     """Entries of a data file by name that note which of them are taken; going through them takes all."""
 
     def __init__(self, entries: dict[str, Value], file: str):
@@ -57,18 +58,3 @@ class Entries(dict[str, Value]):
     def __iter__(self) -> Iterator[str]:
         _note(self._file, ALL)
         return super().__iter__()
-
-    def keys(self):
-        """See `dict`."""
-        _note(self._file, ALL)
-        return super().keys()
-
-    def values(self):
-        """See `dict`."""
-        _note(self._file, ALL)
-        return super().values()
-
-    def items(self):
-        """See `dict`."""
-        _note(self._file, ALL)
-        return super().items()

@@ -6,7 +6,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from railrepro import __version__, paths
-from railrepro.evidence.chain import pages
 
 project = "railrepro"
 author = "railrepro contributors"
@@ -79,14 +78,12 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 
 
-def _numbered(app, what, name, obj, options, lines):
-    """Equations by the numbers of the PDF in place of the labels of its source."""
-    text = pages.numbered("\n".join(lines))
-    # `name` is code here, not a title, and |y| a magnitude, not a substitution.
-    text = re.sub(r"(?<![`:\w])`([^`\n<>]+)`(?![`_])", r"``\1``", text)
+def _literal(app, what, name, obj, options, lines):
+    """`name` is code in docstrings, not a title, and |y| a magnitude, not a substitution."""
+    text = re.sub(r"(?<![`:\w])`([^`\n<>]+)`(?![`_])", r"``\1``", "\n".join(lines))
     parts = re.split(r"(``.*?``)", text)
     lines[:] = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in parts).split("\n")
 
 
 def setup(app):
-    app.connect("autodoc-process-docstring", _numbered)
+    app.connect("autodoc-process-docstring", _literal)

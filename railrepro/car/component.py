@@ -21,8 +21,8 @@ import pandas as pd
 
 from railrepro.car import equations
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile import codegen
-from railrepro.compile.pairs import pairs_text
+from railrepro.compile import cache, codegen
+from railrepro.compile.lanes import lanes_header, pairs_text
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.data import InputError, above, between, require
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route, lay
@@ -37,9 +37,6 @@ DERAILED = 0.030
 """Lateral displacement at which a gear derails (m)."""
 LARGEST_STATE = 1e7
 """No state of a car that moves grows beyond this (SI)."""
-_FRONT = equations.INDEX["front.s"]
-_TABLE_COLUMNS = ["shift_m", "effective_radius_m", "angle_rad", "rolling_radius_m", "rail_contact_m", "semi_axis_x_m"]
-_TABLE_COLUMNS += ["semi_axis_y_m", "c11", "c22", "c23", "c33", "normal_stiffness"]
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 
@@ -47,10 +44,8 @@ ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 class _Lookup(ctypes.Structure):
     _fields_ = [
         ("cells", ctypes.c_void_p),
-        ("start", ctypes.c_double),
-        ("step", ctypes.c_double),
-        ("n", ctypes.c_longlong),
-        ("width", ctypes.c_longlong),
+        *((name, ctypes.c_double) for name in ("start", "step")),
+        *((name, ctypes.c_longlong) for name in ("n", "width")),
         ("row", ctypes.c_void_p),
     ]
 
@@ -72,19 +67,18 @@ def _pairs() -> str:
     """C of the functions of a car, front and rear running gear side by side."""
     car = equations.car()
     written = (pairs_text(function, equations.mirrored()) for function in (car.coordinates, car.output, car.step))
-    return codegen.lanes_header(2) + "".join(written)
+    return lanes_header(2) + "".join(written)
 
 
 def c_text(*more: ca.Function) -> str:
     """C of the car between its tables, and of more functions."""
-    written = Path(codegen.__file__).with_name("call.h"), Path(__file__).with_name("car.c")
-    return codegen.source_text(more) + _pairs() + "".join(file.read_text() for file in written)
+    return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + Path(__file__).with_name("car.c").read_text()
 
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
     """The car as a shared object."""
-    loaded = codegen.library(c_text())
+    loaded = ctypes.CDLL(str(cache.build(c_text())))
     loaded.car_run.restype = ctypes.c_longlong
     return loaded
 
@@ -145,14 +139,13 @@ class SteppedCar:
         The car for the functions of `car.c`.
     time : float
         Simulated time (s).
-    left_rail, beyond_end : str
-        Which gear derailed first, when and where, and that the front gear is beyond the end of the track, one
-        sentence each; empty before.
+    left_rail : str
+        Which gear derailed first, when and where, one sentence; empty before.
 
     Raises
     ------
     InputError
-        Unknown track or adhesion set, impossible speed, or anything but a route, a vehicle and a contact table.
+        Unknown track or adhesion set, impossible speed, or anything but a route and a vehicle.
     """
 
     def __init__(
@@ -171,9 +164,8 @@ class SteppedCar:
         require("vehicle", vehicle, Vehicle)
         require("speed", speed, above(0.0, LARGEST_SPEED, "m/s"))
         require("substeps", substeps, between(1, 10_000), whole=True)
-        self.table, self.time = contact_table(vehicle.contact.profile, vehicle) if table is None else table, 0.0
-        _require_table(self.table)
-        self.model, self.left_rail, self.beyond_end = equations.car(), "", ""
+        self.table, self.time = table or contact_table(vehicle.contact.profile, vehicle), 0.0
+        self.model, self.left_rail = equations.car(), ""
         self.state = np.array(equations.rest_state(vehicle, self.table, speed), dtype=float)
         self.parameters = np.array(equations.parameter_vector(vehicle, good, poor), dtype=float)
         self.torque, self.period = np.zeros(len(equations.WHEELS)), np.array([CONTROL_PERIOD / substeps])
@@ -264,12 +256,6 @@ class SteppedCar:
                 self.time = start + (done + 1) * period
                 if not self.left_rail:
                     self._tell_derailment()
-                if not self.beyond_end and self.state[_FRONT] > self.route.length:
-                    self.beyond_end = (
-                        f"the car is beyond the end of its track, {self.route.length:g} m, at t = {self.time:.3f} s; "
-                        "it goes on as at its last point"
-                    )
-                    warnings.warn(self.beyond_end, stacklevel=2)
                 continue
             new = self.next_state
             worst = int(np.argmax(~(np.abs(new) < LARGEST_STATE)))
@@ -319,30 +305,13 @@ class SteppedCar:
         )
 
 
-def _require_table(table) -> None:
-    """Refuse what is no contact table with a uniform grid around zero and finite numbers, with an InputError."""
-    require("table", table, ContactTable)
-    missing = [name for name in _TABLE_COLUMNS if name not in table.frame]
-    if missing:
-        raise InputError(f"contact table {table.name}: column {missing[0]} is missing; needed are {_TABLE_COLUMNS}")
-    numbers = table.frame[_TABLE_COLUMNS].to_numpy(dtype=float)
-    step = np.diff(numbers[:, 0])
-    if not np.isfinite(numbers).all() or len(step) == 0 or not np.allclose(step, step[0], rtol=1e-6, atol=0.0):
-        raise InputError(f"contact table {table.name}: finite numbers on a uniform grid of shift_m are needed")
-    if not numbers[0, 0] < 0.0 < numbers[-1, 0]:
-        raise InputError(f"contact table {table.name}: shift_m must reach to both sides of zero")
-
-
 def _torques(torque) -> np.ndarray:
     """Torque commands as an array; InputError when they are not four numbers within `LARGEST_TORQUE`."""
     try:
-        found = np.array(torque)
-    except ValueError:  # lists of different length
-        found = np.array(None)
-    numbers = found.dtype.kind in "iuf" and found.shape == (len(equations.WHEELS),)
-    if not numbers or not (np.abs(found) <= LARGEST_TORQUE).all():
-        raise InputError(
-            f"torque is {reprlib.repr(torque)}, {len(equations.WHEELS)} numbers of at most {LARGEST_TORQUE:g} N m are "
-            "needed"
-        )
+        found = np.array(torque, dtype=float)
+    except (TypeError, ValueError):
+        found = np.array(np.nan)
+    if found.shape != (len(equations.WHEELS),) or not (np.abs(found) <= LARGEST_TORQUE).all():
+        needed = f"{len(equations.WHEELS)} numbers of at most {LARGEST_TORQUE:g} N m are needed"
+        raise InputError(f"torque is {reprlib.repr(torque)}, {needed}")
     return found

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -28,7 +27,8 @@ from railrepro.car.kinematics import Body, Coordinates
 from railrepro.car.outputs import BodyOutputs, FloorOutputs, GearOutputs, Outputs, SuspensionOutputs, WheelOutputs
 from railrepro.car.suspension import Suspension
 from railrepro.car.wheel_rail import Contact, shift_to_flange
-from railrepro.compile.codegen import share_reciprocals, stored
+from railrepro.compile.codegen import stored
+from railrepro.compile.reciprocals import share_reciprocals
 from railrepro.contact.table import CELL_COLUMNS, ContactTable, in_cell
 from railrepro.data import InputError
 from railrepro.quantities import GEARS, SIDES, WHEELS, group, listed, names, pack, symbols, unpack
@@ -66,7 +66,7 @@ HOLDING_SPEED = 0.2
 
 
 def mirrored() -> dict[str, list[int]]:
-    """The entries of the other running gear in the inputs of the functions of `Car`, see `compile.pairs`."""
+    """The entries of the other running gear in the inputs of the functions of `Car`, see `compile.lanes`."""
     other = {"front": "rear", "rear": "front"}
     entries: dict[str, list[str]] = {"x": list(STATES), "u": list(WHEELS)}
     entries["rows"] = [f"{body} {column}" for body in BODIES for column in route.COLUMNS]
@@ -131,12 +131,6 @@ class Car:
     outputs: tuple[str, ...]
 
 
-@lru_cache(maxsize=1)
-def car() -> Car:
-    """The equations of motion of the car as CasADi functions; derived once (about a second), then stored."""
-    return Car(**_derived())
-
-
 @dataclass(frozen=True)
 class _Elements:
     """Bodies of a car and what acts between them; wheels, their speeds and torques in the order of `WHEELS`."""
@@ -164,8 +158,8 @@ def _elements(state: Any, rows: ca.SX, contacts: ca.SX, par: Any, stages: Stages
 
 
 @stored
-def _derived() -> dict:
-    """Attributes of a `Car`."""
+def car() -> Car:
+    """The equations of motion of the car as CasADi functions; derived once (about a second), then stored."""
     (x, state), u = symbols(CarState, "x"), ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
@@ -183,7 +177,7 @@ def _derived() -> dict:
     inputs, arguments, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
     step = ca.Function("car_step", [*inputs, h], [x_next, error], [*arguments, "h"], ["x_next", "error"], cse)
     y, energy = stages.resolve(ca.vertcat(*pack(outputs))), stages.resolve(ca.vertcat(*energies))
-    return dict(
+    return Car(
         states=STATES,
         rate=ca.Function("car_rate", inputs, [rate], arguments, ["dx"]),
         step=share_reciprocals(step),
@@ -317,23 +311,23 @@ def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
     return [energy, motor, damping, creep]
 
 
-def rest_state(vehicle: Vehicle, table: ContactTable, speed: float, p: float = 0.0) -> np.ndarray:
-    """State of steady rolling at a speed (m/s) on straight level track with the front gear at `p` (m), SI.
+def rest_state(vehicle: Vehicle, table: ContactTable, speed: float) -> np.ndarray:
+    """State of steady rolling at a speed (m/s) on straight level track with the front gear at 0, SI.
 
     All four wheels have the contact of the table. By `STATES`.
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
-    return np.array(pack(_rest(vehicle, table, speed, p)))
+    return np.array(pack(_rest(vehicle, table, speed)))
 
 
 def rest(table: ContactTable) -> ca.Function:
-    """`rest_state` with the front gear at 0 as a function: (par, speed) -> state."""
+    """`rest_state` as a function: (par, speed) -> state."""
     (par, vehicle), speed = symbols(CarParameters, "par"), ca.SX.sym("speed")
-    return ca.Function("car_rest", [par, speed], [ca.vertcat(*pack(_rest(vehicle, table, speed, 0.0)))])
+    return ca.Function("car_rest", [par, speed], [ca.vertcat(*pack(_rest(vehicle, table, speed)))])
 
 
-def _rest(vehicle: Any, table: ContactTable, speed: Any, p: float) -> Any:
+def _rest(vehicle: Any, table: ContactTable, speed: Any) -> Any:
     """State of `rest_state` from numbers or symbols."""
     cell = dict(zip(CELL_COLUMNS, table.cells()[round((0.0 - table.start) / table.step)], strict=True))
     contact = in_cell(cell, 0.0 - cell["shift"])
@@ -347,9 +341,9 @@ def _rest(vehicle: Any, table: ContactTable, speed: Any, p: float) -> Any:
         return Coordinates(s, 0.0, z, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     return CarState(
-        body=rolling(p - half, sink - vehicle.body.cg_height),
-        front=rolling(p, axle),
-        rear=rolling(p - 2 * half, axle),
+        body=rolling(-half, sink - vehicle.body.cg_height),
+        front=rolling(0.0, axle),
+        rear=rolling(-(2 * half), axle),
         w=[speed / (contact["rolling_radius"] - drop)] * len(WHEELS),
         tau=[0.0] * len(WHEELS),
     )

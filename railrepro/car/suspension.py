@@ -44,7 +44,7 @@ class Suspension:
         self.force_on_lower, self.moment_on_lower, self._on_upper = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3)
         self.energy: ca.SX | int = 0
         self.dissipation: ca.SX | int = 0
-        # ±½ and not ±1, which CasADi drops: both gears keep the same operations, see `compile.pairs`
+        # ±½ and not ±1, which CasADi drops: both gears keep the same operations, see `compile.lanes`
         own, half = self._par.suspension, ca.SX(end / 2) * par.body.gear_spacing
         on_body = ca.vertcat(half, 0, par.body.cg_height - own.height)
         on_lower = ca.vertcat(0, 0, par.wheel.radius - own.height)

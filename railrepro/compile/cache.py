@@ -6,8 +6,8 @@ the same object at the same time wait for the one that compiles it.
 
 By default nothing but 256-bit registers is asked of the processor, where it has them, and products and sums are not
 fused, so that compilers and processors round alike. Very long sources are optimised less: a tenth of the time to
-compile, for a tenth more to run. `RAILREPRO_CFLAGS` replaces these flags, for example by "-O2 -march=native". With
-`RAILREPRO_KEEP_SOURCE=1` the source stays beside its object, to be read.
+compile, for a tenth more to run. `RAILREPRO_CFLAGS` replaces these flags, for example by "-O2 -march=native". The
+source stays beside its object, to be read.
 """
 
 from __future__ import annotations
@@ -20,21 +20,17 @@ import shutil
 import stat
 import subprocess
 import sys
-import tempfile
 from functools import lru_cache
 from pathlib import Path
 
 from railrepro import paths
 from railrepro.data import InputError, alone, write
 
-_PORTABLE = "-ffp-contract=off"
 _LONG = 1_500_000
 """Length from which a source counts as long: cars with frames, and units, which hold their tables."""
 _SLOW = 200_000
 """Length from which the compiler takes seconds: cars and predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
-_SECONDS = 600.0
-"""Time limit of a compilation (s)."""
 PACKAGED = "ziglang"
 """The compiler of a Python package, the extra `compiler`; `CC=ziglang` chooses it."""
 WEBASSEMBLY = (
@@ -42,8 +38,6 @@ WEBASSEMBLY = (
     *("-ffp-contract=off", "-fno-math-errno", "-w"),
 )
 """How the packaged compiler makes modules for browsers; their bits are those of objects."""
-_OTHERS = 0o022
-"""Write permission of group and others."""
 
 
 class CompilerError(InputError):
@@ -95,14 +89,13 @@ def _processor() -> str:
     return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
 
 
-def flags(portable: bool = False, length: int = 0, level: str = "-Og") -> tuple[str, ...]:
+def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
     """Flags of the compiler for a source of some length: `RAILREPRO_CFLAGS` or the default, and what an object needs.
 
-    `level` is that of long sources. `portable` code runs on any processor of this kind, unless `RAILREPRO_CFLAGS` asks
-    for more.
+    `portable` code runs on any processor of this kind, unless `RAILREPRO_CFLAGS` asks for more.
     """
     wide = not portable and platform.machine() in ("x86_64", "AMD64") and "avx2" in _processor().split()
-    default = f"{'-O2' if length < _LONG else level} {_PORTABLE}" + (" -mavx2" if wide else "")
+    default = f"{'-O2' if length < _LONG else '-Og'} -ffp-contract=off" + (" -mavx2" if wide else "")
     return (*os.environ.get("RAILREPRO_CFLAGS", default).split(), *_ALWAYS)
 
 
@@ -139,84 +132,69 @@ def cache_folder() -> Path:
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
             folder.mkdir(mode=0o700, exist_ok=True)
-            status = folder.lstat()
         except OSError:
             continue  # a checkout that cannot be written is nothing wrong
-        own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & _OTHERS
-        if own and os.access(folder, os.W_OK):
+        if _own(folder.lstat()) and os.access(folder, os.W_OK):
             return folder
     raise CompilerError(f"{home}: a folder that you alone can write is needed for compiled code")
+
+
+def _own(status: os.stat_result) -> bool:
+    """Whether a file or folder belongs to this user, and no other user can write it; links do not."""
+    return not stat.S_ISLNK(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
 
 
 def own_file(file: Path) -> bytes | None:
     """Content of a regular file that belongs to this user and that no other user can write; None for anything else."""
     try:
-        with open(os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as stream:
-            status = os.fstat(stream.fileno())
-            own = stat.S_ISREG(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & _OTHERS
-            return stream.read() if own else None
+        status = file.lstat()
+        return file.read_bytes() if stat.S_ISREG(status.st_mode) and _own(status) else None
     except OSError:
         return None
 
 
-def build(text: str, portable: bool = False, level: str = "-Og", webassembly: bool = False) -> Path:
+def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
     """Compile C source text to a shared object, or to a module of WebAssembly, or find it in the cache.
 
     Parameters
     ----------
     text : str
         Complete C source.
-    portable, level : optional
+    portable : bool
         See `flags`.
 
     Raises
     ------
     CompilerError
-        When there is no compiler, when it refuses the source or takes too long, or when the object cannot be stored;
-        the sentence names the kept source file.
+        When there is no compiler, when it refuses the source, or when the object cannot be stored.
     """
     if webassembly and not found(PACKAGED):
         raise CompilerError("modules of WebAssembly need `pip install railrepro[compiler]`")
     command = PACKAGED if webassembly else compiler()
-    options = WEBASSEMBLY if webassembly else flags(portable, len(text), level)
-    folder = cache_folder()
+    options = WEBASSEMBLY if webassembly else flags(portable, len(text))
     key = hashlib.sha256((text + "\0" + identity(command, options)).encode()).hexdigest()[:24]
-    target, lock = folder / f"{key}.so", folder / f"{key}.lock"
+    target = cache_folder() / f"{key}.so"
+    lock = target.with_suffix(".lock")
     try:
         if not target.is_file():
             with alone(lock):
                 if not target.is_file():  # another process may have compiled it meanwhile
                     _compile([*_call(command), *options], text, target)
                 lock.unlink(missing_ok=True)  # who waits for it finds the object
-        if os.environ.get("RAILREPRO_KEEP_SOURCE"):
-            write(target.with_suffix(".c"), text)
     except OSError as error:
         raise CompilerError(f"{target}: cannot be written ({error.strerror or error})") from error
     return target
 
 
-@lru_cache(maxsize=1)
-def _announce() -> None:
-    """Report on stderr, once in a process, that it waits for the compiler."""
-    text = "compiling for this machine, once: some 20 s for the car, 10 s for a predictive controller"
-    print(text, file=sys.stderr, flush=True)
-
-
 def _compile(command: list[str], text: str, target: Path) -> None:
-    """Compile in a folder aside, and put the object in place in one step."""
+    """Compile the source, which stays beside its object, and put the object in place in one step."""
     if len(text) > _SLOW:
-        _announce()
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".scratch") as scratch:
-        source, output = Path(scratch, "source.c"), Path(scratch, "object.so")
-        source.write_text(text)
-        call = [*command, str(source), "-o", str(output), "-lm"]
-        try:
-            done = subprocess.run(call, capture_output=True, text=True, errors="replace", timeout=_SECONDS)
-        except subprocess.TimeoutExpired as error:
-            raise CompilerError(f"the C compiler {command[0]} took longer than {_SECONDS:g} s") from error
-        if done.returncode or not output.is_file():
-            kept = target.with_suffix(".failed.c")
-            write(kept, text)
-            said = done.stderr.strip()[:300] or "no object"
-            raise CompilerError(f"{command[0]} refused the generated source {kept}: {said}")
-        os.replace(output, target)
+        print("compiling for this machine, once; it takes up to half a minute", file=sys.stderr, flush=True)
+    source, output = target.with_suffix(".c"), target.with_suffix(".part")
+    write(source, text)
+    call = [*command, str(source), "-o", str(output), "-lm"]
+    done = subprocess.run(call, capture_output=True, text=True, errors="replace")
+    if done.returncode or not output.is_file():
+        said = done.stderr.strip()[:300] or "no object"
+        raise CompilerError(f"{command[0]} refused the generated source {source}: {said}")
+    os.replace(output, target)

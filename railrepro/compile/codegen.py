@@ -1,42 +1,34 @@
 """From CasADi functions to C source text, and from there to functions that are called.
 
-The module that the others here import: `cache` compiles text and keeps the objects, `graphs` the functions
-that they come from, `functions` binds them to buffers, `reciprocals` saves divisions.
+`cache` compiles text and keeps the objects, `lanes` writes C for vector registers, `reciprocals` saves divisions.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+import hashlib
+import pickle
+import sys
+import zlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import lru_cache, wraps
 from pathlib import Path
+from typing import TypeVar
 
 import casadi as ca
+import numpy as np
 
-from railrepro.compile.cache import CompilerError, build, compiler, flags
-from railrepro.compile.functions import Call, CompiledFunction
-from railrepro.compile.graphs import stored
-from railrepro.compile.reciprocals import share_reciprocals
+from railrepro import code
+from railrepro.compile import cache
+from railrepro.data import InputError, write
 
-__all__ = [
-    "Call",
-    "CompiledFunction",
-    "CompilerError",
-    "build",
-    "compiled",
-    "compiler",
-    "flags",
-    "lanes_header",
-    "lanes_text",
-    "library",
-    "share_reciprocals",
-    "source_text",
-    "stored",
-]
-
-
-_ROOM = Path(__file__).parent
-ELEMENTARY = (_ROOM / "elementary.c").read_text()
+Built = TypeVar("Built")
+ELEMENTARY = Path(__file__).with_name("elementary.c").read_text()
 """C of elementary functions that takes the place of the system's, see its head."""
+PREAMBLE = Path(__file__).with_name("call.h").read_text()
+"""C that stands before all hand-written C."""
+_POINTER = ctypes.POINTER(ctypes.c_double)
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
@@ -47,109 +39,102 @@ def source_text(functions: Sequence[ca.Function]) -> str:
     return ELEMENTARY + generator.dump()
 
 
-def lanes_header(lanes: int = 4) -> str:
-    """C that functions of `lanes_text` (4 lanes) and `pairs.pairs_text` (2) need, to stand after `source_text`."""
-    return f"#define LANES {lanes}\n{(_ROOM / 'lanes.h').read_text()}{ELEMENTARY}"
+def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
+    """Load CasADi functions and extra C source as one shared object."""
+    return ctypes.CDLL(str(cache.build(source_text(functions) + extra)))
 
 
-_OPERATIONS = {
-    **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
-    **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{one} / {}"},
-    **{kind: f"{{own}}{name}({{}})" for kind, name in (
-        (ca.OP_TAN, "tan"), (ca.OP_ASIN, "asin"), (ca.OP_ATAN, "atan"),
-        (ca.OP_EXP, "exp"), (ca.OP_LOG, "log"), (ca.OP_SQRT, "sqrt"), (ca.OP_FLOOR, "floor"), (ca.OP_FABS, "fabs"),
-        (ca.OP_SIGN, "sign"),
-    )},
-    **{kind: f"{{own}}{name}({{}}, {{}})" for kind, name in (
-        (ca.OP_POW, "pow"), (ca.OP_CONSTPOW, "pow"), (ca.OP_FMIN, "fmin"), (ca.OP_FMAX, "fmax"),
-    )},
-    **{kind: f"{{own}}pick({condition}, {{one}}, {{zero}})" for kind, condition in (
-        (ca.OP_LT, "{} < {}"), (ca.OP_LE, "{} <= {}"), (ca.OP_EQ, "{} == {}"), (ca.OP_NE, "{} != {}"),
-        (ca.OP_NOT, "{} == 0"), (ca.OP_AND, "({} != 0) & ({} != 0)"), (ca.OP_OR, "({} != 0) | ({} != 0)"),
-    )},
-    ca.OP_IF_ELSE_ZERO: "{own}pick({} != 0, {}, {zero})",
-}  # fmt: skip
+class Call(ctypes.Structure):
+    """A generated function with its memory, as C callers see it."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in ("evaluate", "arg", "res", "iw", "w")]
 
 
-class Statements:
-    """Statements of C, each an operation of CasADi on numbers or on lanes; `lines` so far."""
+class CompiledFunction:
+    """A function of a shared object with its work memory, evaluated on NumPy buffers without copies.
 
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self._turned: dict[str, str] = {}
-
-    def name(self, text: str, wide: bool) -> str:
-        """Name of a new number or of new lanes with some value."""
-        found = f"t{len(self.lines)}"
-        self.lines.append(f"const {'lanes_t' if wide else 'double'} {found} = {text};")
-        return found
-
-    def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Name of what an operation gives; ValueError for one that is not translated here."""
-        own = "lanes_" if wide else "own_"
-        if kind in (ca.OP_SIN, ca.OP_COS):
-            (angle,) = values
-            if angle not in self._turned:
-                self._turned[angle] = f"both{len(self.lines)}"
-                self.lines.append(f"const {own}pair_t {self._turned[angle]} = {own}both({angle});")
-            part = (".sin", ".cos") if wide else ("[0]", "[1]")
-            return self.name(self._turned[angle] + part[kind == ca.OP_COS], wide)
-        if kind not in _OPERATIONS:
-            raise ValueError(f"operation {kind} is not translated to lanes")
-        return self.name(_OPERATIONS[kind].format(*values, own=own, one=f"{own}all(1.0)", zero=f"{own}all(0.0)"), wide)
-
-
-def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
-    """C source of a function that is evaluated for LANES sets of arguments side by side, in vector registers.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Of scalar operations (SX).
-    common : sequence of str
-        Names of the inputs that all sets share; what depends on these alone is computed once.
-
-    Returns
-    -------
-    str
-        `static void NAME_lanes(inputs, outputs)`, pointers in CasADi's order to lanes_t (lanes.h), or to double for the
-        common inputs.
-
-    Raises
-    ------
-    ValueError
-        When the function uses an operation that is not translated here.
+    `arguments` and `results` are contiguous float64 arrays in CasADi's column-major order; fill the first, call, read
+    the second. Arrays may be shared between functions. `call` describes the function to callers written in C.
     """
-    inputs, outputs = function.name_in(), function.name_out()
-    kinds = ["double" if name in common else "lanes_t" for name in inputs]
-    signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
-    signature += [f"lanes_t *out_{name}" for name in outputs]
-    body, slots = Statements(), dict[int, tuple[str, bool]]()
-    for i in range(function.n_instructions()):
-        kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
-        if kind == ca.OP_OUTPUT:
-            value, wide = slots[of[0]]
-            body.lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes_all({value})'};")
-        elif kind == ca.OP_CONST:
-            slots[to[0]] = body.name(repr(function.instruction_constant(i)), False), False
-        elif kind == ca.OP_INPUT:
-            wide = kinds[of[0]] == "lanes_t"
-            slots[to[0]] = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide), wide
-        else:
-            operands = [slots[slot] for slot in of]
-            wide = any(is_wide for _, is_wide in operands)
-            values = [value if is_wide or not wide else f"lanes_all({value})" for value, is_wide in operands]
-            slots[to[0]] = body.operation(kind, values, wide), wide
-    text = "\n  ".join(body.lines)
-    return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {text}\n}}\n"
+
+    def __init__(self, library: ctypes.CDLL, function: ca.Function, arguments=None, results=None):
+        self.name = function.name()
+        self._symbol = getattr(library, self.name)
+        self._symbol.restype = ctypes.c_int
+        taken = [function.nnz_in(i) for i in range(function.n_in())]
+        given = [function.nnz_out(i) for i in range(function.n_out())]
+        self.arguments: list[np.ndarray] = arguments or list(map(np.zeros, taken))
+        self.results: list[np.ndarray] = results or list(map(np.zeros, given))
+        for size, array in zip([*taken, *given], [*self.arguments, *self.results], strict=True):
+            if array.size != size or array.dtype != np.float64 or not array.flags.c_contiguous:
+                raise ValueError(f"{self.name}: a contiguous float64 buffer of {size} numbers is needed")
+        work = [ctypes.c_longlong() for _ in range(4)]
+        getattr(library, self.name + "_work")(*map(ctypes.byref, work))
+        n_arg, n_res, n_iw, n_w = (max(1, size.value) for size in work)
+        self._memory = (
+            _pointers(self.arguments, n_arg),
+            _pointers(self.results, n_res),
+            (ctypes.c_longlong * n_iw)(),
+            (ctypes.c_double * n_w)(),
+        )
+        self.call = Call(ctypes.cast(self._symbol, ctypes.c_void_p), *map(ctypes.addressof, self._memory))
+
+    def __call__(self) -> list[np.ndarray]:
+        """Evaluate `arguments` into `results` (returned as the same arrays)."""
+        if self._symbol(*self._memory, 0):
+            raise ArithmeticError(f"compiled function {self.name} reported a failure")
+        return self.results
 
 
-def library(functions: Sequence[ca.Function] | str, extra: str = "", level: str = "-Og") -> ctypes.CDLL:
-    """Load CasADi functions, or their `source_text`, and extra C source as one shared object; `level` see `flags`."""
-    text = functions if isinstance(functions, str) else source_text(functions)
-    return ctypes.CDLL(str(build(text + extra, level=level)))
+def _pointers(arrays: Sequence[np.ndarray], length: int) -> ctypes.Array:
+    """C array of `length` pointers to the given float64 arrays (the rest null)."""
+    return (_POINTER * length)(*(array.ctypes.data_as(_POINTER) for array in arrays))
 
 
 def compiled(function: ca.Function) -> CompiledFunction:
     """One CasADi function as compiled code, with buffers of its own."""
     return CompiledFunction(library([function]), function)
+
+
+def stored(build: Callable[..., Built]) -> Callable[..., Built]:
+    """Have a function look for what it built before, in this process (as `functools.cache`) and on disk.
+
+    What is stored belongs to the code that built it: its key is the version of the library (`code.version`; `evidence`
+    is above it and cannot reach a graph), those of Python and of the packages that compute, and the arguments. What has
+    another key or is broken is built again.
+
+    Parameters
+    ----------
+    build : callable
+        Of arguments whose `repr` distinguishes them, and of nothing else but code; it gives CasADi functions and
+        anything else that can be pickled.
+
+    Raises
+    ------
+    ValueError
+        For a function of any other place than the library: the key would not know its code.
+    """
+    name = f"{build.__module__}.{build.__qualname__}"
+    if not name.startswith("railrepro.") or name.startswith("railrepro.evidence"):
+        raise ValueError(f"{name} is not of the library; what it builds cannot be stored")
+
+    @lru_cache
+    @wraps(build)
+    def look(*arguments):
+        version = code.version()
+        if version is None or not code.unchanged():
+            return build(*arguments)
+        asked = f"{name}{arguments!r}"
+        key = hashlib.sha256(f"{version, sys.version, code.packages()}{asked}".encode()).digest()
+        file = cache.cache_folder() / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.graph"
+        with suppress(OSError, zlib.error):
+            content = file.read_bytes()
+            if content.startswith(key):
+                return pickle.loads(zlib.decompress(content[len(key) :]))
+        built = build(*arguments)
+        if code.unchanged():
+            with suppress(InputError):  # it is built again next time
+                write(file, key + zlib.compress(pickle.dumps(built), 1))
+        return built
+
+    return look

@@ -1,5 +1,5 @@
-/* Several numbers side by side in vector registers, for functions of `codegen.lanes_text` and
-   `pairs.pairs_text`; elementary.c stands before and after it. Masks are words of ones. */
+/* Several numbers side by side in vector registers, for functions of `compile.lanes`; elementary.c stands before and
+   after it. Masks are words of ones. */
 
 #include <math.h>
 

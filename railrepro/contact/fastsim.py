@@ -91,8 +91,8 @@ def rigid_contact(shifts, radius: float, pair: Pair = STANDARD) -> pd.DataFrame:
     """
     rows = []
     for shift in shifts:
-        cut = section(shift, pair=pair)
-        i = cut.first_contact
+        cut = section(shift, pair)
+        i = int(np.argmax(cut.height - cut.rail_depth))
         rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
     return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
 

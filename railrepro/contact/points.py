@@ -1,9 +1,9 @@
 """Measured profiles of a wheel, a rail or both, from a CSV of points as profile gauges give them.
 
-One row per point: `part` ("wheel" or "rail"), and lateral_mm and height_mm (or lateral_m and height_m). Laterally the
-field side is positive, upwards for a rail and radially outwards for a wheel the height. The lateral origin of a wheel
-is its tape circle; its height there counts as zero. A rail is given as it lies, with its inclination; its origin does
-not matter, for its highest point and its gauge face are found. A part that the file lacks is S1002 or 60E1 at 1:40.
+One row per point: `part` ("wheel" or "rail"), lateral_mm and height_mm. Laterally the field side is positive, upwards
+for a rail and radially outwards for a wheel the height. The lateral origin of a wheel is its tape circle; its height
+there counts as zero. A rail is given as it lies, with its inclination; its origin does not matter, for its highest
+point and its gauge face are found. A part that the file lacks is S1002 or 60E1 at 1:40.
 
 Points are smoothed by a cubic spline whose stiffness generalised cross-validation finds, because slopes of raw points
 are noise: 10 micrometres from point to point of .1 mm would be 100 mrad.
@@ -25,12 +25,11 @@ from railrepro.contact import profiles
 from railrepro.data import InputError
 
 PARTS = ("wheel", "rail")
+_COLUMNS = ["lateral_mm", "height_mm"]
 _STEP = 1e-4
 """Step of the smoothed profile (m)."""
-_NEEDED = {"wheel": (-0.042, 0.030), "rail": (-0.025, 0.015)}
-"""What a profile has to cover: from the tape circle, from the highest point (m)."""
-_LARGEST = 0.2
-"""Largest coordinate (m)."""
+_NEEDED = {"wheel": (-42, 30), "rail": (-25, 15)}
+"""What a profile has to cover: from the tape circle, from the highest point (mm)."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +43,14 @@ class Pair:
         Of the points; pairs are equal, and look the same, that have equal ones.
     wheel : callable
         Distances from the tape circle (m) -> height (m) and slope (-), see `profiles.s1002`.
-    rail : tuple of ndarray
-        Distances from the track centre, increasing, and depths (m), see `profiles.inclined_rail`.
+    rail : tuple of ndarray or None
+        Distances from the track centre, increasing, and depths (m); None stands for `profiles.inclined_rail`.
     """
 
     name: str
     digest: str = ""
     wheel: Callable = field(default=profiles.s1002, compare=False, repr=False)
     rail: tuple[np.ndarray, np.ndarray] | None = field(default=None, compare=False, repr=False)
-
-    def laid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position and depth of the rail's points."""
-        return profiles.inclined_rail() if self.rail is None else self.rail
 
 
 STANDARD = Pair("s1002")
@@ -76,45 +71,31 @@ def read_pair(path: Path | str) -> Pair:
         table = pd.read_csv(file)
     except (OSError, ValueError) as error:
         raise InputError(f"{file.name}: cannot be read as CSV ({str(error).strip()})") from error
-    unit = 1e-3 if "lateral_mm" in table else 1.0
-    columns = ["lateral_mm", "height_mm"] if unit < 1 else ["lateral_m", "height_m"]
-    for column in ("part", *columns):
-        if column not in table:
-            raise InputError(f"{file.name}: column {column} is missing; found {list(table.columns)}")
-    if not len(table) or not set(table["part"]) <= set(PARTS):
-        raise InputError(f"{file.name}: part is {sorted(map(str, set(table['part'])))}, {list(PARTS)} are known")
+    if not len(table) or not {"part", *_COLUMNS} <= set(table) or not set(table["part"]) <= set(PARTS):
+        raise InputError(f"{file.name}: rows of part ({' or '.join(PARTS)}), {' and '.join(_COLUMNS)} are needed")
     found = {}
     for part in PARTS:
-        points = unit * table.loc[table["part"] == part, columns].apply(pd.to_numeric, errors="coerce").to_numpy()
+        points = 1e-3 * table.loc[table["part"] == part, _COLUMNS].apply(pd.to_numeric, errors="coerce").to_numpy()
         if len(points):
-            found[part] = _smooth(f"{file.name}: {part}", points, columns, _NEEDED[part], part == "rail")
+            found[part] = _smooth(f"{file.name}: {part}", points, _NEEDED[part], part == "rail")
     wheel = _as_wheel(*found["wheel"]) if "wheel" in found else profiles.s1002
     rail = _as_rail(file.name, *found["rail"]) if "rail" in found else None
     return Pair(file.name, hashlib.sha256(content).hexdigest(), wheel, rail)
 
 
-def _smooth(
-    where: str, points: np.ndarray, columns: list[str], needed, from_top: bool
-) -> tuple[np.ndarray, CubicSpline]:
+def _smooth(where: str, points: np.ndarray, needed, from_top: bool) -> tuple[np.ndarray, CubicSpline]:
     """Uniform lateral coordinates and a spline of the heights (m)."""
-    if len(points) < 50:
-        raise InputError(f"{where} has {len(points)} points, at least 50 are needed")
-    if not np.isfinite(points).all():
-        raise InputError(f"{where} has an entry of {columns[0]} or {columns[1]} that is no finite number")
-    if np.abs(points).max() > _LARGEST:
-        raise InputError(f"{where} reaches to {np.abs(points).max():g} m, up to {_LARGEST} m is allowed (unit?)")
     lateral, height = (points if points[0, 0] < points[-1, 0] else points[::-1]).T
-    if not (np.diff(lateral) > 0).all():
-        raise InputError(f"{where}: {columns[0]} does not go one way; leave out what overhangs")
-    origin = lateral[np.argmax(height)] if from_top else 0.0
-    low, high = origin + needed[0], origin + needed[1]
-    if lateral[0] > low or lateral[-1] < high:
+    if not np.isfinite(points).all() or not (np.diff(lateral) > 0).all():
+        raise InputError(f"{where}: numbers are needed, {_COLUMNS[0]} going one way; leave out what overhangs")
+    first, last = 1e3 * (lateral[[0, -1]] - (lateral[np.argmax(height)] if from_top else 0.0))
+    if first > needed[0] or last < needed[1]:
         raise InputError(
-            f"{where} goes from {1e3 * (lateral[0] - origin):.1f} to {1e3 * (lateral[-1] - origin):.1f} mm, "
-            f"{1e3 * needed[0]:g} to {1e3 * needed[1]:g} mm of its {'top' if from_top else 'tape circle'} are needed"
+            f"{where} goes from {first:.3g} to {last:.3g} mm, {needed[0]} to {needed[1]} mm of its "
+            f"{'top' if from_top else 'tape circle'} are needed"
         )
     if np.diff(lateral).max() > 2e-3:
-        raise InputError(f"{where} has a gap of {1e3 * np.diff(lateral).max():.1f} mm, up to 2 mm is allowed")
+        raise InputError(f"{where} has a gap of {1e3 * np.diff(lateral).max():.1f} mm, up to 2 mm is allowed (unit?)")
     # in millimetres, where coordinates and heights are of a size that suits the cross-validation
     spline = make_smoothing_spline(1e3 * lateral, 1e3 * height)
     uniform = np.arange(np.ceil(lateral[0] / _STEP), np.floor(lateral[-1] / _STEP) + 1) * _STEP

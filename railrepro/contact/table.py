@@ -20,17 +20,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
 from railrepro import paths
-from railrepro.compile.graphs import stored
+from railrepro.compile.codegen import stored
 from railrepro.contact import normal, profiles
 from railrepro.contact.creep import elementary, kalker_coefficients, strip_coefficients
 from railrepro.contact.points import STANDARD, Pair, read_pair
-from railrepro.data import InputError, require
 from railrepro.vehicle.parameters import Vehicle
 
 _LINEAR = (
@@ -125,11 +125,8 @@ def in_cell(cell: dict, offset) -> dict:
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
     """Contact table of a profile pair ("cone", "s1002" or a CSV of `points`) for a vehicle; see `ContactTable`."""
-    require("vehicle", vehicle, Vehicle)
     if profile == "cone":
         return _cone(vehicle)
-    if profile != "s1002" and not str(profile).endswith(".csv"):
-        raise InputError(f"contact profile {profile!r} is not known; there are 'cone', 's1002' and CSV files of points")
     material = vehicle.contact
     modulus = normal.contact_modulus(material.young, material.poisson)
     pair = STANDARD if profile == "s1002" else read_pair(paths.source(profile))
@@ -179,8 +176,7 @@ def _cone(vehicle: Vehicle) -> ContactTable:
     return ContactTable("cone", pd.DataFrame(frame).assign(**constant))
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """Cross-section of a wheel on its rail at a shift.
 
     Attributes
@@ -194,31 +190,25 @@ class Section:
     slope: np.ndarray
     rail_depth: np.ndarray
 
-    @property
-    def first_contact(self) -> int:
-        """Index of the point where rigid profiles touch."""
-        return int(np.argmax(self.height - self.rail_depth))
-
 
 @cache
-def _rail(step: float, pair: Pair) -> tuple[np.ndarray, np.ndarray]:
+def _rail(pair: Pair) -> tuple[np.ndarray, np.ndarray]:
     """Uniform lateral grid over the rail head and its depth (m)."""
-    points, depth = pair.laid()
-    position = np.arange(np.ceil(points[0] / step), np.floor(points[-1] / step)) * step
+    points, depth = pair.rail or profiles.inclined_rail()
+    position = np.arange(np.ceil(points[0] / _LATERAL_STEP), np.floor(points[-1] / _LATERAL_STEP)) * _LATERAL_STEP
     return position, np.interp(position, points, depth)
 
 
-def section(shift: float, step: float = _LATERAL_STEP, pair: Pair = STANDARD) -> Section:
+def section(shift: float, pair: Pair = STANDARD) -> Section:
     """A wheel, by default S1002 on 60E1 at 1:40, shifted towards its flange by `shift` (m); see `Section`."""
-    position, depth = _rail(step, pair)
+    position, depth = _rail(pair)
     height, slope = pair.wheel(position - profiles.TAPE_CIRCLE - shift)
     return Section(position, height, -slope, depth)
 
 
 def elastic_patch(shift: float, radius: float, load: float, modulus: float, pair: Pair = STANDARD):
     """Contact of a wheel at a shift (m), see `normal.elastic_contact` and `pair_table`."""
-    cut = section(shift, pair=pair)
-    return normal.elastic_contact(cut.position, cut.height, cut.slope, cut.rail_depth, radius, load, modulus)
+    return normal.elastic_contact(*section(shift, pair), radius, load, modulus)
 
 
 @stored
@@ -254,7 +244,7 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
     )
     a, b, coefficients = zip(*(strip_coefficients(patch.half_lengths, patch.strips) for patch in patches), strict=True)
     centre = int(np.argmin(np.abs(SHIFTS)))
-    cut = section(0.0, pair=pair)
+    cut = section(0.0, pair)
     depth_at_contact = np.interp(position[centre], cut.position, cut.rail_depth)
     climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
     rolling = radius + height

@@ -265,7 +265,7 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
     xddot = 2 * u_d / (model.r_0 * model.m_x_eff)
     groups = [*pack(state), xddot, held], pack(track), old.lateral, gain.lateral, [*pack(model), tau_max]
     du, following = signature.lateral.function(*(ca.vertcat(*entries) for entries in groups))
-    du *= _fade(state.xdot, GUIDANCE_FADE)
+    du *= ca.fmin(ca.fmax(state.xdot / GUIDANCE_FADE, 0), 1)
     tau_le, tau_ri, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
     torques, sensed = gear.send([tau_le, tau_ri], track)
     stored = {"u": u_d, "adhesion": adhesion, "lateral": ca.vertsplit(following)}
@@ -274,8 +274,3 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
     if signature.sensed:
         record.append(unpack(interface.EstimatedRecord, [*pack(state), *f, *s, track.y_ref]))
     return torques, type(old)(**stored, **sensed), record
-
-
-def _fade(v: ca.SX, speed: float) -> ca.SX:
-    """0 at rest, 1 from `speed` (m/s) on."""
-    return ca.fmin(ca.fmax(v / speed, 0), 1)

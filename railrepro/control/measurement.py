@@ -55,7 +55,7 @@ class SensedGear(MeasuredGear):
         sensor, lines, readings, gain = self._sensor, self.memory.sensor, self._readings, self.gain
         sent_before = {"le": lines.tau_le[:-1], "ri": lines.tau_ri[:-1]}
         found, self._filter = observers.observe(
-            readings, sent_before, track, self.ticks, sensor, gain.filter, gain.nominal_load, self.memory.filter
+            readings, sent_before, track, self.ticks, sensor, gain, self.memory.filter
         )
         heading = track.psi_Tr + found.psi_TrAx
         state = States(self.position, heading, found.xdot, found.psidot_Ax, found.y_TrAx, found.psi_TrAx)
@@ -69,7 +69,7 @@ class SensedGear(MeasuredGear):
         before = self.memory.sensor.tau_le, self.memory.sensor.tau_ri
         lines = [[torque, *line[:-1]] for torque, line in zip(torques, before, strict=True)]
         sent = dict(zip(SIDES, lines, strict=True))
-        following = observers.advance(self._filter, sent, track, self._sensor, self.gain.filter)
+        following = observers.advance(self._filter, sent, track, self._sensor, self.gain)
         memory = SensorMemory(**self._lines, tau_le=lines[0], tau_ri=lines[1])
         stored = {"sensor": memory, "filter": following, **self._stored}
         return [received_torque(line, self._sensor) for line in lines], stored

@@ -17,7 +17,7 @@ import numpy as np
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
-from railrepro.data import InputError, between, require
+from railrepro.data import InputError, require
 from railrepro.model.control_model import XDOT, control_model, kept_as_printed
 from railrepro.model.forecast import Forecast, nominal_values
 from railrepro.track.route import Route
@@ -52,7 +52,7 @@ class _Planner(ctypes.Structure):
     """`planner_t` of planner.c."""
 
     _fields_ = [
-        *((name, ctypes.c_void_p) for name in ("horizon", "x_hat", "plan")),
+        *((name, ctypes.c_void_p) for name in ("horizon", "plan")),
         *((name, ctypes.c_double) for name in ("observer", "torque_limit")),
         *((name, ctypes.c_longlong) for name in ("yielding", "informed", "mode")),
         *((name, ctypes.c_double) for name in ("offset", "expected_y")),
@@ -77,6 +77,8 @@ class PredictiveController:
         Of the control model.
     mode : int
         How a problem is solved, see `LINEAR`.
+    c : ctypes.Structure
+        `planner_t` of planner.c.
     """
 
     mode = CONVERGED  # not an argument, so without annotation
@@ -87,9 +89,6 @@ class PredictiveController:
     settings: MPCSettings = field(default_factory=MPCSettings)
 
     def __post_init__(self) -> None:
-        require("MPC: vehicle", self.vehicle, Vehicle)
-        require("MPC: route", self.route, Route)
-        require("MPC: gear", self.gear, between(0, 1), whole=True)
         require("MPC: settings", self.settings, MPCSettings)
         self.stats: list[Solve] = []
         s = self.settings
@@ -97,11 +96,11 @@ class PredictiveController:
         nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = Horizon(s, nominal, self.parameters, self.route)
         self.plan_du, self._measured = np.zeros(s.steps), np.zeros_like(self.horizon.x_hat)
-        self._c = _Planner(
-            ctypes.addressof(self.horizon.c), self.horizon.x_hat.ctypes.data, self.plan_du.ctypes.data,
-            s.observer, 0.0, s.yielding, s.informed, self.mode,
+        self.c = _Planner(
+            ctypes.addressof(self.horizon.c), self.plan_du.ctypes.data,
+            s.observer, self.vehicle.drive.torque_limit, s.yielding, s.informed, self.mode,
         )  # fmt: skip
-        self._pointer, self._at = ctypes.byref(self._c), ctypes.c_void_p(self._measured.ctypes.data)
+        self._pointer, self._at = ctypes.byref(self.c), ctypes.c_void_p(self._measured.ctypes.data)
         self._library = self.horizon.library
 
     @property
@@ -112,7 +111,7 @@ class PredictiveController:
     @property
     def offset(self) -> float:
         """Observed offset of the yaw angle (rad), see `MPCSettings.observer`."""
-        return self._c.offset
+        return self.c.offset
 
     def torque_limit(self, x_hat: np.ndarray) -> float:
         """Torque limit (N m) at a measured state (6,)."""
@@ -129,11 +128,11 @@ class PredictiveController:
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now from a measured state (6,) and the base torque (N m)."""
         begin = time.thread_time()
-        self._measured[:], self._c.torque_limit = x_hat, self.torque_limit(x_hat)
+        self._measured[:], self.c.torque_limit = x_hat, self.torque_limit(x_hat)
         torque = self._torque(ctypes.c_double(u_d))
         ready = time.thread_time()
         self._library.planner_prepare(self._pointer)
-        spent = ready - begin, self._c.iterations, not self._c.started
+        spent = ready - begin, self.c.iterations, not self.c.started
         self.stats.append(Solve(*spent, time.thread_time() - ready))
         return torque
 
@@ -164,11 +163,11 @@ class NMPC(PredictiveController):
         self._library.planner_begin(self._pointer, self._at, u_d)
         horizon = self.horizon
         try:
-            du, self._c.iterations = ipopt.solve(ipopt.solver(self.settings), horizon, self.parameters, horizon.u)
+            du, self.c.iterations = ipopt.solve(ipopt.solver(self.settings), horizon, self.parameters, horizon.u)
             failed = not np.isfinite(du).all()
             horizon.u[:] = du
         except ArithmeticError:
-            self._c.iterations, failed = 0, True
+            self.c.iterations, failed = 0, True
         return self._library.planner_take(self._pointer, failed)
 
 

@@ -87,7 +87,7 @@ def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
     The weight's yaw stiffness, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
     radii are left out.
 
-    Source: corrected yaw equation to first order (`railrepro.model.linearised`).
+    Source: corrected yaw equation to first order (`railrepro.model.derivation.yaw_equation`).
     """
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)

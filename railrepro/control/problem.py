@@ -19,7 +19,8 @@ import casadi as ca
 import numpy as np
 
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile.codegen import share_reciprocals, stored
+from railrepro.compile.codegen import stored
+from railrepro.compile.reciprocals import share_reciprocals
 from railrepro.data import InputError, above, between, check_fields, is_number
 from railrepro.model.control_model import (
     INPUTS,
@@ -123,31 +124,6 @@ def _costs() -> tuple[ca.Function, ca.Function, ca.Function]:
         for cost in (stage_cost, terminal_cost)
     )
     return stage, terminal, ca.Function("effort_cost", [du, vector], [effort_cost(du, tuning)])
-
-
-class Curvature(NamedTuple):
-    """Halved second derivatives of the costs: by the states 1 … L (L, 6), by a torque, by a slack; none mix."""
-
-    states: np.ndarray
-    torque: float
-    slack: float
-
-
-def curvature(settings: MPCSettings) -> Curvature:
-    """Weights of the squares in the stated costs under some settings."""
-    return _curvature(tuple(settings.tuning()), settings.steps)
-
-
-@lru_cache
-def _curvature(tuning: tuple[float, ...], steps: int) -> Curvature:
-    x, du, slack = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("slack")
-    t, x_d = Tuning.of(ca.DM(tuning)), ca.DM.zeros(len(STATES))
-    pairs = [(cost(x, x_d, 0, t), x) for cost in (stage_cost, terminal_cost)]
-    pairs += [(effort_cost(du, t), du), (slack_cost(slack, t), slack)]
-    on_the_way, last, torque, of_slack = (
-        np.array(ca.DM(ca.diag(ca.hessian(cost, by)[0]) / 2)).ravel() for cost, by in pairs
-    )
-    return Curvature(np.vstack([np.tile(on_the_way, (steps - 1, 1)), last]), torque.item(), of_slack.item())
 
 
 @dataclass(frozen=True)

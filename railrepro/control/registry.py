@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 
 from railrepro import data, paths
 from railrepro.control.lateral import ZeroOrderHold
-from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
+from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
-from railrepro.data import InputError, above, is_number, require
+from railrepro.data import InputError, above, require
 from railrepro.model.control_model import STATES
 
 TUNED = "data/tuned"
@@ -82,20 +82,6 @@ def _inversion(settings: NDI) -> NDI:
     return settings
 
 
-def _no_guidance(settings: dict) -> ZeroOrderHold:
-    """A law that holds the torque of no controller, which is 0."""
-    return ZeroOrderHold()
-
-
-def _lqg_preview(settings):
-    """LqgPreview is imported when it is asked for, so that the paper's controllers do not stand on ours."""
-    return resolve_name("railrepro.own.lqg:LqgPreview")(settings)
-
-
-def _lqg_settings(parameters: dict):
-    return resolve_name("railrepro.own.lqg:LqgSettings")(**parameters)
-
-
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
 NOTHING = "nothing"
@@ -116,8 +102,14 @@ CONTROLLERS = {
     "ndi_integral": Controller(
         _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
     ),
-    OURS: Controller(_lqg_preview, _lqg_settings, True, _AHEAD + "; readings of its own gear"),
-    NOTHING: Controller(_no_guidance, dict, False, "nothing"),
+    # imported when it is asked for, so that the paper's controllers do not stand on ours
+    OURS: Controller(
+        lambda settings: resolve_name("railrepro.own.lqg:LqgPreview")(settings),
+        lambda parameters: resolve_name("railrepro.own.lqg:LqgSettings")(**parameters),
+        True,
+        _AHEAD + "; readings of its own gear",
+    ),
+    NOTHING: Controller(lambda settings: ZeroOrderHold(), dict, False, "nothing"),  # the torque of none, which is 0
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
@@ -164,33 +156,15 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     """
     if name not in tuple(CONTROLLERS):
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
-    controller, where = CONTROLLERS[name], f"controller {name}"
-    require(f"{where}: options", options or {}, dict)
-    if not isinstance(parameters, dict):
-        raise InputError(f"{where}: parameters are {reprlib.repr(parameters)}, a table of numbers is needed")
-    for key, value in parameters.items():
-        if not is_number(value):
-            raise InputError(f"{where}: {key} is {value!r}, a finite number is needed")
+    controller = CONTROLLERS[name]
     try:
         settings = controller.settings(parameters)
+        built = controller.build(settings=replace(settings, **changes) if changes else settings)
+        return replace(built, options=(*built.options, *options.items())) if options else built
     except KeyError as error:
-        raise InputError(f"{where}: the parameter {error} is missing; found {sorted(parameters)}") from error
-    except (TypeError, ArithmeticError) as error:
-        raise InputError(f"{where}: parameters {sorted(parameters)} are not those it takes ({error})") from error
-    if unknown := set(changes) - ({field.name for field in fields(settings)} if is_dataclass(settings) else set()):
-        raise InputError(f"{where}: setting {min(unknown)!r} is not known")
-    built = controller.build(settings=replace(settings, **changes) if changes else settings)
-    return _with_options(built, options, where) if options else built
-
-
-def _with_options(built, options: dict, where: str):
-    """A factory of predictive controllers with further arguments of the controller."""
-    if not isinstance(built, Predictive):
-        raise InputError(f"{where}: takes no options, {sorted(options)} are given")
-    known = {field.name for field in fields(built.controller)} - {field.name for field in fields(PredictiveController)}
-    if unknown := set(options) - known:
-        raise InputError(f"{where}: option {min(unknown)!r} is not known; there are {sorted(known)}")
-    return replace(built, options=(*built.options, *options.items()))
+        raise InputError(f"controller {name}: the parameter {error} is missing; found {sorted(parameters)}") from error
+    except (TypeError, AttributeError, ArithmeticError) as error:
+        raise InputError(f"controller {name}: takes no such parameters, options or changes ({error})") from error
 
 
 def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
@@ -230,11 +204,7 @@ def parameters(controller: str, setting: str = PAPER) -> dict:
     require("controller", controller, str)
     if setting not in SETTINGS:
         raise InputError(f"setting {reprlib.repr(setting)} is not known; there are {sorted(SETTINGS)}")
-    file = paths.source("data/tuning.toml")
-    try:
-        designed = data.read(file)["setting"][setting].get("designed", {})
-    except (KeyError, AttributeError) as error:
-        raise InputError(f"{file.name}: the tables [setting.paper] and so on are needed ({error})") from error
+    designed = data.read(paths.source("data/tuning.toml"))["setting"][setting].get("designed", {})
     return designed[controller] if controller in designed else read(controller, setting)["parameters"]
 
 

@@ -44,16 +44,12 @@ WheelState = group("WheelState", "tau N m, w rad/s, force N")
 _WHEELS = {"le": WheelState, "ri": WheelState}
 FilterState = group("FilterState", "y m, psi rad, r rad/s, bias rad/s, beta rad", _WHEELS, "v m/s, creep rad")
 """Filter of a gear: `LATERAL`, both wheels, speed and creep angle low-pass filtered."""
-FilterModel = group(
-    "FilterModel", "J_z kg m2, J_Wy kg m2, k_sz N m/rad, k_dz N m s/rad, r_0 m, b m, gamma rad/m, lag s, J_eff kg m2"
-)
-"""What the filter knows of the vehicle, see `railrepro.control.lateral.MODEL`, and the lag of the drive."""
 _LateralGain = group("LateralGain", dict.fromkeys(_READ, listed(range(len(SPEEDS)))))
 _LateralGains = group("LateralGains", dict.fromkeys(LATERAL, _LateralGain))
-_REST = "wheel_w -, wheel_force N s, prediction s, creep_pole -, speed_pole -"
-FilterGains = group("FilterGains", {"lateral": _LateralGains}, _REST, {"model": FilterModel})
+_REST = "wheel_w -, wheel_force N s, prediction s, creep_pole -, speed_pole -, J_z kg m2"
+FilterGains = group("FilterGains", {"lateral": _LateralGains}, _REST)
 """Run-time numbers of the filter: Kalman gains (of the lateral filter at `SPEEDS`), time to predict, poles of low-pass
-filters, model."""
+filters, yaw inertia."""
 _SIDES = {"f": listed(SIDES), "s": listed(SIDES)}
 Estimates = group("Estimates", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s, xdot m/s", _SIDES)
 """What the filter finds: states when a torque will arrive, creep force over nominal load and slip of the wheels."""
@@ -112,17 +108,6 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
     spin = np.array([[0.0, -radius / inertia], [0.0, 0.0]])
     noise = max(loop.wheel_speed.noise, _LEAST) ** 2
     wheel, _ = _stationary(spin, np.array([[1.0, 0.0]]), np.diag([1e-8, rates.force_rate**2]), np.array([[noise]]))
-    model = FilterModel(
-        J_z=vehicle.gear.inertia_z,
-        J_Wy=inertia,
-        k_sz=vehicle.suspension.yaw_stiffness,
-        k_dz=vehicle.suspension.yaw_damping,
-        r_0=radius,
-        b=vehicle.gear.contact_base,
-        gamma=vehicle.gamma,
-        lag=vehicle.drive.lag,
-        J_eff=vehicle.effective_yaw_inertia,
-    )
     lateral = unpack(_LateralGains, np.moveaxis(at_speeds, 0, -1).ravel().tolist())
     return FilterGains(
         lateral,
@@ -131,20 +116,11 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
         prediction=loop.latency.measurement + loop.latency.command,
         creep_pole=CONTROL_PERIOD / (rates.creep_lag + CONTROL_PERIOD),
         speed_pole=CONTROL_PERIOD / (rates.speed_lag + CONTROL_PERIOD),
-        model=model,
+        J_z=vehicle.gear.inertia_z,
     )
 
 
-def observe(
-    readings: Any,
-    commands: dict,
-    track: Any,
-    ticks,
-    sensor: Any,
-    gain: Any,
-    nominal_load,
-    memory: Any,
-) -> tuple[Any, Any]:
+def observe(readings: Any, commands: dict, track: Any, ticks, sensor: Any, gain: Any, memory: Any) -> tuple[Any, Any]:
     """Correct the filter of a gear by new readings.
 
     Parameters
@@ -157,9 +133,9 @@ def observe(
         Where the gear is, see `railrepro.control.lateral.ROAD`.
     ticks : SX
         Control cycles since the start; the filter begins with the first readings.
-    sensor, gain : SensorGains, FilterGains of SX
-    nominal_load : SX
-        Vertical force of a wheel (N).
+    sensor : SensorGains of SX
+    gain : Gains of SX
+        Those of the law with `filter`, `model`, `drive` and `nominal_load`, see `railrepro.control.law`.
     memory : FilterState of SX
 
     Returns
@@ -173,22 +149,24 @@ def observe(
     le, ri = WheelState(0, readings.w_le, 0), WheelState(0, readings.w_ri, 0)
     start = FilterState(read["y"], read["psi"], read["r"], 0, 0, le, ri, readings.v, 0)
     x = unpack(FilterState, (ca.if_else(ticks < 0.5, *pair) for pair in zip(pack(start), pack(memory), strict=True)))
-    v = x.v + gain.speed_pole * (readings.v - x.v)
+    v = x.v + gain.filter.speed_pole * (readings.v - x.v)
     innovation = {"y": read["y"] - x.y, "psi": read["psi"] - x.psi, "r": read["r"] - x.r - x.bias}
     corrected = {
         state: getattr(x, state)
-        + sum(_scheduled(getattr(getattr(gain.lateral, state), name), v) * innovation[name] for name in _READ)
+        + sum(_scheduled(getattr(getattr(gain.filter.lateral, state), name), v) * innovation[name] for name in _READ)
         for state in LATERAL
     }
     for side, w in (("le", readings.w_le), ("ri", readings.w_ri)):
         wheel: Any = getattr(x, side)
         error = w - wheel.w
-        corrected[side] = replace(wheel, w=wheel.w + gain.wheel_w * error, force=wheel.force + gain.wheel_force * error)
-    creep = x.creep + gain.creep_pole * (corrected["beta"] - x.creep)
+        corrected[side] = replace(
+            wheel, w=wheel.w + gain.filter.wheel_w * error, force=wheel.force + gain.filter.wheel_force * error
+        )
+    creep = x.creep + gain.filter.creep_pole * (corrected["beta"] - x.creep)
     x = replace(x, **corrected, v=v, creep=creep)
 
     y, psi, r = _predicted(x, commands, track, sensor, gain)
-    f = [wheel.force / nominal_load for wheel in (x.le, x.ri)]
+    f = [wheel.force / gain.nominal_load for wheel in (x.le, x.ri)]
     s = [(v - gain.model.r_0 * wheel.w) / ca.fmax(v, 1.0) for wheel in (x.le, x.ri)]
     return Estimates(y, psi + x.creep, r, v, f, s), x
 
@@ -199,7 +177,7 @@ def advance(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> Any:
 
     def wheel(state: Any, line: list) -> Any:
         commanded = delayed(line, sensor.measurement + sensor.command)
-        tau = state.tau + (1 - ca.exp(-h / model.lag)) * (commanded - state.tau)
+        tau = state.tau + (1 - ca.exp(-h / gain.drive.lag)) * (commanded - state.tau)
         w = state.w + h / model.J_Wy * ((state.tau + tau) / 2 - model.r_0 * state.force)
         return replace(state, tau=tau, w=w)
 
@@ -207,7 +185,7 @@ def advance(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> Any:
         x,
         y=x.y + h * x.v * (x.psi + x.beta),
         psi=x.psi + h * (x.r - x.v * track.dpsi_dp),
-        r=x.r + h * _yaw_acceleration(x, track, model),
+        r=x.r + h * _yaw_acceleration(x, track, gain),
         le=wheel(x.le, commands["le"]),
         ri=wheel(x.ri, commands["ri"]),
     )
@@ -222,13 +200,14 @@ def _scheduled(at_speeds: list, v):
     return value
 
 
-def _yaw_acceleration(x: Any, track: Any, model: Any):
+def _yaw_acceleration(x: Any, track: Any, gain: Any):
     """Yaw acceleration under the creep forces of both wheels, springs, dampers and gyroscopic moment (rad/s2)."""
+    model = gain.model
     moment = model.b / 2 * (x.le.force - x.ri.force)
     moment -= model.k_sz * (track.psi_Tr + x.psi - track.psi_CB)
     moment -= model.k_dz * (x.r - x.v * track.dpsi_dp_CB)
     roll_rate = x.v * (track.dphi_dp - model.gamma * (x.psi + x.beta))
-    return (moment + 2 * model.J_Wy * x.v / model.r_0 * roll_rate) / model.J_z
+    return (moment + 2 * model.J_Wy * x.v / model.r_0 * roll_rate) / gain.filter.J_z
 
 
 def _predicted(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> tuple:
@@ -237,15 +216,15 @@ def _predicted(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> tu
     The present yaw acceleration goes on; torques that are on their way change it as on rolling wheels.
     """
     steps, model = 5, gain.model
-    h = gain.prediction / steps
-    y, psi, r, v, yaw = x.y, x.psi, x.r, x.v, _yaw_acceleration(x, track, model)
+    h = gain.filter.prediction / steps
+    y, psi, r, v, yaw = x.y, x.psi, x.r, x.v, _yaw_acceleration(x, track, gain)
     motor = {"le": x.le.tau, "ri": x.ri.tau}
     before = motor["le"] - motor["ri"]
     for k in range(steps):
         age = sensor.measurement + sensor.command - (k + 0.5) * h / CONTROL_PERIOD
         for side in motor:
             commanded = delayed(commands[side], ca.fmax(age - 0.5, 0))
-            motor[side] += (1 - ca.exp(-h / model.lag)) * (commanded - motor[side])
+            motor[side] += (1 - ca.exp(-h / gain.drive.lag)) * (commanded - motor[side])
         change = model.b / (2 * model.r_0 * model.J_eff) * (motor["le"] - motor["ri"] - before)
         y += h * v * (psi + x.beta)
         psi += h * (r - v * track.dpsi_dp)

@@ -22,18 +22,17 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.compile.codegen import CompilerError
+from railrepro.compile.cache import CompilerError
 from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, NOTHING, SHOWN, Controller
 from railrepro.data import InputError
@@ -58,6 +57,8 @@ QUICK = ("curve_T3", "braking_patch")
 """Runs of a small suite."""
 MARGINS = "margins"
 """Group of the runs with more delay or a slower drive, which count as one together."""
+PUBLISHED, RANKED = 1001, (1277232150, 1310670857, 1121027952, 785067208, 1683094607)
+"""Seeds of noise, irregularities and cars: for development, and those whose mean ranks the leaderboard."""
 ALL = "all"
 """Scenario, and setting, of the rows that sum up."""
 LEADERBOARD = "data/results/leaderboard.csv"
@@ -75,63 +76,47 @@ _SLOWEST = 10.0
 """Speed at which the limit of a braking car is taken (m/s); it grows with speed."""
 _MODULE = "railrepro_own_controller"
 METRICS = {
-    "error": ("lateral error, RMS, mean (mm)", 1e3, "m", "mean"),
-    "limit": ("its limit, mean (mm)", 1e3, "m", "mean"),
-    "effort_du": ("differential torque, RMS, mean (N m)", 1.0, "N m", "mean"),
-    "activity_du": ("part above 5 Hz, RMS, mean (N m)", 1.0, "N m", "mean"),
-    "utilisation": ("adhesion used, mean (%)", 100.0, "-", "mean"),
-    "stopping_distance": ("stopping distance with a poor patch (m)", 1.0, "m", "mean"),
-    "comfort": ("mean comfort N_MV, mean", 1.0, "-", "mean"),
-    "y_over_q": ("Y/Q, largest (limit 0.8)", 1.0, "-", "max"),
-    "sum_y_over_limit": ("track shifting force over its limit, largest", 1.0, "-", "max"),
-    "wheel_unloading": ("wheel unloading, largest", 1.0, "-", "max"),
+    "error": ("m", "mean"),
+    "limit": ("m", "mean"),
+    "effort_du": ("N m", "mean"),
+    "activity_du": ("N m", "mean"),
+    "utilisation": ("-", "mean"),
+    "stopping_distance": ("m", "mean"),
+    "comfort": ("-", "mean"),
+    "y_over_q": ("-", "max"),
+    "sum_y_over_limit": ("-", "max"),
+    "wheel_unloading": ("-", "max"),
 }
-"""Metric of a run -> words and factor on the card, unit in tables (SI), and how runs are summed up."""
-_SUMS = {"score": "score of 100", "margins": "points with more delay and lag", "failures": "runs failed"}
+"""Metric of a run -> unit, and how runs are summed up; `limit` is that of the error, `comfort` the largest N_MV."""
 
 
 # The suite.
 
 
-@data.table
-class Draws:
-    """Content of data/score.toml: the published seed, and those that the leaderboard ranks by."""
+def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
+    """All runs of the suite in both settings, or those of some names, then without the margins.
 
-    published: tuning.SEED
-    ranked: Annotated[tuple[tuning.SEED, ...], data.NOT_EMPTY, data.DISTINCT]
-
-
-@lru_cache
-def draws() -> Draws:
-    """The seeds of data/score.toml."""
-    return data.build(Draws, data.read(paths.source("data/score.toml")), "score.toml")
-
-
-@dataclass(frozen=True)
-class Case:
-    """One run in some setting; `irregular`, `plant` and `sensors` as `Experiment` has them."""
-
-    name: str
-    setting: str
-    scenario: Scenario
-    irregular: dict = field(default_factory=dict)
-    plant: dict = field(default_factory=dict)
-    sensors: dict = field(default_factory=dict)
-    group: str = ""
-
-
-def cases(seed: int, names: Sequence[str] | None = None) -> list[Case]:
-    """All runs of the suite in both settings, or those of some names, then without the margins."""
+    They are without guidance; their labels are scenario (name of the run), setting and group.
+    """
     data.require("seed", seed, data.between(0, 2**31), whole=True)
     found = []
     for setting in (EQUAL, LOOP):
         sensors = {"seed": seed} if setting == LOOP else {}
         wanted = [each for each in _runs(seed).items() if names is None or each[0] in names]
-        found += [Case(name, setting, *run, sensors, name) for name, run in wanted]
+        found += [case(name, setting, *run, sensors) for name, run in wanted]
         found += _margins(setting, seed) if names is None else []
     if not found:
         raise InputError(f"benchmark: there is no run of the names {names}; there are {[*_runs(seed)]}")
     return found
+
+
+def case(
+    name: str, setting: str, scenario: Scenario, irregular: dict, plant: dict, sensors: dict, group: str = ""
+) -> Experiment:
+    """A run of the suite without guidance, see `cases`."""
+    label = {"scenario": name, "setting": setting, "group": group or name}
+    around = {"irregular": irregular, "plant": plant, "sensors": sensors}
+    return Experiment(scenario, NOTHING, label, {}, setting=setting, ride=True, **around)
 
 
 def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:
@@ -159,9 +144,9 @@ def mismatch(seed: int, number: int) -> dict[str, float]:
     return dict(zip(MISMATCH, (lows + shares * (highs - lows)).tolist(), strict=True))
 
 
-def _margins(setting: str, seed: int) -> list[Case]:
+def _margins(setting: str, seed: int) -> list[Experiment]:
     """Runs at 400 km/h with a slower drive and with more delay; with sensors each has another draw of them."""
-    found: list[Case] = []
+    found: list[Experiment] = []
     for rail, scenario in {"dry": "sine_tracking", "poor": "adhesion_loss"}.items():
         short = load_scenario(scenario).but(end_m=_MARGINS_END)
         changes = [(f"lag_{ms}ms", {"drive.lag": 1e-3 * ms}, {}) for ms in _LAGS]
@@ -169,7 +154,7 @@ def _margins(setting: str, seed: int) -> list[Case]:
         for name, plant, delay in changes:
             drawn = {"seed": (seed + 1 + len(found)) % 2**31} if setting == LOOP else {}
             perfect = {"perfect": True} if setting == EQUAL and delay else {}
-            found.append(Case(f"{name}_{rail}", setting, short, {}, plant, drawn | perfect | delay, MARGINS))
+            found.append(case(f"{name}_{rail}", setting, short, {}, plant, drawn | perfect | delay, MARGINS))
     return found
 
 
@@ -183,13 +168,13 @@ class Entry:
     Attributes
     ----------
     name : str
-        Key of `registry.CONTROLLERS`, or the name of a file with its suffix, which is never such a key.
-    file : str
-        Path of the file, empty for a registered controller and for a class of a chapter.
+        Key of `registry.CONTROLLERS`, the name of a file with its suffix, which is never such a key, or a heading.
+    own : Path or type, optional
+        The file, or a class of a chapter; None for a registered controller.
     """
 
     name: str
-    file: str = ""
+    own: Path | type | None = None
 
 
 def entry(controller: str) -> Entry:
@@ -200,11 +185,7 @@ def entry(controller: str) -> Entry:
     if not file.is_file():
         known = [*CONTROLLERS]
         raise InputError(f"controller {controller!r} is neither a file nor a registered controller; there are {known}")
-    if not re.fullmatch(r"[A-Za-z0-9_+-][A-Za-z0-9_.+-]*\.py", file.name):
-        raise InputError(
-            f"controller {file.name!r}: a name of letters, digits, _, -, + and . that ends in .py is needed"
-        )
-    return Entry(file.name, str(file.resolve()))
+    return Entry(file.name, file.resolve())
 
 
 def load_class(file: Path) -> type:
@@ -239,8 +220,6 @@ def fault(error: BaseException, file: Path) -> str:
 def made(own: type, setting: str) -> lateral.Guidance:
     """Guidance made of a controller class, with the keyword arguments of its `tuned` for a setting."""
     tables = getattr(own, "tuned", {})
-    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
-        raise InputError(f"{own.__name__}: its `tuned` is no table of keyword arguments per setting")
     if set(tables) - {EQUAL, LOOP}:
         raise InputError(f"{own.__name__}: `tuned` has {sorted(tables)}, only {[EQUAL, LOOP]} are known")
     return _with_arguments(own, tables.get(setting, {}))
@@ -310,42 +289,34 @@ def description() -> str:
 # Driving, and points.
 
 
-def experiment(of: Entry, case: Case, own: type | None = None) -> Experiment:
-    """The run of a case: of a registered controller with its tuned set, or of a class of one's own."""
-    around = {"irregular": case.irregular, "plant": case.plant, "sensors": case.sensors, "ride": True}
-    if own is None:
-        chosen = {} if of.name == NOTHING else None
-        options = CONTROLLERS[of.name].quick
-        return Experiment(case.scenario, of.name, {}, chosen, options, setting=case.setting, **around)
-    written = _counted(made(own, case.setting))
-    name = _enter(f"own {of.name}", lambda settings: written)
-    return Experiment(case.scenario, name, {}, {}, setting=case.setting, **around)
-
-
-def drive(of: Entry, case: Case, own: type | None = None) -> dict:
+def drive(of: Entry, case: Experiment) -> dict:
     """Row of metrics of a case, whatever the controller does: `failure` is a sentence, empty when all went well.
 
-    The runs of registered controllers are stored. A class that is given takes the place of that of a file.
+    The runs of registered controllers are stored; a file is read and driven by a worker.
     """
-    head = {"scenario": case.name, "setting": case.setting, "group": case.group or case.name}
-    head |= {"controller": of.name, "failure": ""}
-    if own is None and of.file:
-        return head | work(_driven_file, of, case)
+    head = case.label | {"controller": of.name, "failure": ""}
+    if isinstance(of.own, Path):
+        return head | work(_driven_file, of.own, case)
     try:
-        return head | (experiment(of, case).measured(_row)[0] if own is None else _driven_class(of, case, own))
+        if of.own is not None:
+            return head | _driven_class(of.own, case)
+        parameters = {} if of.name == NOTHING else None
+        options = CONTROLLERS[of.name].quick
+        return head | replace(case, controller=of.name, parameters=parameters, options=options).measured(_row)[0]
     except (InputError, ArithmeticError, CompilerError) as error:
         return head | {"failure": str(error)}
 
 
-def _driven_file(of: Entry, case: Case) -> dict:
+def _driven_file(file: Path, case: Experiment) -> dict:
     try:
-        return _driven_class(of, case, load_class(Path(of.file)))
+        return _driven_class(load_class(file), case)
     except (Exception, SystemExit) as error:  # the file of a user may raise whatever it likes
-        return {"failure": fault(error, Path(of.file))}
+        return {"failure": fault(error, file)}
 
 
-def _driven_class(of: Entry, case: Case, own: type) -> dict:
-    asked = experiment(of, case, own)
+def _driven_class(own: type, case: Experiment) -> dict:
+    written = _counted(made(own, case.setting))
+    asked = replace(case, controller=_enter(f"scored {own.__name__}", lambda settings: written))
     return _row(asked.run(), asked)[0]
 
 
@@ -382,7 +353,7 @@ def points(row: dict) -> float:
     return float(np.clip(100 * (q - nothing) / (best - nothing), 0.0, 100.0)) if best > nothing else 0.0
 
 
-def ends_of_the_scale(case: Case) -> dict[str, float]:
+def ends_of_the_scale(case: Experiment) -> dict[str, float]:
     """J of `nothing` and of the `best` possible, and the `limit` of the error (m).
 
     With sensors the limit is the linear-quadratic-Gaussian bound (`uncertainty.limit`) with the noise, latency and
@@ -414,25 +385,20 @@ def _bounds(loop: Loop, speed: float) -> dict:
     return {"errors": [bound.limit(load_vehicle(), loop, speed, _WALKS, activity=a).error for a in _ACTIVITIES]}, None
 
 
-def score(
-    of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, own: type | None = None, quiet: bool = False
-) -> pd.DataFrame:
+def score(of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False) -> pd.DataFrame:
     """Rows of the suite for one or several draws, with `points`, `nothing`, `best`, `limit` and `seed`.
 
-    A class of a chapter (`own`) is driven in this process, because others cannot read it. A run that two draws have in
-    common is driven once.
+    A class of a chapter is driven in this process, because others cannot read it. A run that two draws have in common
+    is driven once.
     """
     wanted = [(seed, case) for seed in seeds for case in cases(seed, names)]
-    different: list[Case] = []
+    different: list[Experiment] = []
     for _, case in wanted:
         if case not in different:
             different.append(case)
     with executor() as pool:
         ends = ordered_map(pool, ends_of_the_scale, different, "limits", quiet)
-        if own is None:
-            rows = ordered_map(pool, lambda case: drive(of, case), different, f"score {of.name}", quiet)
-        else:
-            rows = [drive(of, case, own) for case in different]
+        rows = ordered_map(pool, lambda case: drive(of, case), different, f"score {of.name}", quiet)
     judged = [row | end | {"points": points(row | end)} for row, end in zip(rows, ends, strict=True)]
     return pd.DataFrame([judged[different.index(case)] | {"seed": seed} for seed, case in wanted])
 
@@ -447,7 +413,7 @@ def card(table: pd.DataFrame) -> pd.DataFrame:
         sums = {setting: _sums(part) for setting, part in draw.groupby("setting", sort=False)}
         sums[ALL] = {"score": float(np.mean([found["score"] for found in sums.values()]))}
         for setting, found in sums.items():
-            units = {name: METRICS[name][2] if name in METRICS else "-" for name in found}
+            units = {name: METRICS[name][0] if name in METRICS else "-" for name in found}
             rows += [(ALL, draw["controller"].iloc[0], name, found[name], units[name], setting, seed) for name in found]
     return pd.DataFrame(rows, columns=["scenario", "controller", "metric", "value", "unit", "setting", "seed"])
 
@@ -470,14 +436,14 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     are of the ranked draws, or of the published one where there is no other: score per setting, margins, failed runs,
     and error (mm), its limit (mm) and torque (N m) behind sensors.
     """
-    found, published = {}, draws().published
+    found = {}
     for name, rows in cards.groupby("controller", sort=False):
         total = rows[(rows["setting"] == ALL) & (rows["metric"] == "score")].set_index("seed")["value"]
-        ranked = total.drop(published, errors="ignore")
+        ranked = total.drop(PUBLISHED, errors="ignore")
         chosen = rows[rows["seed"].isin(ranked.index)] if len(ranked) else rows
         mean = chosen.groupby(["metric", "setting"])["value"].mean()
         failures = chosen[chosen["metric"] == "failures"].groupby("seed")["value"].sum().mean()
-        row = {"ranked": ranked.mean(), "spread": ranked.std(), "published": total.get(published, np.nan)}
+        row = {"ranked": ranked.mean(), "spread": ranked.std(), "published": total.get(PUBLISHED, np.nan)}
         row |= {setting: mean.get(("score", setting), np.nan) for setting in (EQUAL, LOOP)}
         row |= {"margins": chosen[chosen["metric"] == MARGINS]["value"].mean(), "runs failed": failures}
         row |= {f"{words} (mm), loop": 1e3 * mean.get((words, LOOP), np.nan) for words in ("error", "limit")}
@@ -485,18 +451,6 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     table = pd.DataFrame(found).T.rename_axis("controller")
     order = table["ranked"].fillna(table["published"]).sort_values(ascending=False, kind="stable").index
     return table.loc[order]
-
-
-def shown(table: pd.DataFrame) -> str:
-    """The card of one draw as lines for a terminal, a column per setting."""
-    whole = card(table).pivot_table(index="metric", columns="setting", values="value")
-    words = {name: (text, 1.0) for name, text in _SUMS.items()} | {name: line[:2] for name, line in METRICS.items()}
-    lines = [f"{'':48s}{EQUAL:>12s}{LOOP:>12s}"]
-    for name, (text, factor) in words.items():
-        if name in whole.index:
-            values = (factor * whole.loc[name, setting] for setting in (EQUAL, LOOP))
-            lines.append(f"{text:48s}" + "".join(f"{'-' if np.isnan(v) else f'{v:.4g}':>12s}" for v in values))
-    return "\n".join([*lines, f"score over both settings: {whole.loc['score', ALL]:.1f} of 100"])
 
 
 # A class of a chapter.
@@ -515,7 +469,7 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., f
 
 def tune(
     own: type, setting: str, runs: Sequence[str], start: Mapping[str, float], particles: int, iterations: int
-) -> pso.Outcome:
+) -> pso.Swarm:
     """Gains that a swarm finds within a decade around a start, where its first particle begins; see `tuning_cost`."""
     evaluate = tuning_cost(own, setting, runs)
     bounds = [pso.Dimension(name, value / 10, value * 10, "log") for name, value in start.items()]
@@ -526,13 +480,12 @@ def tune(
     return pso.minimise(costs, bounds, particles, iterations, seed=1, start=dict(start))
 
 
-def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: int | None = None) -> pd.DataFrame:
+def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: int = PUBLISHED) -> pd.DataFrame:
     """Points per setting and run, a column per controller: heading -> class, or key of `registry.CONTROLLERS`."""
-    seed, found = draws().published if seed is None else seed, {}
+    found = {}
     for heading, one in controllers.items():
-        registered = isinstance(one, str)
-        rows = score(Entry(one if registered else heading), [seed], names, None if registered else one, quiet=True)
-        found[heading] = rows.set_index(["setting", "scenario"])["points"]
+        of = Entry(one) if isinstance(one, str) else Entry(heading, one)
+        found[heading] = score(of, [seed], names, quiet=True).set_index(["setting", "scenario"])["points"]
     return pd.DataFrame(found)
 
 
@@ -543,8 +496,8 @@ def check(of: Entry) -> None:
     """Drive a controller through some metres in both settings; InputError when it fails but for derailment."""
     scenario = load_scenario("curve_entry_T3").but(end_m=30.0)
     for setting in (EQUAL, LOOP):
-        sensors = {"seed": draws().published} if setting == LOOP else {}
-        row = drive(of, Case("check", setting, scenario, sensors=sensors))
+        sensors = {"seed": PUBLISHED} if setting == LOOP else {}
+        row = drive(of, case("check", setting, scenario, {}, {}, sensors))
         if "way" not in row:
             raise InputError(row["failure"])
 
@@ -559,33 +512,31 @@ def main(controller: str | None = None, seed: int | None = None, small: bool = F
         return
     if controller is None:
         raise InputError("score: a Python file with one controller class, or a registered name, is needed")
-    chosen, draw = entry(controller), draws().published if seed is None else seed
+    chosen, draw = entry(controller), PUBLISHED if seed is None else seed
     print(f"checking controller {chosen.name}", flush=True)
     check(chosen)
     table = score(chosen, [draw], QUICK if small else None)
     head = ["scenario", "setting", "seed", "controller", "points", "failure"]
-    units = {name: f"{name} ({unit})" for name, (_, _, unit, _) in METRICS.items() if name in table}
+    units = {name: f"{name} ({unit})" for name, (unit, _) in METRICS.items() if name in table}
     file = paths.BUILD / "score" / f"{chosen.name}-{draw}.csv"
     data.write(file, table[[*head, *units]].rename(columns=units).to_csv(index=False, float_format="%.6g"))
     for _, row in table[table["failure"] != ""].iterrows():
         print(f"failed: {row['scenario']} in the setting {row['setting']}: {row['failure']}")
-    print(shown(table))
+    sums = card(table)
+    print(sums.pivot_table(index=["metric", "unit"], columns="setting", values="value", sort=False).to_string())
+    print(f"score over both settings: {sums[sums['setting'] == ALL]['value'].item():.1f} of 100")
     print(f"seed {draw}; written: {file}")
 
 
-def leaderboard(names: list[str]) -> None:
-    """Score the controllers of these names or files, or all and those of examples/, and write the leaderboard.
+def leaderboard() -> None:
+    """Score the registered controllers and those of examples/, and write the leaderboard.
 
     Runs of registered controllers are stored, so that an interrupted command goes on where it was.
     """
-    chosen = names or [*SHOWN, NOTHING, *(str(paths.ROOT / f"examples/{name}.py") for name in EXAMPLES)]
-    seeds, cards, file = (draws().published, *draws().ranked), [], paths.source(LEADERBOARD)
-    for of in map(entry, chosen):
+    cards = []
+    for of in map(entry, [*SHOWN, NOTHING, *(str(paths.ROOT / f"examples/{name}.py") for name in EXAMPLES)]):
         check(of)
-        cards.append(card(score(of, seeds)))
+        cards.append(card(score(of, (PUBLISHED, *RANKED))))
     found = pd.concat(cards, ignore_index=True)
-    if names and file.exists():
-        others = pd.read_csv(file)
-        found = pd.concat([others[~others["controller"].isin(found["controller"])], found], ignore_index=True)
     data.write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))
     print(ranking(found).round(1).to_string())

@@ -3,33 +3,43 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
 from railrepro.data import InputError
-from railrepro.evidence.chain import parent_death
 
 PROGRAM = "python -m railrepro"
 
 
-def report_errors(command: Callable[[], int | None]) -> int:
+def report_errors(command: Callable[[], object]) -> int:
     """Run a command; what stops it is reported in one sentence.
 
     Returns
     -------
     int
-        Exit code: what the command returned (None is 0), 1 after an `InputError` or where the system refuses a file,
-        130 after Ctrl-C or the end of make.
+        Exit code: the number that the command returned, 0 after anything else, which is printed; 1 after an
+        `InputError` or where the system refuses a file, 130 after Ctrl-C.
     """
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see `railrepro.__main__`
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        parent_death.follow_make()
-        return command() or 0
+        leader = os.environ.get("RAILREPRO_LEADER", "")
+        if leader.isdigit():
+            threading.Thread(target=end_with, args=(int(leader),), daemon=True).start()
+        result = command()
+        if isinstance(result, int):
+            return result
+        if result is not None:
+            print(result)
+        return 0
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -40,6 +50,23 @@ def report_errors(command: Callable[[], int | None]) -> int:
     except KeyboardInterrupt:
         print("interrupted; nothing half-written, run again to resume", file=sys.stderr)
         return 130
+
+
+def end_with(leader: int) -> None:
+    """Wait for the end of another process (that of make), then kill this one and all that it started.
+
+    They may be in a long call and could not end by themselves. What they write is written whole or not at all.
+    """
+    import psutil
+
+    with suppress(psutil.NoSuchProcess):
+        process = psutil.Process(leader)
+        while process.is_running() and process.status() != psutil.STATUS_ZOMBIE:
+            time.sleep(0.5)
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            process.kill()
+    os._exit(1)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -105,7 +132,7 @@ def _studies(command: Callable) -> None:
     added = command("bench", "bench.speed:main", "measure speed, write data/results")
     added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")
     added = command("report", "report.page:main", "judge the statements, write REPLICATION.md, numbers of README.md")
-    added.add_argument("--accept", action="store_true", help="store verdicts that changed in data/verdicts.csv")
+    added.add_argument("--accept", action="store_true", help="write verdicts that changed, too")
 
 
 def _tools(command: Callable) -> None:
@@ -114,8 +141,8 @@ def _tools(command: Callable) -> None:
     added.add_argument("--describe", action="store_true", help="only print what a law may use, with unit and meaning")
     added.add_argument("--seed", type=_whole(0, 2**31), help="a different random seed of noise, rails and cars")
     added.add_argument("--small", action="store_true", help="only the quick runs of the published draw, no margins")
-    added = command("leaderboard", "benchmark:leaderboard", "score registered controllers and examples/ (long)")
-    added.add_argument("names", nargs="*", metavar="CONTROLLER", help="names or files; default all")
+    command("leaderboard", "benchmark:leaderboard", "score registered controllers and examples/ (long)")
+    command("release", "release:main", "an archive with the runs of Figs. 6 to 9 as data for other programs")
     added = command("live", "", "the page in build/live that drives the car in a browser")
     added.set_defaults(call="railrepro.export.live:main")
 
@@ -128,10 +155,5 @@ def _chain(command: Callable) -> None:
     added.add_argument("name")
     added = command("drive", "chain.chain:drive", "run the chapters 00 to 09 with a car of one's own")
     added.add_argument("vehicle", type=Path, help="a file like data/vehicle.toml")
-    added = command("script", "chain.book:script", "a chapter as a Python script, in build/scripts")
-    added.add_argument("name", help="its name or two digits")
     command("html", "chain.book:html", "executed notebooks as a book in build/html")
-    command("strip", "chain.cleaning:strip_all", "remove outputs from the notebooks")
-    added = command("verify", "chain.verify:verify", "rerun everything and compare with the committed products")
-    added.add_argument("--quick", action="store_true", help="only the notebooks that take about a minute")
-    added.add_argument("--into", type=Path, help="new or empty folder for the products, default build/verify")
+    command("verify", "chain.verify:verify", "rerun everything and compare with the committed products")

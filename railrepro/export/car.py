@@ -8,7 +8,7 @@ from pathlib import Path
 from railrepro.car import component, equations
 from railrepro.car.component import DERAILED, LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.export.fmu import Fmu, Parameter, constant, fmu_file, parameters, parameters_text, write_fmu
+from railrepro.export.fmu import Fmu, Parameter, constant, defines, parameters, parameters_text, write_fmu
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -40,7 +40,6 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     InputError
         Without C compiler, with an impossible speed, or where the file cannot be written.
     """
-    path = fmu_file(path)  # refused before the car is built
     text, found = written(SteppedCar(route, speed, vehicle), speed)
     description = "Multibody car on independently rotating wheels"
     fmu = Fmu("car", description, equations.car().outputs, INPUTS, LARGEST_TORQUE, found)
@@ -69,7 +68,6 @@ def _constants(car: SteppedCar, route: Callable) -> str:
     sizes |= {"FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}
     text = '\n#define INPUTS_TEXT "the four torques"\n'
     text += f'#define INPUT_TEXT "a torque must be a number of at most {LARGEST_TORQUE:g} N m"\n'
-    text += "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    text += "".join(f"#define {name} {float(value).hex()}\n" for name, value in grids.items())
+    text += defines(sizes) + defines({name: float(value).hex() for name, value in grids.items()})
     arrays = {"CONTACTS": contacts, "START": car.state}
     return text + route("CELLS", car.route.cells) + "".join(constant(*array) for array in arrays.items())

@@ -28,7 +28,7 @@ from railrepro.export.fmu import (
     Fmu,
     Parameter,
     constant,
-    fmu_file,
+    defines,
     index_enum,
     parameters,
     parameters_text,
@@ -81,7 +81,7 @@ class Export:
     Raises
     ------
     InputError
-        An attribute of another kind; when the slower controller of a guidance is written in Python.
+        An attribute of another kind.
     """
 
     guidance: lateral.Guidance
@@ -93,7 +93,6 @@ class Export:
         require("export: route", self.route, Route)
         require("export: vehicle", self.vehicle, Vehicle)
         require("export: settings", self.settings, law.LawSettings)
-        lateral.split(self.guidance)
 
     def source(self) -> str:
         """C source: controller_t with `measured`, `torque` and `parameters`, controller_reset(c), controller_step(c).
@@ -104,7 +103,10 @@ class Export:
         return self.written()[0]
 
     def written(self, road: Callable = constant) -> tuple[str, list[Parameter]]:
-        """C source, and the parameters; `road` writes the table of the route, see `constant`."""
+        """C source, and the parameters; `road` writes the table of the route, see `constant`.
+
+        InputError when the slower controller of the guidance is written in Python.
+        """
         lateral_law, factory = lateral.split(self.guidance)
         limits = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, self.settings, **limits)
@@ -112,8 +114,8 @@ class Export:
         if factory:
             planners += [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
         predictive = bool(planners) and isinstance(planners[0], PredictiveController)
-        functions = [control.function, set_point(), *(self._solver_functions(planners[0]) if predictive else ())]
-        text = codegen.source_text(functions) + (Path(codegen.__file__).with_name("call.h")).read_text()
+        functions = [control.function, set_point(), *(_solver_functions(planners[0]) if predictive else ())]
+        text = codegen.source_text(functions) + codegen.PREAMBLE
         found = parameters(control.signature.Gains, control.gains) + list(_LAID)
         if predictive:
             found += self._solver_parameters(planners)
@@ -139,7 +141,6 @@ class Export:
         predictive controller weights ("cost.r") and model ("belief.J_z"). `set_point.kind` 0, 1 or 2 puts another set
         point on the road than the route's (-1), see `railrepro.track.route.SetPoint`.
         """
-        path = fmu_file(path)
         text, found = self.written()
         description = "Controller of two running gears with independently rotating wheels"
         fmu = Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST, found)
@@ -156,18 +157,11 @@ class Export:
         sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}
         positions = [gear.p for gear in (measured.front, measured.rear)]
         text = index_enum("MEASURED", interface.MEASURED) + index_enum("TORQUE", TORQUES)
-        text += _defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("POSITIONS", positions)
+        text += defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("POSITIONS", positions)
         cells = self.route.cells.copy()
         if lateral.split(self.guidance)[1] is None:
             cells[:, ~_read(control.function)] = 0.0
         return text + road("CELLS", cells)
-
-    def _solver_functions(self, planner: PredictiveController) -> list[ca.Function]:
-        """Functions of the solver, and the torque limit (N m) over the speed (m/s) from the numbers of the drive."""
-        (numbers, drive), speed, settings = symbols(Drive, "drive"), ca.SX.sym("speed"), planner.settings
-        limit = ca.SX(drive.limit(speed / self.vehicle.wheel.radius))
-        solver = riccati.functions(settings.variant, settings.discretisation)
-        return [*solver, ca.Function("torque_limit", [speed, numbers], [limit])]
 
     def _solver_parameters(self, planners: list[PredictiveController]) -> list[Parameter]:
         """Numbers of the predictive controllers of both gears; what fixes a size keeps its value."""
@@ -188,11 +182,19 @@ class Export:
         settings, first = planners[0].settings, planners[0]
         sizes: dict[str, int | str] = {"STEPS": settings.steps, "MOST_SETS": riccati.MOST_SETS, "MODE": first.mode}
         sizes |= {"YIELDING": int(settings.yielding), "INFORMED": int(settings.informed)}
-        sizes |= _work("PLAN", self._solver_functions(first))
+        sizes |= _work("PLAN", _solver_functions(first))
         sizes |= {"AFFINE": float(first.horizon.c.affine).hex(), "N_NOMINAL": len(NOMINAL)}
         sizes |= {"DRIVE": indices(signature.Gains).drive.torque_limit}
-        text = _defines(sizes) + riccati.c_text(settings.variant, settings.discretisation)
+        text = defines(sizes) + riccati.c_text(settings.variant, settings.discretisation)
         return text + (_HERE / "planner_memory.c").read_text()
+
+
+def _solver_functions(planner: PredictiveController) -> list[ca.Function]:
+    """Functions of the solver, and the torque limit (N m) over the speed (m/s) from the numbers of the drive."""
+    (numbers, drive), speed, settings = symbols(Drive, "drive"), ca.SX.sym("speed"), planner.settings
+    limit = ca.SX(drive.limit(speed / planner.vehicle.wheel.radius))
+    solver = riccati.functions(settings.variant, settings.discretisation)
+    return [*solver, ca.Function("torque_limit", [speed, numbers], [limit])]
 
 
 def _inputs(period: float, signature: law.LawSignature) -> str:
@@ -206,7 +208,7 @@ def _inputs(period: float, signature: law.LawSignature) -> str:
         [pack(getattr(gear, part)) if signature.sensed else [0] * size for gear in gears]
         for part, size in (("estimated", len(STATES)), ("read", len(read)))
     )
-    text = _defines(sizes) + _integers("STATES_AT", states) + _integers("ESTIMATED", estimated)
+    text = defines(sizes) + _integers("STATES_AT", states) + _integers("ESTIMATED", estimated)
     text += _integers("READ_AT", [[row[i] for i in read] for row in states]) + _integers("READ", readings)
     return text + _integers("BASE", [gear.u for gear in gears])
 
@@ -226,10 +228,6 @@ def _work(name: str, functions: Sequence[ca.Function]) -> dict[str, int]:
     """Sizes of the memory of generated functions."""
     sizes = {"ARG": "sz_arg", "RES": "sz_res", "IW": "sz_iw", "W": "sz_w"}
     return {f"{name}_{key}": max(getattr(f, size)() for f in functions) for key, size in sizes.items()}
-
-
-def _defines(values: dict) -> str:
-    return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def _read(function: ca.Function) -> np.ndarray:

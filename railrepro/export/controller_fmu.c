@@ -1,11 +1,11 @@
-/* A controller as an FMU. Starts after controller.c, fmi.h; fmi.c follows. */
+/* A controller as an FMU. Starts after controller.c; fmi2.c follows. */
 
 typedef struct {
   double inputs[N_INPUT], y[N_OUTPUT];
   double *parameters;  /* those of the controller */
   controller_t controller;
   double cells[N_CELLS * N_CELL_COLUMNS];
-  const host_t *host;
+  const char *said;
 } fmu_t;
 
 static void connect(fmu_t *u) { u->parameters = u->controller.parameters; }
@@ -19,10 +19,11 @@ static void reset(fmu_t *u) {
 static void begin(fmu_t *u) { controller_lay(&u->controller, u->cells), controller_start(&u->controller); }
 
 /* What is measured is held for all cycles of a step. */
-static status_t advance(fmu_t *u, casadi_int steps) {
+static int advance(fmu_t *u, casadi_int steps) {
+  u->said = "the control law failed";
   memcpy(u->controller.measured, u->inputs, sizeof u->controller.measured);
   for (casadi_int k = 0; k < steps; ++k)
-    if (controller_step(&u->controller)) return report(u->host, STATUS_ERROR, "the control law failed");
+    if (controller_step(&u->controller)) return 3;
   memcpy(u->y, u->controller.torque, sizeof u->y);
-  return STATUS_OK;
+  return 0;
 }

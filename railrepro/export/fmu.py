@@ -1,7 +1,7 @@
 """From C source text to an FMU (FMI 2.0) for co-simulation, for this platform.
 
-What an FMU does stands in its own C (`fmu_t`, connect, reset, begin, advance) between fmi.h and fmi.c; fmi2.c
-translates to the standard. All run-time numbers of car and controllers are parameters of their FMUs.
+What an FMU does stands in its own C (`fmu_t`, connect, reset, begin, advance), which fmi2.c translates to the
+standard. All run-time numbers of car and controllers are parameters of their FMUs.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 
 from railrepro import data
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile import codegen
-from railrepro.data import InputError, location, write
+from railrepro.compile import cache
+from railrepro.data import location, write
 from railrepro.quantities import names, notes
 
 _SOURCE = "all.c"
@@ -56,6 +56,11 @@ def parameters_text(of: Sequence[Parameter]) -> str:
     tables = {"PARAMETERS": "value", "LOWEST": "low", "HIGHEST": "high"}
     text = "".join(constant(name, np.array([getattr(one, key) for one in of])) for name, key in tables.items())
     return index_enum("PARAMETER", [one.name for one in of]) + f"enum {{ N_PARAMETER = {len(of)} }};\n" + text
+
+
+def defines(values: dict) -> str:
+    """C macros by name."""
+    return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
@@ -95,20 +100,6 @@ def constant(name: str, values: np.ndarray) -> str:
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
 
-def fmu_file(path: Path | str) -> Path:
-    """A file that an FMU can be written to.
-
-    Raises
-    ------
-    InputError
-        For a folder.
-    """
-    file = location(path)
-    if file.is_dir():
-        raise InputError(f"{file} is a folder, the name of an .fmu file is needed")
-    return file
-
-
 def write_fmu(path: Path | str, fmu: Fmu, text: str, model: str) -> Path:
     """Compile and pack an FMU.
 
@@ -128,20 +119,19 @@ def write_fmu(path: Path | str, fmu: Fmu, text: str, model: str) -> Path:
     InputError
         Where the file cannot be written.
     """
-    begin, shared, version = (Path(__file__).with_name(name).read_text() for name in ("fmi.h", "fmi.c", "fmi2.c"))
     numbers = {"N_INPUT": len(fmu.inputs), "LARGEST_INPUT": float(fmu.largest).hex(), "FMU_NAME": f'"{fmu.name}"'}
-    text += "".join(f"#define {name} {value}\n" for name, value in numbers.items())
-    around = f"{begin}{model}{shared}{version}"
+    text += defines(numbers)
+    file, around = location(path), model + Path(__file__).with_name("fmi2.c").read_text()
     guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{around}{_description(fmu, '')}"))
     text += f'\n#define GUID "{guid}"\n{around}'
     suffix = "dylib" if sys.platform == "darwin" else "so"
-    compiled, packed = codegen.build(text, portable=True), io.BytesIO()
+    compiled, packed = cache.build(text, portable=True), io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.write(compiled, f"binaries/{_system()}/{fmu.identifier}.{suffix}")
         archive.writestr("modelDescription.xml", _description(fmu, guid))
         archive.writestr(f"sources/{_SOURCE}", text)
-    write(Path(path), packed.getvalue())
-    return Path(path)
+    write(file, packed.getvalue())
+    return file
 
 
 def _system() -> str:

@@ -21,7 +21,7 @@ from railrepro import paths
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile import codegen
+from railrepro.compile import cache
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
 from railrepro.control.registry import CONTROLLERS, NOTHING, guidance, parameters
@@ -61,9 +61,9 @@ FEW, FEWER = 10, 50
 
 def webassembly(text: str, model: Path, inputs: Sequence[str]) -> bytes:
     """Module of a car or a controller from its C before `model`, and the names of its inputs."""
-    parts = (_HERE.parent / "fmi.h", model, _HERE / "module.c")
+    parts = (model, _HERE / "module.c")
     text = f'{text}\n#define N_INPUT {len(inputs)}\n#define FMU_NAME "live"\n'
-    return codegen.build(text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
+    return cache.build(text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
 
 
 def _writable(name: str, values: np.ndarray) -> str:

@@ -34,7 +34,7 @@ static void planner_reset(planner_memory_t *m, int gear, const double *parameter
                      m->feedback, m->feedforward, m->dx, m->du, m->slope, m->fixed, m->side,
                      m->inner, m->slack, m->multiplier, m->slack_step, m->multiplier_step, m->target, m->barrier,
                      &m->passes};
-  m->p = (planner_t){&m->h, m->x_hat, m->plan, parameters[PARAMETER_OBSERVER], 0, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
+  m->p = (planner_t){&m->h, m->plan, parameters[PARAMETER_OBSERVER], 0, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
 }
 
 /* Torque limit (N m) at a speed (m/s). */

@@ -6,7 +6,6 @@ track at the present position. Serves the paper's eqs. (7) and (18) to (20).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -66,22 +65,13 @@ class ControlModel:
         return np.array([*values, suspension.roll_stiffness, suspension.roll_damping, vehicle.gravity])
 
 
-def control_model(variant: str = "corrected", discrepancies: Iterable[str] | None = None) -> ControlModel:
+@lru_cache
+def control_model(variant: str = "corrected") -> ControlModel:
     """The control-oriented model.
 
-    The variant is "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3";
-    `discrepancies` are taken instead: which entries of `DISCREPANCIES` to keep as printed.
+    The variant is "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3".
     """
-    stored = kept_as_printed(variant) if discrepancies is None else frozenset(discrepancies)
-    if stored - set(DISCREPANCIES) - OUTSIDE:
-        raise InputError(
-            f"discrepancies {sorted(stored)} are not all known; there are {sorted({*DISCREPANCIES, *OUTSIDE})}"
-        )
-    return _control_model(stored - OUTSIDE)
-
-
-@lru_cache
-def _control_model(discrepancies: frozenset[str]) -> ControlModel:
+    discrepancies = kept_as_printed(variant) - OUTSIDE
     return ControlModel(_rhs(tuple(sorted(discrepancies))), discrepancies)
 
 

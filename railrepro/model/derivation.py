@@ -54,25 +54,15 @@ def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
     return total + sum(sp.diff(expression, rate) * change for rate, change in rate_of_rates.items())
 
 
-@dataclass(frozen=True)
-class Constraints:
-    """Rates of the dependent coordinates as functions of the free rates."""
+def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
+    """Dependent rates, of y and of both wheel angles, in the free ones: lateral kinematics and ideal rolling.
 
-    lateral: sp.Expr
-    spin: dict[str, sp.Expr]
-
-    @property
-    def rates(self) -> dict:
-        """Substitution of dependent rates."""
-        return {yd: self.lateral, thd_ri: self.spin["ri"], thd_le: self.spin["le"]}
-
-
-def constraints(discrepancies: frozenset[str]) -> Constraints:
-    """Lateral kinematics and ideal rolling. Source: eqs. (9) and (12)."""
+    Source: eqs. (9) and (12).
+    """
     turning = psid + kappa * xd if "D3" in discrepancies else psid
     spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
     spin_le = -(xd + arm["le"] * turning) / radius["le"]
-    return Constraints(xd * sp.sin(psi_r), {"ri": spin_ri, "le": spin_le})
+    return {yd: xd * sp.sin(psi_r), thd_ri: spin_ri, thd_le: spin_le}
 
 
 def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
@@ -124,15 +114,13 @@ class Equations:
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
     """Derive the equations of motion with some of `DISCREPANCIES` kept as printed; none gives the corrected model."""
-    kinematics = constraints(discrepancies)
+    dependent = constraints(discrepancies)
     t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
     free = {xd: xdd, psid: psidd}
-    changes = free | {
-        rate: time_derivative(e, free).subs(yd, kinematics.lateral) for rate, e in kinematics.rates.items()
-    }
+    changes = free | {rate: time_derivative(e, free).subs(yd, dependent[yd]) for rate, e in dependent.items()}
     forces = generalised_forces()
     if "D1" in discrepancies:
-        t, d = t.subs(kinematics.rates), d.subs(kinematics.rates)
+        t, d = t.subs(dependent), d.subs(dependent)
         derivatives = (along_track, lambda e: sp.diff(e, psi))
         residual = [
             time_derivative(sp.diff(t, rate), free) - partial(t) + partial(v) + sp.diff(d, rate) - force
@@ -144,9 +132,36 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
             by_t, by_v = (along_track(e) if coordinate == x else sp.diff(e, coordinate) for e in (t, v))
             inertia = time_derivative(sp.diff(t, rate), changes) - by_t
             equation = inertia + by_v + sp.diff(d, rate)
-            velocity = kinematics.rates.get(rate, rate)
+            velocity = dependent.get(rate, rate)
             for i, own in enumerate((xd, psid)):
                 residual[i] += equation * sp.diff(velocity, own)
-    residual = sp.Matrix(residual).subs(kinematics.rates)
+    residual = sp.Matrix(residual).subs(dependent)
     mass = residual.jacobian(sp.Matrix(accelerations))
     return Equations(mass, residual.subs({xdd: 0, psidd: 0}))
+
+
+@lru_cache
+def yaw_equation(discrepancies: frozenset[str] = frozenset()) -> dict[str, sp.Expr]:
+    """Coefficients of the yaw equation about straight centred running at speed v.
+
+    Returns
+    -------
+    dict
+        "inertia" multiplies psidd; "torque" the differential torque; "psi", "psid", "y", "roll rate" the deviations;
+        all for the form inertia * psidd = sum of coefficient * quantity.
+    """
+    found, v = equations(discrepancies), sp.Symbol("v")
+    small = (psi, psid, y, yd, psi_Tr, kappa, phi_Tr, dphi, psi_CB, kappa_CB, *torques)
+    straight = dict.fromkeys(small, 0) | {xd: v}
+
+    def slope(quantity: sp.Symbol) -> sp.Expr:
+        return sp.expand(-sp.diff(found.rest[1], quantity).subs(straight))
+
+    return {
+        "inertia": sp.expand(found.mass[1, 1].subs(straight)),
+        "torque": slope(tau_le) - slope(tau_ri),
+        "psi": slope(psi),
+        "psid": slope(psid),
+        "y": slope(y),
+        "roll rate": sp.expand(slope(dphi) / v),
+    }

@@ -13,7 +13,7 @@ import numpy as np
 
 from railrepro.compile.codegen import stored
 from railrepro.model.control_model import STATES, THETA, XDOT, X
-from railrepro.track.route import COLUMNS, Route, reference_in, track_in
+from railrepro.track.route import COLUMNS, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 
 NOMINAL = ("acceleration_per_torque", "partner", "m_CB")
@@ -82,27 +82,3 @@ def functions() -> tuple[ca.Function, ca.Function]:
     x_d |= {"y_TrAx": y_ref, "psi_TrAx": slope}
     results = [ca.vertcat(*(x_d[name] for name in STATES)), ca.vertcat(*(theta[name] for name in THETA))]
     return positions, ca.Function("preview_stage", [*inputs, *cells], results, {"cse": True})
-
-
-def forecast(route: Route, nominal: np.ndarray, x_hat: np.ndarray, u_d: float, period: float, steps: int) -> Forecast:
-    """Desired states and track parameters over the horizon.
-
-    Parameters
-    ----------
-    route : Route
-    nominal : ndarray
-        See `NOMINAL`.
-    x_hat : ndarray, shape (6,)
-        Measured state.
-    u_d : float
-        Base torque per wheel, traction-positive (N m).
-    period, steps : float, int
-        Time step T (s) and number of steps L.
-    """
-    position, stage = functions()
-    t = period * np.arange(steps + 1)[None, :]
-    wide = [np.tile(np.reshape(value, (-1, 1)), steps + 1) for value in (x_hat, u_d)]
-    arguments = [*wide, t, np.tile(nominal[:, None], steps + 1)]
-    positions = np.array(position(*arguments))
-    x_d, theta = stage(*arguments, *(route.rows_at(p).T for p in positions))
-    return Forecast(np.array(x_d).T, np.array(theta).T)

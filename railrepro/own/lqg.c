@@ -1,89 +1,79 @@
-/* A sample of the controller of lqg.py for one running gear, without allocation. Starts after call.h and the indices of the
-   columns of a cell of the route, as AT_kappa. */
+/* A sample of the controller of lqg.py for one running gear, without allocation. Starts after call.h and the sizes, indices and
+   constants that lqg.py defines. */
 
-/* Sizes and indices as in lqg.py; the last of the designs believes in rough rails. */
-enum { MODEL = 14, FREE = 16, RAIL = 12, BIAS = 14, KNOWN = 9, SIGNALS = 3, DESIGNS = 2, LAGS = 20 };
-enum { K_OFFSET = 5, K_TURNED, K_BEND };
+enum { SIGNALS = 3, FILTERS = 2 };  /* the second filter believes in rough rails */
 
 typedef struct lqg {
-  casadi_int speeds, design, sent, taps, whole, cells, width, bends, rows;
-  double least_speed, log_step, behind, period, tap, lag, torque_limit, acceleration, gravity, base, partner, lost, memory;
-  double start, cell, bend_start, bend_pitch, pitch;
-  const double *designs, *route, *bend;
-  /* offset and direction of the rails along the way that the gear in front found; torques sent, last first */
+  casadi_int speeds, design, sent, taps, late, cells, width, rows;
+  double behind, torque_limit, acceleration, gravity, base, partner, memory, start;
+  const double *designs, *route;
+  /* offset and direction of the rails along the track that the gear in front found; torques sent, last first */
   double *rails, *torques;
   struct lqg *follower;
-  double state[DESIGNS][FREE], weight[DESIGNS], share[DESIGNS], surprise[SIGNALS], known_until;
+  double state[FILTERS][FREE], weight[FILTERS], share[FILTERS], surprise[SIGNALS], known_until;
   casadi_int started, restarts;
 } lqg_t;
 
 /* A design at one speed, as lqg.py lays it out. */
 typedef struct {
-  const double *a, *last, *before, *e, *read[DESIGNS], *inverse[DESIGNS], *feedback[DESIGNS], *ahead[DESIGNS], *smooth;
-  double size[DESIGNS];
+  const double *a, *b, *e, *feedback, *ahead, *read[FILTERS], *inverse[FILTERS], *smooth;
+  double size[FILTERS];
 } lqg_design_t;
 
 static lqg_design_t lqg_design_at(const lqg_t *g, double v) {
-  const double place = floor(log(v / g->least_speed) / g->log_step + 0.5);
+  const double place = floor(log(v / LEAST_SPEED) / LOG_STEP + 0.5);
   const double *at = g->designs + (casadi_int)fmin(place, (double)(g->speeds - 1)) * g->design;
   lqg_design_t d = {0};
   d.a = at, at += MODEL * MODEL;
-  d.last = at, at += MODEL;
-  d.before = at, at += MODEL;
+  d.b = at, at += MODEL;
   d.e = at, at += MODEL * KNOWN;
-  for (int f = 0; f < DESIGNS; ++f) {
+  d.feedback = at, at += MODEL + g->sent;
+  d.ahead = at, at += g->taps * (KNOWN + 1);
+  for (int f = 0; f < FILTERS; ++f) {
     d.read[f] = at, at += FREE * SIGNALS;
     d.inverse[f] = at, at += SIGNALS * SIGNALS;
     d.size[f] = *at++;
-    d.feedback[f] = at, at += MODEL + g->sent;
-    d.ahead[f] = at, at += g->taps * (KNOWN + 1);
   }
   d.smooth = at;
   return d;
 }
 
-/* Linear interpolation in a table of rows of two, constant beyond its ends. */
-static void lqg_pair_at(const double *table, casadi_int n, double place, double *pair) {
-  place = fmin(fmax(place, 0), (double)n - 1.001);
+/* Offset and direction of the rails at p: those that the gear in front found, or none. */
+static void lqg_rails_at(const lqg_t *g, double p, double *rail) {
+  const double place = fmin(fmax((fmin(p, g->known_until) - g->start) / PITCH, 0), (double)g->rows - 1.001);
   const casadi_int row = (casadi_int)place;
-  const double share = place - (double)row, *low = table + 2 * row;
-  for (int i = 0; i < 2; ++i) pair[i] = low[i] + share * (low[2 + i] - low[i]);
-}
-
-/* What the profile makes of a displacement from the rails. */
-static void lqg_bend_at(const lqg_t *g, double y, double *pair) {
-  lqg_pair_at(g->bend, g->bends, (y - g->bend_start) / g->bend_pitch, pair);
+  const double share = place - (double)row, *low = g->rails + 2 * row;
+  for (int i = 0; i < 2; ++i) rail[i] = low[i] + share * (low[2 + i] - low[i]);
+  if (p > g->known_until) rail[1] = 0;  /* the gear in front has not been there */
 }
 
 /* Known inputs at a place that is passed at a speed; set point over the rails, and curvature of the track. */
 static double lqg_known_at(const lqg_t *g, double p, double v, double *known, double *curvature) {
-  const double *c = row_at(g->route, p, g->start, g->cell, g->cells, g->width);
-  const double *o = row_at(g->route, p + g->partner, g->start, g->cell, g->cells, g->width);
+  const double *c = row_at(g->route, p, g->start, CELL, g->cells, g->width);
+  const double *o = row_at(g->route, p + g->partner, g->start, CELL, g->cells, g->width);
   const double d = p - c[AT_p], od = p + g->partner - o[AT_p];
   const double kappa = c[AT_kappa] + c[AT_dkappa] * d, heading = c[AT_psi] + (c[AT_kappa] + c[AT_dkappa] * d / 2) * d;
   const double other = o[AT_psi] + (o[AT_kappa] + o[AT_dkappa] * od / 2) * od;
   const double y_ref = c[AT_y_ref] + d * (c[AT_dy_ref] + d * (c[AT_ddy_ref] / 2 + d * c[AT_dddy_ref] / 6));
   double rail[2];
-  lqg_pair_at(g->rails, g->rows, (fmin(p, g->known_until) - g->start) / g->pitch, rail);
-  if (p > g->known_until) rail[1] = 0;  /* the gear in front has not been there */
+  lqg_rails_at(g, p, rail);
   *curvature = kappa;
-  known[0] = g->gravity * (c[AT_phi] + c[AT_dphi] * d) - v * v * kappa;
-  known[1] = v * v * c[AT_dkappa];
-  known[2] = v * c[AT_dphi];
-  known[3] = (heading - other) / 2;
-  known[4] = v * (kappa - o[AT_kappa] - o[AT_dkappa] * od) / 2;
-  known[K_OFFSET] = rail[0];
-  known[K_TURNED] = v * rail[1];
-  lqg_bend_at(g, y_ref, known + K_BEND);
+  known[K_SIDE] = g->gravity * (c[AT_phi] + c[AT_dphi] * d) - v * v * kappa;
+  known[K_TURNING] = v * v * c[AT_dkappa];
+  known[K_ROLLING] = v * c[AT_dphi];
+  known[K_HEADING] = (heading - other) / 2;
+  known[K_SLEWING] = v * (kappa - o[AT_kappa] - o[AT_dkappa] * od) / 2;
+  known[K_RAIL_OFFSET] = rail[0];
+  known[K_RAIL_RATE] = v * rail[1];
   return y_ref + rail[0];
 }
 
 /* State without creepage and disturbance at what was read. */
 static void lqg_begin(lqg_t *g, const double *read, double v) {
   memset(g->state, 0, sizeof g->state), memset(g->weight, 0, sizeof g->weight);
-  for (int f = 0; f < DESIGNS; ++f) {
+  for (int f = 0; f < FILTERS; ++f) {
     double *x = g->state[f];
-    x[0] = x[6] = read[0], x[1] = v * read[1], x[2] = read[1], x[3] = read[2], x[4] = g->base / 2 * read[2];
+    x[0] = read[0], x[1] = v * read[1], x[2] = read[1], x[3] = read[2], x[4] = g->base / 2 * read[2];
     x[5] = g->torques[0];
   }
   g->started = 1;
@@ -92,7 +82,7 @@ static void lqg_begin(lqg_t *g, const double *read, double v) {
 /* Update every filter by the reading, and the share of each by how well it had expected it. */
 static void lqg_update(lqg_t *g, const lqg_design_t *d, const double *read, double v) {
   double best = -INFINITY, total = 0;
-  for (int f = 0; f < DESIGNS; ++f) {
+  for (int f = 0; f < FILTERS; ++f) {
     double *x = g->state[f], square = 0;
     const double expected[SIGNALS] = {x[0] - x[RAIL], x[2] - x[RAIL + 1] / v + x[BIAS], x[3] + x[BIAS + 1]};
     double surprise[SIGNALS];
@@ -101,39 +91,32 @@ static void lqg_update(lqg_t *g, const lqg_design_t *d, const double *read, doub
       for (int j = 0; j < SIGNALS; ++j) square += surprise[i] * d->inverse[f][i * SIGNALS + j] * surprise[j];
     for (int i = 0; i < FREE; ++i)
       for (int j = 0; j < SIGNALS; ++j) x[i] += d->read[f][i * SIGNALS + j] * surprise[j];
-    g->weight[f] += -g->period / g->memory * g->weight[f] - (square + d->size[f]) / 2;
+    g->weight[f] += -PERIOD / g->memory * g->weight[f] - (square + d->size[f]) / 2;
     best = fmax(best, g->weight[f]);
   }
-  for (int f = 0; f < DESIGNS; ++f) total += g->share[f] = exp(g->weight[f] - best);
-  for (int f = 0; f < DESIGNS; ++f) g->share[f] /= total;
+  for (int f = 0; f < FILTERS; ++f) total += g->share[f] = exp(g->weight[f] - best);
+  for (int f = 0; f < FILTERS; ++f) g->share[f] /= total;
 }
 
 /* Differential torque: the last one and the change that feedback and preview ask for, within the limit. */
-static double lqg_steered(const lqg_t *g, const lqg_design_t *d, double place, double v, double a) {
+static double lqg_steered(const lqg_t *g, const lqg_design_t *d, const double *x, double place, double v, double a) {
   double change = 0, known[KNOWN], curvature;
-  for (int f = 0; f < DESIGNS; ++f) {
-    for (int i = 0; i < MODEL; ++i) change += g->share[f] * d->feedback[f][i] * g->state[f][i];
-    for (casadi_int i = 0; i < g->sent; ++i) change += g->share[f] * d->feedback[f][MODEL + i] * g->torques[i];
-  }
+  for (int i = 0; i < MODEL; ++i) change += d->feedback[i] * x[i];
+  for (casadi_int i = 0; i < g->sent; ++i) change += d->feedback[MODEL + i] * g->torques[i];
   for (casadi_int k = 0; k < g->taps; ++k) {
-    const double t = (double)k * g->tap, driven = a < 0 ? fmin(t, -v / a) : t;
-    const double set_point = lqg_known_at(g, place + (v + a / 2 * driven) * driven, v + a * driven, known, &curvature);
-    for (int f = 0; f < DESIGNS; ++f) {
-      const double *gain = d->ahead[f] + k * (KNOWN + 1);
-      double asked = gain[KNOWN] * set_point;
-      for (int i = 0; i < KNOWN; ++i) asked += gain[i] * known[i];
-      change += g->share[f] * asked;
-    }
+    const double t = (double)k * TAP, driven = a < 0 ? fmin(t, -v / a) : t, *gain = d->ahead + k * (KNOWN + 1);
+    change += gain[KNOWN] * lqg_known_at(g, place + (v + a / 2 * driven) * driven, v + a * driven, known, &curvature);
+    for (int i = 0; i < KNOWN; ++i) change += gain[i] * known[i];
   }
   return fmin(fmax(g->torques[0] + change, -g->torque_limit), g->torque_limit);
 }
 
 /* State of every filter a period later under the torques that act and what the way does to the gear. */
 static void lqg_predict(lqg_t *g, const lqg_design_t *d, const double *known) {
-  for (int f = 0; f < DESIGNS; ++f) {
+  for (int f = 0; f < FILTERS; ++f) {
     double next[MODEL];
     for (int i = 0; i < MODEL; ++i) {
-      next[i] = d->last[i] * g->torques[g->whole] + d->before[i] * g->torques[g->whole + 1];
+      next[i] = d->b[i] * g->torques[g->late];
       for (int j = 0; j < MODEL; ++j) next[i] += d->a[i * MODEL + j] * g->state[f][j];
       for (int j = 0; j < KNOWN; ++j) next[i] += d->e[i * KNOWN + j] * known[j];
     }
@@ -145,13 +128,13 @@ static void lqg_predict(lqg_t *g, const lqg_design_t *d, const double *known) {
    has passed. */
 static void lqg_pass_on(const lqg_t *g, const lqg_design_t *d, double place, double v) {
   lqg_t *to = g->follower;
-  const double *x = g->state[DESIGNS - 1], share = g->share[DESIGNS - 1];
-  const casadi_int cell = (casadi_int)fmin(fmax((place - to->start) / to->pitch, 0), (double)to->rows - 2);
+  const double *x = g->state[FILTERS - 1], share = g->share[FILTERS - 1];
+  const casadi_int cell = (casadi_int)fmin(fmax((place - to->start) / PITCH, 0), (double)to->rows - 2);
   double *row = to->rails + 2 * cell;
-  const casadi_int before = (casadi_int)fmax((to->known_until - to->start) / to->pitch, 0);
+  const casadi_int before = (casadi_int)fmax((to->known_until - to->start) / PITCH, 0);
   for (casadi_int i = cell > before ? 0 : 1; i < 2; ++i) row[2 * i] = share * x[RAIL], row[2 * i + 1] = share * x[RAIL + 1] / v;
   for (casadi_int i = 0; i <= cell; ++i, row -= 2) {
-    const casadi_int lag = (casadi_int)((place - to->start - (double)(cell - i) * to->pitch) / (v * g->lag) + 0.5);
+    const casadi_int lag = (casadi_int)((place - to->start - (double)(cell - i) * PITCH) / (v * LAG) + 0.5);
     if (lag >= LAGS) break;
     if (i == 0 && cell > before) continue;
     const double *gain = d->smooth + lag * 2 * SIGNALS;
@@ -165,27 +148,26 @@ static void lqg_pass_on(const lqg_t *g, const lqg_design_t *d, double place, dou
 double lqg_sample(void *gear, const double *state, const double *readings, double base_torque) {
   lqg_t *g = gear;
   const double v = state[2], a = base_torque * g->acceleration, place = state[0] - g->behind * v;
-  if (!(v >= g->least_speed)) {  /* wheels that hardly turn cannot steer */
+  if (!(v >= LEAST_SPEED)) {  /* wheels that hardly turn cannot steer */
     g->started = 0;
     return g->torques[0];
   }
   double known[KNOWN], x[FREE] = {0}, curvature;
   lqg_known_at(g, place, v, known, &curvature);
-  const double read[SIGNALS] = {readings[0] + known[K_OFFSET], readings[1] + known[K_TURNED] / v, readings[2] - v * curvature};
+  const double read[SIGNALS] = {readings[0] + known[K_RAIL_OFFSET], readings[1] + known[K_RAIL_RATE] / v, readings[2] - v * curvature};
   const lqg_design_t d = lqg_design_at(g, v);
   double off = -read[0];
-  for (int f = 0; f < DESIGNS; ++f) off += g->share[f] * g->state[f][0];
-  if (g->started && !(fabs(off) < g->lost)) g->started = 0, ++g->restarts;
+  for (int f = 0; f < FILTERS; ++f) off += g->share[f] * g->state[f][0];
+  if (g->started && !(fabs(off) < LOST)) g->started = 0, ++g->restarts;
   if (!g->started) lqg_begin(g, read, v);
   lqg_update(g, &d, read, v);
-  for (int f = 0; f < DESIGNS; ++f)
+  for (int f = 0; f < FILTERS; ++f)
     for (int i = 0; i < FREE; ++i) x[i] += g->share[f] * g->state[f][i];
 
   if (g->follower) lqg_pass_on(g, &d, place, v);
-  const double torque = lqg_steered(g, &d, place, v, a);
-  memmove(g->torques + 1, g->torques, (size_t)(g->sent + 1) * sizeof(double));
+  const double torque = lqg_steered(g, &d, x, place, v, a);
+  memmove(g->torques + 1, g->torques, (size_t)g->sent * sizeof(double));
   g->torques[0] = torque;
-  lqg_bend_at(g, x[0] - x[RAIL] - known[K_OFFSET], known + K_BEND);
   lqg_predict(g, &d, known);
   return torque;
 }

@@ -9,7 +9,7 @@ static void planner_reset(planner_memory_t *m, int gear, const double *parameter
   (void)parameters;  /* its designs are tables */
   memset(m, 0, sizeof *m);
   m->gear = LQG_GEARS[gear];
-  m->gear.designs = LQG_DESIGNS, m->gear.route = cells, m->gear.bend = LQG_BEND;
+  m->gear.designs = LQG_DESIGNS, m->gear.route = cells;
   m->gear.rails = m->rails, m->gear.torques = m->torques, m->gear.known_until = m->gear.start;
   if (gear == 0) m->gear.follower = &m[1].gear;
 }

@@ -47,6 +47,11 @@ class _Loop(ctypes.Structure):
     ]
 
 
+SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 2, ctypes.c_double)
+"""Function of a slower controller, see `planner_slot_t` of loop.c: differential torque (N m) from the address of its
+memory, states of its gear (6,), readings of it (3,), see `interface.ReadGear`, and base torque (N m)."""
+
+
 class _Planner(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in ("sample", "self", "state", "read", "base", "held")]
 
@@ -54,8 +59,7 @@ class _Planner(ctypes.Structure):
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
     """The loop as a shared object."""
-    parts = Path(codegen.__file__).with_name("call.h"), Path(__file__).with_name("loop.c")
-    loaded = codegen.library((), "".join(part.read_text() for part in parts))
+    loaded = codegen.library((), codegen.PREAMBLE + Path(__file__).with_name("loop.c").read_text())
     loaded.loop_run.restype = ctypes.c_longlong
     return loaded
 
@@ -75,8 +79,6 @@ class ClosedLoop:
         States of the law, see `law.LawSignature.memory`.
     columns : tuple of str
         Names of the columns that `run` returns.
-    functions : dict
-        The functions behind a control cycle by name, on shared buffers: coordinates, output, law, step.
     """
 
     def __init__(self, car: SteppedCar, control: law.ControlLaw):
@@ -106,9 +108,8 @@ class ClosedLoop:
             [self._measured, cells, self.held, self._gains, self.memory],
             [self.car.torque, self._next_memory, self._record, self._margins],
         )
-        control_law = codegen.CompiledFunction(control.library(), *binding)
-        self.functions = self.car.functions | {"law": control_law}
-        self._driver, self._loop = _library(), self._structure(control_law)
+        self._law = codegen.CompiledFunction(control.library(), *binding)
+        self._driver, self._loop = _library(), self._structure()
 
     def run(self, n: int) -> np.ndarray:
         """Advance by up to n control cycles.
@@ -138,12 +139,12 @@ class ClosedLoop:
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
-        """Let compiled controllers of both gears plan before the law, every so many cycles.
+        """Let slower controllers of both gears plan before the law, every so many cycles.
 
         Parameters
         ----------
         planners : sequence of (int, int)
-            Per gear the address of its function, see `planner_slot_t` of loop.c, and that of its memory.
+            Per gear the address of its function, see `SAMPLE`, and that of its memory.
         every : int
         """
         read = [STATES.index(name) for name in names(interface.ReadGear)]
@@ -180,14 +181,6 @@ class ClosedLoop:
         """Distance to each limit of the run, see `interface.MARGINS`."""
         return dict(zip(interface.MARGINS, self._margins.tolist(), strict=True))
 
-    def inputs(self) -> tuple[np.ndarray, ...]:
-        """Arguments x, u, rows, contacts, par of the equations at the present state."""
-        return self.car.inputs()
-
-    def measure(self) -> np.ndarray:
-        """Outputs at the present state, in the order of `SteppedCar.model.outputs`."""
-        return self.car.measure()
-
     def measured_states(self) -> np.ndarray:
         """States of front and rear gear as last measured, shape (2, 6), in the order of the control model.
 
@@ -197,15 +190,7 @@ class ClosedLoop:
             return self.car.measured[self._states]
         return self.memory[self._estimated]
 
-    def readings(self) -> np.ndarray | None:
-        """What sensors read of both gears last (`interface.ReadGear`), shape (2, 3); None without them or at first."""
-        return None if self._estimated is None or not self.cycles else self.memory[self._read]
-
-    def base_torques(self) -> np.ndarray:
-        """Base torque per wheel of front and rear gear (N m), shape (2,)."""
-        return self.memory[self._base]
-
-    def _structure(self, control_law: codegen.CompiledFunction) -> _Loop:
+    def _structure(self) -> _Loop:
         outputs = self.car.measured
         sensed = [_copy(outputs[j : j + 1], self._measured[i : i + 1]) for i, j in enumerate(self.sensed)]
         logged = [_copy(outputs), _copy(self._record)]
@@ -213,6 +198,6 @@ class ClosedLoop:
         self._copies = [(_Copy * len(group))(*group) for group in (sensed, logged, carried)]
         addresses = (ctypes.addressof(copies) for copies in self._copies)
         return _Loop(
-            ctypes.cast(self.car.pointer, ctypes.c_void_p), *self.car.c_functions(), control_law.call, *addresses,
+            ctypes.cast(self.car.pointer, ctypes.c_void_p), *self.car.c_functions(), self._law.call, *addresses,
             *map(len, self._copies), self._margins.ctypes.data, self._margins.size,
         )  # fmt: skip

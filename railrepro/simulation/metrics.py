@@ -12,7 +12,7 @@ import scipy
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
-from railrepro.data import InputError, above, require
+from railrepro.data import InputError, require
 from railrepro.quantities import GEARS, WHEELS
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
@@ -21,6 +21,8 @@ FLANGE_ANGLE = np.radians(30)
 """Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
 FLANGEWAY = 7e-3
 """Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
+LONGEST_DELAY, DELAY_STEP = 60.0, 0.1
+"""Largest lag that `delay` considers, and its resolution (m)."""
 ACTIVITY = 5.0
 """Frequency above which a differential torque follows no set point (Hz): a sweep of 40 m at 400 km/h has 2.8 Hz."""
 
@@ -83,42 +85,28 @@ def reaches_flange(series: pd.DataFrame) -> bool:
     return bool(on_flange(series).any())
 
 
-def delay(series: pd.DataFrame, gear: str = "front", longest: float = 60.0, step: float = 0.1) -> float:
+def delay(series: pd.DataFrame, gear: str = "front") -> float:
     """Distance by which y trails y* (m): the lag of the largest cross-correlation of the detrended signals.
 
-    Parameters
-    ----------
-    series : DataFrame
-        Series of a run.
-    gear : str
-    longest : float
-        Largest lag considered, both directions (m).
-    step : float
-        Resolution of the lag (m).
-
-    Returns
-    -------
-    float
-        Positive when y comes after y* (m); nan when the set point or the car does not move.
+    Lags up to `LONGEST_DELAY` in both directions count, in steps of `DELAY_STEP`. Positive when y comes after y*; nan
+    when the set point or the car does not move.
     """
-    require("delay: longest", longest, above(0.0, 1e5, "m"))
-    require("delay: step", step, above(1e-4, longest, "m"))
     of_gear = Part(series, gear)
     p = of_gear.p
-    grid = np.arange(p[0], p[-1], step)
+    grid = np.arange(p[0], p[-1], DELAY_STEP)
     if grid.size < 2:
         return float("nan")
     y, reference = (_detrended(np.interp(grid, p, values)) for values in (of_gear.y, of_gear.y_ref))
     if np.ptp(reference) < 1e-9:
         return float("nan")
-    most = min(round(longest / step), grid.size // 2)
+    most = min(round(LONGEST_DELAY / DELAY_STEP), grid.size // 2)
     lags = np.arange(-most, most + 1)
     # Means, not sums: each lag has its own number of overlapping samples.
     correlation = [
         np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
         for lag in lags.tolist()
     ]
-    return float(step * lags[np.argmax(correlation)])
+    return float(DELAY_STEP * lags[np.argmax(correlation)])
 
 
 def _detrended(values: np.ndarray) -> np.ndarray:
@@ -144,7 +132,6 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
 
 def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
     """Share of time in which a motor of the gear works at its torque limit (-)."""
-    require("metrics: torque limit", limit, above(0.0, 1e5, "N m"))
     torque = np.abs(Part(series, gear).tau_long) + np.abs(Part(series, gear).du)
     return float(np.mean(torque >= 0.999 * limit))
 
@@ -191,8 +178,6 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
 
     `utilisation` is the mean adhesion of both wheels over the largest possible, where the demand exceeds the latter.
     """
-    require("scenario", scenario, Scenario)
-    require("vehicle", vehicle, Vehicle)
     front = Part(series, "front")
     p, v = front.p, front.v
     moving = v > 2.0

@@ -17,8 +17,7 @@ from railrepro import data, paths
 from railrepro.data import InputError, Number, above, between, steps
 from railrepro.reads import Entries
 from railrepro.track import route
-from railrepro.track.alignment import CANT_BASE
-from railrepro.track.table import Track, load_track
+from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle
 
 _AMPLITUDE = Annotated[Number, above(0.01, 20.0, "mm", signed=True)]
@@ -26,8 +25,6 @@ _AMPLITUDE = Annotated[Number, above(0.01, 20.0, "mm", signed=True)]
 what is stated in metres by mistake."""
 FLANGEWAY = 8.0
 """Lateral displacement at which S1002 on 60E1 surely touches with its flange (mm)."""
-STEEPEST_RAMP = 10.0
-"""Steepest cant ramp (mm/m), three times what railways allow; wheels lift on steeper ones."""
 _PERIOD = Annotated[Number, between(2 * route.CELL, 1e5, "m")]
 _POSITION = Annotated[Number, between(-1e5, 1e5, "m")]
 _FADE = Annotated[Number, above(0.0, 1e5, "m")]
@@ -148,7 +145,6 @@ class Scenario:
         """Lay set point, adhesion and demand along the track, see `railrepro.track.route.lay`."""
         left, right = self.poor_shares
         track = load_track(self.track_file())
-        self._check_ramps(track)
         way = route.lay(
             track,
             reference=self.reference(),
@@ -162,15 +158,6 @@ class Scenario:
                 f"scenario {self.name}: end_m = {self.end_m} lies beyond track {self.track} ({way.length} m)"
             )
         return replace(way, length=self.end_m)
-
-    def _check_ramps(self, track: Track) -> None:
-        twist = 1e3 * CANT_BASE * np.abs(track.interpolate(track.p)[3])
-        if twist.max() > STEEPEST_RAMP:
-            raise InputError(
-                f"scenario {self.name}: the cant of track {self.track} changes by {twist.max():.3g} mm/m at "
-                f"p = {track.p[np.argmax(twist)]:g} m, up to {STEEPEST_RAMP:g} mm/m is allowed; its clothoid or ramp "
-                "must be longer"
-            )
 
     def track_file(self) -> str:
         """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
@@ -200,7 +187,7 @@ def _steps(points):
     return lambda p: 1e3 * table[np.searchsorted(table[:, 0], p, side="right") - 1, 1]
 
 
-def load_scenarios(path: Path | str | None = None) -> dict[str, Scenario]:
+def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
     """All scenarios of a file by name.
 
     Parameters

@@ -5,8 +5,12 @@ Serves the paper's Fig. 4 and section Simulation Environment.
 
 from __future__ import annotations
 
+import ctypes
+import itertools
+import math
+import reprlib
 from dataclasses import dataclass, field
-from math import isfinite
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,21 +18,22 @@ import pandas as pd
 from railrepro.car import equations
 from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.control import lateral, law
+from railrepro.control import interface, lateral, law
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS
-from railrepro.data import InputError, require
+from railrepro.data import InputError, above, is_number, require
 from railrepro.estimation.sensors import Loop, Readings
-from railrepro.model.control_model import X
-from railrepro.simulation.closed_loop import ClosedLoop
+from railrepro.model.control_model import STATES, X
+from railrepro.quantities import names
+from railrepro.simulation.closed_loop import SAMPLE, ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
 from railrepro.threads import one_thread
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-LARGEST_LOG = 2 * 2**30
-"""Most bytes that the log of a run may take; while its series is made, memory holds it three times."""
+LONGEST_PERIOD = 1.0
+"""Longest period of a slower controller (s)."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +106,9 @@ def run(
     Raises
     ------
     InputError
-        An argument of another kind or beyond its range, a vehicle that lacks an adhesion set of the scenario, or a way
-        so long that at the initial speed its log would exceed `LARGEST_LOG`.
+        An argument of another kind or beyond its range, or a vehicle that lacks an adhesion set of the scenario.
     ArithmeticError
-        When a lateral controller returns a torque that is not finite.
+        When a lateral controller returns no finite number.
     """
     vehicle = load_vehicle() if vehicle is None else vehicle
     body = vehicle if plant_vehicle is None else plant_vehicle
@@ -114,12 +118,11 @@ def run(
     settings = law.LawSettings(adhesion, fixed_share, sensors)
     route = checked_route(scenario, body, irregularities, line)
     lateral_law, factory = lateral.split(guidance)
-    latency = vars(settings.sensors.loop.latency).values() if settings.sensors else ()
     with one_thread():
         controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
         loop = start(scenario, lateral_law, route, vehicle, body, settings, substeps)
-        longest = _longest(route, scenario, len(loop.columns))
-        log = _drive(loop, controllers, longest, sum(latency) + CONTROL_PERIOD, sensors.loop if sensors else None)
+        longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
+        log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
     series = pd.DataFrame(log, columns=loop.columns)
     series.insert(0, "t_s", np.arange(len(series)) * CONTROL_PERIOD)
     ended, failed = _reason(loop, series)
@@ -133,7 +136,10 @@ def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tu
     """Slower controllers of both gears, of one period that the control cycle divides; InputError otherwise."""
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
     for controller in controllers:
-        lateral.check_controller(controller)
+        owner = f"lateral controller {type(controller).__name__}"
+        if not (hasattr(controller, "plan") or hasattr(controller, "compiled")):
+            raise InputError(f"{owner}: has no plan(x_hat, u_d)")
+        require(f"{owner}: period", getattr(controller, "period", None), above(0.0, LONGEST_PERIOD, "s"))
     periods = {round(controller.period / CONTROL_PERIOD, 6) for controller in controllers}
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
         raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
@@ -167,49 +173,53 @@ def start(
     return ClosedLoop(car, control)
 
 
-def _longest(route: Route, scenario: Scenario, columns: int) -> int:
-    """Most cycles a run may take: the way at a tenth of the initial speed, at least 10 s, within `LARGEST_LOG`."""
-    seconds, fit = route.length / scenario.speed, LARGEST_LOG // (8 * columns)
-    if seconds / CONTROL_PERIOD > fit:
-        raise InputError(
-            f"scenario {scenario.name}: {route.length:g} m at {scenario.speed_kmh:g} km/h take {seconds:.0f} s, up to "
-            f"{fit * CONTROL_PERIOD:.0f} s fit into a log of {LARGEST_LOG / 2**30:g} GiB, drive it in parts"
-        )
-    return min(int(max(10.0, 10 * seconds) / CONTROL_PERIOD), fit)
-
-
-def _drive(loop: ClosedLoop, controllers: tuple, longest: int, delay: float, sensors: Loop | None) -> np.ndarray:
-    """Alternate lateral plans and control cycles until the run ends; returns rows of the log, shape (n, columns).
-
-    With sensors a torque acts a `delay` (s) after the readings that it answers, those of the cycle before.
-    """
+def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | None) -> np.ndarray:
+    """Run to the end, with plans of slower controllers at their period; rows of the log, shape (n, columns)."""
     if not controllers:
         return loop.run(longest)
-    steps = round(controllers[0].period / CONTROL_PERIOD)
-    if hasattr(controllers[0], "compiled"):
-        front, rear = controllers
-        loop.connect([front.compiled(sensors), rear.compiled(sensors, front)], steps)
-        return loop.run(longest)
-    blocks = []
-    for _ in range(0, longest, steps):
-        if not np.isfinite(loop.measure()).all():
-            break
-        states, base = loop.measured_states(), loop.base_torques()
-        readings = loop.readings()
-        for gear, controller in enumerate(controllers):
-            if readings is not None and hasattr(controller, "read"):
-                controller.read(readings[gear], delay)
-            plan = lateral.planned(controller.plan(states[gear], base[gear]))
-            if not isfinite(plan):
+    steps, (front, rear) = round(controllers[0].period / CONTROL_PERIOD), controllers
+    faults: list[BaseException] = []
+    if hasattr(front, "compiled"):
+        planners = [front.compiled(sensors), rear.compiled(sensors, front)]
+    else:
+        called = [
+            _called(controller, gear, sensors, faults) for gear, controller in zip(GEARS, controllers, strict=True)
+        ]
+        planners = [(ctypes.cast(function, ctypes.c_void_p).value or 0, 0) for function in called]
+    loop.connect(planners, steps)
+    log = loop.run(longest + -longest % steps)  # whole samples
+    for fault in faults:
+        raise fault
+    return log
+
+
+def _called(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Any:
+    """A controller written in Python as a function that the loop calls; what it raises is kept and ends the run.
+
+    With sensors a torque acts a latency after the readings that it answers, those of the cycle before.
+    """
+    delay = sum(vars(sensors.latency).values()) + CONTROL_PERIOD if sensors else 0.0
+    samples, n_readings = itertools.count(), len(names(interface.ReadGear))
+
+    def sample(_memory, state, read, base: float) -> float:
+        try:
+            x_hat, count = np.array(state[: len(STATES)]), next(samples)
+            if faults or not np.isfinite(x_hat).all():
+                return math.nan
+            if sensors and count and hasattr(controller, "read"):  # nothing is read before the first cycle
+                controller.read(np.array(read[:n_readings]), delay)
+            torque = controller.plan(x_hat, base)
+            if not is_number(torque):
                 raise ArithmeticError(
-                    f"the lateral controller of the {GEARS[gear]} gear returned {plan} at t = {loop.time:.3f} s, "
-                    f"p = {states[gear, X]:.1f} m"
+                    f"the lateral controller of the {gear} gear returned {reprlib.repr(torque)} at t = "
+                    f"{count * controller.period:.3f} s, p = {x_hat[X]:.1f} m; a finite number (N m) is needed"
                 )
-            loop.held[gear] = plan
-        blocks.append(loop.run(steps))
-        if loop.ended:
-            break
-    return np.concatenate(blocks)
+            return float(torque)
+        except BaseException as fault:  # which C does not pass on
+            faults.append(fault)
+            return math.nan
+
+    return SAMPLE(sample)
 
 
 def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:

@@ -23,7 +23,7 @@ CANT_BASE = 1.5
 MAX_CANT = 0.3
 """Largest cant angle of a track (rad), 0.44 m on the standard base: twice what railways build."""
 LONGEST = 1e5
-"""Longest segment (m)."""
+"""Longest segment, and longest track of a CSV (m)."""
 LENGTH, SPEED, RADIUS = above(0.0, LONGEST, "m"), above(0.0, 450.0, "km/h"), above(50.0, math.inf, "m", signed=True)
 
 
@@ -133,7 +133,7 @@ class SegmentsEntry:
         return Alignment(name, tuple(made), None if self.design_speed_kmh is None else self.design_speed_kmh / 3.6)
 
 
-def alignments(path: Path | str | None = None) -> dict[str, Alignment]:
+def alignments(path: Path | str | None = None) -> Entries[Alignment]:
     """Alignments of a TOML file (default data/tracks.toml) by name; InputError with one sentence on wrong entries."""
     file = data.location(path, paths.source("data/tracks.toml"))
     found: dict = {}

@@ -14,11 +14,13 @@ import pandas as pd
 from pydantic import Field
 
 from railrepro import data, paths
-from railrepro.data import InputError, Number, above, between, require
+from railrepro.data import InputError, Number, above, between
+from railrepro.track.columns import read_numbers, refuse
 from railrepro.track.irregularity import (
     CHANNELS,
     FLANGEWAY,
     LARGEST,
+    WAVELENGTH,
     check,
     coordinates,
     faded,
@@ -26,10 +28,9 @@ from railrepro.track.irregularity import (
     smooth_step,
     track_centre,
 )
-from railrepro.track.table import read_numbers, refuse
 
-_GAP = 1.5
-"""Longest allowed step of p_m in a file over the usual one."""
+_STEP = 1.5
+"""Longest step of p_m in a file (m): half of the shortest wave."""
 _START = Annotated[Number, between(-1e6, 1e6, "m")]
 _LENGTH = Annotated[Number, above(0.0, 1e6, "m")]
 _HEIGHT = Annotated[Number, between(-LARGEST, LARGEST, "m")]
@@ -111,18 +112,6 @@ def _check_fit(defect: Dip | AlignmentFault | LateralOffset, p: np.ndarray, deta
         raise InputError(f"{defect.kind}: {detail:g} m long, at least {4 * step:g} m are needed at this sampling")
 
 
-def superpose(*frames: pd.DataFrame) -> pd.DataFrame:
-    """Sum of frames of irregularities at the same coordinates."""
-    first = frames[0]
-    total = first[["p_m", *CHANNELS.values()]].copy()
-    for frame in frames[1:]:
-        if not np.array_equal(frame["p_m"], first["p_m"]):
-            raise InputError("irregularities: frames at different p_m cannot be superposed")
-        for column in CHANNELS.values():
-            total[column] += frame[column]
-    return total
-
-
 @data.table
 class Rough:
     """Irregularities of a run: random ones (arguments of `irregularities`) or those of a file, and defects.
@@ -133,32 +122,29 @@ class Rough:
     file: str | None = None
     chainage: Annotated[Number, between(-1e7, 1e7, "m")] = 0.0
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
-    spectrum: str | None = None
-    seed: Annotated[int, between(0, 2**63)] | None = None
-    shortest: _LENGTH | None = None
-    longest: _LENGTH | None = None
+    spectrum: str = "erri_low"
+    seed: Annotated[int, between(0, 2**63)] = 1
+    shortest: Annotated[Number, WAVELENGTH] = 3.0
+    longest: Annotated[Number, WAVELENGTH] = 100.0
 
     def __post_init__(self) -> None:
-        if self.file is not None and self.random():
-            raise ValueError(f"has a file and {list(self.random())}, which only random irregularities take")
+        random = self.spectrum, self.seed, self.shortest, self.longest
+        if self.file is not None and random != (Rough.spectrum, Rough.seed, Rough.shortest, Rough.longest):
+            raise ValueError("has a file and what only random irregularities take (spectrum, seed, shortest, longest)")
         if self.file is None and self.chainage != 0.0:
             raise ValueError(f"has the chainage {self.chainage!r}, but no file that has one")
-
-    def random(self) -> dict:
-        """Arguments of `irregularities` that are given."""
-        names = ("spectrum", "seed", "shortest", "longest")
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def at(self, p) -> pd.DataFrame:
         """Irregularities at track coordinates p (m), shape (n,)."""
         p = coordinates(p)
         if self.file is None:
-            frame = irregularities(p, **self.random())
+            total = irregularities(p, self.spectrum, self.seed, self.shortest, self.longest)
         else:
             measured = read_irregularities(paths.source(self.file), length=float(p[-1]), chainage=self.chainage)
             channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
-            frame = faded(pd.DataFrame({"p_m": p} | channels))
-        total = superpose(frame, *(defect.at(p) for defect in self.defects))
+            total = faded(pd.DataFrame({"p_m": p} | channels))
+        for defect in self.defects:
+            total = total + defect.at(p).assign(p_m=0.0)
         check(total)
         return total
 
@@ -186,9 +172,7 @@ def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
     return data.build(Rough, arguments, "irregular").at(p)
 
 
-def read_irregularities(
-    path: Path | str, length: float | None = None, shortest: float = 3.0, chainage: float = 0.0
-) -> pd.DataFrame:
+def read_irregularities(path: Path | str, length: float, chainage: float = 0.0) -> pd.DataFrame:
     """Read and check irregularities that a recording car measured; CSV with one row per sample and these columns:
 
     - p_m: coordinate along the track (m), increasing, 0 where the run begins, or `chainage`;
@@ -203,10 +187,8 @@ def read_irregularities(
     Parameters
     ----------
     path : path
-    length : float, optional
+    length : float
         Length of the run from p = 0 that has to be covered (m).
-    shortest : float
-        Shortest wavelength that is wanted of the file (m); its rows may be at most half of it apart.
     chainage : float
         What p_m is where the run begins (m); coordinates are returned less this.
 
@@ -219,34 +201,19 @@ def read_irregularities(
     ------
     InputError
         Missing column, anything but a finite number, p_m not increasing or with a gap, wrong unit, beyond the
-        flangeway, shorter than the run, sampled too coarsely; one sentence naming file and row.
+        flangeway, shorter than the run; one sentence naming file and row.
     """
     file = data.location(path)
-    require("chainage", chainage, between(-1e7, 1e7, "m"))
-    require("shortest", shortest, above(0.0, 1e5, "m"))
-    require("length", length or 0.0, between(0.0, 1e7, "m"))
-    frame = read_numbers(file, ("p_m", *CHANNELS.values()))
+    frame = read_numbers(file, [[column] for column in ("p_m", *CHANNELS.values())])
+    for column in CHANNELS.values():
+        low, high = FLANGEWAY.get(column, (-LARGEST, LARGEST))
+        refuse(file.name, frame[column], ~frame[column].between(low, high), f"{low:g} to {high:g} is allowed (unit?)")
+    far = np.diff(frame["p_m"], prepend=frame["p_m"][0]) > _STEP
+    refuse(file.name, frame["p_m"], far, f"which is more than {_STEP:g} m after the row before")
     frame["p_m"] -= chainage
-    p = frame["p_m"].to_numpy()
-    usual = float(np.median(np.diff(p)))
-    _check_steps(file.name, p, _GAP * usual, f"{_GAP} times the usual step; the file has a gap")
-    ranges = [(column, -LARGEST, LARGEST, " (unit?)") for column in CHANNELS.values()]
-    ranges += [(column, *allowed, "; more than the flangeway takes") for column, allowed in FLANGEWAY.items()]
-    for column, low, high, hint in ranges:
-        outside = (frame[column] < low) | (frame[column] > high)
-        refuse(file.name, frame[column], outside, f"{low:g} to {high:g} is allowed{hint}")
-    if length is not None and (p[0] > 0 or p[-1] < length):
+    first, last = frame["p_m"].iloc[[0, -1]]
+    if first > 0 or last < length:
         raise InputError(
-            f"{file.name}: p_m goes from {p[0]:g} to {p[-1]:g} m, the run needs 0 to {length:g} m; `chainage` shifts it"
+            f"{file.name}: p_m goes from {first:g} to {last:g} m, the run needs 0 to {length:g} m; `chainage` shifts it"
         )
-    _check_steps(file.name, p, shortest / 2, f"half of the shortest wavelength, {shortest:g} m")
     return frame
-
-
-def _check_steps(where: str, p: np.ndarray, largest: float, why: str) -> None:
-    """Refuse rows that are too far apart, by the first of them."""
-    far = np.diff(p) > largest
-    if far.any():
-        row = int(np.argmax(far))
-        step = f"row {row + 3}, p_m goes from {p[row]:g} to {p[row + 1]:g} m"
-        raise InputError(f"{where}: {step}, steps of up to {largest:g} m are allowed ({why})")

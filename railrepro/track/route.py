@@ -169,11 +169,9 @@ def lay(
 
 def _along(name: str, profile: Profile, p: np.ndarray) -> np.ndarray:
     """Values of a profile at p; InputError when it is no function of p, or a share beyond 0 to 1."""
-    if not callable(profile):
-        raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function of p (m) is needed")
-    values = np.asarray(profile(p))
+    values = np.asarray(profile(p) if callable(profile) else None)
     if values.dtype.kind not in "iuf" or values.shape not in ((), p.shape):
-        raise InputError(f"route: {name} gives {reprlib.repr(values)}, one number for each p is needed")
+        raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function with one number for each p is needed")
     if name != "force" and (np.abs(values - 0.5) > 0.5 + 1e-9).any():
         raise InputError(f"route: {name} goes from {values.min():g} to {values.max():g}, a share of 0 to 1 is needed")
     return values
@@ -209,24 +207,15 @@ def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarra
     }
 
 
-def _pair(line) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (m,) and set points (4, m) of a planned line; InputError when it is anything else."""
+def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
+    """Set point and its derivatives at p from those of a planned line, shape (4, n); InputError when it is none."""
     try:
         at, values = (np.asarray(part, dtype=float) for part in line)
+        fits = at.ndim == 1 and at.size > 0 and values.shape == (len(_SET_POINT), at.size)
     except (TypeError, ValueError):
-        raise InputError(
-            f"line is {reprlib.repr(line)}, a pair of coordinates (m,) and set points (4, m) is needed"
-        ) from None
-    if at.ndim != 1 or at.size == 0 or values.shape != (len(_SET_POINT), at.size):
-        raise InputError(f"line: arrays of the shapes {at.shape} and {values.shape}, (m,) and (4, m) are needed")
-    if not (np.isfinite(at).all() and np.isfinite(values).all() and (np.diff(at) > 0).all()):
-        raise InputError("line: the coordinates must be finite and increasing, the set points finite")
-    return at, values
-
-
-def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
-    """Set point and its derivatives at p from those of a planned line, shape (4, n)."""
-    at, values = _pair(line)
+        fits = False
+    if not fits or not (np.isfinite(at).all() and np.isfinite(values).all() and (np.diff(at) > 0).all()):
+        raise InputError("line: finite and increasing coordinates (m,) and finite set points (4, m) are needed")
     index = np.searchsorted(at, p + 1e-9, side="right") - 1
     inside, index = (index >= 0) & (p <= at[-1]), np.clip(index, 0, None)
     return inside * [*_cubic(values[:, index], p - at[index]), values[3, index]]
@@ -236,10 +225,15 @@ def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
 def _derivatives(reference: ca.Function, track: Track) -> np.ndarray:
     """Set point and its first three derivatives with respect to p at the cells of a track, shape (4, n)."""
     p, s = _geometry(track)["p"], ca.SX.sym("p")
-    terms = [reference(s)]
+    return np.array(ca.Function("reference", [s], [_differentiated(reference(s), s)])(p[None, :]))
+
+
+def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
+    """A term and its first three derivatives with respect to s, shape (4, 1)."""
+    terms = [term]
     for _ in range(3):
         terms.append(ca.jacobian(terms[-1], s))
-    return np.array(ca.Function("reference", [s], [ca.vertcat(*terms)])(p[None, :]))
+    return ca.vertcat(*terms)
 
 
 def _fade(s: ca.SX, length: float) -> ca.SX:
@@ -289,10 +283,8 @@ def set_point() -> ca.Function:
     s, (numbers, of) = ca.SX.sym("p"), symbols(SetPoint, "of")
     sine = _sine(s, of.amplitude, of.period_start, of.start, of.end, of.fade)
     sweep = _sweep(s, of.amplitude, of.period_start, of.period_end, of.start, of.end, of.fade)
-    terms = [ca.if_else(of.kind == 1, sine, ca.if_else(of.kind == 2, sweep, 0))]
-    for _ in range(3):
-        terms.append(ca.jacobian(terms[-1], s))
-    return ca.Function("set_point", [s, numbers], [ca.densify(ca.vertcat(*terms))])
+    chosen = ca.if_else(of.kind == 1, sine, ca.if_else(of.kind == 2, sweep, 0))
+    return ca.Function("set_point", [s, numbers], [ca.densify(_differentiated(chosen, s))])
 
 
 def _sine(s: ca.SX, amplitude, period, start, end, fade) -> ca.SX:

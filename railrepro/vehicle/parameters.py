@@ -74,7 +74,6 @@ def profile_name(name: str) -> str:
 
 _PLAIN = Parameter(0.0, 0.0, "-")
 Mass = Annotated[float, _above(100.0, 1e6, "kg")]
-BodyInertia = Annotated[float, _above(0.0, 1e8, "kg m2")]
 Inertia = Annotated[float, _above(0.0, 1e8, "kg m2")]
 Stiffness = Annotated[float, _from_zero(1e9, "N/m")]
 Damping = Annotated[float, _from_zero(1e8, "N s/m")]
@@ -87,9 +86,9 @@ class CarBody:
     """Car body: mass, inertia about its centre of gravity, height above the rails, distance of the running gears."""
 
     mass: Mass
-    inertia_x: BodyInertia
-    inertia_y: BodyInertia
-    inertia_z: BodyInertia
+    inertia_x: Inertia
+    inertia_y: Inertia
+    inertia_z: Inertia
     cg_height: Annotated[float, _above(0.0, 5.0, "m")]
     gear_spacing: Annotated[float, _above(1.0, 40.0, "m")]
     floor_height: Annotated[float, _above(0.0, 5.0, "m")]
@@ -309,7 +308,7 @@ def loaded(kind: type[Built], file: Path, overrides: dict) -> tuple[Built, dict[
     built, entries = data.build(kind, content, file.name), dict(_entries(content))
     for key, value in overrides.items():
         if key not in entries:
-            raise InputError(f"override {key!r} is not a key of {file.name}; the group has {_siblings(key, entries)}")
+            raise InputError(f"override {key!r} is not a key of {file.name}; there are {', '.join(entries)}")
         entries[key].update(value=value, range="fixed")
     return data.build(kind, content, file.name) if overrides else built, entries
 
@@ -332,12 +331,6 @@ def sample_ranges(path: Path | str | None = None) -> dict[str, tuple[float, floa
     """Ranges that a robustness study samples, by dotted key (SI)."""
     entries = loaded(Vehicle, _file(path), {})[1]
     return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}
-
-
-def _siblings(key: str, entries: dict) -> list[str]:
-    group = key.rsplit(".", 1)[0]
-    found = sorted(k for k in entries if k.rsplit(".", 1)[0] == group)
-    return found or sorted({k.rsplit(".", 1)[0] for k in entries})
 
 
 def _file(path: Path | str | None) -> Path:

@@ -135,7 +135,10 @@ def test_traction_pitches_body_and_carriers():
 
 @pytest.mark.parametrize(("track", "clearance"), [("T2", None), ("T3", None), ("T4", None), ("T4", 0.035)])
 def test_sway_of_the_body_in_an_arc(track, clearance):
-    """Lateral offset and roll of the body under the unbalanced acceleration; off the bump stops at their clearance."""
+    """Lateral offset and roll of the body under the unbalanced acceleration; off the bump stops at their clearance.
+
+    What wheels and rails exert on the car is its weight and centrifugal force.
+    """
     bumps = clearance is not None
     vehicle = load_vehicle(**{"suspension.bump_clearance": clearance}) if bumps else V
     geometry = load_track(track)
@@ -156,6 +159,15 @@ def test_sway_of_the_body_in_an_arc(track, clearance):
     versine = BODY.gear_spacing**2 * kappa / 8
     assert log["body.phi"] == pytest.approx(-roll, rel=0.02)
     assert log["body.y"] - versine == pytest.approx(-(deflection + BELOW * roll), rel=0.02)
+    down, sideways = 0.0, 0.0
+    for wheel in equations.WHEELS:
+        load, creep, angle = (log[f"{wheel}.{name}"] for name in ("N", "Fy", "angle"))
+        sign = 1 if wheel.endswith("ri") else -1
+        down += load * np.cos(angle) + sign * creep * np.sin(angle)
+        sideways += creep * np.cos(angle) - sign * load * np.sin(angle)
+    over_body = 1 + 2 * GEAR.mass / BODY.mass
+    assert down == pytest.approx(over_body * pressed, rel=2e-3)
+    assert sideways == pytest.approx(over_body * outwards, abs=300)
 
 
 WORN = load_vehicle(**{"contact.profile": "s1002"})

@@ -7,14 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.control.ndi import NDI
-from railrepro.data import InputError
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
-from railrepro.track.irregularity import CHANNELS, irregularities
-from railrepro.track.rough import rough_track
+from railrepro.track.irregularity import CHANNELS
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -29,15 +25,43 @@ def lay(**channels):
     return route.lay(load_track("T5"), irregularities=frame)
 
 
-def balance(car, cycles):
-    """Change of the mechanical energy and the work of motors and losses, by stepping (J)."""
-    rows = [car.energies]
-    for _ in range(cycles):
+def thrown(sideways):
+    """A car at 400 km/h whose gears are thrown to the right (m/s)."""
+    car = SteppedCar("T5", 111.0)
+    car.state[equations.indices("front.vy", "rear.vy")] = sideways
+    return car
+
+
+@pytest.mark.parametrize("sideways", [0.15, 0.3, 0.5, 0.8])
+def test_a_car_that_hits_its_flange_goes_on(sideways):
+    car, farthest = thrown(sideways), 0.0
+    for _ in range(1000):
         car.step()
+        farthest = max(farthest, abs(car.state[equations.INDEX["front.y"]]))
+    assert 5e-3 < farthest < 8e-3
+
+
+@pytest.mark.parametrize(
+    ("car", "steps", "period", "tolerance"),
+    [
+        (lambda: SteppedCar(lay(lateral=2e-3), 30.0), 2500, 1e-3, 0.03),
+        (lambda: SteppedCar(lay(gauge=4e-3), 30.0), 2500, 1e-3, 0.03),
+        (lambda: SteppedCar(lay(vertical=3e-3), 30.0), 2500, 1e-3, 0.03),
+        (lambda: thrown(0.1), 600, 5e-5, 1e-3),
+        (lambda: thrown(0.5), 600, 5e-5, 0.035),
+    ],
+    ids=["lateral", "gauge", "vertical", "towards the flange", "through a hit"],
+)
+def test_energy_balances_on_rails_that_move_and_at_the_flange(car, steps, period, tolerance):
+    """In a hit the angle turns within a tenth of a millimetre, which the normal force follows to some percent."""
+    car, rows = car(), []
+    for _ in range(steps):
         rows.append(car.energies)
-    table = pd.DataFrame(rows)
-    work = np.trapezoid(table["motor_W"] - table["damping_W"] - table["creep_W"], dx=1e-3)
-    return table["mechanical_J"].iloc[-1] - table["mechanical_J"].iloc[0], work
+        car.step(period=period)
+    table = pd.DataFrame([*rows, car.energies])
+    work = np.trapezoid(table["motor_W"] - table["damping_W"] - table["creep_W"], dx=period)
+    change = table["mechanical_J"].iloc[-1] - table["mechanical_J"].iloc[0]
+    assert change == pytest.approx(work, rel=tolerance, abs=1.0)
 
 
 def test_pitch_rods_turn_a_rolled_carrier_in_yaw():
@@ -53,21 +77,6 @@ def test_pitch_rods_turn_a_rolled_carrier_in_yaw():
     assert part == pytest.approx(usual * pitch * roll, rel=1e-3)
 
 
-def test_axle_damping_makes_a_wheelset():
-    """On cones it runs in Klingel's wave, 2 pi sqrt(b r / (2 delta)) long; independent wheels stay where they are."""
-    vehicle = load_vehicle(**CONE, **{"gear.axle_damping": 1e6, "suspension.k_x": 1e3})
-    wave = 2 * np.pi * np.sqrt(vehicle.gear.contact_base * vehicle.wheel.radius / (2 * vehicle.wheel.cone_angle))
-    ways = {}
-    for name, own in (("wheelset", vehicle), ("free", load_vehicle(**CONE))):
-        car = SteppedCar("T5", 5.0, own)
-        car.state[equations.indices("front.y")] = 2e-3
-        while car.outputs["front.y"] > 0 and car.outputs["front.p"] < wave:
-            car.step(steps=10)
-        ways[name] = car.outputs["front.p"]
-    assert ways["wheelset"] == pytest.approx(wave / 4, rel=0.1)
-    assert ways["free"] >= wave
-
-
 def test_wider_gauge_sinks_cones_and_slows_them_less():
     """Rails 4 mm wider apart touch cones 2 mm further out, where these are smaller: radius less by 2 mm tan(delta)."""
     vehicle = load_vehicle(**CONE)
@@ -81,22 +90,6 @@ def test_wider_gauge_sinks_cones_and_slows_them_less():
         wide.outputs["front_le.w"] / wide.outputs["front.v"] / plain.outputs["front_le.w"] * plain.outputs["front.v"]
     )
     assert ratio - 1 == pytest.approx(less / vehicle.wheel.radius, rel=0.05)
-
-
-@pytest.mark.parametrize(("channel", "size"), [("lateral", 2e-3), ("gauge", 4e-3), ("vertical", 3e-3)])
-def test_rails_that_move_do_no_work_of_their_own(channel, size):
-    car = SteppedCar(lay(**{channel: size}), 30.0, load_vehicle())
-    change, work = balance(car, 2500)
-    assert change == pytest.approx(work, rel=0.03, abs=1.0)
-
-
-def test_substeps_sharpen_the_loads_and_leave_the_control_cycle_alone():
-    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300, end_m=120)
-    rough = irregularities(np.arange(0.0, 120.0, route.CELL))
-    runs = {n: simulate.run(scenario, NDI(), irregularities=rough, substeps=n).series for n in (1, 2, 4, 16)}
-    assert len({len(series) for series in runs.values()}) == 1
-    error = {n: np.abs(runs[n]["front_le.N"] - runs[16]["front_le.N"]).max() for n in (1, 2, 4)}
-    assert error[4] < error[2] / 1.5 < error[1] / 2
 
 
 def test_floor_accelerations_are_those_of_points_in_space():
@@ -134,19 +127,6 @@ def test_a_planned_line_is_added_to_the_set_point():
     added = both.reference_at(inside)[0] - plain.reference_at(inside)[0]
     assert added == pytest.approx([expected], rel=1e-9)
     assert np.array_equal(both.reference_at(outside), plain.reference_at(outside))
-
-
-def test_rough_track_adds_defects_and_reads_files(tmp_path):
-    p = np.arange(0.0, 200.0, route.CELL)
-    plain = rough_track(p, spectrum="en_B_300", seed=3)
-    fault = {"kind": "alignment_fault", "start": 80.0, "length": 20.0, "amplitude": 4e-3}
-    added = rough_track(p, spectrum="en_B_300", seed=3, defects=[fault])["lateral_m"] - plain["lateral_m"]
-    assert added.max() == pytest.approx(4e-3, rel=1e-6) and added[p < 79].abs().max() == 0
-    plain.to_csv(tmp_path / "measured.csv", index=False)
-    middle = (p > 40) & (p < 150)
-    assert np.allclose(rough_track(p, file=str(tmp_path / "measured.csv"))[middle], plain[middle], atol=1e-12)
-    with pytest.raises(InputError, match="defects.1: Input tag 'hole' found using 'kind'"):
-        rough_track(p, defects=[{"kind": "hole"}])
 
 
 def test_preview_makes_the_set_point_follow_the_rails():

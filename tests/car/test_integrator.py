@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from railrepro.car.integrator import Stages, factorise, rodas3
+from railrepro.car.integrator import factorise, rodas3
 
 
 def solver(matrix):
@@ -65,7 +65,7 @@ def test_order_three_and_error_estimate_of_order_two():
     assert 0 < local < estimates[1]
 
 
-@pytest.mark.parametrize("z", [-0.3, -2.0, -20.0, 1.0])
+@pytest.mark.parametrize("z", [-0.3, -2.0, -20.0, -1e9, 1.0])
 def test_stability_function_is_that_of_rodas3(z):
     """R(z) = P(z) / (1 - z/2)^4 with a P of degree three, since R(infinity) = 0, that makes R - exp of order z^4."""
     x = ca.SX.sym("x")
@@ -77,27 +77,4 @@ def test_stability_function_is_that_of_rodas3(z):
     for k in range(4):
         numerator[k] = sum(denominator[j] * exponential[k - j] for j in range(k + 1))
     expected = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
-    assert float(step(1.0, [], 1.0)[0]) == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_stiff_part_is_gone_after_one_step():
-    x = ca.SX.sym("x", 2)
-    step = stepped(ca.vertcat(-1e9 * (x[0] - x[1]), -x[1]), x)
-    after = np.array(step([5.0, 1.0], [], 0.01)[0]).ravel()
-    assert after[1] == pytest.approx(np.exp(-0.01), rel=1e-8)
-    assert after[0] == pytest.approx(after[1], rel=1e-4)
-
-
-def test_jacobian_over_held_stages_is_that_of_the_whole():
-    x, stages = ca.SX.sym("x", 3), Stages()
-    one, two = stages.hold(ca.sin(x[:2]) * x[2], ca.horzcat(x[0] ** 2, x[1] * x[2]))
-    (three,) = stages.hold(ca.vertcat(one[0] * two[1] + x[2], ca.exp(one[1]) * two[0]))
-    rate = ca.vertcat(three[0] * x[1], three[1] + one[0], two[1] * three[0] - x[0])
-    a, b = ca.sin(x[:2]) * x[2], ca.horzcat(x[0] ** 2, x[1] * x[2])
-    c = ca.vertcat(a[0] * b[1] + x[2], ca.exp(a[1]) * b[0])
-    plain = ca.vertcat(c[0] * x[1], c[1] + a[0], b[1] * c[0] - x[0])
-    assert (one.shape, two.shape) == ((2, 1), (1, 2))
-    whole = ca.Function("f", [x], [stages.resolve(rate), stages.jacobian(rate, x), plain, ca.jacobian(plain, x)])
-    found, slopes, expected, expected_slopes = (np.array(value) for value in whole([0.4, -0.7, 1.3]))
-    assert found == pytest.approx(expected, rel=1e-14)
-    assert slopes == pytest.approx(expected_slopes, rel=1e-13, abs=1e-15)
+    assert float(step(1.0, [], 1.0)[0]) == pytest.approx(expected, rel=1e-12, abs=1e-16)

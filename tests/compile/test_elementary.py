@@ -11,6 +11,7 @@ import pytest
 
 from railrepro.car import component
 from railrepro.compile import cache, codegen
+from railrepro.compile.lanes import lanes_header
 from railrepro.control import law
 from railrepro.control.ndi import NDI
 from railrepro.control.solvers import riccati
@@ -35,7 +36,7 @@ void {name}(const double *x, const double *y, double *one, double *wide, long n)
 
 @lru_cache
 def _compiled(options: str = "") -> ctypes.CDLL:
-    text = codegen.ELEMENTARY + codegen.lanes_header()
+    text = codegen.ELEMENTARY + lanes_header()
     for name in ONE:
         wide = f"lanes_both(a).{name}" if name in ("sin", "cos") else f"lanes_{name}(a)"
         text += ENTRY.format(name=f"all_{name}", one=f"{name}(x[i])", wide=wide)
@@ -119,7 +120,7 @@ def test_ends_of_the_ranges():
 
 @pytest.mark.parametrize("options", ["-O0 -ffp-contract=off", "-O3 -ffp-contract=off", "-O2 -ffp-contract=off -mavx2"])
 def test_bits_do_not_depend_on_the_optimisation(options):
-    if "avx2" in options and "-mavx2" not in codegen.flags():
+    if "avx2" in options and "-mavx2" not in cache.flags():
         pytest.skip("the processor has no AVX2")
     for name in ONE:
         x = np.abs(_arguments(name)) + 5e-324

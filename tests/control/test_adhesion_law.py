@@ -8,12 +8,10 @@ import pytest
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import bare_wheel, scenarios
+from railrepro.simulation import bare_wheel
 from railrepro.vehicle.parameters import load_vehicle
 
 LAW = AdhesionSettings()
-NDI = {"pole": 25.0, "frequency": 25.0, "damping": 1.0}
 
 
 @pytest.fixture(scope="module")
@@ -52,14 +50,3 @@ def test_a_bare_wheel_carries_its_share_of_the_car(vehicle):
     run = bare_wheel.simulate(vehicle, [bare_wheel.Case(LAW, vehicle.adhesion["dry"])], 20.0, demand)
     gained = 1e-3 * 9.81 * np.cumsum(run.adhesion[:, 0])
     assert run.speed[1:, 0] - 20.0 == pytest.approx(gained[:-1], abs=2e-3) and gained.max() > 0.2
-
-
-def test_slip_control_prevents_what_the_baseline_suffers(vehicle):
-    points = ((0.0, 0.0), (150.0, 0.0), (151.0, 1.0))
-    loss = scenarios.load_scenario("adhesion_loss").but(speed_kmh=200.0, end_m=450.0, poor="very_poor")
-    loss = loss.but(poor_share=points, force_kN=((0.0, 14.0),))
-    slip = {}
-    for active in (True, False):
-        experiment = Experiment(loss, "ndi", parameters=NDI, adhesion=replace(LAW, active=active))
-        slip[active] = experiment()[0]["largest_slip"]
-    assert slip[True] < 0.06 < slip[False]

@@ -79,14 +79,6 @@ def test_regular_steps(adhesion, step, segment, sign):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("edge", [-(2**-8), 2**-8])
-def test_the_edge_of_the_corridor_belongs_to_it(edge, sign):
-    f, rest = sign * np.full(2, 0.0625 + edge), sign * np.full(2, -SLIP)
-    u, _, segment = call(f, rest, sign * 0.0625, [100.0, *f, *rest], replace(LAW, corridor=2**-8))
-    assert (u, segment) == (100.0, 2)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("adhesion", [BELOW, INSIDE, ABOVE])
 @pytest.mark.parametrize(
     ("rise", "slip"),

@@ -4,17 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from condensed import ByStep, iterate, matrices, recursion
+from condensed import ByStep, matrices, recursion
 from condensed import solve as condensed_solution
 
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, dynamics
 from railrepro.control.registry import guidance
-from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import MOST_SETS, Horizon
 from railrepro.evidence.runs import tuning
-from railrepro.model.control_model import STATES, control_model, discretise
-from railrepro.model.forecast import forecast, nominal_values
+from railrepro.model.control_model import STATES, control_model
+from railrepro.model.forecast import nominal_values
 from railrepro.simulation import scenarios, simulate
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -58,11 +57,9 @@ def horizon_of(vehicle, way, settings=SETTINGS, bound=4000.0):
 
 
 @pytest.mark.parametrize("affine", [1.0, 0.0])
-def test_forecast_and_linearisation_are_those_of_the_model(vehicle, way, affine):
+def test_the_linearisation_is_that_of_the_model(vehicle, way, affine):
     horizon = horizon_of(vehicle, way)
     s, parameters = horizon.settings, control_model().parameter_vector(vehicle)
-    ahead = forecast(way, nominal_values(vehicle, 0), horizon.x_hat, BASE, s.period, s.steps)
-    assert horizon.x_d == pytest.approx(ahead.x_d, rel=1e-9) and horizon.theta == pytest.approx(ahead.theta, rel=1e-9)
     horizon.c.affine = affine
     horizon.linearise()
     a, model = matrices(horizon), dynamics(s.variant, s.discretisation)
@@ -148,86 +145,16 @@ def test_a_problem_without_interior_is_reported_and_its_sample_falls_back(vehicl
         assert [record.fallback for record in guided.stats] == [False, True]
 
 
-def test_a_horizon_with_nan_fails_and_recovers(vehicle, way):
-    horizon = horizon_of(vehicle, way)
-    horizon.x[2, AT["y_TrAx"]] = np.nan
-    horizon.linearise()
-    with pytest.raises(ArithmeticError, match="not finite"):
-        horizon.solve()
-    horizon.x[:], horizon.u[:] = horizon.x_d, 0.0
-    horizon.fixed[:], horizon.side[:] = 0.0, 0.0
-    reference = horizon_of(vehicle, way)
-    for each in (reference, horizon):
-        iterate(each, 20, 1e-4, recursion)
-    assert horizon.u == pytest.approx(reference.u, rel=1e-6, abs=1e-4)
-
-
-def least_squares(vehicle, problem, x_lin, affine):
-    """Torques of a linear MPC: slopes by differences of the discretised model, one least-squares problem in numpy."""
-    s, n = problem.settings, len(STATES)
-    step, parameters = discretise(control_model(), s.discretisation), problem.parameters
-
-    def model(x, du, k):
-        torques = [problem.u_d - du, problem.u_d + du]
-        return np.array(step(x, torques, problem.ahead.theta[k], parameters, s.period)).ravel()
-
-    size = np.array([1.0, 1e-3, 0.1, 1e-3, 1e-4, 1e-4])
-    free, forced = problem.x_hat.copy(), np.zeros((n, s.steps))
-    rows, targets = [], []
-    for k, at in enumerate(x_lin[:-1]):
-        a = np.transpose([(model(at + d, 0.0, k) - model(at - d, 0.0, k)) / (2 * d.sum()) for d in np.diag(size)])
-        b = (model(at, 1.0, k) - model(at, -1.0, k)) / 2
-        free = a @ free + ((model(at, 0.0, k) - a @ at) if affine else 0.0)
-        forced = a @ forced
-        forced[:, k] = b
-        last = k == s.steps - 1
-        scale = [0, 0, 0, 0, s.q_terminal, s.q_terminal] if last else np.ones(n)
-        root = np.sqrt(np.array(s.q_diag) * scale)
-        rows.append(root[:, None] * forced)
-        targets.append(root * (problem.ahead.x_d[k + 1] - free))
-    rows.append(np.sqrt(s.r) * np.eye(s.steps))
-    targets.append(np.zeros(s.steps))
-    return np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)[0]
-
-
-@pytest.mark.parametrize(("name", "place", "printed"), [("T3", 200, False), ("T1", 100, False), ("T3", 200, True)])
-def test_linear_mpc_is_least_squares_about_centred_riding(vehicle, name, place, printed):
-    """About the track's heading and turn rate; as printed about heading zero and without the affine term (D6).
-
-    The turn rate about which it is linearised matters by 0.4 N m on T1 and by 2 mN m on T3.
-    """
-    way = scenarios.load_scenario(f"curve_entry_{name}").route()
-    guided = LTVMPC(vehicle, way, 0, WIDE, printed=printed)
-    problem = guided.problem(measured(way, place, **STATE), 0.0)
-    x_d, theta = problem.ahead.x_d, problem.ahead.theta
-    about = np.zeros_like(x_d)
-    about[:, AT["x"]], about[:, AT["xdot"]] = x_d[:, AT["x"]], x_d[:, AT["xdot"]]
-    if not printed:
-        psi, kappa = way.track_at(x_d[:, AT["x"]])[:2]
-        about[:, AT["psi_Ax"]], about[:, AT["psidot_Ax"]] = psi, kappa * x_d[:, AT["xdot"]]
-    expected = least_squares(vehicle, problem, about, not printed)
-    guided.plan(problem.x_hat, problem.u_d)
-    assert guided.stats[0].iterations == 1
-    assert np.abs(theta[:, 0]).min() > 1e-3
-    assert guided.plan_du == pytest.approx(expected, rel=1e-7, abs=1e-3)
-
-
 def after(x, torque, guided):
     """State one sample later by the controller's own model."""
     s = guided.settings
-    theta = forecast(guided.route, nominal_values(guided.vehicle, 0), x, 0.0, s.period, 1).theta[0]
-    found, *_ = dynamics("corrected", s.discretisation)(x, torque, 0.0, theta, guided.parameters, s.period, 1.0)
+    ahead = Horizon(s, nominal_values(guided.vehicle, 0), guided.parameters, guided.route)
+    ahead.sample(x, 0.0, 0.0)
+    ahead.forecast()
+    found, *_ = dynamics("corrected", s.discretisation)(
+        x, torque, 0.0, ahead.theta[0], guided.parameters, s.period, 1.0
+    )
     return np.array(found).ravel()
-
-
-def follow(guided, x, samples, push=0.0):
-    """A controller on its own model, with a push on the yaw rate every sample: last state and torques."""
-    torques = []
-    for _ in range(samples):
-        torques.append(guided.plan(x, 0.0))
-        x = after(x, torques[-1], guided)
-        x[AT["psidot_Ax"]] += push
-    return x, np.array(torques)
 
 
 @pytest.mark.parametrize(
@@ -243,35 +170,6 @@ def test_the_observer_learns_nothing_on_the_model_itself_and_the_angle_behind_a_
         guided.plan(following, 0.0)
         offsets.append(guided.offset)
     assert offsets == pytest.approx([0.0, 1e-4 / SPEED / WIDE.period], abs=2e-6)
-
-
-def test_a_solve_starts_from_the_trajectory_before_one_sample_later(vehicle, way, monkeypatch):
-    guided, starts, original = NMPC(vehicle, way, 0, WIDE, solver="ipopt"), [], ipopt.solve
-
-    def spied(function, horizon, parameters, du):
-        starts.append((horizon.x.copy(), du.copy()))
-        return original(function, horizon, parameters, du)
-
-    monkeypatch.setattr(ipopt, "solve", spied)
-    x = measured(way, **STATE)
-    guided.plan(x, 0.0)
-    planned, torques = guided.horizon.x.copy(), guided.plan_du.copy()
-    assert starts[0][0][0] == pytest.approx(x)
-    assert starts[0][0][1:] == pytest.approx(guided.horizon.x_d[1:])
-    guided.plan(planned[1], 0.0)
-    states, warm = starts[1]
-    assert states[:-1] == pytest.approx(planned[1:])
-    assert states[-1] == pytest.approx(guided.horizon.x_d[-1])
-    assert warm == pytest.approx([*torques[1:], torques[-1]])
-
-
-def test_after_a_failure_a_solve_starts_afresh(vehicle, way):
-    guided, x = NMPC(vehicle, way, 0, WIDE), measured(way, **STATE)
-    first = guided.plan(x, 0.0)
-    guided.plan(np.full(len(STATES), np.nan), 0.0)
-    assert guided.stats[-1].fallback and np.isfinite(guided.plan_du).all()
-    assert guided.plan(x, 0.0) == pytest.approx(first, abs=0.1)
-    assert not guided.stats[-1].fallback
 
 
 @pytest.mark.parametrize("solver", ["gauss_newton", "rti", "ipopt"])
@@ -303,13 +201,6 @@ def test_a_compiled_sample_is_the_one_done_step_by_step(kind, options, change, v
     failed = [record.fallback for record in compiled.stats]
     assert failed == by_step.fallbacks and failed.count(True) == 2
     assert (compiled.offset != 0.0) == (settings.observer > 0.0)
-
-
-def test_real_time_iteration_approaches_the_converged_optimum(vehicle, way):
-    guided = NMPC(vehicle, way, 0, WIDE, solver="rti")
-    x, _ = follow(guided, measured(way, **STATE), 4)
-    converged = NMPC(vehicle, way, 0, WIDE)
-    assert guided.plan(x, 0.0) == pytest.approx(converged.plan(x, 0.0), rel=1e-3, abs=0.1)
 
 
 def test_ipopt_falls_back_and_starts_afresh(vehicle, way):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from railrepro.control.mpc import NMPC
-from railrepro.control.problem import MPCSettings, dynamics
+from railrepro.control.problem import MPCSettings
 from railrepro.control.solvers import ipopt
 from railrepro.model.control_model import STATES
 from railrepro.simulation import scenarios
@@ -90,17 +90,6 @@ def test_nonlinear_program_has_the_stated_cost_bound_and_dynamics(case):
     defects, sides = np.split(np.array(g).ravel(), [states[1:].size])
     assert np.abs(defects).max() < 1e-9
     assert sides.max() == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_roll_out_holds_each_torque_for_one_step_of_the_model(case):
-    problem, _, _ = case
-    step = dynamics("corrected", "rk4")
-    du = np.linspace(-300, 500, SETTINGS.steps)
-    states = problem.roll_out(du)
-    assert states[0] == pytest.approx(problem.x_hat)
-    for k in (0, 1, SETTINGS.steps - 1):
-        following, *_ = step(states[k], du[k], 500.0, problem.ahead.theta[k], problem.parameters, SETTINGS.period, 1.0)
-        assert states[k + 1] == pytest.approx(np.array(following).ravel(), rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def test_a_figure_has_a_column_per_car_and_both_wheels_where_a_panel_shows_them(
     assert axes.shape == (2, 2) and len(axes[0, 0].lines) == 3 and len(axes[1, 1].lines) == 4
     titles = [axis.get_title().split("\n") for axis in axes[0]]
     assert [title[0] for title in titles] == ["calibrated car", "uncalibrated car"]
-    fitted, plain = calibrated.paper_like(), calibrated.uncalibrated()
+    fitted, plain = calibrated.paper_like(), calibrated.setup({})
     for setup, title in zip((fitted, plain), titles, strict=True):  # what differs between both, and nothing else
         pole = setup.parameters["ndi"]["pole"]
         assert title[1:] == [f"waves {setup.period_start_m:g} to {setup.period_end_m:g} m, NDI at {pole:g} rad/s"]

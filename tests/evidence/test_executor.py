@@ -12,12 +12,12 @@ from pathlib import Path
 from threading import Barrier, Thread
 
 import pytest
+from program import python
 
-from railrepro import numerics, paths, threads
-from railrepro.data import InputError
+from railrepro import numerics, paths
+from railrepro.data import InputError, alone
 from railrepro.evidence.runs import executor as executors
 from railrepro.evidence.runs.executor import executor, ordered_map, work
-from railrepro.threads import one_thread
 
 
 def sleeper(seconds):
@@ -45,44 +45,33 @@ def end_itself(_):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def digest_of_a_product(threads):
-    """Last digits of a large product in a process with so many threads."""
-    script = (
-        "import numpy as np; from railrepro.threads import one_thread\n"
-        "a = np.random.default_rng(0).random((300, 100))\n"
-        "with one_thread(): print(float((a.T @ (a * np.linspace(1, 2, 300)[:, None])).sum()).hex())"
-    )
-    environment = os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
-    environment |= {"PYTHONPATH": str(paths.ROOT)}
-    return subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
-    ).stdout
+PRODUCT = """
+import numpy as np
+from railrepro.threads import one_thread
+x = np.random.default_rng(0).random(10**6)
+with one_thread(): print(float(x @ x).hex())
+"""
 
 
-def test_linear_algebra_does_not_depend_on_the_number_of_threads():
-    assert digest_of_a_product("1") == digest_of_a_product("2")
+def test_the_last_digits_of_linear_algebra_do_not_depend_on_the_number_of_threads():
+    few, more = (python("-c", PRODUCT, OMP_NUM_THREADS=n, OPENBLAS_NUM_THREADS=n).stdout for n in "12")
+    assert few == more != ""
 
 
 @pytest.mark.parametrize("given", [{}, {"OPENBLAS_CORETYPE": "Nehalem", "OMP_NUM_THREADS": "4"}])
-def test_a_command_fixes_what_decides_the_last_digits_before_numpy_is_loaded(given):
+def test_a_command_fixes_what_decides_the_last_digits_before_numpy_is_loaded(given, monkeypatch):
     script = (
         "import os, sys; from railrepro.__main__ import main; loaded = 'numpy' in sys.modules\n"
         "main(['score', '--describe']); print(loaded, *(os.environ.get(name, '') for name in sys.argv[1:]))"
     )
     names = [*numerics.ALWAYS, *numerics.WITH_AVX2]
-    bare = {name: value for name, value in os.environ.items() if name not in names} | {"PYTHONPATH": str(paths.ROOT)}
-    done = subprocess.run([sys.executable, "-c", script, *names], env=bare | given, capture_output=True, text=True)
+    for name in names:
+        monkeypatch.delenv(name, raising=False)
+    done = python("-c", script, *names, **given)
     wanted = numerics.ALWAYS | dict.fromkeys(numerics.WITH_AVX2, "")
     if "avx2" in Path("/proc/cpuinfo").read_text():
         wanted |= numerics.WITH_AVX2 | {name: given[name] for name in given if name in numerics.WITH_AVX2}
     assert done.stdout.splitlines()[-1] == " ".join(["False", *wanted.values()])
-
-
-def test_the_number_of_threads_is_given_back():
-    before = [get() for get, _ in threads._switches()]
-    with one_thread(), one_thread():
-        assert all(get() == 1 for get, _ in threads._switches())
-    assert [get() for get, _ in threads._switches()] == before
 
 
 def test_tasks_run_one_at_a_time_but_wait_side_by_side():
@@ -119,38 +108,62 @@ def test_a_script_without_guard_is_told_what_to_do(tmp_path):
         "from railrepro.evidence.runs.executor import executor, ordered_map, work\n"
         "with executor() as pool:\n    ordered_map(pool, lambda x: work(abs, x), [1, 2], 'own', quiet=True)\n"
     )
-    environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}
-    done = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True, text=True)
+    done = python(str(script), RAILREPRO_WORKERS="2")
     assert done.returncode == 1 and done.stderr.count("Traceback") == 1, done.stderr
     assert done.stderr.splitlines()[-1].endswith('must stand below if __name__ == "__main__":')
+
+
+HOLDING = """
+import sys, time
+from functools import partial
+from pathlib import Path
+from railrepro.data import alone
+from railrepro.evidence.runs.executor import executor, ordered_map, work
+def hold(lock):
+    with alone(Path(lock)):
+        Path(lock + ".held").touch()
+        time.sleep(600)
+if __name__ == "__main__":
+    with executor() as pool:
+        ordered_map(pool, partial(work, hold), sys.argv[1:], "hold", quiet=True)
+"""
+
+
+@pytest.mark.timeout(120)
+def test_workers_end_with_a_killed_parent(tmp_path):
+    script, locks = tmp_path / "hold.py", [tmp_path / "one", tmp_path / "two"]
+    script.write_text(HOLDING)
+    environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}
+    parent = subprocess.Popen([sys.executable, str(script), *map(str, locks)], env=environment)
+    for lock in locks:
+        wait_for(f"{lock}.held")
+    parent.kill()
+    parent.wait()
+    for lock in locks:
+        with alone(lock):  # waits until its worker has ended
+            pass
 
 
 class Cluster:
     """A scheduler and two workers as processes."""
 
     def __init__(self, folder):
-        environment = os.environ | {"PYTHONPATH": f"{paths.ROOT}:{Path(__file__).parent}"}
-        start = [
-            sys.executable,
-            "-m",
-            "distributed.cli.dask_scheduler",
-            "--host",
-            "127.0.0.1",
-            "--port",
-            "0",
-            "--no-dashboard",
-        ]
-        start += ["--scheduler-file", str(folder / "scheduler.json")]
-        quiet = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
-        self.processes = [subprocess.Popen(start, **quiet, start_new_session=True)]
-        start = [sys.executable, "-m", "distributed.cli.dask_worker", "--no-dashboard", "--nthreads", "1", "--no-nanny"]
-        start += ["--scheduler-file", str(folder / "scheduler.json")]
-        self.processes += [subprocess.Popen(start, **quiet, start_new_session=True) for _ in range(2)]
+        self.folder = folder
+        self.environment = os.environ | {"PYTHONPATH": ":".join(sys.path)}
+        self.processes = [self.started("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")]
+        self.processes += [self.started("dask_worker", "--no-nanny", "--no-dashboard", "--nthreads", "1") for _ in "ab"]
         while not (folder / "scheduler.json").exists() or not (folder / "scheduler.json").read_text():
             time.sleep(0.1)
         self.address = json.loads((folder / "scheduler.json").read_text())["address"]
         with pytest.importorskip("distributed").Client(self.address) as client:
             client.wait_for_workers(len(self.processes) - 1, timeout=120)  # else the kill may come first
+
+    def started(self, program, *options):
+        """A process of Dask in a session of its own."""
+        command = [sys.executable, "-m", f"distributed.cli.{program}", *options]
+        command += ["--scheduler-file", str(self.folder / "scheduler.json")]
+        quiet = {"env": self.environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        return subprocess.Popen(command, cwd=self.folder, start_new_session=True, **quiet)
 
     def kill_at_work(self, folder, *which):
         """Kill some processes, from a thread, when both workers are at work; then let what is left go on."""

@@ -13,8 +13,8 @@ import subprocess
 import sys
 import time
 from functools import partial
-from pathlib import Path
 
+import psutil
 import pytest
 from chapters import write_notebook
 
@@ -51,7 +51,7 @@ paths.product("data/results/three.csv").write_text(text)
 for suffix in ("png", "csv"):
     paths.product(f"figures/fig01_three.{suffix}").write_text(text)
 """
-HOLDS = {"in Python": "time.sleep(0.1)", "in C": "sum(range(10**10))"}
+HOLDS = {"in Python": "time.sleep(0.1)", "in C": "sum(range(10**12))"}
 """How the first notebook waits in its middle while there is a file `hold`."""
 
 
@@ -112,14 +112,8 @@ class Toy:
 
     def processes(self):
         """Processes that work in the checkout."""
-        found = []
-        for process in Path("/proc").glob("[0-9]*"):
-            try:
-                if Path(os.readlink(process / "cwd")).is_relative_to(self.folder):
-                    found.append(int(process.name))
-            except OSError:
-                continue
-        return found
+        found = psutil.process_iter(["cwd", "cmdline"])
+        return [process for process in found if (process.info["cwd"] or "").startswith(str(self.folder))]
 
     def survives(self):
         """Nothing runs on, no product is half-written, and the next run makes all whole and leaves nothing behind."""
@@ -154,8 +148,8 @@ def test_a_kill(victim, how, toy):
         os.killpg(started.pid, signal.SIGKILL)
     else:
         for process in toy.processes():
-            if b"ipykernel_launcher" in Path(f"/proc/{process}/cmdline").read_bytes():
-                os.kill(process, signal.SIGKILL)
+            if "ipykernel_launcher" in process.info["cmdline"]:
+                process.kill()
     assert "Traceback" not in started.communicate()[1]
     write_notebook(toy.folder / "notebooks", [FIRST.replace("HOLD", HOLDS["in Python"])], "01_first")
     toy.survives()

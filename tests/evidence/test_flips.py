@@ -6,9 +6,9 @@ import pytest
 
 from railrepro import __main__ as command
 from railrepro import paths
-from railrepro.control.registry import PAPER_TRIO
+from railrepro.control.registry import PAPER_TRIO, with_r_times
 from railrepro.data import InputError
-from railrepro.evidence.claims import calibrated, probe
+from railrepro.evidence.claims import probe
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.report import flips
@@ -39,9 +39,12 @@ def test_answers_reach_the_car_the_controllers_and_the_experiments():
     assert (world.amplitude_mm, world.period_start_m, world.period_end_m) == (4.0, 160.0, 70.0)
     assert (world.r_brake, world.r_second) == (5.0, 4.0) and world.braking().set_point["period_end_m"] == 20.0
     assert world.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"], "what is not answered stays"
+    nmpc = world.parameters["nmpc"]
+    assert setup({"ltv_mpc_printed.r": 3.0}).parameters["ltv_mpc_printed"] == with_r_times(nmpc, 3.0)
+    triple = setup({"ndi.pole": 40.0}).parameters["ndi"]
+    assert triple == {"pole": 40.0, "frequency": 40.0, "damping": 1.0}
     equal = setup({}, given(tuning_runs=["equal"])["setting"])
     assert equal.parameters == {name: tuning.load(name, "equal")["parameters"] for name in PAPER_TRIO}
-    assert setup({}) == calibrated.uncalibrated()
 
 
 def test_each_question_sets_what_there_is():
@@ -55,9 +58,10 @@ def test_only_what_depends_on_an_answer_is_driven(monkeypatch):
     driven = []
     monkeypatch.setattr(probe, "probe", lambda world, parts: driven.append((world, parts)) or [])
     flips.flips(answered(sweep=[3.0, 150.0, 40.0]))
-    flips.flips(answered(r_loss=[10.0], torque=[4000.0]))
-    assert [parts for _, parts in driven] == [["curve"], ["loss", "brake"]]
-    assert driven[1][0].r_loss == 10.0 and driven[1][0].car().drive.torque_limit == 4000.0
+    flips.flips(answered(r_loss=[10.0], r_brake=[2.0, 5.0]))
+    flips.flips(answered(torque=[4000.0]))
+    assert [parts for _, parts in driven] == [["curve"], ["loss", "brake"], list(probe.PARTS)]
+    assert driven[1][0].r_loss == 10.0 and driven[2][0].car().drive.torque_limit == 4000.0
 
 
 def test_which_verdicts_flip():

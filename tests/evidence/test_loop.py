@@ -13,22 +13,21 @@ from railrepro.evidence.uncertainty import loop
 def test_seeds_and_held_out_kinds_are_none_of_tuning():
     task = tuning.load_task(setting="loop")
     assert not {run.sensors["seed"] for run in task.runs} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 24
-    tuned = [(run.scenario.track, run.scenario.good, run.plant, run.irregular) for run in task.runs]
-    for case in loop.cases():
-        one = case.experiment(OURS, loop.SEEDS[0])
-        known = (one.scenario.track, one.scenario.good, one.plant, one.irregular) in tuned
-        changed = {"poor_share_left", "poor_share", "force_kN"} & set(case.change)
-        assert (case.kind == "held out") <= (not known or bool(changed) or "gyro.dropout" in one.sensors)
+    tuned = [(run.scenario.but(end_m=1.0), run.plant, run.irregular) for run in task.runs]
+    for one in loop.experiments():
+        known = (one.scenario.but(end_m=1.0), one.plant, one.irregular) in tuned
+        assert one.label["kind"] != "held out" or not known or "gyro.dropout" in one.sensors
 
 
 def test_errors_are_root_mean_squares_over_the_seeds(monkeypatch):
-    case = loop.Case("loop", "short", "sine_tracking", {"end_m": 40.0})
     monkeypatch.setattr(loop, "COMPARED", ("ndi_feedforward",))
     monkeypatch.setattr(loop, "SEEDS", (201, 202))
+    runs = loop.row("loop", "short", "sine_tracking", {"end_m": 40.0})
     with executor() as pool:
-        table = loop.table([case], pool)
-    runs = [case.experiment("ndi_feedforward", seed).measured(loop.followed) for seed in (201, 202)]
-    errors = [row["error_mm"] for row, _ in runs]
+        table = loop.table(runs, pool)
+    rows = [run.measured(loop.followed)[0] for run in runs]
+    errors, rear = ([row[name] for row in rows] for name in ("error_mm", "rear_mm"))
+    assert table["rear_mm"].item() == pytest.approx(np.sqrt(np.mean(np.square(rear))))
     assert table["error_mm"].item() == pytest.approx(np.sqrt(np.mean(np.square(errors)))) and table["seeds"].item() == 2
     assert table["spread_mm"].item() == pytest.approx(np.std(errors, ddof=1)) and errors[0] != errors[1]
     assert table["failed"].item() == 0
@@ -50,12 +49,13 @@ def test_rows_that_are_not_led_stand_first_and_who_leaves_the_rail_does_not_lead
 
 def test_sensors_alone_bound_the_loop_from_below():
     """A bias of .2 mm can be told from the gear, which the contact does not hold in the middle by itself."""
-    case = next(case for case in loop.cases() if case.name == "sine_tracking" and case.rolls)
-    row = loop.limit_of(case)
-    assert 0.03 < row["limit_at_believed_place_mm"] < row["limit_mm"] < 0.2
+    limits = [loop.limit_of(run) for run in loop.row("loop", "sine", "sine_tracking", {"end_m": 250.0})[:1]]
+    assert 0.03 < limits[0]["limit_at_believed_place_mm"] < limits[0]["limit_mm"] < 0.2
+    assert not loop.limit_of(loop.row("loop", "poor rail", "adhesion_loss", {})[0])
 
 
 def test_irregular_rows_draw_rails_with_the_seed():
-    case = next(case for case in loop.cases() if case.name == "B, 400 km/h")
-    one, other = (case.experiment(OURS, seed) for seed in loop.seeds(case)[:2])
+    one, other = [run for run in loop.experiments() if run.label["case"] == "B, 400 km/h" and run.controller == OURS][
+        :2
+    ]
     assert one.irregular["seed"] != other.irregular["seed"] and one.irregular["spectrum"] == "en_B_300"

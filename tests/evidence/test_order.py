@@ -14,8 +14,8 @@ from railrepro.vehicle.parameters import load_vehicle
 SCENARIO = load_scenario(order.SCENARIO)
 
 
-def built(axis, value, controller="ndi", seed=0):
-    return order.experiment(axis, value, "equal", controller, seed)
+def built(axis, value, controller="ndi"):
+    return order.experiments(axis, value, "equal", controller)[0]
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.4333, 1.0])
@@ -42,7 +42,7 @@ def test_bandwidth_moves_all_poles_of_an_inversion_by_one_factor():
     [("bandwidth", 1.0), ("unbalanced acceleration", 0.4333), ("creep stiffness", 1.0), ("car", "S1002")],
 )
 def test_a_nominal_value_moves_nothing(axis, value):
-    assert value in order.AXES[axis].values
+    assert value in order.AXES[axis][1]
     one = built(axis, value)
     assert one.parameters == tuning.load("ndi", "equal")["parameters"]
     assert one.car() == load_vehicle() and not one.sensors and not one.vehicle and one.scenario == SCENARIO
@@ -57,14 +57,14 @@ def test_stiffness_is_that_of_the_car_alone_and_profiles_too():
 def test_delay_and_noise_begin_where_the_filter_ends():
     assert built("delay", 2.0).sensors == {"perfect": True, "inverter.delay": pytest.approx(2e-3)}
     assert built("car", "S1002, filter").sensors == {"perfect": True}
-    noise = built("noise", 2.0, seed=102).sensors
+    noise = order.experiments("noise", 2.0, "equal", "ndi")[1].sensors
     assert noise["seed"] == 102 and noise["gyro.noise"] == pytest.approx(2 * 0.004)
     silent = {key for key, value in noise.items() if value == 0.0}
     assert {"lateral.bias", "gyro.bias", "position.bias", "latency.measurement", "latency.command"} <= silent
 
 
-def test_a_run_that_leaves_the_rail_has_no_error(monkeypatch):
-    cone = {"plant": {"contact.profile": "cone"}}  # no flange holds it
-    monkeypatch.setitem(order.AXES, "bandwidth", replace(order.AXES["bandwidth"], change=lambda value: cone))
-    row = order.row("bandwidth", 4.0, "paper", "ndi")
+def test_a_run_that_leaves_the_rail_has_no_error():
+    cone = {"contact.profile": "cone"}  # no flange holds it
+    (run,) = order.experiments("bandwidth", 4.0, "paper", "ndi")
+    row = order.row(replace(run, plant=cone))
     assert row["failed"] and "derailed" in row["ended"] and "rmse_mm" not in row

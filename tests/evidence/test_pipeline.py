@@ -1,4 +1,4 @@
-"""The chain: staleness, atomic products, refused parameters, failing cells, determinism, stripped notebooks."""
+"""The chain: staleness, whole products, failing cells, determinism, clean notebooks."""
 
 import json
 import re
@@ -14,7 +14,7 @@ from railrepro.data import InputError
 from railrepro.evidence.chain import chain
 from railrepro.evidence.runs import store
 
-SCENARIOS = paths.DATA / "scenarios.toml"
+COMMITTED, SCENARIOS = paths.ROOT, "data/scenarios.toml"
 
 
 def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
@@ -24,7 +24,7 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     manifest = (tiny / "data/MANIFEST.csv").read_text()
     assert "data/results/out.csv" in manifest and "01_tiny" in manifest
     assert "01_tiny: done; 0 left" in capfd.readouterr().err
-    (tiny / "data/MANIFEST.csv").write_bytes(b"\xff\x00,\n\x00")
+    (tiny / "data/MANIFEST.csv").write_text("path,sha256,made_by,inputs_sha256,seed\ndata/old.csv,0,01_tiny,0,\n")
     assert chain.figures() == 0
     assert capfd.readouterr().err == "nothing is stale of 1 notebooks\n"
     assert (tiny / "data/MANIFEST.csv").read_text() == manifest
@@ -61,16 +61,19 @@ def test_executed_notebooks_are_identical_bytes(tiny):
         ("1 / 0", "failed with ZeroDivisionError"),
         ("import sys\nsys.exit(0)", "failed with|not executed|did not write"),
         ("pass", "did not write data/results/out.csv"),
+        (None, "01_tiny: has no parameter 'speed'"),
     ],
 )
 def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
     chain.refresh("01_tiny")
-    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
+    if last is None:
+        with open(tiny / "notebooks/chain.toml", "a") as file:
+            file.write("parameters = { speed = 1 }\n")
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last or CELLS[2]])
     with pytest.raises(InputError, match=sentence) as failed:
         chain.refresh("01_tiny")
     assert "\n" not in str(failed.value)
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
-    assert not list((tiny / "build").glob("staging/*/*"))
 
 
 ENTRY = '[[notebook]]\nname = "{}"\ntitle = "x"\nwrites = ["{}"]\nafter = {}\n'
@@ -131,18 +134,8 @@ def test_a_failing_notebook_stops_those_after_it_and_no_other(tiny, capfd):
         chain.figures(["fig99"])
 
 
-@pytest.mark.parametrize("content", ["{", "[1, 2]", "{}", '{"inputs": {}, "products": {}}'])
-def test_a_broken_stamp_means_stale(tiny, content):
-    notebook = chain.find("01_tiny")
-    chain.refresh("01_tiny")
-    assert chain.why_stale(notebook) == ""
-    notebook.stamp.write_text(content)
-    assert chain.why_stale(notebook) == "it has not run here"
-
-
 def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
-    shutil.copy(SCENARIOS, tiny / "data")
-    file = tiny / "data/scenarios.toml"
+    file = shutil.copy(COMMITTED / SCENARIOS, tiny / SCENARIOS)
     loads = "from railrepro.simulation.scenarios import load_scenario\nvalue = load_scenario('curve_entry_T1').end_m\n"
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], loads + CELLS[2]])
     chain.refresh("01_tiny")
@@ -152,25 +145,30 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     for changed, why in (
         (text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"), ""),
         ("# a remark\n" + text, ""),
-        (
-            text[:used] + text[used:].replace("speed_kmh = 40", "speed_kmh = 41", 1),
-            "data/scenarios.toml [curve_entry_T1]",
-        ),
+        (text[:used] + text[used:].replace("speed_kmh = 40", "speed_kmh = 41", 1), f"{SCENARIOS} [curve_entry_T1]"),
         (text.replace("speed_kmh = 280", "speed_kmh = 281"), ""),
-        ("not TOML", "data/scenarios.toml and 1 more"),
+        ("not TOML", f"{SCENARIOS} and 1 more"),
     ):
         assert changed != text
         file.write_text(changed)
         assert chain.why_stale(notebook) == why, changed[:80]
-    all_of_them = "from railrepro.simulation.scenarios import load_scenarios\nvalue = len(load_scenarios())\n"
+    all_of_them = "from railrepro.simulation.scenarios import load_scenarios\nfound = load_scenarios()\n"
+    all_of_them += "value = len([found['curve_entry_T1'], *found.values()])\n"
     file.write_text(text)
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], all_of_them + CELLS[2]])
     chain.refresh("01_tiny")
-    assert chain.why_stale(notebook) == ""
     file.write_text(text.replace("speed_kmh = 280", "speed_kmh = 281"))
-    assert chain.why_stale(notebook).startswith("data/scenarios.toml [curve_entry_T3]")
+    assert chain.why_stale(notebook).startswith(f"{SCENARIOS} [curve_entry_T3]")
     file.write_text(text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"))
-    assert "data/scenarios.toml" in chain.why_stale(notebook)
+    assert SCENARIOS in chain.why_stale(notebook)
+
+
+def test_an_input_that_is_edited_while_a_chapter_runs_makes_it_stale(tiny):
+    (tiny / "data/in.txt").write_text("1")
+    edit = "import time\nfile = paths.ROOT / 'data/in.txt'\nfile.read_text()\ntime.sleep(0.1)\nfile.write_text('2')\n"
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], edit + CELLS[2]])
+    chain.refresh("01_tiny")
+    assert chain.why_stale(chain.find("01_tiny")) == chain.EDITED
 
 
 def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
@@ -179,25 +177,21 @@ def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
     notebook, product = chain.find("01_tiny"), tiny / "data/results/out.csv"
     assert chain.why_stale(notebook) == "it has not run here"
     chain.refresh("01_tiny")
-    content, cells = product.read_text(), notebook.path.read_text()
-    assert chain.why_stale(notebook) == ""
-    product.write_text("other")
-    assert chain.why_stale(notebook) == "data/results/out.csv was changed or is missing"
-    product.write_text(content)
-    notebook.path.write_text(cells.replace("value = 1", "value = 2"))
-    assert chain.why_stale(notebook) == "its cells"
-    notebook.path.write_text(cells)
-    monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem")
-    assert chain.why_stale(notebook) == "environment OPENBLAS_CORETYPE"
-
-
-def test_the_machine_and_packages_that_only_check_change_no_manifest(tiny, monkeypatch):
-    notebook = chain.find("01_tiny")
     found = chain.inputs(notebook, {})
     (tiny / "environment.lock").write_text("ruff==0.1\n")
-    monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0")
-    monkeypatch.setattr(sys, "version", "another one")
-    assert chain.inputs(notebook, {}) == found
+    assert chain.why_stale(notebook) == ""
+    for file, text, why in (
+        (product, "other", "data/results/out.csv was changed or is missing"),
+        (notebook.path, notebook.path.read_text().replace("value = 1", "value = 2"), "its cells"),
+        (notebook.stamp, '{"inputs": {}, "products": {}}', "it has not run here"),
+    ):
+        before = file.read_text()
+        file.write_text(text)
+        assert chain.why_stale(notebook) == why
+        file.write_text(before)
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Nehalem")
+    assert chain.why_stale(notebook) == "environment OPENBLAS_CORETYPE"
+    assert chain.inputs(notebook, {}) == found, "the machine is no part of a manifest"
     monkeypatch.setattr(code, "packages", lambda: {"numpy": "another one"})
     assert chain.inputs(notebook, {}) != found
 
@@ -208,8 +202,10 @@ def test_the_lock_pins_each_package_once_by_hash_and_without_addresses():
     assert "://" not in text and len(pins) == len(set(pins)) == len(re.findall("^[a-zA-Z-]", text, re.M)) > 3
 
 
-def test_committed_notebooks_are_clean():
-    for path in sorted(paths.NOTEBOOKS.glob("*.ipynb")):
+def test_committed_notebooks_are_in_the_chain_and_clean():
+    files = sorted(paths.NOTEBOOKS.glob("*.ipynb"))
+    assert [path.stem for path in files] == list(chain.chain())
+    for path in files:
         content = json.loads(path.read_text())
         code = [cell for cell in content["cells"] if cell["cell_type"] == "code"]
         text = "\n".join("".join(cell["source"]) for cell in code)
@@ -219,33 +215,23 @@ def test_committed_notebooks_are_clean():
         assert len({cell["id"] for cell in content["cells"]}) == len(content["cells"]), path.name
 
 
-def test_a_notebook_run_by_hand_leaves_committed_products_as_they_are(tiny, monkeypatch):
-    shell = types.SimpleNamespace(user_ns={})
-    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))
-    monkeypatch.setenv("JPY_SESSION_NAME", "notebooks/06_curve_entry.ipynb")
-    monkeypatch.setenv("RAILREPRO_OUTPUT", "")
-    written = paths.product("data/results/one.csv")
-    assert written == tiny / "build/tried/06_curve_entry/data/results/one.csv"
-    written.write_text("tried")
-    assert paths.source("data/results/one.csv") == written
-
-
-def test_scripts_and_runs_of_the_chain_write_where_they_should(tiny, monkeypatch):
+def test_what_runs_by_hand_leaves_committed_products_as_they_are(tiny, monkeypatch):
     monkeypatch.setenv("RAILREPRO_OUTPUT", "")
     assert paths.product("data/one.csv") == tiny / "data/one.csv"
     shell = types.SimpleNamespace(user_ns={})
     monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setenv("JPY_SESSION_NAME", "notebooks/06_curve_entry.ipynb")
+    written = paths.product("data/results/one.csv")
+    assert written == tiny / "build/tried/06_curve_entry/data/results/one.csv"
+    written.write_text("tried")
+    assert paths.source("data/results/one.csv") == written
     monkeypatch.setenv("RAILREPRO_OUTPUT", str(tiny / "staging"))
     assert paths.product("data/one.csv") == tiny / "staging/data/one.csv"
 
 
-def test_every_notebook_is_in_the_chain():
-    assert [n.name for n in chain.chain().values()] == sorted(p.stem for p in paths.NOTEBOOKS.glob("*.ipynb"))
-
-
 def test_chapters_run_with_a_car_of_ones_own_beside_what_is_committed(tiny, tmp_path, capfd):
     mine = tmp_path / "mine.toml"
-    mine.write_text((SCENARIOS.parent / "vehicle.toml").read_text().replace("value = 26000.0", "value = 24000.0"))
+    mine.write_text((COMMITTED / "data/vehicle.toml").read_text().replace("value = 26000.0", "value = 24000.0"))
     last = """from railrepro import load_vehicle
 from railrepro.evidence.report.sentences import sentences
 mass = load_vehicle().body.mass
@@ -253,7 +239,7 @@ with sentences() as says: says(f"The body has {mass / 1e3:.0f} t.", mass == 2600
 paths.product("data/results/out.csv").write_text(f"a\\n{mass}\\n")"""
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
     assert chain.drive(mine) == 0
-    assert "does not hold on this car: The body has 24 t." in capfd.readouterr().err
+    assert "01_tiny: does not hold on this car: The body has 24 t." in capfd.readouterr().err
     assert (tiny / "build/tried/mine/data/results/out.csv").read_text() == "a\n24000.0\n"
     assert not (tiny / "data/results/out.csv").exists()
     with pytest.raises(InputError, match="nowhere.toml"):

@@ -6,7 +6,8 @@ import pytest
 import yaml
 
 from railrepro import __version__, paths
-from railrepro.data import InputError
+from railrepro.evidence.report import claims
+from railrepro.evidence.report import page as page_
 from railrepro.evidence.report.page import Page
 
 README = (paths.ROOT / "README.md").read_text()
@@ -25,22 +26,14 @@ def test_files_that_the_readme_links_are_there():
     assert len(links) > 20 and [link for link in links if not (paths.ROOT / link).exists()] == []
 
 
-def test_the_results_and_the_gallery_are_those_that_the_report_writes(table, nominal):
-    page = Page(table, nominal)
-    assert page.readme(README) == README
-    gallery = (paths.FIGURES / "README.md").read_text()
-    assert page.gallery() == gallery
-    shown = re.findall(r"^!\[[^]]+\]\((\w+\.png)\)$", gallery, re.M)
-    # what is drawn by hand is shown where it is used
-    assert sorted(shown) == sorted(
-        file.name for file in paths.FIGURES.glob("*.png") if not file.with_suffix(".svg").exists()
-    )
-
-
-def test_a_section_of_the_report_links_each_file_once(table, nominal):
-    for section in Page(table, nominal).replication().split("\n## "):
-        linked = re.findall(r"\]\(([^)]+)\)", section)
-        assert len(linked) == len(set(linked))
+def test_verdicts_that_changed_are_written_on_purpose_only(table, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+    monkeypatch.setattr(claims, "evaluate", lambda _: table)
+    monkeypatch.setattr(claims, "changed", lambda _: ["C05"])
+    assert page_.main() == 1 and not list(tmp_path.rglob("*.*"))
+    assert page_.main(accept=True) == 0
+    for file in ("data/results/claims.csv", "REPLICATION.md", "figures/README.md", "README.md"):
+        assert (tmp_path / file).read_bytes() == (paths.ROOT / file).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -52,11 +45,6 @@ def test_an_outcome_sums_up_what_holds(verdicts, outcome):
     page = Page.__new__(Page)
     page.verdicts = {f"C{i}": words[letter] for i, letter in enumerate(verdicts)}
     assert page.outcome(list(page.verdicts)) == outcome
-
-
-def test_marks_that_are_missing_are_told(table, nominal):
-    with pytest.raises(InputError, match="README.md: the lines .* are needed around the results"):
-        Page(table, nominal).readme(README.replace("<!-- end", "<!-- and"))
 
 
 def test_the_first_program_prints_the_number_of_the_table(capsys):

@@ -1,7 +1,5 @@
 """Robustness study: samples, failures count as failures, shares by setting and profile, binomial intervals."""
 
-import os
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -87,17 +85,17 @@ def test_a_lead_within_the_spread_of_the_nominal_seeds_is_a_tie_in_samples_too(m
 
 def test_what_decides_is_confirmed_by_changing_it_alone():
     """The statement holds for stiff wheels only; the amplitude moved with them by chance."""
-    found = pd.DataFrame([{"id": "C05", "setting": "paper", "candidates": "wheel.radius ; amplitude_mm"}])
+    found = pd.DataFrame([{"id": "C05", "setting": "paper", "candidates": ["wheel.radius", "amplitude_mm"]}])
     asked = []
 
     def run(samples):
         asked.extend(samples)
-        large = [dict(s.values).get("wheel.radius", 0.46) > 0.46 for s in samples]
+        large = [dict(s.values).get("wheel.radius", 0.47) > 0.46 for s in samples]
         return [sample(setting=s.setting, ndi=2e-3 if yes else 5e-4) for s, yes in zip(samples, large, strict=True)]
 
     assert robustness.confirmed(found, run)["decided_by"].tolist() == ["wheel.radius"]
     assert [len(s.values) for s in asked] == [1, 1, 1, 1], "each alone, at both ends"
-    none = found.assign(candidates="")
+    none = found.assign(candidates=[[]])
     assert robustness.confirmed(none, run)["decided_by"].tolist() == [""]
 
 
@@ -113,12 +111,3 @@ def test_what_decides_is_told_without_what_only_moves_with_it_and_without_chance
     for seed in range(10):
         chance = pd.Series(np.random.default_rng(seed).permutation(held))
         assert robustness._deciding(factors, chance) == []
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not os.environ.get("RAILREPRO_STUDY"), reason="a quarter of an hour; RAILREPRO_STUDY=1 runs it")
-def test_a_sample_answers_the_statements():
-    samples = robustness.draw(2, settings=("paper",))[:1]
-    found = robustness.candidates(pd.DataFrame([robustness.evaluate(s) for s in samples]), samples)
-    assert {"C05", "C06", "C19", "C30", "C28"} <= set(found["id"])
-    assert found["share"].isin([0.0, 1.0]).all()

@@ -38,15 +38,17 @@ def test_a_sentence_needs_all_of_its_conditions_and_one_at_least(conditions, tru
     assert said == [("It holds.", true)]
 
 
-def told(folder, capfd):
+def said(capfd):
     """Exit code of the chain and the last line that it printed."""
-    status = chain.figures()
-    return status, capfd.readouterr().err.splitlines()[-1]
+    return chain.figures(), capfd.readouterr().err.splitlines()[-1]
 
 
-def git(folder, *arguments):
+def commit(folder, *changed):
+    """Write the notebook and commit all."""
+    write_notebook(folder / "notebooks", ["", *changed])
     identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
-    subprocess.run(["git", *identity, *arguments], cwd=folder, check=True, capture_output=True)
+    for arguments in (["init", "-q"], ["add", "notebooks", "data"], ["commit", "-qm", "a"]):
+        subprocess.run(["git", *identity, *arguments], cwd=folder, check=True, capture_output=True)
 
 
 def outputs(folder):
@@ -54,41 +56,32 @@ def outputs(folder):
     return "".join("".join(output["data"]["text/markdown"]) for cell in cells for output in cell["outputs"])
 
 
-def test_changed_values_mark_a_sentence_and_the_chain_ends_with_their_number(tiny, capfd):  # noqa: F811
-    write_notebook(tiny / "notebooks", ["", "value = 2", SAYS])
-    git(tiny, "init", "-q")
-    git(tiny, "add", "notebooks")
-    git(tiny, "commit", "-qm", "true")
-    assert told(tiny, capfd) == (0, "01_tiny: done; 0 left")
+def test_changed_values_mark_a_sentence_and_the_chain_ends_with_their_number(tiny, capfd):
+    commit(tiny, "value = 2", SAYS)
+    assert said(capfd) == (0, "01_tiny: done; 0 left")
     assert outputs(tiny) == "- ✓ The value is 2.\n- ✓ One over it is positive."
     write_notebook(tiny / "notebooks", ["", "value = 4", SAYS])
-    assert told(tiny, capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
+    assert said(capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
     assert outputs(tiny).startswith(f"- <mark>**✗ {sentences.MARK}:**</mark> The value is 4.\n- ✓")
     write_notebook(tiny / "notebooks", ["", "value = 0", SAYS])
-    assert told(tiny, capfd)[1] == "01_tiny: 1 sentence does not hold with these values"
+    assert said(capfd)[1] == "01_tiny: 1 sentence does not hold with these values"
     assert "need values that are missing (ZeroDivisionError: division by zero)" in outputs(tiny)
 
 
-def test_a_false_sentence_fails_the_chain_with_the_committed_values(tiny, capfd):  # noqa: F811
-    write_notebook(tiny / "notebooks", ["", "value = 4", SAYS])
-    git(tiny, "init", "-q")
-    git(tiny, "add", "notebooks")
-    git(tiny, "commit", "-qm", "false")
-    status, last = told(tiny, capfd)
+def test_a_false_sentence_fails_the_chain_with_the_committed_values(tiny, capfd):
+    commit(tiny, "value = 4", SAYS)
+    status, last = said(capfd)
     assert status == 1 and not (tiny / "data/results/out.csv").exists()
     assert "1 sentence does not hold with the committed values: The value is 4." in last
 
 
-def test_an_edited_input_marks_and_an_edited_product_of_the_chain_does_not(tiny, capfd):  # noqa: F811
-    reading = SAYS.replace("value < 3", "(paths.DATA / 'in.txt').read_text() == 'a'")
-    write_notebook(tiny / "notebooks", ["", "value = 2", reading])
+def test_an_edited_input_marks_and_an_edited_product_of_the_chain_does_not(tiny, capfd):
     (tiny / "data/in.txt").write_text("a")
-    git(tiny, "init", "-q")
-    git(tiny, "add", "notebooks", "data")
-    git(tiny, "commit", "-qm", "true")
+    reading = SAYS.replace("value < 3", "(paths.DATA / 'in.txt').read_text() == 'a'")
+    commit(tiny, "value = 2", reading)
     (tiny / "data/in.txt").write_text("b")
-    assert told(tiny, capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
-    git(tiny, "commit", "-qam", "committed")
+    assert said(capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
+    commit(tiny, "value = 2", reading)
     assert chain.figures() == 0
     chain.find("01_tiny").stamp.unlink()
     with pytest.raises(InputError, match="1 sentence does not hold with the committed values"):

@@ -124,21 +124,6 @@ def test_every_rule_fails_its_negative_control(identity):
         assert judged(identity, negative_controls.CONTROLS[name](ideal(identity))) != REPRODUCED, name
 
 
-def test_every_negative_control_is_used():
-    assert set(negative_controls.CONTROLS) == {name for statement in KNOWN.values() for name in statement.controls}
-
-
-@pytest.mark.parametrize("identity", KNOWN)
-def test_a_statement_reads_its_own_setting_or_no_controller_at_all(identity):
-    """Tables of another setting, or of none, are no evidence; what has no setting reads no run of a controller."""
-    wrong = IDEAL if identity in FREE else IDEAL_WITHOUT
-    with pytest.raises(MissingEvidence):
-        statements.find(identity, wrong)
-    if identity in ("C14", "C15", "C44"):
-        with pytest.raises(MissingEvidence, match="solve_times, loop"):
-            statements.find(identity, replace(IDEAL, setting="loop"))
-
-
 T3, LOSS, BRAKE, STRAIGHT = "curve_entry_T3", "adhesion_loss", "braking", "sine of 1000 m 160"
 NDI, FIXED = "ndi", "nmpc, fixed share"
 SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
@@ -149,7 +134,6 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
     ("identity", "changes", "verdict"),
     [
         ("C03", [("curve_entry_T4", "nmpc", "effort_du", 601.0)], NOT),
-        ("C04", [(T3, "ndi", "rmse_y", 1.5e-3)], PARTLY),
         ("C04", [(T3, "ltv_mpc_printed", "rmse_y", 2.1e-3)], NOT),
         ("C04", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C04", [(T3, "ndi", "path_error", 0.8)], PARTLY),
@@ -158,47 +142,36 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C05", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C05", [(T3, "nmpc", "failed", 1.0)], PARTLY),
         ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], PARTLY),
-        ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3), (T3, "ndi", "rmse_y", 0.4e-3)], NOT),
         ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.8e-3)], NOT),
         ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], NOT),
         ("C08", [(T3, "nmpc", "delay", -4.1)], PARTLY),
-        ("C08", [(T3, "nmpc", "delay", 4.1), (T3, "ltv_mpc_printed", "delay", 4.1)], NOT),
         ("C42", [(T3, "nmpc", "delay", 4.6)], PARTLY),
         ("C09", [(T3, "ndi", "torque_alike", 0.7)], NOT),
         ("C09", [(T3, "ndi", "torque_later", 0.5)], PARTLY),
-        ("C09", [(T3, "ndi", "torque_later", -3.0)], NOT),
         ("C09", [(T3, "nmpc", "failed", 1.0)], NOT),
         ("C10", [(T3, "ltv_mpc_printed", "gyroscopic_share", 1.4)], NOT),
         ("C10", [(T3, "ndi", "gyroscopic_share", 0.6)], NOT),
         ("C11", [(T3, "nmpc", "mean_error_last_third", 2.9e-4)], NOT),
-        ("C12", [(T3, "nmpc", "error_at_crests", 1.1)], NOT),
         ("C16", [("curve_entry_T1", "ltv_mpc_printed", "failed", 1.0)], PARTLY),
         ("C17", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 0.7e-4)], PARTLY),
         ("C18", [("sine_tracking 240", "ndi", "rmse_y", 9e-3)], PARTLY),
         ("C18", [("sine_tracking 240", "ndi", "failed", 1.0)], NOT),
         ("C19", [("sine_tracking 400", "ndi", "rmse_y", 0.5e-3)], NOT),
         ("C20", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 9e-3)], PARTLY),
-        ("C20", [("sine_tracking 80", "nmpc", "rmse_y", 9e-3)], NOT),
         ("C16", [(f"curve_entry_T{i}", "ndi", "failed", 1.0) for i in (1, 2)], PARTLY),
         ("C16", [(f"curve_entry_T{i}", "ltv_mpc_printed", "failed", 1.0) for i in (1, 2, 4)], NOT),
         ("C13", [(T3, "nmpc, nearly rolling", "mean_error_last_third", -3.1e-4)], NOT),
         ("C21", [(LOSS, "nmpc, regular operation", "regular_end_deviation", 0.11)], PARTLY),
-        ("C21", [(LOSS, f"{name}, regular operation", "regular_end_deviation", 0.11) for name in ("nmpc", SOFT)], NOT),
         ("C25", [("left rail, braking", SOFT, "largest_slip", 0.3)], PARTLY),
-        ("C25", [(case, SOFT, "failed", 1.0) for case in statements.SUDDEN], NOT),
         ("C50", [(LOSS, "nmpc, no slip control", "utilisation_late", 0.85)], PARTLY),
         ("C23", [(LOSS, f"{name}, no slip control", "largest_slip", 0.026) for name in ("nmpc", SOFT)], NOT),
         ("C24", [(LOSS, f"{SOFT}, no slip control", "recovered_share", 0.95)], REPRODUCED),
         ("C23", [(LOSS, "nmpc", "failed", 1.0)], PARTLY),
         ("C23", [(LOSS, "nmpc", "largest_slip", 0.031), (LOSS, SOFT, "largest_slip", 0.031)], NOT),
         ("C24", [(LOSS, "nmpc", "recovered_share", 0.8)], PARTLY),
-        ("C50", [(LOSS, "nmpc", "utilisation_late", 0.7)], PARTLY),
         ("C50", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
-        ("C28", [(LOSS, "nmpc", "set_point_gain", 0.4)], PARTLY),
         ("C28", [(LOSS, "nmpc", "set_point_gain", 1.6), (LOSS, SOFT, "set_point_gain", 0.4)], NOT),
         ("C28", [(LOSS, "nmpc", "error_growth", 1.6)], PARTLY),
-        ("C28", [(LOSS, name, "error_growth", 1.6) for name in ("nmpc", SOFT)], NOT),
-        ("C28", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
         ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5)], NOT),
         ("C49", [(LOSS, "ndi", "rmse_y", 1e-5)], NOT),
         ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5), (LOSS, "nmpc", "flange", 0.2)], REPRODUCED),
@@ -206,14 +179,12 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C30", [(BRAKE, BETWEEN, "rmse_y", 0.9e-3), (BRAKE, "sweep of R", "rmse_y 10", 0.9e-3)], NOT),
         ("C30", [(BRAKE, SOFTEST, "stopping_distance", 1002.5)], PARTLY),
         ("C30", [(BRAKE, "nmpc", "stopping_distance_spread", 1.5e-3)], NOT),
-        ("C30", [*SWEPT_WRONG, (BRAKE, BETWEEN, "stopping_distance", 1000.5)], NOT),
         ("C30", [*SWEPT_WRONG, (BRAKE, BETWEEN, "rmse_y", 1.002e-3), (BRAKE, SOFTEST, "rmse_y", 1.005e-3)], NOT),
         ("C30", [(BRAKE, name, "failed", 1.0) for name in (SOFTEST, "sweep of R")], NOT),
         ("C46", [(BRAKE, "sweep of poles", "stopping_distance 10", 1011.5)], NOT),
         ("C46", [(BRAKE, "sweep of R", f"stopping_distance {f}", 1003.0 + f) for f in (1, 10, 100)], NOT),
         ("C31", [(BRAKE, SOFTEST, "rmse_y", 5e-3)], PARTLY),
         ("C31", [(BRAKE, NDI, "rmse_y_spread", 0.4)], TIE),
-        ("C31", [(BRAKE, "nmpc", "rmse_y_spread", 0.4)], TIE),
         ("C32", [(BRAKE, NDI, "stopping_distance_spread", 0.01)], TIE),
         ("C32", [(BRAKE, "nmpc", "stopping_distance", 1012.0)], PARTLY),
         ("C32", [(BRAKE, "ndi", "stopping_distance", 1000.0)], NOT),
@@ -221,16 +192,10 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 999.0)]
         ("C34", [(BRAKE, FIXED, "stopping_distance", float("inf"))], NOT),
         ("C35", [(STRAIGHT, "nmpc on cones", "rmse_y", 0.75e-3)], PARTLY),
         ("C35", [(STRAIGHT, "nmpc", "rmse_y", 3e-4), (STRAIGHT, "nmpc on cones", "rmse_y", 1e-4)], REPRODUCED),
-        ("C35", [(T3, "nmpc on cones", "rmse_y", 0.15e-3)], NOT),
         ("C37", [(BRAKE, "nmpc, base torque unknown", "rmse_y", 1.04e-3)], PARTLY),
         ("C37", [(BRAKE, "nmpc, base torque unknown", "rmse_y", 0.95e-3)], NOT),
         ("C39", [("irregular straight", "nmpc, preview", "rail_rmse_y", 0.6)], PARTLY),
         ("C41", [("irregular straight", "nmpc, preview", "n_mv_floor_front", 1.1)], PARTLY),
-        (
-            "C41",
-            [("irregular straight", "nmpc, preview", m, 0.97) for m in ("n_mv_floor_front", "sum_y_over_limit")],
-            NOT,
-        ),
         ("C36", [("curve_entry_T4", "nmpc", "rmse_y", 1.5e-3)], PARTLY),
         ("C36", [("sine_tracking 400", "nmpc", "rmse_y", 2.1e-3)], NOT),
     ],
@@ -266,19 +231,8 @@ def test_a_difference_within_the_spread_of_seeds_is_a_tie(seeds, verdict):
     assert judged("C05", evidence) == verdict
     assert KNOWN["C05"].tied(statements.find("C05", evidence)) == (verdict == TIE)
     assert judged("C16", evidence) == PARTLY  # NMPC and LTV-MPC are a tie on T3
-
-
-def test_a_lost_lead_is_no_tie():
-    evidence = but((T3, "ndi", "rmse_y", 0.2e-3), spread={(T3, "nmpc", "rmse_y"): np.log(1.2)})
-    assert judged("C05", evidence) == NOT and not KNOWN["C05"].tied(statements.find("C05", evidence))
-
-
-def test_a_rail_without_effect_fails_also_where_one_controller_is_on_its_flanges():
-    """Whichever controller C49 is judged by, the negative control reaches it."""
-    control = negative_controls.CONTROLS["rail without effect"]
-    for name in ("nmpc", NDI):
-        evidence = but((LOSS, name, "flange", 1.0))
-        assert judged("C49", evidence) == REPRODUCED != judged("C49", control(evidence))
+    lost = but((T3, "ndi", "rmse_y", 0.2e-3), spread=evidence.spread)
+    assert judged("C05", lost) == NOT and not KNOWN["C05"].tied(statements.find("C05", lost))
 
 
 def test_what_is_not_a_number_never_holds():

@@ -1,14 +1,7 @@
-"""Tuning: graded cost, tuned sets and their origin, any executor, kill and resume."""
+"""Tuning: graded cost, tuned sets and their origin, any executor."""
 
-import fcntl
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +11,7 @@ from railrepro.control.ndi import NDI
 from railrepro.control.registry import SHOWN
 from railrepro.data import InputError
 from railrepro.evidence.runs import swarm, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map, work
+from railrepro.evidence.runs.executor import executor
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import simulate
 
@@ -38,8 +31,7 @@ def test_tuned_sets_belong_to_the_model_and_carry_their_origin(setting):
         if name in task.designed:
             assert tuned["parameters"] == task.designed[name]
             continue
-        budget = task.budget_of.get(name, task.budget)
-        assert [swarm["seed"] for swarm in tuned["swarms"]] == list(budget["seeds"])
+        assert [swarm["seed"] for swarm in tuned["swarms"]] == task.budget["seeds"]
         assert tuned["cost"] == min(swarm["cost"] for swarm in tuned["swarms"])
         assert set(tuned["parameters"]) == {d.name for d in task.dimensions[name]}
         found = tuning.particles(name, setting)
@@ -54,6 +46,26 @@ def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
         tuning.load("nmpc", "equal", tmp_path)
     with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'equal'"):
         tuning.load("ndi", "loop", folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('runs = ["T1", "T2",', 'runs = ["T9", "T2",', r"\[setting.paper\] has the run 'T9'"),
+        ('scenario = "curve_entry_T1"', 'scenario = "T1"', r"\[run.T1\] has the scenario 'T1'"),
+        ("[controller.ndi]", "[controller.nid]", "has 'nid'"),
+        ('searched_too = ["ndi"', 'searched_too = ["nmpc"', "searched_too 'nmpc'"),
+        ("ndi = { pole = 104.0", "ndi = { pole = 204.0", r"\[setting.equal\]: dimension pole: start 204.0 is not in 3"),
+        ("ndi = { pole = 104.0,", "ndi = {", r"\[setting.equal\]: start of ndi has"),
+        ("inverter = { delay", "inverter = { late", r"\[run.poor_stressed\]: .*late"),
+    ],
+)
+def test_a_wrong_task_is_told_in_a_sentence(old, new, sentence, tmp_path):
+    text = paths.source("data/tuning.toml").read_text()
+    (tmp_path / "tuning.toml").write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=f"^tuning.toml: .*{sentence}"):
+        for setting in tuning.SETTINGS:
+            tuning.load_task(tmp_path / "tuning.toml", setting)
 
 
 @pytest.fixture(scope="module")
@@ -119,11 +131,6 @@ def test_an_evaluation_beyond_its_limit_stops():
     assert evaluation(poles, limit=whole) == (whole, parts)
 
 
-def square(x):
-    """Picklable task."""
-    return x * x
-
-
 def test_results_do_not_depend_on_the_number_of_workers(monkeypatch):
     task, costs = short_task(particles=3, iterations=2, seeds=[5, 6]), []
     for workers in ("1", "2"):
@@ -131,99 +138,3 @@ def test_results_do_not_depend_on_the_number_of_workers(monkeypatch):
         with executor() as pool:
             costs.append(swarm.tune("ndi", task, pool, quiet=True)["history"])
     assert costs[0].equals(costs[1])
-
-
-def test_a_dask_cluster_gives_the_same(monkeypatch):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, host="127.0.0.1", protocol="tcp"
-    ) as cluster:
-        monkeypatch.setenv("RAILREPRO_DASK", cluster.scheduler_address)
-        with executor() as pool:
-            assert ordered_map(pool, partial(work, square), [1, 2, 3], "squares", quiet=True) == [1, 4, 9]
-            evaluation = swarm.Evaluation("ndi", short_task())
-            parameters = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
-            there = ordered_map(pool, evaluation, [parameters], "there", quiet=True)[0]
-    assert there[0] == evaluation(parameters)[0]
-
-
-WORKERS = """
-import fcntl, sys, time
-from functools import partial
-from railrepro.evidence.runs.executor import executor, ordered_map, work
-from railrepro.evidence.runs.experiment import Experiment
-def hold(path):
-    with open(path, "w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        time.sleep(600)
-if __name__ == "__main__":
-    with executor() as pool:
-        ordered_map(pool, partial(work, hold), sys.argv[1:], "hold", quiet=True)
-"""
-
-
-def test_workers_end_with_a_killed_parent(tmp_path):
-    script, locks = tmp_path / "hold.py", [tmp_path / "one", tmp_path / "two"]
-    script.write_text(WORKERS)
-    environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_WORKERS": "2"}
-    parent = subprocess.Popen([sys.executable, str(script), *map(str, locks)], env=environment)
-
-    def held(path):
-        try:
-            with open(path) as file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except FileNotFoundError:
-            return False
-        except BlockingIOError:
-            return True
-        return False
-
-    def wait_until(reached):
-        for _ in range(600):
-            if reached():
-                return True
-            time.sleep(0.1)
-        return False
-
-    assert wait_until(lambda: all(map(held, locks)))
-    parent.kill()
-    parent.wait()
-    assert wait_until(lambda: not any(map(held, locks)))
-
-
-SCRIPT = """
-import sys
-from dataclasses import replace
-from railrepro.evidence.runs import swarm, tuning
-from railrepro.evidence.runs.executor import executor
-if __name__ == "__main__":
-    task = tuning.load_task()
-    run = replace(task.runs[2], scenario=task.runs[2].scenario.but(end_m=80.0))
-    task = replace(task, runs=(run,), budget=task.budget | {"particles": 4, "iterations": 12, "seeds": [1]})
-    with executor() as pool:
-        swarm.tune("ndi", task, pool, quiet=True)["history"].to_csv(sys.argv[1], index=False)
-"""
-
-
-def test_killed_and_restarted_it_ends_like_the_unbroken_run(tmp_path):
-    script = tmp_path / "search.py"
-    script.write_text(SCRIPT)
-
-    def start(name, store):
-        environment = os.environ | {"PYTHONPATH": str(paths.ROOT), "RAILREPRO_STORE": str(tmp_path / store)}
-        return subprocess.Popen([sys.executable, str(script), str(tmp_path / f"{name}.csv")], env=environment)
-
-    def entries():
-        return sorted((tmp_path / "broken").rglob("*.npz"))
-
-    assert start("whole", "whole").wait() == 0
-    broken = start("broken", "broken")
-    while len(entries()) < 10:
-        time.sleep(0.02)
-    os.kill(broken.pid, signal.SIGKILL)
-    broken.wait()
-    assert not (tmp_path / "broken.csv").exists()
-    done = {file: file.stat().st_mtime_ns for file in entries()}
-    assert start("broken", "broken").wait() == 0
-    assert (tmp_path / "broken.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
-    assert {file: file.stat().st_mtime_ns for file in done} == done and len(entries()) > len(done)

@@ -1,15 +1,11 @@
-"""Verification: every product is compared whatever one notebook says, and other compilers are other cache entries."""
-
-import os
-import subprocess
-import sys
+"""Comparison of the products of two runs: each number has its scale, and one notebook that fails hides nothing."""
 
 import pandas as pd
 import pytest
 from chapters import write_notebook
 
 from railrepro import paths
-from railrepro.compile import codegen
+from railrepro.compile import cache
 from railrepro.evidence.chain import chain, compare, verify
 
 CHAIN = """
@@ -24,7 +20,7 @@ rows = "a > 2"
 relative = 1e-2
 why = "it is loose"
 [[notebook]]
-name = "01_one"
+name = "01_tiny"
 title = "one"
 writes = ["data/one.csv", "data/late.csv"]
 [[notebook]]
@@ -35,75 +31,61 @@ writes = ["data/two.csv"]
 WRITE = "from railrepro import paths\npaths.product('data/{}').write_text('{}')"
 
 
-@pytest.fixture
-def checkout(tmp_path, monkeypatch):
-    """Two notebooks; the first fails between its products."""
-    for folder in ("notebooks", "data", "build"):
-        (tmp_path / folder).mkdir()
-    for name in ("ROOT", "DATA", "FIGURES", "NOTEBOOKS", "BUILD"):
-        monkeypatch.setattr(paths, name, tmp_path if name == "ROOT" else tmp_path / name.lower())
-    os.symlink(codegen.__file__.rsplit("/railrepro/", 1)[0] + "/railrepro", tmp_path / "railrepro")
-    folder = tmp_path / "notebooks"
-    (folder / "chain.toml").write_text(CHAIN)
-    rows = "a,loose,seconds\\n1,100,1\\n3,{},9\\n"
-    cells = [WRITE.format("one.csv", rows.format("200.5")), "assert False, 'odd'", WRITE.format("late.csv", "a\\n1\\n")]
-    write_notebook(folder, cells, "01_one")
-    write_notebook(folder, [WRITE.format("two.csv", "a\\n1\\n2.5\\n")], "02_two")
-    committed = {"one": "a,loose,seconds\n1,100,1\n3,200,2\n", "late": "a\n1\n", "two": "a\n1\n2\n"}
-    for name, text in committed.items():
-        (tmp_path / "data" / f"{name}.csv").write_text(text)
-    return tmp_path
+def test_one_failing_notebook_hides_nothing(tiny, capsys):
+    """The first of two fails between its products."""
+    (tiny / "notebooks/chain.toml").write_text(CHAIN)
+    rows = "a,loose,seconds\\n1,100,1\\n3,200.5,9\\n"
+    cells = [WRITE.format("one.csv", rows), "assert False, 'odd'", WRITE.format("late.csv", "a\\n1\\n")]
+    write_notebook(tiny / "notebooks", cells)
+    write_notebook(tiny / "notebooks", [WRITE.format("two.csv", "a\\n1\\n2.5\\n")], "02_two")
+    for name, text in {"one": "a,loose,seconds\n1,100,1\n3,200,2\n", "late": "a\n1\n", "two": "a\n1\n2\n"}.items():
+        (tiny / f"data/{name}.csv").write_text(text)
+    assert verify.verify() == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[-3] == "all: 7 same, 1 within tolerance, 1 different; largest difference 2.5e-01 in a"
+    assert said[-2].startswith("not reproduced: 01_tiny: ") and "odd" in said[-2]
+    assert said[-1].startswith("not reproduced: data/two.csv: 1 same, 0 within tolerance, 1 different")
+    assert (tiny / "data/two.csv").read_text() == "a\n1\n2\n"
 
 
-def test_one_failing_notebook_hides_nothing(checkout):
-    total, findings = verify.rerun(chain.chain().values(), paths.BUILD / "verify")
-    assert any("01_one" in line and "odd" in line for line in findings)
-    assert any(line.startswith("data/two.csv") and "2.0e-01 in a" not in line and " in a" in line for line in findings)
-    assert not any(line.startswith(("data/one.csv", "data/late.csv")) for line in findings)
-    assert (total.different, total.near) == (1, 1)
-    assert total.largest == pytest.approx(0.25)
-    assert (checkout / "data/two.csv").read_text() == "a\n1\n2\n"
+@pytest.mark.parametrize(
+    ("old", "new", "counts", "where", "largest"),
+    [
+        ("metric,value\ny,2\ny,1\ndu,1e6\n", "metric,value\ny,2\ny,1.1\ndu,1e6\n", (5, 0, 1), "value of y", 0.05),
+        ("quantity,value\ny,2\ny,1\ndu,1e6\n", "quantity,value\ny,2\ny,1.1\ndu,1e6\n", (5, 0, 1), "value of y", 0.05),
+        ("name,value\ny,2\ny,1\ndu,1e6\n", "name,value\ny,2\ny,1.1\ndu,1e6\n", (5, 1, 0), "value", 1e-7),
+        ("torque\n-100\n1\n", "torque\n-100\n1.05\n", (1, 1, 0), "torque", 5e-4),
+        ("a\n1\n2\n", 'a\n1\n""\n', (1, 0, 1), "a", float("inf")),
+        ("a\n1\n2\n", "a\n1\n", (0, 0, 2), "its rows or columns", 0.0),
+        ("a\n1\n", "b\n1\n", (0, 0, 1), "its rows or columns", 0.0),
+        ("a\n1\n", "", (0, 0, 1), "new.csv, which is missing", 0.0),
+    ],
+)
+def test_numbers_are_compared_with_the_largest_of_their_column_and_metric(tmp_path, old, new, counts, where, largest):
+    (tmp_path / "old.csv").write_text(old)
+    if new:
+        (tmp_path / "new.csv").write_text(new)
+    found = compare.compare(tmp_path / "old.csv", tmp_path / "new.csv", compare.Tolerance(relative=1e-3))
+    assert (found.same, found.near, found.different, found.where) == (*counts, where)
+    assert found.largest == pytest.approx(largest)
 
 
-@pytest.mark.parametrize(("header", "different"), [("metric", 1), ("quantity", 1), ("name", 0)])
-def test_each_metric_of_a_tidy_table_has_its_own_scale(tmp_path, header, different):
-    tolerance = {"relative": 1e-3, "image_rms": 2.0, "not_compared": []}
-    for name, small in (("old", 0.001), ("new", 0.0011)):
-        (tmp_path / f"{name}.csv").write_text(f"{header},value\nrmse_y,0.002\nrmse_y,{small}\neffort_du,1000\n")
-    found = compare.compare(tmp_path / "old.csv", tmp_path / "new.csv", tolerance)
-    assert found.different == different
-    assert not different or found.where == "value of rmse_y" and found.largest == pytest.approx(0.05)
-
-
-def test_a_column_is_as_large_as_its_largest_number_of_either_sign(tmp_path):
-    tolerance = {"relative": 1e-3, "image_rms": 2.0, "not_compared": []}
-    for name, small in (("old", 1.0), ("new", 1.05)):
-        (tmp_path / f"{name}.csv").write_text(f"torque\n-100\n{small}\n")
-    found = compare.compare(tmp_path / "old.csv", tmp_path / "new.csv", tolerance)
-    assert (found.same, found.near, found.different) == (1, 1, 0) and found.largest == pytest.approx(5e-4)
-
-
-@pytest.mark.parametrize("own", compare.verify_tolerance()["own"], ids=lambda own: f"{own['table']} {own['column']}")
+@pytest.mark.parametrize("own", chain.tolerance().own, ids=lambda own: f"{own.table} {own.column}")
 def test_an_own_tolerance_is_for_some_rows_of_a_product(own):
-    tables = [
-        paths.ROOT / name for notebook in chain.chain().values() for name in notebook.products if name.endswith(".csv")
-    ]
-    file = next(file for file in tables if file.name == own["table"])
-    table, tolerance = pd.read_csv(file), compare.verify_tolerance()
-    limits = compare.limits(table, file.name, own["column"], tolerance)
-    wide = limits == own["relative"]
-    assert own["relative"] > tolerance["relative"] and wide.any() and ("rows" not in own) == wide.all()
-    assert (limits[~wide] == tolerance["relative"]).all()
-    assert (compare.limits(table, "another.csv", own["column"], tolerance) == tolerance["relative"]).all()
+    products = [product for notebook in chain.chain().values() for product in notebook.products]
+    file = next(paths.ROOT / product for product in products if product.endswith(f"/{own.table}"))
+    table, tolerance = pd.read_csv(file), chain.tolerance()
+    limits = compare.limits(table, own.table, own.column, tolerance)
+    wide = limits == own.relative
+    assert own.relative > tolerance.relative and wide.any() and bool(own.rows) != wide.all()
+    assert (limits[~wide] == tolerance.relative).all()
+    assert (compare.limits(table, "another.csv", own.column, tolerance) == tolerance.relative).all()
 
 
-def test_flags_are_part_of_the_cache_key(tmp_path):
-    script = "from railrepro.compile import codegen; print(codegen.build('int nothing(void) { return 0; }'))"
+def test_flags_are_part_of_the_cache_key(tmp_path, monkeypatch):
+    monkeypatch.setattr(paths, "BUILD", tmp_path)
     objects = set()
     for flags in ("-O2", "-O0", "-O2 -march=native"):
-        environment = os.environ | {"RAILREPRO_CFLAGS": flags, "RAILREPRO_ROOT": str(tmp_path)}
-        done = subprocess.run(
-            [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
-        )
-        objects.add(done.stdout.strip())
+        monkeypatch.setenv("RAILREPRO_CFLAGS", flags)
+        objects.add(cache.build("int nothing(void) { return 0; }"))
     assert len(objects) == 3

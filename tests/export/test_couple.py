@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from railrepro import paths
-from railrepro.compile import codegen
+from railrepro.compile import cache
 from railrepro.control import interface
 from railrepro.control.ndi import NDI
 from railrepro.export.controller import TORQUES, Export
@@ -55,7 +55,7 @@ def test_the_c_of_the_page_compiles_and_steers_back():
     route = load_scenario("sine_tracking").but(set_point={"kind": "none"}, end_m=50.0).route()
     Export(NDI(30.0, 20.0, 0.8), route).write_source("controller.c")
     Path("main.c").write_text(block("c"))
-    subprocess.run([codegen.compiler(), "-O0", "-w", "main.c", "-o", "main", "-lm"], check=True)
+    subprocess.run([cache.compiler(), "-O0", "-w", "main.c", "-o", "main", "-lm"], check=True)
     done = subprocess.run(["./main"], capture_output=True, text=True, check=True)
     front_le, front_ri, rear_le, rear_ri = map(float, done.stdout.split())
     assert front_le < 0 < front_ri  # 1 mm to the right of the set point, so to the left

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from railrepro.compile import codegen
+from railrepro.compile import cache
 from railrepro.control import interface
 from railrepro.control.law import LawSettings
 from railrepro.control.ndi import NDI
@@ -65,7 +65,7 @@ def driven(source, folder, series):
     file = folder / "controller.c"
     file.write_text(source + "\nunsigned long size(void) { return sizeof(controller_t); }\n")
     options = ["-O1", "-ffp-contract=off", "-shared", "-fPIC", "-w", file, "-o", file.with_suffix(".so"), "-lm"]
-    subprocess.run([codegen.compiler(), *options], check=True)
+    subprocess.run([cache.compiler(), *options], check=True)
     library = ctypes.CDLL(str(file.with_suffix(".so")))
     memory = ctypes.create_string_buffer(library.size())
     numbers = np.frombuffer(memory, dtype=float, count=len(interface.MEASURED) + len(TORQUES))
@@ -96,30 +96,10 @@ def test_the_c_behind_sensors_gives_the_torques_of_a_run_and_needs_nothing(name,
     assert du[late:] == pytest.approx(recorded[: len(recorded) - late], abs=1e-6)
     if wanted is None:
         pytest.skip("the torques are right; there is no nm to tell what the object needs")
-    mathematics = {
-        "sin",
-        "cos",
-        "tan",
-        "sqrt",
-        "exp",
-        "log",
-        "fabs",
-        "floor",
-        "fmin",
-        "fmax",
-        "atan",
-        "atan2",
-        "pow",
+    mathematics = {"sin", "cos", "tan", "sqrt", "exp", "log", "fabs", "floor", "fmin", "fmax", "atan", "atan2", "pow"}
+    assert {name for name in wanted if not name.startswith("_")} <= mathematics | {
         "tanh",
+        "memcpy",
+        "memset",
+        "memmove",
     }
-    assert {name for name in wanted if not name.startswith("_")} <= mathematics | {"memcpy", "memset", "memmove"}
-
-
-def test_the_c_names_its_inputs_and_holds_what_the_law_needs():
-    route = SCENARIO.route()
-    text, whole = (Export(GUIDANCE[name], route).source() for name in ("ndi", "ltv_mpc"))
-    for prefix, names in (("MEASURED", interface.MEASURED), ("TORQUE", TORQUES)):
-        listed = text.split(f"enum {{ {prefix}_")[1].split(" }")[0].split(f", {prefix}_")
-        assert listed == [name.replace(".", "_").upper() for name in names]
-    cells = {key: len(each.split("CELLS[")[1].split(";")[0]) for key, each in {"law": text, "mpc": whole}.items()}
-    assert cells["law"] < 0.8 * cells["mpc"]

@@ -2,8 +2,6 @@
 
 import ctypes
 import math
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,7 +10,7 @@ import pytest
 from units import Instance, fmpy
 
 from railrepro.car.component import DERAILED
-from railrepro.compile import codegen
+from railrepro.compile import cache
 from railrepro.export.car import export_fmu
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -48,13 +46,13 @@ def test_the_unit_holds_sources_that_compile_to_the_interface(unit, tmp_path):
         source = archive.extract("sources/all.c", tmp_path)
     listed = description(unit).find("CoSimulation/SourceFiles/File").get("name")
     assert source.endswith(listed)
-    library = ctypes.CDLL(str(codegen.build(Path(source).read_text(), portable=True)))
+    library = ctypes.CDLL(str(cache.build(Path(source).read_text(), portable=True)))
     assert library.fmi2DoStep and library.fmi2SetReal
 
 
 def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):
     guids = set()
-    monkeypatch.setattr(codegen, "build", lambda text, portable: unit)
+    monkeypatch.setattr(cache, "build", lambda text, portable: unit)
     softer = {"suspension.c_y": 30001.0}
     for route, speed, changes in (
         *(("T5", 60.0, {}), ("T5", 60.0, {}), ("T3", 60.0, {}), ("T5", 61.0, {}), ("T5", 60.0, softer)),
@@ -67,9 +65,9 @@ def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):
 
 def test_no_flag_asks_for_more_than_any_processor_has(monkeypatch):
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
-    assert not any(flag.startswith(("-march", "-mavx", "-mtune")) for flag in codegen.flags(portable=True))
+    assert not any(flag.startswith(("-march", "-mavx", "-mtune")) for flag in cache.flags(portable=True))
     monkeypatch.setenv("RAILREPRO_CFLAGS", "-O2 -march=native")
-    assert "-march=native" in codegen.flags(portable=True)
+    assert "-march=native" in cache.flags(portable=True)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -100001.0])
@@ -110,20 +108,3 @@ def test_a_car_that_leaves_the_rail_says_so_once(unit):
     assert max(map(abs, car.get(["front.y", "rear.y"]))) > DERAILED
     car.step()
     assert car.said == ["a gear derailed, what follows means nothing"]
-
-
-def test_two_instances_do_not_know_each_other(unit):
-    one, other, alone = (Instance(unit, name) for name in ("one", "other", "alone"))
-    one.set(TORQUE, [500.0])
-    for _ in range(20):
-        one.step()
-        other.step()
-        alone.step()
-    assert other.get(Y) == alone.get(Y)
-    assert one.get(Y) != other.get(Y)
-
-
-def test_it_runs_from_another_directory_in_another_process(unit, tmp_path):
-    script = "import fmpy, sys; print(fmpy.simulate_fmu(sys.argv[1], stop_time=0.1, output_interval=0.05)[-1][0])"
-    done = subprocess.run([sys.executable, "-c", script, str(unit)], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0 and float(done.stdout) == pytest.approx(0.1), done.stderr

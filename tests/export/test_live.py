@@ -13,7 +13,6 @@ from browser import needs_browser, opened
 from railrepro import load_scenario, metrics, paths, tuned
 from railrepro.compile import cache
 from railrepro.control.registry import CONTROLLERS
-from railrepro.evidence import benchmark
 from railrepro.export import live
 from railrepro.simulation import simulate
 
@@ -103,14 +102,6 @@ def test_the_committed_run_is_that_of_the_committed_figure(browser_page):
     assert len(y) > 300 and y == pytest.approx(drawn["y_m"].to_numpy()[: len(y)], rel=1e-8)
 
 
-def test_points_are_those_of_the_benchmark(page, browser_page):
-    idle = browser_page[2]["figures"]["curve_entry_T3"]["idle_mm"]
-    series = simulate.run(load_scenario("curve_entry_T3"), tuned("ndi")).series
-    row = {"error": metrics.rmse(series), "effort_du": metrics.effort(series), "activity_du": metrics.activity(series)}
-    row |= {"y_over_q": 0.0, "sum_y_over_limit": 0.0, "failure": "", "nothing": idle, "best": 0.0}
-    assert float(finished(page)["NDI"][6]) == pytest.approx(benchmark.points(row), abs=0.06)
-
-
 def test_a_setting_is_chosen(page):
     page.evaluated(
         "{const s = document.getElementById('setting'); s.value = 'equal'; s.dispatchEvent(new Event('change'));}"
@@ -158,11 +149,3 @@ def test_a_law_of_ones_own_scores_and_its_faults_are_sentences(page):
         )
         assert finished(page)["Law of your own"][-1] == "The law failed."
         assert page.evaluated(MESSAGE).startswith(said)
-
-
-def test_a_run_that_is_stopped_says_so_and_the_next_one_is_whole(page):
-    page.evaluated("document.getElementById('run').click(); document.getElementById('stop').click()")
-    assert finished(page)["NMPC"][-1].startswith("Stopped.")
-    page.evaluated("document.getElementById('run').click()")
-    assert "Equal to the committed run." in finished(page)["NMPC"][-1]
-    assert page.errors == []

@@ -7,13 +7,12 @@ stated cost.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from railrepro.control.problem import curvature, dynamics
+from railrepro.control import problem
+from railrepro.control.problem import Tuning, dynamics
 from railrepro.control.solvers.ipopt import COST, UNIT
 from railrepro.model.control_model import DPSI_DP, PSI_AX, PSI_TR, PSI_TRAX, PSIDOT_AX, STATES, XDOT, X, Y
 
@@ -46,6 +45,18 @@ def matrices(horizon) -> np.ndarray:
     return dense
 
 
+def curvature(settings) -> tuple[np.ndarray, float, float]:
+    """Halved second derivatives of the stated costs: by the states 1 … L (L, 6), by a torque, by a slack."""
+    x, du, slack = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("slack")
+    t, x_d = Tuning.of(ca.DM(settings.tuning())), ca.DM.zeros(len(STATES))
+    costs = [(of_state(x, x_d, 0, t), x) for of_state in (problem.stage_cost, problem.terminal_cost)]
+    costs += [(problem.effort_cost(du, t), du), (problem.slack_cost(slack, t), slack)]
+    stage, last, torque, of_slack = (
+        np.array(ca.DM(ca.diag(ca.hessian(cost, by)[0]) / 2)).ravel() for cost, by in costs
+    )
+    return np.vstack([np.tile(stage, (settings.steps - 1, 1)), last]), torque.item(), of_slack.item()
+
+
 def condense(horizon) -> CondensedQP:
     """Half the stated cost about the trajectory of a linearised horizon, times `COST`."""
     s, steps, a, b = horizon.settings, horizon.settings.steps, matrices(horizon), horizon.b * UNIT
@@ -74,75 +85,32 @@ def condense(horizon) -> CondensedQP:
 def solve(horizon) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the states (L + 1, 6) and torques (L,) that minimise the quadratic problem of a linearised horizon.
 
-    Raises
-    ------
-    ArithmeticError
-        When the active set does not settle or a QP is not solved.
+    The excess of y beyond its bound is made of further variables. CasADi raises RuntimeError when the QP is not solved.
     """
     qp = condense(horizon)
-    torque = minimise(qp)
+    n, y = qp.gradient.size, qp.sensitivity[:, Y, :]
+    hessian = ca.diagcat(qp.hessian, qp.soft * np.eye(n))
+    solver = ca.conic("condensed", "daqp", {"h": hessian.sparsity(), "a": ca.Sparsity.dense(2 * n, 2 * n)})
+    free, none = np.full(n, np.inf), np.zeros(n)
+    found = solver(
+        h=hessian, g=np.append(qp.gradient, none), lbx=np.append(qp.low, none), ubx=np.append(qp.high, free),
+        a=np.block([[y, -np.eye(n)], [-y, -np.eye(n)]]), uba=qp.y_bound - np.append(qp.y_free, -qp.y_free),
+    )  # fmt: skip
+    torque = np.array(found["x"]).ravel()[:n]
     states = np.vstack([horizon.x_hat - horizon.x[0], qp.sensitivity @ torque + qp.drift])
     return states, UNIT * torque
 
 
-def minimise(qp: CondensedQP) -> np.ndarray:
-    """Torque steps (kN m) that solve a condensed problem.
-
-    The soft bound is piecewise quadratic, so Newton on its active set ends after a few box-constrained solves.
-
-    Raises
-    ------
-    ArithmeticError
-        When the active set does not settle or a QP is not solved.
-    """
-    y_sensitivity, active = qp.sensitivity[:, Y, :], None
-    step = np.zeros(qp.gradient.size)
-    for _ in range(20):
-        y = qp.y_free + y_sensitivity @ step
-        beyond = np.sign(y) * (np.abs(y) > qp.y_bound)
-        if active is not None and np.array_equal(beyond, active):
-            return step
-        active, hessian, gradient = beyond, qp.hessian, qp.gradient
-        if active.any():
-            rows = y_sensitivity[active != 0]
-            excess = (qp.y_free - active * qp.y_bound)[active != 0]
-            hessian = hessian + qp.soft * rows.T @ rows
-            gradient = gradient + qp.soft * rows.T @ excess
-        step = _solve_box(hessian, gradient, qp.low, qp.high)
-    raise ArithmeticError("the active set of the lateral bound did not settle")
-
-
-def _solve_box(hessian: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minimiser of a strictly convex QP with bounds: one factorisation when no bound is active, else DAQP."""
-    step = cho_solve(cho_factor(hessian, lower=True, check_finite=False), -gradient, check_finite=False)
-    if np.all((step >= low) & (step <= high)):
-        return step
-    solver = _daqp(gradient.size)
-    solution = solver(h=hessian, g=gradient, lbx=low, ubx=high, x0=np.clip(step, low, high))
-    if not solver.stats()["success"]:
-        raise ArithmeticError("the box-constrained QP was not solved")
-    return np.clip(np.array(solution["x"]).ravel(), low, high)
-
-
-@lru_cache
-def _daqp(n: int) -> ca.Function:
-    structure = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity(0, n)}
-    return ca.conic("box", "daqp", structure, {"error_on_fail": False})
-
-
-def iterate(horizon, most: int, tolerance: float, step=solve) -> int | None:
-    """Newton iterations on a horizon until no torque moves by more than `tolerance`; their number, None without an end.
-
-    `step` finds `dx`, `du`, by default from the condensed problem.
-    """
-    for iteration in range(1, most + 1):
+def iterate(horizon) -> None:
+    """Newton iterations on a horizon until no torque moves; ArithmeticError when they do not end."""
+    for _ in range(30):
         horizon.linearise()
-        horizon.dx[:], horizon.du[:] = step(horizon)
+        horizon.solve()
         gap, moved = np.abs(horizon.x_next - horizon.x[1:]).max(), np.abs(horizon.du).max()
         apply(horizon)
-        if moved < tolerance and gap < 1e-9:
-            return iteration
-    return None
+        if moved < 1e-4 and gap < 1e-9:
+            return
+    raise ArithmeticError("no convergence")
 
 
 def apply(horizon) -> None:
@@ -232,6 +200,6 @@ class ByStep:
         if self.solver == "rti":
             recursion(horizon)
             apply(horizon)
-        elif iterate(horizon, 30, 1e-4, recursion) is None:
-            raise ArithmeticError("no convergence")
+        else:
+            iterate(horizon)
         self.plan_du, self.expected = horizon.u.copy(), horizon.x[1].copy()

@@ -15,7 +15,6 @@ from railrepro import (
     Vehicle,
     export_fmu,
     lay,
-    load_loop,
     load_scenario,
     load_track,
     load_vehicle,
@@ -25,7 +24,7 @@ from railrepro import (
     tuned,
 )
 from railrepro.contact.points import read_pair
-from railrepro.control import lateral
+from railrepro.contact.table import contact_table
 from railrepro.control.registry import guidance
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import preview, pso, tuning
@@ -33,7 +32,7 @@ from railrepro.track import rough as rough_
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track
-from railrepro.track.table import build_table, read_table
+from railrepro.track.table import build_table
 
 nan, inf = np.nan, np.inf
 folder = Path()
@@ -63,27 +62,10 @@ def vehicle(**changes):
     return load_vehicle(**{key.replace("__", "."): value for key, value in changes.items()})
 
 
-def T3():
-    return lay(load_track("T3"))
-
-
-def CAR():
-    return SteppedCar("T5", 50.0, CONES)
-
-
 def spoilt_car(value):
-    car = CAR()
+    car = SteppedCar("T5", 50.0, CONES)
     car.state[3] = value
     car.step()
-
-
-_SERIES = []
-
-
-def SERIES():
-    if not _SERIES:
-        _SERIES.append(drive().series)
-    return _SERIES[0]
 
 
 def rough(**channels):
@@ -94,22 +76,6 @@ def planning(torque, **attributes):
     """A run whose slower controllers plan a torque."""
     controller = type("Plan", (), {"period": 0.01, "plan": lambda self, x, u: torque} | attributes)
     return drive(lambda *_: controller())
-
-
-class Law:
-    """A 1 kHz law that answers what it is given."""
-
-    memory = ()
-
-    def __init__(self, answer, gains=None):
-        self.answer, self.gains = answer, lambda: {} if gains is None else gains
-
-    def torque(self, q):
-        return self.answer
-
-
-def law(answer, gains=None):
-    return lateral.signature(Law(answer, gains))
 
 
 def file(text, read, name="mine.csv"):
@@ -131,8 +97,8 @@ def tuned_ndi(old, new):
     return edited("tuned/equal/ndi.json", old, new, lambda path: tuning.load("ndi", "equal", path.parent))
 
 
-def tracks(text):
-    return [build_table(each) for each in file(text, alignments, "tracks.toml").values()]
+def tracks(path):
+    return [build_table(each) for each in alignments(path).values()]
 
 
 def line(text):
@@ -140,7 +106,7 @@ def line(text):
 
 
 def rails(text, **options):
-    return file(text, lambda path: rough_.read_irregularities(path, **options))
+    return file(text, lambda path: rough_.read_irregularities(path, **{"length": 19.0} | options))
 
 
 def points_of(text):
@@ -155,21 +121,3 @@ def wheel(scale, missing=None):
 POINTS = "part,lateral_mm,height_mm\n"
 ROUGH = "p_m,lateral_m,vertical_m,crosslevel_rad,gauge_m\n"
 GOOD = "".join(f"{p},0,0,0,0\n" for p in range(20))
-
-
-def table_csv(column=None, row=None, value=None, scale=None):
-    """Read the table of a track with one thing changed."""
-    table = read_table(paths.ROOT / "data/tracks/T3.csv").iloc[100:160].reset_index(drop=True)
-    if column:
-        table[column] = table[column].astype(object)
-        table.loc[row, column] = value.strip('"')
-    for name, factor in (scale or {}).items():
-        table[name] *= factor
-    return file(table.to_csv(index=False), load_track)
-
-
-def at_the_end():
-    car = SteppedCar("T5", 100.0, CONES)
-    for name in ("body.s", "front.s", "rear.s"):
-        car.state[car.model.states.index(name)] += car.route.length
-    return car

@@ -42,13 +42,6 @@ def test_delay_has_the_sign_of_coming_after(shift):
     assert metrics.delay(waves(shift)) == pytest.approx(shift, rel=0.03, abs=0.11)
 
 
-def test_delay_looks_as_far_as_asked_and_not_beyond_half_of_the_series():
-    assert metrics.delay(waves(12.0), longest=20.0) == pytest.approx(12.0, abs=0.35)
-    assert abs(metrics.delay(waves(12.0), longest=5.0)) <= 5.0
-    assert metrics.delay(waves(3.0), longest=20.0, step=0.5) == pytest.approx(3.0, abs=0.26)
-    assert abs(metrics.delay(waves(3.0, length=40.0))) <= 20.0
-
-
 def test_delay_weighs_each_lag_by_its_own_overlap():
     """Long lags have fewer samples; with sums in place of means a rising signal would be drawn to zero lag."""
     p = np.arange(0.0, 100.0, 0.05)
@@ -68,12 +61,6 @@ def test_a_set_point_at_rest_has_no_delay():
     assert np.isfinite(metrics.delay(series))
 
 
-def test_effort():
-    series = frame(front__du=[3.0, -4.0], rear__du=[1.0, 1.0])
-    assert metrics.effort(series) == pytest.approx(np.sqrt(12.5))
-    assert metrics.effort(series, "rear") == pytest.approx(1.0)
-
-
 def test_saturated_share_counts_rows_with_a_motor_at_its_limit():
     series = frame(
         front__tau_long=[3000.0, -3000.0, 3000.0, -3000.0, 3000.0, 3000.0, 0.0, 2000.0],
@@ -83,10 +70,6 @@ def test_saturated_share_counts_rows_with_a_motor_at_its_limit():
     assert (
         metrics.saturated_share(series.rename(columns=lambda name: name.replace("front", "rear")), 4000.0, "rear") > 0
     )
-
-
-def test_stopping_distance():
-    assert metrics.stopping_distance(frame(front__p=[10.0, 400.0, 960.5])) == 950.5
 
 
 def test_summary_of_a_lateral_run():

@@ -40,11 +40,6 @@ def test_runs_end_with_a_reason_and_without_warnings(curve):
         assert np.isfinite(run.series.to_numpy()).all()
 
 
-def test_two_runs_are_identical(curve):
-    scenario = scenarios.load_scenario("curve_entry_T3").but(end_m=250)
-    assert simulate.run(scenario, NMPC).series.equals(curve["nmpc"].series)
-
-
 def unguided():
     """A car on cones, which have no flange, in a curve."""
     vehicle = load_vehicle(**{"contact.profile": "cone"})
@@ -159,18 +154,6 @@ def test_sensors_measure_against_the_rails_wherever_these_lie():
     read = np.array(run.controllers[0].seen)[:, :2].T
     assert read == pytest.approx(np.array([y - aside, psi - slope])[:, : read.shape[1]], abs=1e-9)
     assert aside.max() > 2e-3 and slope.max() > 4e-4
-
-
-@pytest.mark.parametrize(("periods", "found"), [((0.01, 0.005), r"\[5.0, 10.0\]"), ((0.0015, 0.0015), r"\[1.5\]")])
-def test_slow_controllers_need_one_period_of_whole_cycles(periods, found):
-    with pytest.raises(InputError, match=f"one period, a whole number of ms; found {found} ms"):
-        simulate.run(scenarios.load_scenario("sine_tracking"), lambda v, w, gear: Counting(gear, periods[gear]))
-
-
-def test_a_slow_controller_may_run_at_1_khz():
-    scenario = scenarios.load_scenario("sine_tracking").but(end_m=1.0)
-    run = simulate.run(scenario, lambda v, w, gear: Counting(gear, 1e-3))
-    assert run.series["front.du"].to_numpy() == pytest.approx(1 + np.arange(len(run.series)))
 
 
 def braked(**changes):

@@ -31,7 +31,6 @@ from scipy.special import elliprd
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.data import InputError
 from railrepro.track.alignment import Alignment
 from railrepro.vehicle.parameters import Vehicle
 
@@ -103,8 +102,6 @@ def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
         found = curvatures(flat)
         return found[0] * (1 / CROWN_RADIUS) - found[1] * along
 
-    if not mismatch(0.5) * mismatch(1.0) <= 0:
-        raise InputError(f"wheel.radius = {vehicle.wheel.radius} m: b/a of the contact must be .5 to 1 for this car")
     flat = brentq(mismatch, 0.5, 1.0, xtol=1e-12)
     a = (data.nominal_load * curvatures(flat)[0] / (np.pi * modulus * along)) ** (1 / 3)
     parabola = [np.prod([(data.poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]

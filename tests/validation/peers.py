@@ -12,8 +12,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,7 +22,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from railrepro import paths
-from railrepro.compile import codegen
+from railrepro.compile import cache, codegen
 from railrepro.control import problem as ocp
 from railrepro.control.problem import TUNING, MPCSettings, Problem, Tuning
 from railrepro.control.registry import mpc_settings
@@ -63,25 +64,19 @@ PEERS = {
 """Plugin and options of each peer inside CasADi."""
 
 
-@dataclass(frozen=True)
-class Stages:
-    """The nonlinear program in the order that stage-wise solvers want: x_0, u_0, x_1, u_1 …
-
-    Attributes
-    ----------
-    program : dict
-        Variables x, parameters p, objective f, constraints g (MX); states are scaled deviations from the desired ones.
-    equality : ndarray of bool
-        Which constraints are equations; the others are at most zero.
-    states, torques, slacks : ndarray of int
-        Where they stand in x, shape (L + 1, 6), (L,) and (L + 1,).
-    """
+class Stages(NamedTuple):
+    """The nonlinear program in the order that stage-wise solvers want: x_0, u_0, x_1, u_1 …"""
 
     program: dict
+    """Variables x, parameters p, objective f, constraints g (MX); states are scaled deviations from the desired."""
     equality: np.ndarray
+    """Which constraints are equations; the others are at most zero."""
     states: np.ndarray
+    """Where they stand in x, shape (L + 1, 6)."""
     torques: np.ndarray
+    """Shape (L,)."""
     slacks: np.ndarray
+    """Shape (L + 1,)."""
 
 
 def _model(settings: MPCSettings) -> ca.Function:
@@ -180,7 +175,7 @@ def solver(name: str, settings: MPCSettings) -> tuple[ca.Function, Stages]:
         regular = 0.0 if plugin == "ipopt" else _REGULAR
         functions.append(_derivatives(program, found, regular) if replaced else found)
     functions = list({function.name(): function for function in functions}.values())
-    return ca.nlpsol("peer", plugin, str(codegen.build(codegen.source_text(functions))), options), stated
+    return ca.nlpsol("peer", plugin, str(cache.build(codegen.source_text(functions))), options), stated
 
 
 class Peer:
@@ -188,15 +183,13 @@ class Peer:
 
     def __init__(self, name: str, settings: MPCSettings):
         function, self._stated = solver(name, settings)
-        self._arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-        self._found = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         self._buffer, self._function = function.buffer()
-        for i, array in enumerate(self._arguments):
+        self._given = {key: np.zeros(function.nnz_in(key)) for key in function.name_in()}
+        self._found = {key: np.zeros(function.nnz_out(key)) for key in function.name_out()}
+        for i, array in enumerate(self._given.values()):
             self._buffer.set_arg(i, memoryview(array))
-        for i, array in enumerate(self._found):
+        for i, array in enumerate(self._found.values()):
             self._buffer.set_res(i, memoryview(array))
-        self._keys = {key: i for i, key in enumerate(function.name_in())}
-        self._results = function.name_out()
         self._started = False
 
     def solve(self, problem: Problem) -> tuple[np.ndarray, float]:
@@ -208,37 +201,25 @@ class Peer:
         except RuntimeError:  # reported by CasADi
             return np.full(problem.settings.steps, np.nan), time.thread_time() - begin
         spent = time.thread_time() - begin
-        found = dict(zip(self._results, self._found, strict=True))
-        self._started = all(np.isfinite(found[name]).all() for name in ("x", "lam_x", "lam_g"))
-        return UNIT * found["x"][self._stated.torques], spent
+        self._started = all(np.isfinite(self._found[name]).all() for name in ("x", "lam_x", "lam_g"))
+        return UNIT * self._found["x"][self._stated.torques], spent
 
     def _prepare(self, problem: Problem) -> None:
-        of, s, at = self._argument, problem.settings, self._stated
-        steps, x_d = s.steps, problem.ahead.x_d
+        given, found, at, x_d = self._given, self._found, self._stated, problem.ahead.x_d
         first = (problem.x_hat - x_d[0]) / SCALE
         track_ahead = [x_d.ravel(), problem.ahead.theta[:-1].ravel(), problem.parameters]
-        of("p")[:] = np.concatenate([first, *track_ahead, s.tuning(), [problem.u_d]])
-        low, high = of("lbx"), of("ubx")
-        low[:], high[:] = -np.inf, np.inf
-        low[at.torques], high[at.torques] = -problem.bound / UNIT, problem.bound / UNIT
-        low[at.slacks] = 0.0
-        of("lbg")[:], of("ubg")[:] = np.where(at.equality, 0.0, -np.inf), 0.0
-        start = of("x0")
-        start[:] = 0.0
-        for name, result in (("lam_x0", "lam_x"), ("lam_g0", "lam_g")):
-            of(name)[:] = self._result(result) if self._started else 0.0
+        given["p"][:] = np.concatenate([first, *track_ahead, problem.settings.tuning(), [problem.u_d]])
+        given["lbx"][:], given["ubx"][:] = -np.inf, np.inf
+        given["lbx"][at.torques], given["ubx"][at.torques] = -problem.bound / UNIT, problem.bound / UNIT
+        given["lbx"][at.slacks] = 0.0
+        given["lbg"][:], given["ubg"][:] = np.where(at.equality, 0.0, -np.inf), 0.0
+        for name, result in (("x0", "x"), ("lam_x0", "lam_x"), ("lam_g0", "lam_g")):
+            given[name][:] = found[result] if self._started else 0.0
+        start = given["x0"]
         if self._started:
-            x = self._result("x")
-            start[:] = x
-            start[at.states[:-1]], start[at.torques[:-1]] = x[at.states[1:]], x[at.torques[1:]]
-            start[at.states[steps]] = 0.0
+            start[at.states[:-1]], start[at.torques[:-1]] = start[at.states[1:]], start[at.torques[1:]]
+            start[at.states[-1]] = 0.0
         start[at.states[0]] = first
-
-    def _argument(self, name: str) -> np.ndarray:
-        return self._arguments[self._keys[name]]
-
-    def _result(self, name: str) -> np.ndarray:
-        return self._found[self._results.index(name)]
 
 
 class Own:
@@ -256,20 +237,9 @@ class Own:
 def compare(recording, vehicle: Vehicle, names: Sequence[str] = tuple(PEERS), rounds: int = 3) -> pd.DataFrame:
     """All solvers on one recording, in turn at each problem (contract of data/results/peer_times.csv).
 
-    Parameters
-    ----------
-    recording : speed.Recording
-    vehicle : Vehicle
-    names : sequence of str
-        Keys of `PEERS`.
-    rounds : int
-        Times that each problem is solved by each solver; the least time counts.
-
-    Returns
-    -------
-    DataFrame
-        Times, ratio of the medians to ours, and `error_du`, the largest difference from the torques of Ipopt or,
-        without it, from ours, relative to the torque limit; `missed` counts problems where it is above `SAME`.
+    Each problem is solved `rounds` times by each solver; the least time counts. `error_du` is the largest difference
+    from the torques of Ipopt or, without it, from ours, relative to the torque limit; `missed` counts the problems
+    where it is above `SAME`.
     """
     settings = recording.problems[0].settings
     everybody = (OURS, *names)
@@ -303,10 +273,8 @@ def main(_names: list[str], count: int = 6) -> None:
     """
     vehicle = load_vehicle()
     tuned = [mpc_settings(tuning.load("nmpc", name)["parameters"]) for name in ("equal", "paper")]
-    plain = [
-        speed.record("curve_entry_T3", settings, vehicle, count)
-        for settings in (tuned[0], replace(tuned[1], discretisation="euler"))
-    ]
+    chosen = tuned[0], replace(tuned[1], discretisation="euler")
+    plain = [speed.record("curve_entry_T3", settings, vehicle, count) for settings in chosen]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
     table = pd.concat([compare(recording, vehicle) for recording in tqdm(recordings, desc="peers")], ignore_index=True)
     table["machine"] = speed.machine()

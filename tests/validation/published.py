@@ -151,42 +151,37 @@ def cooperrider_vehicle(share: float = 1.0) -> Vehicle:
     Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and the examples of bifurcation.de.
     """
     own = {"body.mass": 2918.0, "body.inertia_x": 6780.0, "body.inertia_z": 6780.0, "body.gear_spacing": 2 * 1.074}
-    own |= {
-        "gear.mass": 1022.0,
-        "gear.inertia_z": 678.0,
-        "gear.inertia_x": 678.0,
-        "gear.contact_base": 2 * 0.716 * share,
-    }
+    own |= {"gear.mass": 1022.0, "gear.inertia_z": 678.0, "gear.inertia_x": 678.0}
+    own |= {"gear.contact_base": 2 * 0.716 * share}
     own |= {"wheel.radius": 0.4572, "suspension.height": 0.4572, "body.cg_height": 0.4572 + BOGIE["h1"]}
     own |= {"suspension.half_spacing": 0.62, "suspension.k_y": 1.823e6, "suspension.k_x": 3.646e6}
     own |= {"suspension.k_z": 3.646e6, "contact.nominal_load": (2918.0 / 4 + 1022.0 / 2) * 9.81}
     return load_vehicle(**_RIGID | own | {"contact.profile": "cone", "wheel.cone_angle": share * BOGIE["cone"]})
 
 
-def cooperrider_bogie(speed: float, ground: bool = True) -> pd.DataFrame:
+def cooperrider_bogie(speed: float) -> pd.DataFrame:
     """State matrix of Cooperrider's bogie at a speed (m/s), on level contacts with radii that differ, as published.
 
     The longitudinal stiffness counts only as f11 d^2 and f11 d lambda, so f22 in its place with d and lambda multiplied
     by sqrt(f11/f22) gives the same equations; they do not depend on which of both a creep law takes at rest, where the
-    creepage has no direction. `ground`: with the secondary springs and dampers to a car body that stands still.
+    creepage has no direction. The secondary springs and dampers go to a car body that stands still.
     """
     f11, f22 = BOGIE["f11"], BOGIE["f22"]
     vehicle = cooperrider_vehicle(np.sqrt(f11 / f22))
     slope = np.tan(vehicle.wheel.cone_angle)
     table = profile(vehicle, lambda u: 0.0 * u, lambda u: slope * u, (f22, f22))
     a = lateral(SteppedCar("T5", speed, vehicle, table=table).linearise().a, "body", "front", "rear")
-    if ground:
-        h, d, body = BOGIE["h2"], BOGIE["d2"], vehicle.body
-        lever = pd.Series({"y": 1.0, "phi": h})  # displacement of the secondary springs, h2 above the centre
-        for shift, k_y, k_z, k_yaw in (
-            (("y", "phi", "psi"), BOGIE["k4"], BOGIE["k5"], BOGIE["k6"]),
-            (("vy", "wx", "wz"), BOGIE["D2"], BOGIE["D1"], 0.0),
-        ):
-            y, phi, psi = (f"body.{name}" for name in shift)
-            push = 2 * k_y * lever.to_numpy()
-            a.loc["body.vy", [y, phi]] -= push / body.mass
-            a.loc["body.wx", [y, phi]] -= (h * push + [0.0, 2 * k_z * d**2]) / body.inertia_x
-            a.loc["body.wz", psi] -= k_yaw / body.inertia_z
+    h, d, body = BOGIE["h2"], BOGIE["d2"], vehicle.body
+    lever = pd.Series({"y": 1.0, "phi": h})  # displacement of the secondary springs, h2 above the centre
+    for shift, k_y, k_z, k_yaw in (
+        (("y", "phi", "psi"), BOGIE["k4"], BOGIE["k5"], BOGIE["k6"]),
+        (("vy", "wx", "wz"), BOGIE["D2"], BOGIE["D1"], 0.0),
+    ):
+        y, phi, psi = (f"body.{name}" for name in shift)
+        push = 2 * k_y * lever.to_numpy()
+        a.loc["body.vy", [y, phi]] -= push / body.mass
+        a.loc["body.wx", [y, phi]] -= (h * push + [0.0, 2 * k_z * d**2]) / body.inertia_x
+        a.loc["body.wz", psi] -= k_yaw / body.inertia_z
     return a
 
 

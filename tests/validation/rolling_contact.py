@@ -2,8 +2,8 @@
 
 Nothing of `railrepro.contact` but the profiles is used. Where the core makes an ellipse of the patch and takes Kalker's
 coefficients from his table, here the condition that nothing slides is solved for the tractions of every square, so that
-lobes, their ends and the rolling radius across the patch are in the forces. As a script this writes the table beside
-it (4 minutes), which the second car reads.
+lobes, their ends and the rolling radius across the patch are in the forces. With friction (`Rolling.load`) it judges
+creep law and table of the core. As a script this writes the table beside it (4 minutes), which the second car reads.
 
 Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, chs. 3 and 4 (linear theory, half spaces);
 Johnson 1985, Contact Mechanics, section 3.6 (displacement under tangential load).
@@ -11,8 +11,10 @@ Johnson 1985, Contact Mechanics, section 3.6 (displacement under tangential load
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from functools import lru_cache
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -22,6 +24,7 @@ from tqdm import tqdm
 from railrepro.contact import profiles
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
+SHEAR, POISSON = 8.2e10, 0.28  # steel
 SQUARE = 0.5e-3
 """Side of the squares (m)."""
 _SMOOTHING = 0.03
@@ -30,21 +33,21 @@ _REACH = 1.3e-4
 """Distance of the undeformed bodies up to which they may touch (m)."""
 
 
-def _integrals(x, y, side: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Integrals of y^2/r^3, x^2/r^3 and x y/r^3 over a square, seen from its centre at x, y; their first two sum to
+def _integrals(x, y, sides) -> np.ndarray:
+    """Integrals of y^2/r^3, x^2/r^3 and x y/r^3 over a rectangle, seen from its centre at x, y; their first two sum to
     that of 1/r."""
     found = np.zeros((3, *np.shape(x)))
-    for ends in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-        u, v = x + ends[0] * side / 2, y + ends[1] * side / 2
+    for ends in product((-1, 1), repeat=2):
+        u, v = x + ends[0] * sides[0] / 2, y + ends[1] * sides[1] / 2
         corner = u * np.arcsinh(v / np.abs(u)), v * np.arcsinh(u / np.abs(v)), -np.hypot(u, v)
         found += ends[0] * ends[1] * np.array(corner)
-    return tuple(found)
+    return found
 
 
 def pressure(gap: np.ndarray, x: np.ndarray, y: np.ndarray, load: float, modulus: float):
     """Pressure on squares at some distance (m): positive where they touch (Pa), and the approach of the bodies (m)."""
     touch = gap < np.partition(gap, len(gap) // 3)[len(gap) // 3]
-    across, along, _ = _integrals(x[:, None] - x, y[:, None] - y, SQUARE)
+    across, along, _ = _integrals(x[:, None] - x, y[:, None] - y, (SQUARE, SQUARE))
     influence = (across + along) / (np.pi * modulus)
     for _ in range(40):
         inside = np.flatnonzero(touch)
@@ -61,38 +64,87 @@ def pressure(gap: np.ndarray, x: np.ndarray, y: np.ndarray, load: float, modulus
     raise ArithmeticError("the patch was not found in 40 turns")
 
 
-def sticking(x: np.ndarray, y: np.ndarray, slip: np.ndarray, poisson: float) -> np.ndarray:
-    """Forces along and across (m^2) and moment (m^3), over the shear modulus, of a patch on which nothing slides.
+class Rolling:
+    """Cells of a contact (centres, sides) and the slip that tractions on them make, parts along the rail first.
 
-    Parameters
-    ----------
-    x, y : ndarray, shape (n,)
-        Squares of the patch (m).
-    slip : ndarray, shape (m, 2, n)
-        Rigid slip of the wheel along and across on each square, over the speed, in m cases.
-    poisson : float
-
-    Returns
-    -------
-    ndarray, shape (m, 3)
+    What is at a cell was one cell ahead before, and slid meanwhile by the change of its displacement.
     """
 
-    def displaced(ahead):
-        """Displacement under unit tractions, at places ahead of the squares."""
-        across, along, mixed = _integrals(x[:, None] + ahead - x, y[:, None] - y, SQUARE)
-        one, other = (1 - poisson) * across + along, across + (1 - poisson) * along
-        return np.block([[one, poisson * mixed], [poisson * mixed, other]]) / np.pi
+    def __init__(self, x, y, sides, shear=SHEAR, poisson=POISSON):
+        self.x, self.y, self.sides = x, y, sides
 
-    # what is at a square was one square ahead before, and slid meanwhile by nothing
-    moved = displaced(0.0) - displaced(SQUARE)
-    tractions = np.linalg.solve(moved, -SQUARE * slip.reshape(len(slip), -1).T).T.reshape(slip.shape)
+        def displacement(ahead):
+            """Displacement under unit tractions, at places ahead of the cells."""
+            across, along, mixed = _integrals(x[:, None] + ahead - x, y[:, None] - y, sides)
+            one, other = (1 - poisson) * across + along, across + (1 - poisson) * along
+            return np.block([[one, poisson * mixed], [poisson * mixed, other]]) / (np.pi * shear)
+
+        self.slip = (displacement(0.0) - displacement(sides[0])) / sides[0]
+
+    def load(self, bound, longitudinal, lateral, spin):
+        """Force F_x, F_y (N) and moment (N m) by the largest traction (Pa) and the creepages of the cells."""
+        n, scale = len(self.x), 1 / np.diag(self.slip)
+        # A particle slips between two cells: a tenth of a cell ahead makes force and moment reciprocal.
+        rigid = np.concatenate([longitudinal + 0 * self.x, lateral + spin * (self.x + 0.1 * self.sides[0])])
+
+        def project(traction):
+            """Error of the traction, and the derivative of its projection on the bound."""
+            free = traction - scale * (self.slip @ traction + rigid)
+            size = np.maximum(np.hypot(free[:n], free[n:]), 1e-300)
+            keep, unit = np.minimum(1.0, bound / size), free.reshape(2, n) / size
+            turn = np.where(size > bound, keep, 0.0)
+            parts = keep - turn * unit[0] ** 2, keep - turn * unit[1] ** 2, -turn * unit[0] * unit[1]
+            return traction - np.tile(keep, 2) * free, parts
+
+        traction = np.linalg.solve(self.slip, -rigid)
+        traction *= np.tile(np.minimum(1.0, bound / np.hypot(traction[:n], traction[n:])), 2)
+        error, (xx, yy, xy) = project(traction)
+        for _ in range(60):
+            if np.abs(error).sum() < 1e-7 * bound.sum():
+                moment = self.x @ traction[n:] - self.y @ traction[:n]
+                return np.prod(self.sides) * np.array([traction[:n].sum(), traction[n:].sum(), moment])
+            free = np.eye(2 * n) - scale[:, None] * self.slip
+            along = xx[:, None] * free[:n] + xy[:, None] * free[n:]
+            across = xy[:, None] * free[:n] + yy[:, None] * free[n:]
+            step = np.linalg.solve(np.eye(2 * n) - np.vstack([along, across]), -error)
+            trials = [(*project(traction + share * step), share) for share in (1.0, 0.5, 0.25, 0.1)]
+            error, (xx, yy, xy), share = min(trials, key=lambda trial: np.abs(trial[0]).sum())
+            traction = traction + share * step
+        raise ArithmeticError("the tractions have not settled")
+
+
+def sticking(x: np.ndarray, y: np.ndarray, slip: np.ndarray, poisson: float) -> np.ndarray:
+    """Forces along and across (m^2) and moment (m^3), over the shear modulus, of a patch on which nothing slides;
+    shape (m, 3).
+
+    From its squares (m), shape (n,), and the rigid slip of the wheel along and across on each, over the speed, in m
+    cases, shape (m, 2, n).
+    """
+    cells = Rolling(x, y, (SQUARE, SQUARE), 1.0, poisson)
+    tractions = np.linalg.solve(cells.slip, -slip.reshape(len(slip), -1).T).T.reshape(slip.shape)
     forces = tractions.sum(axis=2)
     moments = (x * tractions[:, 1] - y * tractions[:, 0]).sum(axis=1)
     return np.column_stack([forces, moments]) * SQUARE**2
 
 
-@dataclass(frozen=True)
-class Patch:
+@lru_cache(maxsize=4)
+def _ellipse(a, b, count):
+    """Cells of an ellipse and Hertz's pressure on them over its mean."""
+    sides = 2 * a / count, 2 * b / count
+    places = [(np.arange(count) + 0.5) * side - half for side, half in zip(sides, (a, b), strict=True)]
+    x, y = (grid.ravel() for grid in np.meshgrid(*places, indexing="ij"))
+    share = 1 - (x / a) ** 2 - (y / b) ** 2
+    return Rolling(x[share > 0], y[share > 0], sides), np.sqrt(share[share > 0])
+
+
+def rolling(creepage, load, a, b, friction, count=20):
+    """Force F_x, F_y (N) and moment (N m) on a wheel under longitudinal, lateral (-) and spin creepage (1/m)."""
+    cells, pressure = _ellipse(a, b, count)
+    bound = friction * load * pressure / (pressure.sum() * np.prod(cells.sides))
+    return cells.load(bound, creepage[0] - creepage[2] * cells.y, *creepage[1:])
+
+
+class Patch(NamedTuple):
     """Contact of a wheel at some shift: slope of the resultant (-), rolling radius (m), and creep forces over the shear
     modulus by longitudinal and lateral creepage (m^2), by spin, which is also the moment by lateral creepage (m^3), and
     moment by spin (m^4)."""
@@ -106,7 +158,6 @@ class Patch:
 
 
 TABLE = Path(__file__).with_name("s1002_contact.csv")
-COLUMNS = ("slope", "rolling", "along", "across", "spin", "turn")
 
 
 def patch(shift: float, vehicle: Vehicle) -> Patch:
@@ -144,24 +195,22 @@ def patch(shift: float, vehicle: Vehicle) -> Patch:
     return Patch(slope, rolling, forces[0, 0], forces[1, 1], forces[2, 1] / spin, forces[2, 2] / spin)
 
 
-def table(vehicle: Vehicle, shifts: np.ndarray) -> pd.DataFrame:
-    """Patches over the shift towards the flange, columns shift_m and `COLUMNS`."""
-    rows = [{"shift_m": shift} | asdict(patch(float(shift), vehicle)) for shift in tqdm(shifts)]
-    return pd.DataFrame(rows)
-
-
 def splines(frame: pd.DataFrame) -> CubicSpline:
-    """Effective radius less the nominal one (m), and `COLUMNS` but the slope, over the place of the rail on the wheel.
+    """Effective radius less the nominal one (m), and `Patch` but the slope, over the place of the rail on the wheel.
 
     The place counts from the tape circle outwards (m). Squares make the columns uneven by a percent, which is smoothed.
     The effective radius is the integral of the slope, so that the normal force makes no energy.
     """
     place = -frame["shift_m"].to_numpy()[::-1]
-    smooth = [make_smoothing_spline(1e3 * place, frame[name].to_numpy()[::-1], lam=_SMOOTHING) for name in COLUMNS]
+    smooth = [
+        make_smoothing_spline(1e3 * place, frame[name].to_numpy()[::-1], lam=_SMOOTHING) for name in Patch._fields
+    ]
     slope, *others = (spline(1e3 * place) for spline in smooth)
     radius = CubicSpline(place, -slope).antiderivative()
     return CubicSpline(place, np.column_stack([radius(place) - radius(0.0), *others]))
 
 
 if __name__ == "__main__":
-    table(load_vehicle(), np.arange(-24, 25) * 0.25e-3).to_csv(TABLE, index=False, float_format="%.6g")
+    shifts, car = np.arange(-24, 25) * 0.25e-3, load_vehicle()
+    rows = [{"shift_m": shift} | patch(float(shift), car)._asdict() for shift in tqdm(shifts)]
+    pd.DataFrame(rows).to_csv(TABLE, index=False, float_format="%.6g")

@@ -1,15 +1,14 @@
 """A second opinion on the car: the same runs in our equations and in the public multibody code Exudyn.
 
-`python tests/validation/second_opinion.py [case ...]` writes data/results/second_opinion.csv; it needs the group
+`python tests/validation/second_opinion.py` writes data/results/second_opinion.csv; it needs the group
 `bench`. Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import exudyn_car
 import numpy as np
@@ -21,7 +20,7 @@ from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.ndi import NDI
-from railrepro.data import InputError, write
+from railrepro.data import write
 from railrepro.evidence.commands import report_errors
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -41,33 +40,19 @@ _GUARD = 8.0
 Laterally the cars are integrators: without the integral a torque that differs by 1 N m moves them by 1 mm."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A run of our car whose torques Exudyn's car gets.
-
-    Attributes
-    ----------
-    name, scenario : str
-        Own name; name in data/scenarios.toml.
-    seconds : float
-        Length of the comparison (s).
-    changes : dict
-        Fields of the scenario to change.
-    pulses : float
-        Differential torque of open-loop pulses (N m); 0: NDI with integral action, replayed with `_guard`.
-    irregular : bool
-        Irregular rails.
-    step : float
-        Step of Exudyn (s); irregular rails excite the contact modes and need shorter ones.
-    """
+class Case(NamedTuple):
+    """A run of our car whose torques Exudyn's car gets: own name, that in data/scenarios.toml, length (s)."""
 
     name: str
     scenario: str
     seconds: float
-    changes: dict = field(default_factory=dict)
+    changes: dict = {}
+    """Fields of the scenario to change."""
     pulses: float = 0.0
+    """Differential torque of open-loop pulses (N m); 0: NDI with integral action, replayed with `_guard`."""
     irregular: bool = False
     step: float = STEP
+    """Step of Exudyn (s); irregular rails excite the contact modes and need shorter ones."""
 
 
 _STRAIGHT = {"set_point": {"kind": "none"}, "speed_kmh": 200}
@@ -180,17 +165,10 @@ def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
     return signals | {("differential torque", "N m"): run[list(GUIDED)].to_numpy()}
 
 
-def main(names: list[str]) -> None:
-    """Compare the named cases and print them, or all and write the table."""
-    if importlib.util.find_spec("exudyn") is None:
-        raise InputError("the second opinion on the car needs exudyn; install the group `bench` into .venv for it")
-    unknown = set(names) - {case.name for case in CASES}
-    if unknown:
-        raise InputError(f"case {min(unknown)!r} is not known; there are {[case.name for case in CASES]}")
-    chosen = [case for case in CASES if case.name in names or not names]
-    table = pd.concat([compare(case.name, replay(case)) for case in tqdm(chosen)], ignore_index=True)
-    if not names:
-        write(paths.product("data/results/second_opinion.csv"), table.to_csv(index=False, float_format="%.4g"))
+def main(_names: list[str]) -> None:
+    """Compare all cases, write the table and print it."""
+    table = pd.concat([compare(case.name, replay(case)) for case in tqdm(CASES)], ignore_index=True)
+    write(paths.product("data/results/second_opinion.csv"), table.to_csv(index=False, float_format="%.4g"))
     print(table.to_string(index=False, float_format="{:.3g}".format))
 
 

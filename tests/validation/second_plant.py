@@ -1,6 +1,6 @@
 """The second plant: the project's controllers on the independent car in Exudyn, on S1002 wheels, in closed loop.
 
-`python tests/validation/second_plant.py [scenario ...]` drives both cars through the scenarios of Figs. 6 to 9 under
+`python tests/validation/second_plant.py` drives both cars through the scenarios of Figs. 6 to 9 under
 the paper's controllers with the tuned sets of the setting `paper`, probes both for the statements, and writes
 data/results/second_plant.csv and second_plant_verdicts.csv (half an hour); it needs the group `bench`. The law of the
 1 kHz control cycle, allocation of torques and adhesion law among it, is that of the project; bodies, integrator, rails,
@@ -14,7 +14,6 @@ Serves the paper's section Multi-Body Simulation Results.
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -47,8 +46,6 @@ PARTS = ("curve", "curves", "sine", "loss")
 """What the probe of the statements drives here; its sweeps of braking would take hours."""
 SLOWEST = 36.0
 """Speed to which both cars brake (km/h): below some 28 km/h the explicit steps of Exudyn are too long for the creep."""
-SLACK = 0.02
-"""Errors of two controllers that differ by less (relative) are level."""
 
 
 def run(
@@ -136,42 +133,15 @@ def verdicts(rows: list[tuple]) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def same_order(table: pd.DataFrame, slack: float = SLACK) -> pd.Series:
-    """Whether the errors of the controllers are in the same order on both plants, by scenario.
-
-    Two that differ by less than `slack` on either plant are level.
-    """
-
-    def signs(errors: pd.Series) -> np.ndarray:
-        ratio = np.log(errors.to_numpy()[:, None] / errors.to_numpy())
-        return np.sign(ratio) * (np.abs(ratio) > np.log1p(slack))
-
-    found = {}
-    for scenario, rows in table.groupby("scenario", sort=False):
-        errors = rows.pivot_table(index="controller", columns="plant", values="rmse_mm")
-        found[scenario] = bool((signs(errors["project"]) * signs(errors["exudyn"]) >= 0).all())
-    return pd.Series(found, name="same order")
-
-
-def main(names: list[str]) -> None:
-    """Drive the named scenarios and print the table, or all and write it."""
-    if importlib.util.find_spec("exudyn") is None:
-        raise InputError("the second plant needs exudyn; install the group `bench` into .venv for it")
-    if unknown := set(names) - set(SCENARIOS):
-        raise InputError(f"scenario {min(unknown)!r} is not known; there are {list(SCENARIOS)}")
-    chosen = [name for name in SCENARIOS if name in names or not names]
-    tasks = [(name, controller, plant) for name in chosen for controller in PAPER_TRIO for plant in PLANTS]
-    parts = [] if names else [*product(PARTS, PLANTS)]
+def main(_names: list[str]) -> None:
+    """Drive all scenarios, probe both plants, write both tables and print them."""
+    tasks, parts = [*product(SCENARIOS, PAPER_TRIO, PLANTS)], [*product(PARTS, PLANTS)]
     with ProcessPoolExecutor() as pool:
         table = pd.DataFrame(tqdm(pool.map(driven, tasks), "runs", len(tasks)))
         rows = [row for rows in tqdm(pool.map(probed, parts), "probes", len(parts)) for row in rows]
-    print(table.to_string(index=False, float_format="{:.4g}".format))
-    print(same_order(table).to_string())
-    if not names:
-        judged = verdicts(rows)
-        print(judged.to_string(index=False))
-        for name, found in {"second_plant": table, "second_plant_verdicts": judged}.items():
-            write(paths.product(f"data/results/{name}.csv"), found.to_csv(index=False, float_format="%.5g"))
+    for name, found in {"second_plant": table, "second_plant_verdicts": verdicts(rows)}.items():
+        write(paths.product(f"data/results/{name}.csv"), found.to_csv(index=False, float_format="%.5g"))
+        print(found.to_string(index=False))
 
 
 if __name__ == "__main__":

@@ -35,8 +35,8 @@ def test_a_peer_that_solves_another_problem_is_found_out(short, monkeypatch):
 
     def lazy(peer, problem):
         honest(peer, problem)
-        peer._argument("x0")[:] = peer._argument("p")[:1] * 0
-        peer._argument("lbx")[peer._stated.torques] = peer._argument("ubx")[peer._stated.torques] = 0.0
+        for bound in ("lbx", "ubx"):
+            peer._given[bound][peer._stated.torques] = 0.0
 
     monkeypatch.setattr(peers.Peer, "_prepare", lazy)
     table = peers.compare(recording, vehicle, ("sqp_qrqp",), rounds=1).set_index("solver")

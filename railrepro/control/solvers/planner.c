@@ -10,8 +10,8 @@ static const double TOLERANCE = 1e-4;
 
 typedef struct {
   horizon_t *h;
-  /* measured state in the horizon, torques (N m) of the plan */
-  double *x_hat, *plan;
+  /* torques (N m) of the plan */
+  double *plan;
   double observer, torque_limit;
   casadi_int yielding, informed, mode;
   /* observed offset of the yaw angle, lateral position that is expected next */
@@ -27,7 +27,7 @@ static double bounded(const horizon_t *h, double torque) {
 
 /* Put a state and a base torque into the horizon; the state may be one of its trajectory. */
 static void enter(const planner_t *p, const double *x, double u_d) {
-  memmove(p->x_hat, x, N * sizeof(double));
+  memmove(p->h->x_hat, x, N * sizeof(double));
   p->h->u_d = u_d;
   p->h->bound = p->yielding ? p->torque_limit : fmax(p->torque_limit - fabs(u_d), 0);
 }
@@ -57,7 +57,7 @@ static void start_warm(const planner_t *p) {
     memcpy(h->x + h->steps * N, h->x_d + h->steps * N, N * sizeof(double));
   } else
     memcpy(h->x, h->x_d, (size_t)(h->steps + 1) * N * sizeof(double));
-  memcpy(h->x, p->x_hat, N * sizeof(double));
+  memcpy(h->x, h->x_hat, N * sizeof(double));
   for (casadi_int k = 0; k < h->steps; ++k) h->u[k] = planned(p, k);
 }
 
@@ -102,13 +102,29 @@ double planner_take(planner_t *p, int failed) {
   return p->plan[0];
 }
 
+/* Newton iterations with full steps until no torque moves and the trajectory obeys the model; not 0 when they do not end. */
+static int converge(planner_t *p) {
+  const horizon_t *h = p->h;
+  for (; p->iterations <= MOST_ITERATIONS; ++p->iterations) {
+    horizon_linearise(h);
+    if (horizon_solve(h)) return 1;
+    double moved = 0, gap = 0;
+    for (casadi_int k = 0; k < h->steps; ++k) {
+      moved = fmax(moved, fabs(h->du[k]));
+      for (int i = 0; i < N; ++i) gap = fmax(gap, fabs(h->x_next[k * N + i] - h->x[(k + 1) * N + i]));
+    }
+    horizon_apply(h);
+    if (moved < TOLERANCE && gap < 1e-9) return 0;
+  }
+  p->iterations = MOST_ITERATIONS;
+  return 1;
+}
+
 /* Torque (N m) at a measured state and a base torque. */
 double planner_plan(planner_t *p, const double *measured, double base) {
   planner_begin(p, measured, base);
   p->iterations = 1;
-  const int failed =
-      p->mode == CONVERGED ? horizon_iterate(p->h, MOST_ITERATIONS, TOLERANCE, &p->iterations) : horizon_solve(p->h);
-  return planner_take(p, failed);
+  return planner_take(p, p->mode == CONVERGED ? converge(p) : horizon_solve(p->h));
 }
 
 /* What of the next sample can be done before its state is measured: real-time iteration expects the planned one. */

@@ -1,5 +1,5 @@
 /* One sample of a predictive controller: forecast, linearise along the horizon, solve the quadratic problem by a Riccati
-   recursion inside an active-set loop, repeat. Knows nothing of railways: generated functions and tables of cells.
+   recursion inside an active-set loop. Knows nothing of railways: generated functions and tables of cells.
    All arrays are row-major, one row per stage. Starts after call.h, lanes.h, the indices of
    states and tuning by name (STATE_…, TUNING_…), the numbers of states N, of track parameters N_THETA, of columns of a
    cell N_CELL and of entries N_A of the matrix A, and the prediction model prediction_lanes. */
@@ -13,7 +13,8 @@ typedef struct {
   call_t position, preview, terminal, backward, forward, barrier_stiffness, barrier_terminal, barrier_backward, barrier_again;
   /* inputs: measured state, nominal vehicle of the forecast and of the model, tuning; base torque, bound of the
      differential torque, printed switch */
-  const double *x_hat, *nominal, *par, *tuning;
+  double *x_hat;
+  const double *nominal, *par, *tuning;
   double u_d, bound, affine;
   /* forecast and trajectory */
   double *x_d, *theta, *x, *u;
@@ -147,23 +148,4 @@ int horizon_solve(const horizon_t *h) {
 void horizon_apply(const horizon_t *h) {
   for (casadi_int i = 0; i < (h->steps + 1) * N; ++i) h->x[i] += h->dx[i];
   for (casadi_int k = 0; k < h->steps; ++k) h->u[k] = fmin(fmax(h->u[k] + h->du[k], -h->bound), h->bound);
-}
-
-/* Up to `most` Newton iterations with full steps; stops when no torque moves by more than `tolerance` and the trajectory
-   obeys the model. `iterations` counts them. Returns like horizon_solve, or 3 when it has not converged (most > 1). */
-int horizon_iterate(const horizon_t *h, casadi_int most, double tolerance, casadi_int *iterations) {
-  for (*iterations = 1; *iterations <= most; ++*iterations) {
-    horizon_linearise(h);
-    int failed = horizon_solve(h);
-    if (failed) return failed;
-    double moved = 0, gap = 0;
-    for (casadi_int k = 0; k < h->steps; ++k) {
-      moved = fmax(moved, fabs(h->du[k]));
-      for (int i = 0; i < N; ++i) gap = fmax(gap, fabs(h->x_next[k * N + i] - h->x[(k + 1) * N + i]));
-    }
-    horizon_apply(h);
-    if (moved < tolerance && gap < 1e-9) return 0;
-  }
-  *iterations = most;
-  return most > 1 ? 3 : 0;
 }

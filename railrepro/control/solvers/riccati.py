@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from railrepro.compile import codegen
+from railrepro.compile.lanes import lanes_header, lanes_text
 from railrepro.control.problem import TUNING, MPCSettings, dynamics
 from railrepro.control.solvers.recursion import barrier, recursion
 from railrepro.model import forecast
@@ -67,14 +68,14 @@ def _enum(names: Iterable[str]) -> str:
 @codegen.stored
 def _lanes(variant: str, discretisation: str) -> str:
     """C of the model along a trajectory, several stages at a time."""
-    return codegen.lanes_text(dynamics(variant, discretisation), common=("u_d", "par", "T", "affine"))
+    return lanes_text(dynamics(variant, discretisation), common=("u_d", "par", "T", "affine"))
 
 
 def c_text(variant: str, discretisation: str) -> str:
     """Hand-written C around the generated functions, to stand after `codegen.source_text` and call.h."""
     model = dynamics(variant, discretisation)
     names = {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}
-    extra = codegen.lanes_header()
+    extra = lanes_header()
     extra += "".join(_enum(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
     extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
     extra += _lanes(variant, discretisation)
@@ -84,7 +85,7 @@ def c_text(variant: str, discretisation: str) -> str:
 
 @lru_cache
 def _library(variant: str, discretisation: str) -> ctypes.CDLL:
-    extra = Path(codegen.__file__).with_name("call.h").read_text() + c_text(variant, discretisation)
+    extra = codegen.PREAMBLE + c_text(variant, discretisation)
     loaded = codegen.library(functions(variant, discretisation), extra)
     loaded.planner_plan.restype = loaded.planner_take.restype = ctypes.c_double
     return loaded

@@ -22,7 +22,7 @@ from railrepro.car.component import SteppedCar
 from railrepro.compile import codegen
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, Problem
-from railrepro.control.registry import WITH_OBSERVER, mpc_settings
+from railrepro.control.registry import WITH_OBSERVER, mpc_settings, parameters
 from railrepro.data import InputError, write
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import Experiment
@@ -210,36 +210,20 @@ def machine() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
-def _of(setting: str) -> MPCSettings:
-    """NMPC as it is tuned in a setting."""
-    return mpc_settings(tuning.load("nmpc", setting)["parameters"])
-
-
 def main(names: list[str]) -> None:
     """Measure the named tables, or all, and write them."""
+    vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in tuning.SETTINGS}
     measures = {
-        "solve_times": lambda: pd.concat(
-            [solve_times(vehicle, _of(setting)).assign(setting=setting) for setting in tuning.SETTINGS]
-        ),
-        "horizon_times": lambda: horizon_times(vehicle, settings),
+        "solve_times": lambda: pd.concat([solve_times(vehicle, of[name]).assign(setting=name) for name in of]),
+        "horizon_times": lambda: horizon_times(vehicle, of[tuning.EQUAL]),
         "sample_times": sample_times,
         "step_times": step_times,
     }
     unknown = set(names) - set(measures)
     if unknown:
         raise InputError(f"table {min(unknown)!r} is not known; there are {sorted(measures)}")
-    vehicle, settings = load_vehicle(), _of(tuning.EQUAL)
     for name in names or measures:
         table = measures[name]()
         table["machine"] = machine()
         write(paths.product(f"data/results/{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
         print(f"\n{name}\n{table.drop(columns='machine').to_string(index=False)}")
-        if name == "solve_times":
-            plain = table[~table["scenario"].str.contains("bounds")]
-            print("\nmedian over scenarios, relative to Ipopt:")
-            print(
-                plain.groupby(["setting", "solver"])["ratio_to_ipopt"]
-                .median()
-                .map(lambda x: f"1/{1 / x:.0f}")
-                .to_string()
-            )

@@ -1,18 +1,32 @@
-"""The book: its source in build/book, made by Sphinx into build/html."""
+"""The book in build/html: executed notebooks with their surroundings, report, notation, made by Sphinx."""
 
 from __future__ import annotations
 
-import csv
 import json
+import re
 import shutil
 import sys
+import tomllib
 from pathlib import Path
+
+import pandas as pd
 
 from railrepro import paths
 from railrepro.data import InputError, write
-from railrepro.evidence.chain import pages
-from railrepro.evidence.chain.chain import chain, figures, find, why_stale
-from railrepro.evidence.chain.files import written
+from railrepro.evidence.chain.chain import Notebook, chain, figures, why_stale
+from railrepro.evidence.claims import statements
+from railrepro.evidence.runs.tuning import SETTINGS
+from railrepro.vehicle import parameters
+
+_EQUATION = re.compile(r"\beqs?\. (\([^()\s]+\)(?:(?:, | and | to )\([^()\s]+\))*)")
+_DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
+_TAG = re.compile(r"\\tag\{([^}]*)\}")
+_CHAPTER = re.compile(r"`(\d\d_\w+)`")
+_SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
+_FOLDED = re.compile(
+    r"\bsentences\(\)|\bplt\.\w|\bsave_figure\(|\.(?:plot|semilog[xy]|loglog|scatter|subplots|set_[xy]label)\("
+)
+"""What is in code cells that are folded: they draw or say sentences."""
 
 
 def html() -> Path:
@@ -25,7 +39,7 @@ def html() -> Path:
     InputError
         When a notebook fails, or Sphinx warns.
     """
-    absent = [notebook.name for notebook in chain().values() if not pages.file(notebook).exists()]
+    absent = [notebook.name for notebook in chain().values() if not notebook.executed.exists()]
     if absent and figures(absent):
         raise InputError("the book needs every notebook executed, see the lines above")
     stale = [notebook.name for notebook in chain().values() if why_stale(notebook)]
@@ -37,8 +51,7 @@ def html() -> Path:
         from sphinx.cmd.build import build_main
     except ImportError as error:
         raise InputError("the book needs the packages of the group `book`; `make html` installs them") from error
-    with written():
-        shutil.rmtree(folder, ignore_errors=True)
+    shutil.rmtree(folder, ignore_errors=True)
     settings = paths.NOTEBOOKS / "book"
     if build_main(["-q", "-W", "--keep-going", "-b", "html", "-c", str(settings), str(source), str(folder)]):
         raise InputError("the book is not complete, see the lines above")
@@ -46,55 +59,202 @@ def html() -> Path:
     return folder / "index.html"
 
 
-def script(name: str) -> Path:
-    """A chapter as a Python script in build/scripts, with its prose as comments; what it writes goes to build/tried.
-
-    Parameters
-    ----------
-    name : str
-        Name of the notebook, or its two digits.
-    """
-    from nbconvert import PythonExporter
-
-    notebook = find(next((known.name for known in chain().values() if known.name[:2] == name), name))
-    text, _ = PythonExporter(exclude_input_prompt=True).from_filename(str(notebook.path))
-    head = f"import os\n\nos.environ.setdefault('RAILREPRO_OUTPUT', {str(paths.BUILD / 'tried' / notebook.name)!r})\n"
-    file = paths.BUILD / "scripts" / f"{notebook.name}.py"
-    write(file, head + text.partition("coding: utf-8")[2])
-    return file
-
-
 def _source(folder: Path) -> Path:
     """Write the source of the book; returns its folder."""
-    from railrepro.evidence.claims import statements
-    from railrepro.evidence.report import notation
-
-    notebooks = list(chain().values())
-    contents = {notebook.name: pages.executed(notebook) for notebook in notebooks}
+    notebooks = chain()
+    contents = {name: executed(notebook) for name, notebook in notebooks.items()}
     home: dict[str, str] = {}
     for name, content in contents.items():
-        for number in pages.tags(pages.prose(content)):
+        for number in tags(prose(content)):
             home.setdefault(number, name)
-    homes = {name: statement.notebook for name, statement in statements.load().items()}
-    table = _claims_table()
-    with written():
-        shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(paths.NOTEBOOKS / "book", folder, ignore=shutil.ignore_patterns("__pycache__"))
-        for name in ("data", "figures", "railrepro"):
-            (folder / name).symlink_to(paths.ROOT / name)
-        (folder / "source").symlink_to(paths.NOTEBOOKS)
-    for notebook in notebooks:
-        rows = pages.resting(notebook, homes, table)
-        chapter = pages.chapter(notebook, contents[notebook.name], home, rows)
-        write(folder / "notebooks" / f"{notebook.name}.ipynb", json.dumps(chapter))
-    write(folder / "REPLICATION.md", pages.report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
-    write(folder / "notation.md", pages.notation(notation.table().to_dict("records")))
+    homes = {identity: statement.notebook for identity, statement in statements.load().items()}
+    claims = pd.read_csv(paths.source("data/results/claims.csv"), dtype=str, keep_default_na=False)
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(paths.NOTEBOOKS / "book", folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("data", "figures", "railrepro"):
+        (folder / name).symlink_to(paths.ROOT / name)
+    (folder / "source").symlink_to(paths.NOTEBOOKS)
+    for name, content in contents.items():
+        page = chapter(notebooks[name], content, home, claims[claims["id"].map(homes) == name])
+        write(folder / "notebooks" / f"{name}.ipynb", json.dumps(page))
+    write(folder / "REPLICATION.md", report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
+    write(folder / "notation.md", _notation(symbols()))
     return folder
 
 
-def _claims_table() -> list[dict]:
-    file = paths.source("data/results/claims.csv")
-    if not file.exists():
-        return []
-    with file.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
+def executed(notebook: Notebook) -> dict:
+    """Content of an executed notebook, sources as single strings, its number in the title."""
+    content = json.loads(notebook.executed.read_text(encoding="utf-8"))
+    for cell in content["cells"]:
+        cell["source"] = "".join(cell["source"])
+    first = content["cells"][0]
+    title = re.compile(r"^# (?:\[Re\] |Beyond the paper: )?(.)")
+    first["source"] = title.sub(lambda m: f"# {notebook.name[:2]} {m[1].upper()}", first["source"])
+    return content
+
+
+def prose(content: dict) -> str:
+    """Markdown of a notebook."""
+    return "\n".join(cell["source"] for cell in content["cells"] if cell["cell_type"] == "markdown")
+
+
+def tags(text: str) -> list[str]:
+    """Numbers of the paper's equations that formulas in a text carry: of "3a, b" these are 3a, 3b and 3."""
+    found: list[str] = []
+    for tag in _TAG.findall(text):
+        number = "".join(re.findall(r"^\d+", tag))
+        found += [f"{number}{letter}" for letter in re.findall(r"[a-z]", tag)] + [number]
+    return list(dict.fromkeys(found))
+
+
+def chapter(notebook: Notebook, content: dict, home: dict[str, str], claims: pd.DataFrame) -> dict:
+    """A notebook as a page: equations linked, figures with captions, source, data and claims at its end.
+
+    Parameters
+    ----------
+    notebook : Notebook
+    content : dict
+        See `executed`.
+    home : dict
+        Notebook that shows an equation of the paper, by number.
+    claims : DataFrame
+        Rows of data/results/claims.csv that rest on it.
+
+    Returns
+    -------
+    dict
+        The notebook with changed cells.
+    """
+    cells: list[dict] = []
+    waiting = {number for number, name in home.items() if name == notebook.name}
+    for i, cell in enumerate(content["cells"]):
+        if cell["cell_type"] == "markdown":
+            text = _DISPLAY.sub(lambda m: _display(m[1], waiting), cell["source"])
+            cells.append(cell | {"source": _linked(text, home)})
+            continue
+        cells.append(_markdown(f"({notebook.name}-{cell['id']})=", f"target-{i}"))
+        cells += _with_figures(cell)
+    cells.append(_markdown(_around(notebook, claims), "around"))
+    return content | {"cells": cells}
+
+
+def _markdown(text: str, identity: str) -> dict:
+    return {"cell_type": "markdown", "id": identity, "metadata": {}, "source": text}
+
+
+def _display(formula: str, waiting: set[str]) -> str:
+    """A displayed formula as an environment of its own, with a target for each number that still waits for one."""
+    targets = [f"(eq-{number})=\n" for number in tags(formula) if number in waiting]
+    waiting.difference_update(tags(formula))
+    environment = "" if formula.lstrip().startswith(("\\begin{align}", "\\begin{gather}")) else "equation*"
+    # Without the star Sphinx would count the formula as its own, too.
+    starred = re.sub(r"\{(align|gather)\}", r"{\1*}", formula)
+    body = f"\\begin{{{environment}}}\n{formula}\n\\end{{{environment}}}" if environment else starred
+    return f"\n{''.join(targets)}{body}\n"
+
+
+def _linked(text: str, home: dict[str, str]) -> str:
+    """Mentions of the paper's equations and of chapters as links to their places in the book."""
+
+    def link(match: re.Match) -> str:
+        return f"[{match[0]}](#eq-{match[1]})" if match[1] in home else match[0]
+
+    text = _EQUATION.sub(lambda m: m[0].replace(m[1], re.sub(r"\(([^()]+)\)", link, m[1])), text)
+    names = chain()
+    return _CHAPTER.sub(lambda m: f"[`{m[1]}`]({m[1]}.ipynb)" if m[1] in names else m[0], text)
+
+
+def _with_figures(cell: dict) -> list[dict]:
+    """A code cell; in place of images of figures that it saves the files with captions."""
+    saved = _SAVED.findall(cell["source"])
+    stored = [output for output in cell.get("outputs", []) if not (saved and _is_figure(output))]
+    folded = {"metadata": {"tags": ["hide-input"]}} if _FOLDED.search(cell["source"]) else {}
+    return [cell | {"outputs": stored} | folded, *(_markdown(_figure(name), name) for name in saved)]
+
+
+def _is_figure(output: dict) -> bool:
+    return {"image/png", "text/latex"} & set(output.get("data", {})) == {"image/png"}
+
+
+def captions() -> dict[str, str]:
+    """What each figure shows, from notebooks/book/captions.toml."""
+    return tomllib.loads((paths.NOTEBOOKS / "book" / "captions.toml").read_text(encoding="utf-8"))
+
+
+def _figure(name: str) -> str:
+    """A saved figure as a numbered one, with its data."""
+    caption = captions()[name]
+    head = f"```{{figure}} ../figures/{name}.png\n:name: {name}\n:alt: {caption}\n\n"
+    return f"{head}**Figure {int(name[3:5])}.** {caption} ({_download(f'figures/{name}.csv')})\n```"
+
+
+def _download(path: str) -> str:
+    return f"{{download}}`{Path(path).name} <../{path}>`"
+
+
+def _around(notebook: Notebook, claims: pd.DataFrame) -> str:
+    """Where a chapter comes from and what rests on it."""
+    reads = [path for path in notebook.reads if (paths.ROOT / path).is_file()]
+    lines = ["## Source, data, claims", "", f"Notebook: {_download(f'source/{notebook.name}.ipynb')}.", ""]
+    if reads:
+        lines += [f"Reads: {', '.join(map(_download, reads))}.", ""]
+    if notebook.writes:
+        lines += [f"Writes: {', '.join(map(_download, notebook.writes))}; figures above.", ""]
+    if claims.empty:
+        return "\n".join([*lines, "No statement of the paper rests on this chapter."])
+    lines += ["Statements of the paper that rest on this chapter:", ""]
+    lines += _head("", "statement", *(f"`{setting}`" for setting in SETTINGS))
+    for (identity, statement), own in claims.groupby(["id", "statement"], sort=False):
+        known = dict(zip(own["setting"], own["verdict"], strict=True))
+        verdicts = [
+            str(known.get(setting, known.get("", ""))) for setting in SETTINGS
+        ]  # without a setting: one for all
+        link = f'<a href="../REPLICATION.html#{identity}">{identity}</a>'
+        lines.append(f"| {link} | {statement} | {' | '.join(verdicts)} |")
+    return "\n".join(lines)
+
+
+def _head(*names: str) -> list[str]:
+    return [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
+
+
+def report(text: str) -> str:
+    """REPLICATION.md with links to chapters of the book and a target for each claim."""
+    text = re.sub(r"\(notebooks/(\w+)\.ipynb#cell-id=(\w+)\)", r"(#\1-\2)", text)
+    return re.sub(r"^\| (C\d\d) \|", r'| <span id="\1"></span>\1 |', text, flags=re.MULTILINE)
+
+
+def symbols() -> pd.DataFrame:
+    """Symbols of the paper (data/notation.csv), then parameters of the car: symbol, meaning, unit, python, equation."""
+    entries = parameters.describe()
+    entries = entries[entries["symbol"] != "-"]
+    vehicle = {
+        "symbol": entries["symbol"].map(_latex),
+        "meaning": entries["key"].str.replace("_", " ").str.replace(".", ", "),
+        "unit": entries["unit"],
+        "python": "vehicle " + entries["key"],
+        "equation": "",
+    }
+    paper = pd.read_csv(paths.source("data/notation.csv"), keep_default_na=False)
+    return pd.concat([paper, pd.DataFrame(vehicle)], ignore_index=True)
+
+
+def _latex(symbol: str) -> str:
+    head, _, index = symbol.partition("_")
+    greek = {"mu", "nu", "tau", "psi", "delta"}
+    return f"${chr(92) + head if head in greek else head}{f'_{{{index}}}' if index else ''}$"
+
+
+def _notation(table: pd.DataFrame) -> str:
+    """Page of the symbols."""
+    lines = [
+        "# Notation",
+        "",
+        "Symbols of the paper, then parameters of the car; `series`: columns of a run's table.",
+        "",
+    ]
+    lines += _head("symbol", "meaning", "unit", "in the library", "equation")
+    for row in table.itertuples():
+        cells = (row.symbol, row.meaning, row.unit, f"`{row.python}`" if row.python else "", row.equation)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"

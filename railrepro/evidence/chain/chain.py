@@ -1,8 +1,8 @@
 """The chain of notebooks: which are stale and why, how one runs, and where each product comes from.
 
 notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.reads`). Staleness
-is decided by content, never by time. Each notebook runs in a process of its own, with papermill and a staging folder:
-its products are moved in place when all is well.
+is decided by content, never by time. Each notebook runs in a process of its own, with papermill and a temporary folder:
+its products are put in place when all is well.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from typing import Annotated
 
 from railrepro import code, data, numerics, paths, reads
 from railrepro.data import InputError, Number, above, alone, between, write
-from railrepro.evidence.chain import parent_death
-from railrepro.evidence.chain.files import move, scratch, written
+from railrepro.evidence.chain.compare import Tolerance
 from railrepro.evidence.report.sentences import false_in
 from railrepro.evidence.runs import store
 from railrepro.vehicle.parameters import load_vehicle
@@ -37,7 +36,7 @@ Reads = dict[str, list[str]]
 Inputs = dict[str, str]
 """What the products of a notebook depend on by its name, and the hash of each."""
 EDITED = "an input was edited while it ran"
-VEHICLE = "data/vehicle.toml"
+EXECUTED = "executed.ipynb"
 _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
 
 
@@ -61,6 +60,11 @@ class Notebook:
         return paths.NOTEBOOKS / f"{self.name}.ipynb"
 
     @property
+    def executed(self) -> Path:
+        """The executed notebook."""
+        return paths.BUILD / "notebooks" / f"{self.name}.ipynb"
+
+    @property
     def products(self) -> tuple[str, ...]:
         """All files that it writes, relative to the checkout."""
         return self.writes + tuple(f"figures/{figure}.{suffix}" for figure in self.figures for suffix in SUFFIXES)
@@ -81,24 +85,32 @@ class _File:
     """Content of notebooks/chain.toml."""
 
     notebook: tuple[Notebook, ...] = ()
-    verify: dict[str, data.Free] = field(default_factory=dict)
-    """See `compare`."""
+    verify: Tolerance = Tolerance()
+
+
+def _file(file: Path | None) -> _File:
+    file = file or paths.NOTEBOOKS / "chain.toml"
+    return data.build(_File, data.read(file), file.name)
+
+
+def tolerance() -> Tolerance:
+    """Tolerances of a comparison of two runs."""
+    return _file(None).verify
 
 
 def chain(file: Path | None = None) -> dict[str, Notebook]:
     """Notebooks by name, in order; InputError for wrong entries, double products and a wrong order."""
-    file = file or paths.NOTEBOOKS / "chain.toml"
     found: dict[str, Notebook] = {}
     maker: dict[str, str] = {}
-    for one in data.build(_File, data.read(file), file.name).notebook:
+    for one in _file(file).notebook:
         for other in one.after:
             if other not in found:
-                raise InputError(f"{file.name}: {one.name} is after {other!r}, which is not above it")
+                raise InputError(f"chain.toml: {one.name} is after {other!r}, which is not above it")
         if one.name in found:
-            raise InputError(f"{file.name}: {one.name} is there twice")
+            raise InputError(f"chain.toml: {one.name} is there twice")
         for product in one.products:
             if product in maker:
-                raise InputError(f"{file.name}: {product} is written by {maker[product]} and by {one.name}")
+                raise InputError(f"chain.toml: {product} is written by {maker[product]} and by {one.name}")
             maker[product] = one.name
         found[one.name] = one
     return found
@@ -168,13 +180,12 @@ def _stamped(notebook: Notebook) -> dict | None:
     """Stamp of the last successful run; None without a readable one."""
     try:
         known = json.loads(notebook.stamp.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError):
         return None
-    whole = isinstance(known, dict) and isinstance(known.get("seconds"), int | float)
-    return known if whole and all(isinstance(known.get(part), dict) for part in _PARTS) else None
+    return known if isinstance(known, dict) and known.keys() == _PARTS else None
 
 
-_PARTS = ("reads", "inputs", "machine", "products")
+_PARTS = {"reads", "inputs", "machine", "products", "seconds"}
 
 
 def why_stale(notebook: Notebook) -> str:
@@ -235,46 +246,51 @@ def _kept_stderr() -> Iterator[None]:
             os.dup2(stderr.fileno(), 2)
 
 
-def _execute(notebook: Notebook, parameters: dict, output: Path, keep_going: bool) -> str:
-    """Run papermill into `output`; what failed, or ""."""
+def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bool) -> str:
+    """Run papermill into `staging`; what failed, or ""."""
     import papermill
-    from nbformat import read
     from traitlets.config import Config
 
-    from railrepro.evidence.chain.cleaning import deterministic
-
+    if unknown := parameters.keys() - papermill.inspect_notebook(str(notebook.path)).keys():
+        return f"has no parameter {min(unknown)!r}"
+    output = staging / EXECUTED
     options: dict = {"kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": False}
     # a busy machine may let a kernel wait: without these nbclient gives up after 4 s and loses outputs
     options |= {"start_timeout": 300, "iopub_timeout": 300, "allow_errors": keep_going}
-    with tempfile.TemporaryDirectory(prefix="railrepro-") as folder:
-        # kernels side by side may be given one TCP port, so that sockets are files, where their names are not too long
-        if len(folder) < 90:
-            options |= {"config": Config(AsyncKernelManager={"transport": "ipc", "ip": f"{folder}/k"})}
-        try:
-            with _kept_stderr():
-                papermill.execute_notebook(
-                    str(notebook.path), str(output), parameters, extra_arguments=["--log-level=50"], **options
-                )
-        except papermill.PapermillExecutionError as error:
-            deterministic(output)
-            return f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
-        except (RuntimeError, TimeoutError) as error:
-            return f"the kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
-    deterministic(output)
-    for i, cell in enumerate(read(output, 4).cells):
+    # kernels side by side may be given one TCP port, so that sockets are files, where their names are not too long
+    if len(str(staging)) < 90:
+        options |= {"config": Config(AsyncKernelManager={"transport": "ipc", "ip": f"{staging}/k"})}
+    try:
+        with _environment(staging), _kept_stderr():
+            papermill.execute_notebook(
+                str(notebook.path), str(output), parameters, extra_arguments=["--log-level=50"], **options
+            )
+    except papermill.PapermillExecutionError as error:
+        _deterministic(output)
+        return f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
+    except (RuntimeError, TimeoutError) as error:
+        return f"the kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
+    for i, cell in enumerate(_deterministic(output)):
         if cell.cell_type == "code" and cell.source.strip() and cell.execution_count is None:
             return f"cell {i + 1} was not executed"
     return ""
 
 
-def _check_parameters(notebook: Notebook, parameters: dict) -> None:
-    import papermill
+def _deterministic(path: Path) -> list:
+    """Remove from an executed notebook what differs between two equal runs; returns its cells."""
+    import nbformat
 
-    cells(notebook)
-    known = papermill.inspect_notebook(str(notebook.path))
-    for name in parameters:
-        if name not in known:
-            raise InputError(f"{notebook.name}: unknown parameter {name!r}; the notebook has {sorted(known)}")
+    notebook = nbformat.read(path, 4)
+    notebook.metadata.pop("papermill", None)
+    for i, cell in enumerate(notebook.cells):
+        for key in ("papermill", "execution"):
+            cell.metadata.pop(key, None)
+        if "injected-parameters" in cell.metadata.get("tags", []):
+            cell["id"] = f"injected-{i}"
+        if cell.cell_type == "code":
+            cell.outputs = [o for o in cell.outputs if o.get("name") != "stderr"]
+    nbformat.write(notebook, path)
+    return notebook.cells
 
 
 def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Reads:
@@ -304,37 +320,33 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
         One line: unknown parameter, failing cell, cell not executed, product that is missing or was read too early, no
         write permission.
     """
-    _check_parameters(notebook, parameters)
     notebooks = chain() | {notebook.name: notebook}
     first = before(notebooks, [notebook.name])
-    with written():
-        executed.mkdir(parents=True, exist_ok=True)
-        with scratch(paths.BUILD / "staging", f"{notebook.name}-{os.getpid()}") as staging:
-            own = [str(file.relative_to(root)) for file in (root / "data").glob("*.toml")]
-            for file in [*own, *(product for name in first for product in notebooks[name].products)]:
-                if root != paths.ROOT and (root / file).exists():
-                    (staging / file).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(root / file, staging / file)
-            output = staging / "executed.ipynb"
-            with _environment(staging):
-                failure = _execute(notebook, parameters, output, keep_going)
-            taken = _taken(staging / "reads", notebook)
-            if not failure and (false := false_sentences(output)) and _is_committed(notebook, parameters, taken, root):
-                failure = f"{_counted(false)} with the committed values: {' | '.join(false)}"
-            missing = [product for product in notebook.products if not (staging / product).exists()]
-            failure = failure or (f"did not write {missing[0]}, which chain.toml declares" if missing else "")
-            for other in notebooks.values():
-                early = set(other.products) & set(taken) if other.name not in first else set()
-                if early and not failure:
-                    failure = f"reads {min(early)} of {other.name}, which chain.toml does not name in `after`"
-            if output.exists():
-                kept = executed / f"{notebook.name}.failed.ipynb"
-                kept.unlink(missing_ok=True)
-                move(output, kept if failure else executed / f"{notebook.name}.ipynb")
-                failure += f" (kept {_short(kept)})" if failure else ""
-            for product in notebook.products if keep_going or not failure else ():
-                if product not in missing:
-                    move(staging / product, root / product)
+    with tempfile.TemporaryDirectory(prefix="railrepro-") as folder:
+        staging = Path(folder)
+        own = [str(file.relative_to(root)) for file in (root / "data").glob("*.toml")]
+        for file in [*own, *(product for name in first for product in notebooks[name].products)]:
+            if root != paths.ROOT and (root / file).exists():
+                (staging / file).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(root / file, staging / file)
+        failure, output = _execute(notebook, parameters, staging, keep_going), staging / EXECUTED
+        taken = _taken(staging / "reads", notebook)
+        if not failure and (false := false_sentences(output)) and _is_committed(notebook, parameters, taken, root):
+            failure = f"{_counted(false)} with the committed values: {' | '.join(false)}"
+        made = {product: staging / product for product in notebook.products if (staging / product).exists()}
+        missing = [product for product in notebook.products if product not in made]
+        failure = failure or (f"did not write {missing[0]}, which chain.toml declares" if missing else "")
+        for other in notebooks.values():
+            early = set(other.products) & set(taken) if other.name not in first else set()
+            if early and not failure:
+                failure = f"reads {min(early)} of {other.name}, which chain.toml does not name in `after`"
+        kept = executed / f"{notebook.name}.failed.ipynb"
+        kept.unlink(missing_ok=True)
+        if output.exists():
+            write(kept if failure else executed / f"{notebook.name}.ipynb", output.read_bytes())
+            failure += f" (kept {_short(kept)})" if failure else ""
+        for product, temporary in made.items() if keep_going or not failure else ():
+            write(root / product, temporary.read_bytes())
     if failure:
         raise InputError(f"{notebook.name}: {failure}")
     return taken
@@ -386,24 +398,19 @@ def _taken(log: Path, notebook: Notebook) -> Reads:
     return {file: entries for file, entries in known.items() if file not in notebook.products}
 
 
-def _times() -> dict[str, int]:
-    """Time of the last change of each file that a notebook may read (ns)."""
-    files = [file for folder in (paths.DATA, paths.FIGURES) for file in folder.rglob("*") if file.is_file()]
-    return {str(file.relative_to(paths.ROOT)): file.stat().st_mtime_ns for file in files}
-
-
 def refresh(name: str) -> None:
     """Run a notebook if it is stale, and stamp it: as stale where an input was edited meanwhile."""
     notebook = find(name)
     if not why_stale(notebook):
         return
-    begin, times, own = time.monotonic(), _times(), inputs(notebook, {})
+    begin, own = time.time(), inputs(notebook, {})
     taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
-    now, found = _times(), inputs(find(name), taken)
-    same = all(times.get(file) == now.get(file) for file in taken) and own.items() <= found.items()
-    found |= {} if same and code.unchanged() else {EDITED: ""}
+    found = inputs(find(name), taken)
+    files = [paths.ROOT / file for file in taken]
+    edited = any(file.is_file() and file.stat().st_mtime > begin for file in files) or not own.items() <= found.items()
+    found |= {EDITED: ""} if edited or not code.unchanged() else {}
     stamp = {"reads": taken, "inputs": found, "machine": store.machine(), "products": _products(notebook)}
-    write(notebook.stamp, json.dumps(stamp | {"seconds": time.monotonic() - begin}, indent=1))
+    write(notebook.stamp, json.dumps(stamp | {"seconds": time.time() - begin}, indent=1))
 
 
 def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
@@ -428,17 +435,16 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
         if not found:
             raise InputError(f"no notebook or figure of chain.toml begins with {name!r}")
         wanted |= found | before(notebooks, list(found))
-    with written():
-        paths.BUILD.mkdir(exist_ok=True)
-        with alone(paths.BUILD / "chain.lock"):
-            fresh: set[str] = set()
-            try:
-                return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs, fresh)
-            finally:
-                _write_manifests(notebooks, fresh)
-                for name in sorted(wanted):
-                    if false := false_sentences(paths.BUILD / "notebooks" / f"{name}.ipynb"):
-                        _say(f"{name}: {_counted(false)} with these values")
+    paths.BUILD.mkdir(exist_ok=True)
+    with alone(paths.BUILD / "chain.lock"):
+        fresh: set[str] = set()
+        try:
+            return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs, fresh)
+        finally:
+            _write_manifests(notebooks, fresh)
+            for name in sorted(wanted):
+                if false := false_sentences(notebooks[name].executed):
+                    _say(f"{name}: {_counted(false)} with these values")
 
 
 def drive(vehicle: Path) -> int:
@@ -455,21 +461,28 @@ def drive(vehicle: Path) -> int:
         1 when a chapter was stopped, else 0; the sentences that do not hold on this car are printed.
     """
     load_vehicle(vehicle)
-    root, stopped = paths.BUILD / "tried" / vehicle.stem, 0
-    with written():
-        (root / VEHICLE).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(vehicle, root / VEHICLE)
-    for notebook in [one for one in chain().values() if one.name < "10"]:
+    root = paths.BUILD / "tried" / vehicle.stem
+    write(root / "data/vehicle.toml", vehicle.read_bytes())
+    names = [name for name in chain() if name < "10"]
+    failed = rerun(names, root)
+    for name in names:
+        for sentence in false_sentences(root / "notebooks" / f"{name}.ipynb"):
+            _say(f"{name}: does not hold on this car: {sentence}")
+    _say(f"figures and executed chapters are in {_short(root)}")
+    return int(bool(failed))
+
+
+def rerun(names: Sequence[str], root: Path) -> list[str]:
+    """Run notebooks below another folder, all of them whatever fails; returns a line for each that failed."""
+    failed = []
+    for notebook in map(find, names):
         _say(f"{notebook.name}: running, about {minutes(notebook):.1f} min")
         try:
             run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
         except InputError as error:
             _say(str(error))
-            stopped = 1
-        for sentence in false_sentences(root / "notebooks" / f"{notebook.name}.ipynb"):
-            _say(f"  does not hold on this car: {sentence}")
-    _say(f"figures and executed chapters are in {_short(root)}")
-    return stopped
+            failed.append(str(error))
+    return failed
 
 
 def _run_stale(wanted: list[Notebook], jobs: int, fresh: set[str]) -> int:
@@ -518,7 +531,7 @@ def _run_stale(wanted: list[Notebook], jobs: int, fresh: set[str]) -> int:
 def _start(name: str, jobs: int) -> subprocess.Popen:
     """A process for a notebook, with the code as it is now; it ends with this one."""
     workers = os.environ.get("RAILREPRO_WORKERS") or str(max(1, (os.cpu_count() or 1) // jobs))
-    own = {"RAILREPRO_WORKERS": workers, "RAILREPRO_ROOT": str(paths.ROOT), parent_death.LEADER: str(os.getpid())}
+    own = {"RAILREPRO_WORKERS": workers, "RAILREPRO_ROOT": str(paths.ROOT), "RAILREPRO_LEADER": str(os.getpid())}
     return subprocess.Popen([sys.executable, "-m", "railrepro", "chain", "one", name], env=os.environ | own)
 
 
@@ -533,19 +546,19 @@ def _say(words: str) -> None:
 def _write_manifests(notebooks: dict[str, Notebook], fresh: set[str]) -> None:
     """Enter the products of fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
     maker = {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
-    stamps = [(notebooks[name], _stamped(notebooks[name])) for name in fresh]
+    made: dict[str, list[str]] = {}
+    for notebook in [notebooks[name] for name in fresh]:
+        known = _stamped(notebook)
+        if known is None or EDITED in known["inputs"]:
+            continue
+        digest = _hash(json.dumps(known["inputs"], sort_keys=True).encode())
+        seed = "" if notebook.seed is None else str(notebook.seed)
+        made |= {path: [path, content, notebook.name, digest, seed] for path, content in known["products"].items()}
     for folder in ("data", "figures"):
         file = paths.ROOT / folder / "MANIFEST.csv"
-        text = _content(file).decode(errors="replace")
-        lines = [line.split(",") for line in text.splitlines()]
-        rows = {row[0]: row for row in lines if len(row) == len(_COLUMNS) and maker.get(row[0]) == row[2]}
-        for notebook, known in stamps:
-            if known is None or EDITED in known["inputs"]:
-                continue
-            digest = _hash(json.dumps(known["inputs"], sort_keys=True).encode())
-            rest = [notebook.name, digest, "" if notebook.seed is None else str(notebook.seed)]
-            own = {path: content for path, content in known["products"].items() if path.startswith(f"{folder}/")}
-            rows |= {path: [path, content, *rest] for path, content in own.items()}
-        new = "\n".join([",".join(_COLUMNS), *(",".join(rows[path]) for path in sorted(rows))]) + "\n"
-        if rows and new != text:
-            write(file, new)
+        lines = file.read_text(encoding="utf-8").splitlines()[1:] if file.is_file() else []
+        rows = {row[0]: row for row in (line.split(",") for line in lines) if maker.get(row[0]) == row[2]}
+        rows |= {path: row for path, row in made.items() if path.startswith(f"{folder}/")}
+        text = "\n".join([",".join(_COLUMNS), *(",".join(rows[path]) for path in sorted(rows))]) + "\n"
+        if rows and _content(file) != text.encode():
+            write(file, text)

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated
 
 import matplotlib.image
 import numpy as np
 import pandas as pd
 
-from railrepro import data, paths
-from railrepro.data import InputError, Number, between
+from railrepro import data
+from railrepro.data import Number, between
 
-SUFFIXES = (".csv", ".png")
-"""Kinds of products that are compared; the other formats of a figure hold the same."""
 VALUE, KINDS = "value", ("metric", "quantity")
 """The column of a tidy table that holds metrics of different size, and the columns that may name them."""
-
-
 _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 
@@ -37,20 +33,10 @@ class Own:
 class Tolerance:
     """Table [verify] of notebooks/chain.toml, see there."""
 
-    relative: _SHARE
-    image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")]
-    not_compared: tuple[str, ...]
+    relative: _SHARE = 0.0
+    image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")] = 0.0
+    not_compared: tuple[str, ...] = ()
     own: tuple[Own, ...] = ()
-
-
-def verify_tolerance(path: Path | None = None) -> dict:
-    """Tolerances of a comparison of two runs, the table [verify] of chain.toml."""
-    file = path or paths.NOTEBOOKS / "chain.toml"
-    content = data.read(file)
-    if "verify" not in content:
-        raise InputError(f"{file.name}: the group [verify] is missing")
-    known = data.build(dict[str, Annotated[Tolerance, data.AS_GIVEN]], {"verify": content["verify"]}, file.name)
-    return cast(dict, known["verify"])
 
 
 @dataclass(frozen=True)
@@ -82,7 +68,7 @@ class Comparison:
         return text + (f"; largest difference {self.largest:.1e} in {self.where}" if self.where else "")
 
 
-def compare(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
+def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> Comparison:
     """Compare two tables (csv) or two images (png) under the table [verify] of notebooks/chain.toml."""
     for path in (committed, rerun):
         if not path.exists():
@@ -91,14 +77,14 @@ def compare(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
     return kind(committed, rerun, tolerance)
 
 
-def _tables(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
+def _tables(committed: Path, rerun: Path, tolerance: Tolerance) -> Comparison:
     old, new = pd.read_csv(committed), pd.read_csv(rerun)
     if list(old.columns) != list(new.columns) or len(old) != len(new):
         return Comparison(different=max(old.size, new.size), where="its rows or columns")
     total = Comparison()
     for column in old.columns:
         limit = limits(old, committed.name, column, tolerance)
-        if column in tolerance["not_compared"]:
+        if column in tolerance.not_compared:
             total += Comparison(same=len(old))
             continue
         for name, rows in _scales(old, column).items():
@@ -106,13 +92,13 @@ def _tables(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
     return total
 
 
-def limits(table: pd.DataFrame, name: str, column: str, tolerance: dict) -> np.ndarray:
+def limits(table: pd.DataFrame, name: str, column: str, tolerance: Tolerance) -> np.ndarray:
     """What each row of a column may be off by, over the size of the column (-), shape (n,)."""
-    found = np.full(len(table), tolerance["relative"])
-    for own in tolerance.get("own", ()):
-        if (own["table"], own["column"]) == (name, column):
-            chosen = table.eval(own["rows"], engine="python").to_numpy() if "rows" in own else slice(None)
-            found[chosen] = own["relative"]
+    found = np.full(len(table), tolerance.relative)
+    for own in tolerance.own:
+        if (own.table, own.column) == (name, column):
+            chosen = table.eval(own.rows, engine="python").to_numpy() if own.rows else slice(None)
+            found[chosen] = own.relative
     return found
 
 
@@ -136,13 +122,13 @@ def _columns(a: pd.Series, b: pd.Series, limit: np.ndarray, name: str) -> Compar
     return Comparison(int(same.sum()), int((near & ~same).sum()), int((~near).sum()), largest, name)
 
 
-def _images(committed: Path, rerun: Path, tolerance: dict) -> Comparison:
+def _images(committed: Path, rerun: Path, tolerance: Tolerance) -> Comparison:
     old, new = matplotlib.image.imread(committed), matplotlib.image.imread(rerun)
     if old.shape != new.shape:
         return Comparison(different=1, where="the size of the image")
     if np.array_equal(old, new):
         return Comparison(same=1)
     grey_levels = 255 * np.sqrt(np.mean((old.astype(float) - new) ** 2))
-    if grey_levels <= tolerance["image_rms"]:
+    if grey_levels <= tolerance.image_rms:
         return Comparison(near=1)
     return Comparison(different=1, where=f"the image, {grey_levels:.1f} grey levels")

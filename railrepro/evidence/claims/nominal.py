@@ -6,8 +6,7 @@ the prose says of other controllers from settings_metrics.csv (notebook 10_setti
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -96,7 +95,7 @@ class Nominal:
     def on_calibrated_car(self) -> dict[str, str]:
         """Tell whether each statement holds on the calibrated car, by id; empty before paper_like.csv is made."""
         found = self.results.optional("paper_like")
-        if found is None or not {"statement", "holds"} <= set(found):
+        if found is None:
             return {}
         return {str(row.statement): "yes" if row.holds else "no" for row in found.itertuples()}
 
@@ -112,24 +111,18 @@ def best_swarms(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
     """Take the metrics of each controller's best swarm, mean over the seeds of the noise; one failed run fails all."""
     found: dict[Key, float] = {}
     for name, own in rows.groupby("controller", sort=False):
-        swarm = (
-            own["swarm"].min() if (own["swarm"] == 0).any() else best_seed(str(name), setting, own["swarm"].unique())
-        )
+        swarms = list(own["swarm"].unique())
+        swarm = 0 if 0 in swarms else best_seed(str(name), setting, swarms)
         chosen = own[own["swarm"] == swarm].groupby(["scenario", "metric"], sort=False)["value"]
         found |= {(s, str(name), m): v for (s, m), v in chosen.mean().items()}
         found |= {(s, str(name), m): v for (s, m), v in chosen.max().items() if m == "failed"}
     return found
 
 
-def best_seed(controller: str, setting: str, seeds: Iterable) -> int:
-    """Look up the seed of the best swarm of a tuned set; the first of those given when there is no set."""
-    file = paths.source(f"{tuning.TUNED}/{setting}/{controller}.json")
-    if file.exists():
-        swarms = json.loads(file.read_text(encoding="utf-8"))["swarms"]
-        seed = min(swarms, key=lambda swarm: swarm["cost"])["seed"]
-        if seed in list(seeds):
-            return int(seed)
-    return int(next(iter(seeds)))
+def best_seed(controller: str, setting: str, seeds: Sequence) -> int:
+    """Look up the seed of the best swarm of a tuned set; the first of those given when it is none of them."""
+    swarms = sorted(tuning.load(controller, setting).get("swarms", []), key=lambda swarm: swarm["cost"])
+    return next((swarm["seed"] for swarm in swarms[:1] if swarm["seed"] in seeds), int(seeds[0]))
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:

@@ -22,28 +22,9 @@ from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import EMPHASIS, PAPER_TRIO, with_r_times
 from railrepro.data import InputError, write
+from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.setup import ProbeSetup
-from railrepro.evidence.claims.statements import (
-    BETWEEN,
-    BRAKE,
-    CASES,
-    CONES,
-    FIXED,
-    GUIDES_AS_WELL,
-    LOSS,
-    NDI,
-    NO_CREEP,
-    NO_LAW,
-    NOTHING,
-    PREVIEW,
-    RAILS,
-    REGULAR,
-    SOFT,
-    SOFTEST,
-    SUDDEN,
-    T3,
-    UNINFORMED,
-)
+from railrepro.evidence.claims.statements import BRAKE, LOSS, NDI, NOTHING, SOFT, T3
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, tidy
@@ -225,16 +206,16 @@ def _loss(world: ProbeSetup) -> Rows:
         "nmpc": [("nmpc", with_r_times(nmpc, factor), {}) for factor in PERTURBED],
         SOFT: [("nmpc", with_r_times(soft, factor), {}) for factor in PERTURBED],
         NDI: [(NDI, world.parameters[NDI], {})],
-        NO_LAW["nmpc"]: [("nmpc", nmpc, off)],
-        NO_LAW[SOFT]: [("nmpc", soft, off)],
+        statements.NO_LAW["nmpc"]: [("nmpc", nmpc, off)],
+        statements.NO_LAW[SOFT]: [("nmpc", soft, off)],
     }
     for label, runs in cases.items():
         found = [world.experiment(scenario, name, tuned, **more).measured(losing)[0] for name, tuned, more in runs]
         values = _mean(found)
         regular = {"regular_end_deviation": values.pop("regular_end_deviation")}
         rows += _rows(LOSS, label, values)
-        if label in REGULAR:
-            rows += _rows(LOSS, REGULAR[label], regular)
+        if label in statements.REGULAR:
+            rows += _rows(LOSS, statements.REGULAR[label], regular)
     return rows
 
 
@@ -244,8 +225,8 @@ def _causes(world: ProbeSetup) -> Rows:
     driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
     cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": STIFF * world.car().contact.shear_modulus}
     rows: Rows = []
-    for case, scenario in zip(CASES, driven, strict=True):
-        plants = {CONES: cones} | ({NO_CREEP: stiff} if case == T3 else {"nmpc": {}})
+    for case, scenario in zip(statements.CASES, driven, strict=True):
+        plants = {statements.CONES: cones} | ({statements.NO_CREEP: stiff} if case == T3 else {"nmpc": {}})
         for label, plant in plants.items():
             rows += _rows(case, label, world.experiment(scenario, "nmpc", plant=plant).measured(following)[0])
     return rows
@@ -257,12 +238,12 @@ def _sudden(world: ProbeSetup) -> Rows:
     points = ((0.0, 0.0), (begin - 0.5, 0.0), (begin + 0.5, 1.0), (end - 0.5, 1.0), (end + 0.5, 0.0))
     base = load_scenario(LOSS).but(speed_kmh=SUDDEN_KMH, end_m=end + 300, poor="very_poor", poor_share=())
     soft, rows = with_r_times(world.parameters["nmpc"], EMPHASIS), []
-    for case in SUDDEN:
+    for case in statements.SUDDEN:
         place, _, drive = case.partition(", ")
         share = {"poor_share" if place == "both rails" else "poor_share_left": points}
         force = SUDDEN_KN if drive == "traction" else -SUDDEN_KN
         scenario = base.but(force_kN=((0.0, force),), **share)
-        for label, law in ((SOFT, None), (NO_LAW[SOFT], AdhesionSettings(active=False))):
+        for label, law in ((SOFT, None), (statements.NO_LAW[SOFT], AdhesionSettings(active=False))):
             run = world.experiment(scenario, "nmpc", soft, adhesion=law)
             rows += _rows(case, label, run.measured(slipping)[0])
     return rows
@@ -278,10 +259,10 @@ def _rails(world: ProbeSetup) -> Rows:
          "transition": 15.0},
     ]  # fmt: skip
     rows: Rows = []
-    for label, known in (("nmpc", {}), (PREVIEW, LINE)):
+    for label, known in (("nmpc", {}), (statements.PREVIEW, LINE)):
         rough = [{"spectrum": "en_B_300", "seed": seed, "defects": defects} for seed in ROUGH_SEEDS]
         runs = [world.experiment(scenario, "nmpc", irregular=each, preview=known, ride=True) for each in rough]
-        rows += _rows(RAILS, label, _mean([run.measured(riding)[0] for run in runs]))
+        rows += _rows(statements.RAILS, label, _mean([run.measured(riding)[0] for run in runs]))
     return rows
 
 
@@ -300,7 +281,11 @@ def _brake(world: ProbeSetup) -> Rows:
     for factor in world.r_factors:
         values = _braked(world, scenario, "nmpc", with_r_times(nmpc, factor))
         rows += _rows(BRAKE, "sweep of R", {f"{key} {factor:g}": value for key, value in values.items()})
-    for label, factor in (("nmpc", 1.0), (BETWEEN, world.r_second**0.5), (SOFTEST, world.r_second)):
+    for label, factor in (
+        ("nmpc", 1.0),
+        (statements.BETWEEN, world.r_second**0.5),
+        (statements.SOFTEST, world.r_second),
+    ):
         rows += _rows(BRAKE, label, _braked(world, scenario, "nmpc", with_r_times(nmpc, factor)))
     for pole in world.poles:
         values = _braked(world, scenario, NDI, {"pole": pole, "frequency": pole, "damping": 1.0})
@@ -325,22 +310,24 @@ def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: 
     The first step of the ladder that is enough, then by halving, so that no grid decides; infinite where none is.
     """
     scenario, nmpc = world.braking(), with_r_times(world.parameters["nmpc"], world.r_brake)
-    enough = GUIDES_AS_WELL * _braked(world, scenario, "nmpc", nmpc)["rmse_y"]
+    enough = statements.GUIDES_AS_WELL * _braked(world, scenario, "nmpc", nmpc)["rmse_y"]
     tried = ((low, share, _braked(world, scenario, "nmpc", nmpc, fixed_share=share)) for low, share in pairwise(ladder))
     low, high, found = next((step for step in tried if step[2]["rmse_y"] <= enough), (0.0, np.nan, {}))
     if not found:
-        return _rows(BRAKE, FIXED, {"rmse_y": np.inf, "stopping_distance": np.inf})
+        return _rows(BRAKE, statements.FIXED, {"rmse_y": np.inf, "stopping_distance": np.inf})
     for _ in range(halvings):
         middle = (low + high) / 2
         values = _braked(world, scenario, "nmpc", nmpc, fixed_share=middle)
         low, high, found = (low, middle, values) if values["rmse_y"] <= enough else (middle, high, found)
-    return _rows(BRAKE, FIXED, found | {"share": high})
+    return _rows(BRAKE, statements.FIXED, found | {"share": high})
 
 
 def _uninformed(world: ProbeSetup) -> Rows:
     """Fig. 9 with an NMPC that does not know the base torque."""
     nmpc = with_r_times(world.parameters["nmpc"], world.r_brake)
-    return _rows(BRAKE, UNINFORMED, _braked(world, world.braking(), "nmpc", nmpc, changes={"informed": False}))
+    return _rows(
+        BRAKE, statements.UNINFORMED, _braked(world, world.braking(), "nmpc", nmpc, changes={"informed": False})
+    )
 
 
 def gyroscopic_torque(vehicle: Vehicle, speed: float, track: Track) -> float:

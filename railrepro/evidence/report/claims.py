@@ -1,8 +1,8 @@
 """Verdicts on the paper's statements, in each setting of comparison; REPLICATION.md is rendered from them.
 
-`data/claims.toml` holds the rules, `railrepro.evidence.claims.statements` one predicate each, `data/verdicts.csv` the
-verdicts that were stored on purpose, `data/theses.toml` why a statement fails. The headline verdict of a statement is
-that in the setting `paper` on the uncalibrated car; that on the calibrated car is a column of its own.
+`data/claims.toml` holds the rules, `railrepro.evidence.claims.statements` one predicate each, data/results/claims.csv
+the verdicts, which change on purpose only, `data/theses.toml` why a statement fails. The headline verdict is that in
+the setting `paper` on the uncalibrated car; that on the calibrated car is a column of its own.
 """
 
 from __future__ import annotations
@@ -11,15 +11,13 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE, Finding, MissingEvidence
-from railrepro.evidence.report.prose import Prose, table_file
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
 
-STORED = "data/verdicts.csv"
+FILE = "data/results/claims.csv"
 HEADLINE = tuning.PAPER
 """Setting whose verdict counts; the others stand beside it."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
@@ -37,9 +35,9 @@ def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
     """
     nominal = nominal or Nominal()
     robust = shares(nominal.results.optional("robustness_samples")).set_index(["id", "setting"])
-    calibrated, prose = nominal.on_calibrated_car(), Prose(nominal, linked=False)
+    calibrated = nominal.on_calibrated_car()
     return pd.DataFrame(
-        _row(identity, statement, setting, prose, robust) | {"calibrated": calibrated.get(identity, "")}
+        _row(identity, statement, nominal, setting, robust) | {"calibrated": calibrated.get(identity, "")}
         for identity, statement in statements.load().items()
         for setting in settings_of(identity, statement, nominal)
     )
@@ -62,12 +60,12 @@ def graded(verdict: str, share: pd.Series | None) -> str:
     return FRAGILE if verdict == REPRODUCED and share is not None and share["low"] <= 0.5 else verdict
 
 
-def _row(identity: str, statement: statements.Statement, setting: str, prose: Prose, robust: pd.DataFrame) -> dict:
+def _row(
+    identity: str, statement: statements.Statement, nominal: Nominal, setting: str, robust: pd.DataFrame
+) -> dict:  # fmt: skip
     share = robust.loc[(identity, setting)] if (identity, setting) in robust.index else None
-    finding = _found(identity, statement, setting, prose)
-    verdict = UNTESTABLE if finding is None else statement.judge(finding)
-    judged = graded(verdict, share)
-    settled = verdict == judged == REPRODUCED or finding is None
+    finding = _found(identity, statement, nominal, setting)
+    judged = UNTESTABLE if finding is None else graded(statement.judge(finding), share)
     return {
         "id": identity,
         "paper_ref": statement.section,
@@ -79,21 +77,25 @@ def _row(identity: str, statement: statements.Statement, setting: str, prose: Pr
         "unit": statement.unit,
         "verdict": _CONTRACT.get(judged, judged),
         **{f"share{end}": np.nan if share is None else share[end[1:] or "share"] for end in ("", "_low", "_high")},
-        "why": "" if settled else prose.reasons(identity),
         "evidence": statement.evidence,
         "judged": judged,
         "data": "" if finding is None else table_file(statements.TABLES[identity]),
     }
 
 
-def _found(identity: str, statement: statements.Statement, setting: str, prose: Prose) -> Finding | None:
+def _found(identity: str, statement: statements.Statement, nominal: Nominal, setting: str) -> Finding | None:
     """Finding of the predicate in a setting; None without evidence."""
     if statement.kind != "statement":
         return None
     try:
-        return prose.find(identity, setting)
+        return statements.find(identity, nominal.evidence(setting))
     except MissingEvidence:
         return None
+
+
+def table_file(name: str) -> str:
+    """Return the path of a table of data/results; what is a path already stays."""
+    return name if "/" in name else f"data/results/{name}.csv"
 
 
 def headline(rows: pd.DataFrame) -> str:
@@ -124,34 +126,11 @@ def counted(table: pd.DataFrame) -> str:
     return " ".join(parts)
 
 
-def stored() -> pd.DataFrame:
-    """The verdicts that were stored on purpose: id, and one column per setting ("" for what needs none)."""
-    return pd.read_csv(paths.source(STORED), dtype=str, keep_default_na=False)
-
-
-def _by_setting(table: pd.DataFrame) -> pd.DataFrame:
-    """Verdicts in the form of `stored`."""
-    rows = []
-    for identity, own in table.groupby("id", sort=False):
-        by = dict(zip(own["setting"], own["judged"], strict=True)) if set(own["kind"]) == {"statement"} else {}
-        shown = {setting: by.get(setting, "") for setting in tuning.SETTINGS}
-        rows.append({"id": identity, "verdict": headline(own)} | shown)
-    return pd.DataFrame(rows)
-
-
 def changed(table: pd.DataFrame) -> list[str]:
-    """Sentences on verdicts that differ from the stored ones."""
-    found, known, before = _by_setting(table).set_index("id"), statements.load(), stored().set_index("id")
-    before = before.reindex(index=found.index, columns=found.columns).fillna("nothing")
-    return [
-        f"{identity}, {column}: now {found.loc[identity, column]!r}, stored {before.loc[identity, column]!r} "
-        f"({known[str(identity)].statement})"
-        for identity in found.index
-        for column in found.columns
-        if found.loc[identity, column] != before.loc[identity, column]
-    ]
-
-
-def store(table: pd.DataFrame) -> None:
-    """Store the verdicts on purpose."""
-    write(paths.ROOT / STORED, _by_setting(table).to_csv(index=False))
+    """Sentences on verdicts that differ from those in data/results/claims.csv."""
+    stored = pd.read_csv(paths.source(FILE), dtype=str, keep_default_na=False)
+    before, now = (one.set_index(["id", "setting"])["judged"] for one in (stored, table))
+    both = pd.DataFrame({"before": before, "now": now}).fillna("nothing")
+    differs = both[both["before"] != both["now"]]
+    return [f"{row.Index[0]}, setting {row.Index[1]!r}: now {row.now!r}, stored {row.before!r}"
+            for row in differs.itertuples()]  # fmt: skip

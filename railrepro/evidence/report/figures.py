@@ -12,6 +12,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import is_color_like
 from matplotlib.figure import Figure
@@ -84,6 +85,11 @@ def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: floa
     figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
     plt.close(figure)  # a notebook would show it at the end of the cell that begins it
     return figure, axes
+
+
+def handles(axes: Iterable[Axes]) -> dict[str, Artist]:
+    """What several panels draw, each label once, for one legend of all."""
+    return {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
 
 
 def points(name: str, **options) -> dict:

@@ -159,19 +159,10 @@ def draw_margins(error: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
     for row, label in zip(axes, ("disk margin (-)", "delay margin, poor rail (ms)"), strict=True):
         row[0].set(ylabel="RMSE of y, T3 (mm)", yscale="log")
         row[1].set_xlabel(label)
-    handles = {
-        label: handle for axis in axes[0] for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }
+    handles = figures.handles(axes[0])
     labels = [figures.LOOKS[name].label for name in error.columns if figures.LOOKS[name].label in handles]
     figure.legend([handles[label] for label in labels], labels, ncols=2, loc="outside upper center", handletextpad=0.2)
     return figure, front
-
-
-def order_runs() -> pd.DataFrame:
-    """RMSE and drift (mm) and torque (N m) of the study `order` by axis, setting, value and controller."""
-    table = pd.read_csv(paths.source("data/results/order_turns.csv"))
-    of = table.groupby(["axis", "setting", "value", "controller"], sort=False)[["rmse_mm", "drift_mm", "effort_Nm"]]
-    return of.agg(lambda values: values.mean(skipna=False))
 
 
 def order_ratios(shaking: float) -> pd.DataFrame:
@@ -179,8 +170,10 @@ def order_ratios(shaking: float) -> pd.DataFrame:
 
     With whether the inversion left the rail, and whether the torque of one of both exceeds `shaking` (N m, RMS).
     """
-    runs = order_runs()
-    error, effort = (runs[name].unstack("controller") for name in ("rmse_mm", "effort_Nm"))
+    table = pd.read_csv(paths.source("data/results/order_turns.csv"))
+    of = table.groupby(["axis", "setting", "value", "controller"], sort=False)
+    runs = of[["rmse_mm", "effort_Nm"]].agg(lambda values: values.mean(skipna=False))
+    error, effort = (runs[name].unstack("controller") for name in runs)
     parts = []
     for axis, setting, other in product(order.AXES, order.SETTINGS, order.CONTROLLERS[1:]):
         at, torque = error.loc[axis, setting], effort.loc[axis, setting]
@@ -228,8 +221,7 @@ def draw_order(ratios: pd.DataFrame, band: float) -> Figure:
     axes[1, 0].set_xticks(range(len(order.CAR)), [text.replace(", ", ",\n") for text in order.CAR])
     for axis in axes[:, 0]:
         axis.set_ylabel("RMSE, NMPC / NDI (-)")
-    entries = {label: handle for axis in (axes[0, 1], axes[0, 0])
-               for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}  # fmt: skip
+    entries = figures.handles((axes[0, 1], axes[0, 0]))
     for mark, face, text in (("o", "white", "NMPC or NDI oscillates"), ("x", "0.3", "NDI derailed, setting equal")):
         entries[text] = axes[0, 0].plot([], [], mark, color="0.3", markerfacecolor=face, markersize=4)[0]
     figure.legend(entries.values(), entries.keys(), ncols=3, loc="outside upper center", columnspacing=1.2)

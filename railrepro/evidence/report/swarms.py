@@ -86,7 +86,7 @@ def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFr
         axis.set_yticks([0.1, 0.3, 1, 3], ["0.1", "0.3", "1", "3"])
         axis.yaxis.set_minor_locator(NullLocator())
     axes[-1].set_xlabel("iteration (-); thick: swarm that is used, thin: the two others")
-    handles = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    handles = figures.handles(axes)
     figure.legend(handles.values(), handles.keys(), ncols=2, loc="outside upper center")
     return figure, history
 

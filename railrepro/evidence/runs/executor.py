@@ -27,7 +27,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager, suppress
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NoReturn
 
 from tqdm import tqdm
@@ -239,9 +239,7 @@ Code = tuple[str | None, dict[str, str] | None]
 
 def _code(function: Callable) -> Code:
     """Code that this process imported, as far as a function can reach it."""
-    function = function.func if isinstance(function, partial) else function
-    module = getattr(function, "__module__", "")
-    return code.version(), code.reached(f"from {module} import {module}")
+    return code.version(), code.reached(f"from {function.__module__} import {function.__module__}")
 
 
 def _checked(asked: Code, function: Callable, *arguments):

@@ -5,6 +5,7 @@ Notebooks and studies are lists of these; the executor decides where they run, a
 
 from __future__ import annotations
 
+import inspect
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -37,7 +38,6 @@ _SERIES = {
     **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
     **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
 }
-_PREVIEW = {"share", "smoothing_m", "limit", "amplitude_error", "localisation_error_m"}
 _WHEEL = {"tau": "tau_{}_Nm", "adhesion": "fx_{}", "sx": "sx_{}"}
 
 
@@ -66,8 +66,7 @@ class Experiment:
         Arguments of `rough_track` besides the coordinates; empty is an ideal track.
     preview : dict
         What the controller knows of the irregularities, and the line that it plans with it: arguments of
-        `preview.known` and `preview.planned_line` besides the frame (`smoothing_m` is that of the line); empty is
-        nothing.
+        `preview.plan` besides the frame; empty is nothing.
     sensors : dict
         Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
     setting : str
@@ -78,8 +77,6 @@ class Experiment:
         Whether the row also has the figures of `ride.ride_summary`.
     stride : int
         Every n-th control cycle of the front gear is kept as a series; 0 keeps none.
-    from_m : float
-        Coordinate of the front gear from which the figures of the row count.
     """
 
     scenario: Scenario
@@ -100,11 +97,10 @@ class Experiment:
     substeps: int | None = None
     ride: bool = False
     stride: int = 0
-    from_m: float = 0.0
 
     def __post_init__(self) -> None:
         require("experiment: scenario", self.scenario, Scenario)
-        for name in ("vehicle", "plant", "sensors"):
+        for name in ("vehicle", "plant", "sensors", "irregular"):
             require(f"experiment: {name}", getattr(self, name), dict)
 
     def car(self) -> Vehicle:
@@ -119,19 +115,15 @@ class Experiment:
 
     def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
         """Irregularities, and the line that is planned with what is known of them; None where there is nothing."""
-        rough = None
-        if self.irregular:
-            require("irregular", self.irregular, dict)
-            rough = _laid_rough(self.scenario.end_m, json.dumps(self.irregular, sort_keys=True))
-        if self.preview:
-            require("preview", self.preview, dict)
-            unknown = sorted(self.preview.keys() - _PREVIEW)
-            if unknown:
-                raise InputError(f"preview: {unknown[0]!r} is not known; there are {sorted(_PREVIEW)}")
-            if rough is None:
-                raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
-        said = [json.dumps(given, sort_keys=True) for given in (self.irregular, self.preview)]
-        return rough, _planned(self.scenario.end_m, *said) if self.preview else None
+        if not self.irregular and not self.preview:
+            return None, None
+        if not self.irregular:
+            raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
+        allowed = [name for name in inspect.signature(preview.plan).parameters if name != "frame"]
+        if unknown := sorted(set(self.preview) - set(allowed)):
+            raise InputError(f"preview: {unknown[0]!r} is not known; there are {allowed}")
+        given = [json.dumps(each or {}, sort_keys=True) for each in (self.irregular, self.preview)]
+        return _rails(self.scenario.end_m, *given)
 
     def run(self) -> simulate.Run:
         """The simulation itself."""
@@ -178,7 +170,7 @@ class Experiment:
         cars = believed, self.car() if self.plant else believed
         files = [name for car in cars if (name := car.contact.profile).endswith(".csv")]
         wheels = [read_pair(paths.source(name)).digest for name in files]
-        more = self.rails(), sensed, self.substeps, self.ride, self.stride, self.from_m
+        more = self.rails(), sensed, self.substeps, self.ride, self.stride
         name = measure.__qualname__
         return store.key(measure.__module__, name, self.controller, scenario, cars, wheels, plan, more)
 
@@ -194,18 +186,14 @@ class Experiment:
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
-        """Row of metrics and the kept series, see `row`."""
+        """Row of metrics, see `values`, and the kept series."""
         values, series = self.measured(_values)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
         return row, None if series is None else series.assign(**self.label)
 
-    def row(self, run: simulate.Run) -> dict:
-        """Row of a run, see `values`."""
-        return {"scenario": self.scenario.name, "controller": self.controller, **self.label, **self.values(run)}
-
     def values(self, run: simulate.Run) -> dict:
         """Metrics of a run (SI); of a failed run the place instead of how well it followed."""
-        vehicle, series = self.car(), run.series[run.series["front.p"] >= self.from_m] if self.from_m else run.series
+        vehicle, series = self.car(), run.series
         values = metrics.summary(series, vehicle.drive.torque_limit)
         if run.failed:
             values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
@@ -213,39 +201,28 @@ class Experiment:
         if self.ride and not run.failed:
             values |= ride.ride_summary(series, vehicle)
         row = {name: value for name, (value, _) in values.items()}
-        row |= {"failed_at_m": float(run.series["front.p"].iloc[-1]) if run.failed else np.nan}
+        row |= {"failed_at_m": float(series["front.p"].iloc[-1]) if run.failed else np.nan}
         solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
         row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
         return row | {"fallbacks": sum(solve.fallback for solve in solves)}
 
 
-@lru_cache(maxsize=8)
-def _laid_rough(end: float, irregular: str) -> pd.DataFrame:
-    """Irregularities up to a coordinate (m); tuning drives the same ones very often."""
-    return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular))
-
-
 @lru_cache(maxsize=64)
-def _planned(end: float, irregular: str, known: str) -> tuple[np.ndarray, np.ndarray]:
-    """Planned line up to a coordinate (m); studies of what is known drive the same ones with several controllers."""
-    return _line(_laid_rough(end, irregular), **json.loads(known))
+def _rails(end: float, irregular: str, known: str) -> tuple[pd.DataFrame, tuple[np.ndarray, np.ndarray] | None]:
+    """Irregularities up to a coordinate (m), and the line planned with them; studies drive the same ones very often."""
+    if known == "{}":
+        return rough_track(np.arange(0.0, end, CELL), **json.loads(irregular)), None
+    rough, _ = _rails(end, irregular, "{}")
+    return rough, preview.plan(rough, **json.loads(known))
 
 
-def _line(rough: pd.DataFrame, share=1.0, smoothing_m=3.0, limit=5e-3, **errors) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates and planned line with its derivatives, from what is known of the irregularities."""
-    believed = preview.known(rough, **errors)
-    return believed["p_m"].to_numpy(), preview.planned_line(believed, share, smoothing_m, limit)
-
-
-def tidy(series: pd.DataFrame, stride: int, gear: str = "front") -> pd.DataFrame:
-    """Every `stride`-th row of one gear with the unit in each column's name (contract of data/results)."""
+def tidy(series: pd.DataFrame, stride: int) -> pd.DataFrame:
+    """Every `stride`-th row of the front gear with the unit in each column's name (contract of data/results)."""
     rows = series.iloc[::stride]
-    columns = {"t_s": rows["t_s"]} | {new: rows[f"{gear}.{old}"] for old, new in _SERIES.items()}
-    creepage = rows[f"{gear}_ri.nu_y"] + rows[f"{gear}_le.nu_y"]
+    columns = {"t_s": rows["t_s"]} | {new: rows[f"front.{old}"] for old, new in _SERIES.items()}
+    creepage = rows["front_ri.nu_y"] + rows["front_le.nu_y"]
     columns |= {"creep_rad": -creepage / 2}  # the angle between heading and motion
-    columns |= {
-        name.format(side): rows[f"{gear}_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()
-    }
+    columns |= {name.format(side): rows[f"front_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()}
     return pd.DataFrame(columns)
 
 

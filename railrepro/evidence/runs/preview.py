@@ -14,12 +14,7 @@ from railrepro.data import InputError, above, between, require
 from railrepro.track.irregularity import sampling
 
 
-def known(
-    frame: pd.DataFrame,
-    amplitude_error: float = 0.0,
-    localisation_error_m: float = 0.0,
-    smoothing_m: float = 0.0,
-) -> pd.DataFrame:
+def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
     """Irregularities as a controller believes them.
 
     Parameters
@@ -30,9 +25,6 @@ def known(
         Relative: 0.1 believes them ten per cent too large.
     localisation_error_m : float
         Believed minus true place of a feature (m). What would come from beyond the frame is zero.
-    smoothing_m : float
-        Standard deviation of the Gaussian window that blurs them (m): a wave of length l keeps
-        exp(-2 (pi smoothing_m / l)^2) of its amplitude.
 
     Returns
     -------
@@ -41,18 +33,26 @@ def known(
     """
     require("known irregularities: amplitude_error", amplitude_error, between(-10.0, 10.0))
     require("known irregularities: localisation_error_m", localisation_error_m, between(-1e5, 1e5, "m"))
-    require("known irregularities: smoothing_m", smoothing_m, between(0.0, 1e5, "m"))
     require("known irregularities", frame, pd.DataFrame)
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
-    values = channels.to_numpy()
-    if smoothing_m > 0:
-        values = scipy.ndimage.gaussian_filter1d(values, smoothing_m / sampling(frame), axis=0, mode="constant")
     place = p - localisation_error_m
     inside = (place >= p[0]) & (place <= p[-1])
-    believed = (
-        (1 + amplitude_error) * inside[:, None] * scipy.interpolate.CubicSpline(p, values)(np.clip(place, p[0], p[-1]))
-    )
+    true = scipy.interpolate.CubicSpline(p, channels.to_numpy())(np.clip(place, p[0], p[-1]))
+    believed = (1 + amplitude_error) * inside[:, None] * true
     return pd.DataFrame({"p_m": p} | dict(zip(channels, believed.T, strict=True)))
+
+
+def plan(
+    frame: pd.DataFrame,
+    share: float = 1.0,
+    smoothing_m: float = 3.0,
+    limit: float = 5e-3,
+    amplitude_error: float = 0.0,
+    localisation_error_m: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (m) and `planned_line` of what is `known` of the irregularities with some errors."""
+    believed = known(frame, amplitude_error, localisation_error_m)
+    return believed["p_m"].to_numpy(), planned_line(believed, share, smoothing_m, limit)
 
 
 def planned_line(frame: pd.DataFrame, share: float, smoothing_m: float, limit: float) -> np.ndarray:
@@ -113,19 +113,9 @@ def _smoothest(target: np.ndarray, low: np.ndarray, high: np.ndarray, weight: fl
         "f": ca.sumsqr(y - target / _UNIT) + ca.sumsqr(bend),
         "g": bend - weight * (y[:-2] - 2 * y[1:-1] + y[2:]),
     }
-    options: dict = {
-        "print_time": False,
-        "error_on_fail": True,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-9,
-            "bound_relax_factor": 0.0,
-            "nlp_scaling_method": "none",
-            "hessian_constant": "yes",
-            "jac_c_constant": "yes",
-        },
-    }
+    ipopt = {"print_level": 0, "sb": "yes", "tol": 1e-9, "bound_relax_factor": 0.0, "nlp_scaling_method": "none"}
+    constant = {"hessian_constant": "yes", "jac_c_constant": "yes"}
+    options = {"print_time": False, "error_on_fail": True, "ipopt": ipopt | constant}
     solver = ca.nlpsol("line", "ipopt", problem, options)
     free = np.full(n - 2, np.inf)
     start = np.concatenate([np.clip(target, low, high) / _UNIT, np.zeros(n - 2)])

@@ -35,15 +35,10 @@ class Dimension:
     scale: str = "linear"
 
     def __post_init__(self):
-        if self.scale not in ("linear", "log", "integer"):
-            raise InputError(f"dimension {self.name}: scale {self.scale!r}, one of linear, log, integer is needed")
-        for bound in (self.low, self.high):
-            if not is_number(bound):
-                raise InputError(f"dimension {self.name}: bound {bound!r}, a finite number is needed")
-        whole = self.scale != "integer" or all(float(bound).is_integer() for bound in (self.low, self.high))
-        if not whole:
-            raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high}, whole numbers are needed")
-        if not self.low < self.high or (self.scale == "log" and self.low <= 0):
+        bounds = self.low, self.high
+        fits = all(map(is_number, bounds)) and self.low < self.high and (self.scale != "log" or self.low > 0)
+        whole = self.scale != "integer" or (fits and all(float(bound).is_integer() for bound in bounds))
+        if not (fits and whole and self.scale in ("linear", "log", "integer")):
             raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
 
     def value(self, position: float) -> float:
@@ -60,24 +55,6 @@ class Dimension:
         if self.scale == "log":
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return float((value - self.low) / (self.high - self.low))
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a swarm.
-
-    Attributes
-    ----------
-    best : dict
-        Parameter values of the best particle.
-    cost : float
-    history : DataFrame
-        Every evaluated particle: iteration, particle, cost and the parameter values.
-    """
-
-    best: dict[str, float]
-    cost: float
-    history: pd.DataFrame
 
 
 class Swarm:
@@ -136,17 +113,26 @@ class Swarm:
         return self.own_cost.tolist()
 
     @property
-    def best(self) -> tuple[dict[str, float], float]:
-        """Parameter values and cost of the best particle so far."""
-        i = int(np.argmin(self.own_cost))
-        best = {d.name: d.value(x) for d, x in zip(self.dimensions, self.own_position[i], strict=True)}
-        return best, float(self.own_cost[i])
+    def best(self) -> dict[str, float]:
+        """Parameter values of the best particle so far."""
+        best = self.own_position[int(np.argmin(self.own_cost))]
+        return {d.name: d.value(x) for d, x in zip(self.dimensions, best, strict=True)}
+
+    @property
+    def cost(self) -> float:
+        """Cost of the best particle so far."""
+        return float(self.own_cost.min())
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """Every evaluated particle: iteration, particle, cost and the parameter values."""
+        return pd.DataFrame(self.rows)
 
     def stagnant(self, patience: int, tolerance: float = 1e-4) -> bool:
         """True when the best cost has fallen by less than `tolerance` (relative) over `patience` iterations."""
         if self.iteration <= patience:
             return False
-        costs = pd.DataFrame(self.rows).groupby("iteration")["cost"].min().cummin().to_numpy()
+        costs = self.history.groupby("iteration")["cost"].min().cummin().to_numpy()
         return costs[-1] > (1 - tolerance) * costs[-1 - patience]
 
 
@@ -159,7 +145,7 @@ def minimise(
     patience: int = 1000,
     report: Callable[[Swarm], None] = lambda swarm: None,
     start: dict[str, float] | None = None,
-) -> Outcome:
+) -> Swarm:
     """Run a swarm to the end of its budget, or until it stagnates.
 
     Parameters
@@ -175,25 +161,13 @@ def minimise(
         Called with the swarm after each iteration.
     start : dict, optional
         Where the first particle begins.
-
-    Returns
-    -------
-    Outcome
     """
-    counts = {"particles": (particles, 1), "iterations": (iterations, 1), "patience": (patience, 1), "seed": (seed, 0)}
-    for name, (value, low) in counts.items():
-        if not isinstance(value, int) or isinstance(value, bool) or value < low:
-            raise InputError(f"swarm: {name} = {value!r}, a whole number from {low} is needed")
-    require("swarm: particles", particles, between(1, 1e6))
+    for name, value, least in (("particles", particles, 1), ("iterations", iterations, 1), ("seed", seed, 0)):
+        require(f"swarm: {name}", value, between(least, 2**63), whole=True)
     if not dimensions:
         raise InputError("swarm: there are no dimensions, at least one is needed")
-    for dimension in dimensions:
-        require("swarm: dimension", dimension, Dimension)
-    if len({dimension.name for dimension in dimensions}) < len(dimensions):
-        raise InputError("swarm: two dimensions have one name, each once is needed")
     swarm = Swarm(dimensions, particles, seed, start)
     while swarm.iteration < iterations and not swarm.stagnant(patience):
         swarm.tell(evaluate(swarm.ask(), swarm.limits))
         report(swarm)
-    best, cost = swarm.best
-    return Outcome(best, cost, pd.DataFrame(swarm.rows))
+    return swarm

@@ -2,18 +2,16 @@
 
 An entry belongs to all that a computation reads and to the code that it can reach (`railrepro.code`), the compiler and
 the packages. It lies in build/store, or in the folder `RAILREPRO_STORE`; "off" there neither reads nor writes. Entries
-are numbers and text, never code: what is broken, cut off or of another user is computed anew.
+are JSON, never code: what is broken, cut off or of another user is computed anew.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import platform
 import sys
-import zipfile
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
@@ -98,7 +96,7 @@ def folder() -> Path | None:
     return Path(given) if given else paths.BUILD / "store"
 
 
-def _item(value):
+def _number(value):
     """A number of NumPy as one of Python."""
     if isinstance(value, np.generic):
         return value.item()
@@ -106,20 +104,12 @@ def _item(value):
 
 
 def _packed(row: dict, table: pd.DataFrame | None) -> bytes:
-    stream = io.BytesIO()
-    arrays = {} if table is None else {f"{i}:{name}": table[name].to_numpy() for i, name in enumerate(table)}
-    np.savez(
-        stream, row=np.frombuffer(json.dumps([row, table is not None], default=_item).encode(), np.uint8), **arrays
-    )
-    return stream.getvalue()
+    return json.dumps([row, None if table is None else table.to_dict("list")], default=_number).encode()
 
 
 def _unpacked(content: bytes) -> Entry:
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        row, has_table = json.loads(arrays["row"].tobytes())
-        names = [name for name in arrays.files if name != "row"]
-        table = pd.DataFrame({name.partition(":")[2]: arrays[name] for name in names}) if has_table else None
-    return row, table
+    row, columns = json.loads(content)
+    return row, None if columns is None else pd.DataFrame(columns)
 
 
 def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
@@ -127,12 +117,12 @@ def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
 
     Values of its row are plain, columns of its table numbers.
     """
-    place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.npz"
+    place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
     content = None if place is None else cache.own_file(place)
     if content is not None:
         try:
             return _unpacked(content)
-        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, RecursionError):
+        except (ValueError, TypeError, RecursionError):
             pass  # broken
     content = _packed(*compute())
     if place is not None and code.unchanged():

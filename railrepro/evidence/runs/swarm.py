@@ -108,7 +108,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
         The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm
         found (`swarms`), `origin`, and under `history` the table of all evaluated particles.
     """
-    budget, evaluation = task.budget_of.get(controller, task.budget), Evaluation(controller, task)
+    budget, evaluation = task.budget, Evaluation(controller, task)
     swarms, tables = [], []
     for seed in budget["seeds"]:
         name = f"{task.setting} {controller} {seed}"
@@ -120,7 +120,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
 
         def report(swarm: pso.Swarm, bar=bar) -> None:
             bar.n = swarm.iteration
-            bar.set_postfix_str(f"best cost {swarm.best[1]:.4f}")
+            bar.set_postfix_str(f"best cost {swarm.cost:.4f}")
 
         outcome = pso.minimise(
             evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], seed,

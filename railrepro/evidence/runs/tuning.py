@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import json
 import reprlib
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,29 +20,13 @@ from typing import Annotated, Any, Literal
 import pandas as pd
 from pydantic import AfterValidator
 
-from railrepro import paths
+from railrepro import data, paths
 from railrepro.control.registry import CONTROLLERS, EQUAL, PAPER, TUNED, guidance, read
 from railrepro.control.registry import LOOP as LOOP  # for those who take the settings from here
 from railrepro.control.registry import SETTINGS as SETTINGS
-from railrepro.data import (
-    AS_GIVEN,
-    DISTINCT,
-    NOT_EMPTY,
-    Flag,
-    Free,
-    InputError,
-    Number,
-    Plain,
-    above,
-    between,
-    build,
-    is_number,
-    location,
-    table,
-    write,
-)
-from railrepro.data import read as read_file
-from railrepro.estimation.sensors import Inverter, load_loop
+from railrepro.control.registry import tuned as tuned
+from railrepro.data import AS_GIVEN, DISTINCT, NOT_EMPTY, Flag, Free, InputError, Number, Plain, above, between
+from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import pso, store
 from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -85,8 +70,6 @@ class Task:
         Controller -> parameters that are given.
     start : dict
         Controller -> parameters at which the first particle of each swarm begins.
-    budget_of : dict
-        Controller -> its own budget; the others have `budget`.
     searched_too : tuple of str
         Designed controllers that a swarm tunes for comparison.
     """
@@ -98,7 +81,6 @@ class Task:
     dimensions: dict[str, list[pso.Dimension]]
     designed: dict[str, dict] = field(default_factory=dict)
     start: dict[str, dict] = field(default_factory=dict)
-    budget_of: dict[str, dict] = field(default_factory=dict)
     searched_too: tuple[str, ...] = ()
 
     @property
@@ -107,7 +89,7 @@ class Task:
         return [name for name in self.dimensions if name not in self.designed or name in self.searched_too]
 
 
-@table
+@data.table
 class Budget:
     """Size of a search, see data/tuning.toml."""
 
@@ -117,7 +99,7 @@ class Budget:
     seeds: Annotated[tuple[SEED, ...], NOT_EMPTY, DISTINCT]
 
 
-@table
+@data.table
 class Cost:
     """Scales of the cost, see data/tuning.toml."""
 
@@ -129,7 +111,7 @@ class Cost:
     failure: Annotated[Number, above(0.0, 1e9)]
 
 
-@table
+@data.table
 class RunEntry:
     """A run in data/tuning.toml: a scenario with some of its entries changed, sensors, rails, car and inverter."""
 
@@ -142,7 +124,7 @@ class RunEntry:
     inverter: dict[str, Plain] = field(default_factory=dict)
 
 
-@table
+@data.table
 class SettingEntry:
     """Setting in data/tuning.toml."""
 
@@ -158,24 +140,20 @@ def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
     if set(bounds) == {"same_as"}:
         return str(bounds["same_as"])
     for name, bound in bounds.items():
-        if not (isinstance(bound, list) and len(bound) in (2, 3) and all(map(is_number, bound[:2]))):
+        if not (isinstance(bound, list) and len(bound) in (2, 3) and all(map(data.is_number, bound[:2]))):
             raise ValueError(f"has {name} = {reprlib.repr(bound)}, [low, high, scale] is needed")
     return [pso.Dimension(name, *bound) for name, bound in bounds.items()]
 
 
-@table
-class Origin:
+@data.table
+class Origin(Budget):
     """Where a tuned set comes from: budget of the search, version, and what it was tuned for."""
 
-    particles: COUNT
-    iterations: COUNT
-    patience: COUNT
-    seeds: Annotated[tuple[SEED, ...], NOT_EMPTY]
     data: str
     version: str
 
 
-@table
+@data.table
 class SwarmResult:
     """What one swarm found."""
 
@@ -185,7 +163,7 @@ class SwarmResult:
     parameters: dict[str, Plain]
 
 
-@table
+@data.table
 class TunedSet:
     """Content of a file in data/tuned."""
 
@@ -198,7 +176,7 @@ class TunedSet:
     origin: Origin
 
 
-@table
+@data.table
 class TaskFile:
     """Content of data/tuning.toml."""
 
@@ -207,70 +185,64 @@ class TaskFile:
     run: Annotated[dict[str, RunEntry], NOT_EMPTY]
     setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], NOT_EMPTY]
     controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], NOT_EMPTY]
-    budget_of: dict[str, Annotated[Budget, AS_GIVEN]] = field(default_factory=dict)
+
+
+def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
+    """Refuse the first name that is none of the known ones."""
+    for name in names:
+        if name not in known:
+            raise InputError(f"{where} {reprlib.repr(name)}, which is not known; there are {sorted(known)}")
 
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     """The tuning task of a TOML file (default data/tuning.toml) in some setting; InputError on wrong entries."""
-    file = location(path, paths.source("data/tuning.toml"))
-    content = build(TaskFile, read_file(file), file.name)
-    if setting not in content.setting:
-        raise InputError(
-            f"{file.name}: setting {reprlib.repr(setting)} is not known; there are {sorted(content.setting)}"
-        )
-    entry, known = content.setting[setting], load_scenarios()
-    runs = []
-    for name in entry.runs:
-        if name not in content.run:
-            raise InputError(
-                f"{file.name}: [setting.{setting}] has the run {reprlib.repr(name)}; there are {sorted(content.run)}"
-            )
-        runs.append(_run(name, content.run[name], known, entry.sensors, f"{file.name}: [run.{name}]"))
+    file = data.location(path, paths.source("data/tuning.toml"))
+    content = data.build(TaskFile, data.read(file), file.name)
+    _known([setting], content.setting, f"{file.name}: setting")
+    entry, where = content.setting[setting], f"{file.name}: [setting.{setting}]"
+    _known(entry.runs, content.run, f"{where} has the run")
+    runs = [_run(name, content.run[name], entry.sensors, f"{file.name}: [run.{name}]") for name in entry.runs]
+    _known(content.controller, CONTROLLERS, f"{file.name}: [controller] has")
     dimensions = {}
     for name, bounds in content.controller.items():
-        if name not in CONTROLLERS:
-            raise InputError(f"{file.name}: [controller.{name}] is not known; there are {sorted(CONTROLLERS)}")
         dimensions[name] = content.controller.get(bounds) if isinstance(bounds, str) else bounds
         if not isinstance(dimensions[name], list) or not dimensions[name]:
             raise InputError(f"{file.name}: [controller.{name}] has no bounds, nor has a controller that it is same_as")
-    for name, parameters in entry.designed.items():
-        if name not in dimensions:
-            raise InputError(f"{file.name}: [setting.{setting}.designed] has {name!r}; there are {sorted(dimensions)}")
-        guidance(name, parameters)
-    for name, parameters in entry.start.items():
-        where = f"{file.name}: [setting.{setting}.start]"
-        if name not in dimensions:
-            raise InputError(f"{where} has {name!r}; there are {sorted(dimensions)}")
-        needed = sorted(dimension.name for dimension in dimensions[name])
-        if sorted(parameters) != needed:
-            raise InputError(f"{where}: {name} has {sorted(parameters)}, {needed} are needed")
-        for dimension in dimensions[name]:
-            try:
-                dimension.position(parameters[dimension.name])
-            except InputError as error:
-                raise InputError(f"{where}: {name}: {error}") from None
-    if unknown := sorted(set(entry.searched_too) - set(entry.designed)):
-        raise InputError(f"{file.name}: [setting.{setting}] has searched_too = {unknown}, which it does not design")
-    if unknown := sorted(set(content.budget_of) - set(dimensions)):
-        raise InputError(f"{file.name}: [budget_of.{unknown[0]}] is not known; there are {sorted(dimensions)}")
+    _known([*entry.designed, *entry.start], dimensions, f"{where} has")
+    _known(entry.searched_too, entry.designed, f"{where} designs, and has searched_too")
+    try:
+        for name, parameters in entry.designed.items():
+            guidance(name, parameters)
+        for name, parameters in entry.start.items():
+            _check_start(name, parameters, dimensions[name])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
     return Task(
         setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start,
-        content.budget_of, entry.searched_too,
+        entry.searched_too,
     )  # fmt: skip
 
 
-def _run(name: str, entry: RunEntry, known: dict, sensed: bool, where: str) -> TuningRun:
-    if entry.scenario not in known:
-        raise InputError(f"{where} has the scenario {reprlib.repr(entry.scenario)}; there are {sorted(known)}")
+def _check_start(name: str, parameters: dict, dimensions: list[pso.Dimension]) -> None:
+    needed = sorted(dimension.name for dimension in dimensions)
+    if sorted(parameters) != needed:
+        raise InputError(f"start of {name} has {sorted(parameters)}, {needed} are needed")
+    for dimension in dimensions:
+        dimension.position(parameters[dimension.name])
+
+
+def _run(name: str, entry: RunEntry, sensed: bool, where: str) -> TuningRun:
+    scenarios = load_scenarios()
+    _known([entry.scenario], scenarios, f"{where} has the scenario")
     change = {"end_m": entry.end_m} | ({} if entry.speed_kmh is None else {"speed_kmh": entry.speed_kmh})
-    scenario = build(Scenario, vars(known[entry.scenario]) | change, where)
-    sensors = {}
-    if sensed or entry.inverter:
-        sensors = {"seed": entry.seed} | {f"inverter.{key}": value for key, value in entry.inverter.items()}
-        sensors |= {} if sensed else {"perfect": True}
-        unknown = set(entry.inverter) - {key.name for key in fields(Inverter)}
-        if unknown:
-            raise InputError(f"{where} has inverter.{min(unknown)}; there are {[key.name for key in fields(Inverter)]}")
+    scenario = data.build(Scenario, vars(scenarios[entry.scenario]) | change, where)
+    inverter = {f"inverter.{key}": value for key, value in entry.inverter.items()}
+    try:
+        load_loop(**inverter)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    sensors = {"seed": entry.seed} | inverter if sensed or inverter else {}
+    sensors |= {"perfect": True} if inverter and not sensed else {}
     return TuningRun(name, scenario, entry.irregular, entry.plant, sensors)
 
 
@@ -281,7 +253,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
     count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
     same; `is_current` says so, and 05_tuning recomputes its cost.
     """
-    tracks, rails = (read_file(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
+    tracks, rails = (data.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
     sets = sorted({name for run in task.runs for name in (run.scenario.good, run.scenario.poor)})
     car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
     runs = []
@@ -291,8 +263,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
         runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
     loop = load_loop() if any(run.sensors for run in task.runs) else None
     search = task.dimensions[controller], task.start.get(controller)
-    budget = task.budget_of.get(controller, task.budget)
-    return store.digest(runs, car, loop, budget, task.cost, *search)[:16]
+    return store.digest(runs, car, loop, task.budget, task.cost, *search)[:16]
 
 
 def is_current(controller: str, setting: str) -> bool:
@@ -311,8 +282,10 @@ def _task_here(setting: str) -> Task:
 def save(tuned: dict, folder: Path) -> None:
     """Write a tuned set as JSON and its particles as CSV."""
     content = {key: value for key, value in tuned.items() if key != "history"}
-    write(folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g"))
-    write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
+    data.write(
+        folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g")
+    )
+    data.write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
 
 
 def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
@@ -338,7 +311,7 @@ def load(controller: str, setting: str = PAPER, folder: Path | None = None, sear
     if controller in task.designed and not searched:
         return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
     content, name = read(controller, setting, folder), f"{controller}.json"
-    build(TunedSet, content, name)
+    data.build(TunedSet, content, name)
     if controller not in task.dimensions:
         raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
     searched = {dimension.name for dimension in task.dimensions[controller]}
@@ -346,8 +319,3 @@ def load(controller: str, setting: str = PAPER, folder: Path | None = None, sear
         if set(parameters) != searched:
             raise InputError(f"{name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
     return content
-
-
-def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
-    """Guidance of a controller with its tuned parameters, see `registry.guidance`."""
-    return guidance(controller, load(controller, setting)["parameters"], options, **changes)

@@ -23,10 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 from scipy.optimize import brentq
+from scipy.signal import cont2discrete
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.estimation.sensors import Loop
-from railrepro.own.gear_model import STATES, UNITS, UNKNOWN, discrete, lateral_model
+from railrepro.own.gear_model import STATES, UNITS, UNKNOWN, lateral_model
 from railrepro.vehicle.parameters import Vehicle
 
 BIASES = ("y", "psi", "r")
@@ -109,7 +110,8 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
     """
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
-    step, held = discrete(rates, np.column_stack([du, unknown]), h)
+    inputs = np.column_stack([du, unknown])
+    step, held, *_ = cont2discrete((rates, inputs, np.zeros((1, n)), np.zeros((1, inputs.shape[1]))), h)
     late = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
     slow, chain = len(UNKNOWN) + len(BIASES), late + 1
     size = n + slow + chain
@@ -142,13 +144,7 @@ def _sensor_errors(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
     return np.maximum(noise, 1e-9), np.maximum(np.append(plane.bias * of_planes, loop.gyro.bias) / uniform, 1e-12)
 
 
-def limit(
-    vehicle: Vehicle,
-    loop: Loop,
-    speed: float,
-    walks: tuple[float, float],
-    activity: float = ACTIVITY,
-) -> Limit:
+def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> Limit:
     """Bound of the lateral error at an activity of the torque (N m); other parameters as of `system`."""
     of = system(vehicle, loop, speed, walks)
     p, m = np.zeros_like(of.a), of.torque  # the torques are known

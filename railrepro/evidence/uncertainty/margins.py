@@ -7,8 +7,7 @@ linearised by hand: the loop runs as it is, with sampling, filter and latency, a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 
@@ -78,36 +77,27 @@ def probed(guidance: lateral.Guidance, amplitude: float) -> lateral.Guidance:
     return wrapped(guidance, lambda law: ProbedLaw(law, amplitude))
 
 
-@dataclass(frozen=True)
-class Sensitivity:
-    """Measured sensitivity of the loop of the front gear, broken at its differential torque.
+def peak(values: np.ndarray) -> float:
+    """Largest magnitude of a `sensitivity`: its inverse is the smallest distance of the open loop from -1."""
+    return float(np.abs(values).max())
 
-    `values` are torque over disturbance, S = 1 / (1 + L), complex, shape (len(FREQUENCIES),).
+
+def disk_margin(values: np.ndarray) -> float:
+    """Symmetric disk margin a: gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or phase by 2 atan(a / 2).
+
+    Source: Seiler, Packard and Gahinet 2020.
     """
-
-    values: np.ndarray
-
-    @cached_property
-    def peak(self) -> float:
-        """Largest magnitude of S: its inverse is the smallest distance of L from -1."""
-        return float(np.abs(self.values).max())
-
-    @cached_property
-    def disk_margin(self) -> float:
-        """Symmetric disk margin: gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or phase by 2 atan(a / 2).
-
-        Source: Seiler, Packard and Gahinet 2020.
-        """
-        return float(1 / np.abs(self.values - 0.5).max())
+    return float(1 / np.abs(values - 0.5).max())
 
 
 def sensitivity(
     guidance, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
-) -> Sensitivity | None:
-    """Sensitivity on the straight dry track, the difference of a run with and one without disturbance.
+) -> np.ndarray | None:
+    """Measured sensitivity of the loop of the front gear, broken at its differential torque, on the straight dry track.
 
-    The noise of sensors (arguments of `sensors.readings`) is the same in both runs, so it does not enter. None when a
-    run fails, or when the loop does not answer at the frequencies of the disturbance: it is unstable.
+    Torque over disturbance, S = 1 / (1 + L), complex, shape (len(FREQUENCIES),): the difference of a run with and one
+    without disturbance. The noise of sensors (arguments of `sensors.readings`) is the same in both runs, so it does not
+    enter. None when a run fails, or where an unstable loop does not answer at the frequencies of the disturbance.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
@@ -125,48 +115,28 @@ def sensitivity(
     lines = np.round(np.array(FREQUENCIES) * WINDOW).astype(int)
     answered = np.sum(np.abs(torque[lines]) ** 2) / np.sum(np.abs(torque) ** 2)
     stable = answered > LINEAR and late < 2 * early
-    return Sensitivity(torque[lines] / disturbance[lines]) if stable else None
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """What is worsened until the car derails or reaches the flanges.
-
-    Attributes
-    ----------
-    nominal, largest : float
-        Where the search begins and ends.
-    resolution : float
-    change : callable
-        Value -> changed arguments of `Experiment` (plant, sensors).
-    unit : str
-    """
-
-    nominal: float
-    largest: float
-    resolution: float
-    change: Callable[[float], dict]
-    unit: str
+    return torque[lines] / disturbance[lines] if stable else None
 
 
 QUANTITIES = {
-    "delay": Quantity(0.0, 15e-3, 1e-3, lambda value: {"sensors": {"inverter.delay": value}}, "s"),
-    "lag": Quantity(5e-3, 0.1, 2.5e-3, lambda value: {"plant": {"drive.lag": value}}, "s"),
-    "gain": Quantity(1.0, 5.0, 0.1, lambda value: {"sensors": {"inverter.gain": value}}, "-"),
+    "delay": ("inverter.delay", 0.0, 15e-3, 1e-3, "s"),
+    "lag": ("drive.lag", 5e-3, 0.1, 2.5e-3, "s"),
+    "gain": ("inverter.gain", 1.0, 5.0, 0.1, "-"),
 }
-"""Delay on top of that of the loop, lag of the drive, torque over the command."""
+"""What is worsened until the car derails or reaches the flanges: delay on top of that of the loop, lag of the drive,
+torque over the command. Its key, where the search begins and ends, its resolution and unit."""
 
 
-def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:
+def survived(fails: Callable[[float], bool], nominal: float, largest: float, resolution: float) -> float:
     """Largest value of a quantity (SI) with which a run does not fail, by bisection; nan when the nominal does."""
-    if fails(quantity.nominal):
+    if fails(nominal):
         return float("nan")
-    low, high = quantity.nominal, quantity.largest
+    low, high = nominal, largest
     if not fails(high):
         return high
-    while high - low > 1.01 * quantity.resolution:
-        steps = round((high - low) / quantity.resolution) // 2
-        middle = low + max(steps, 1) * quantity.resolution
+    while high - low > 1.01 * resolution:
+        steps = round((high - low) / resolution) // 2
+        middle = low + max(steps, 1) * resolution
         low, high = (low, middle) if fails(middle) else (middle, high)
     return low
 
@@ -174,18 +144,16 @@ def survived(fails: Callable[[float], bool], quantity: Quantity) -> float:
 def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
     """Largest value of a quantity with which a tuned controller keeps the car off its flanges, see `survived`."""
     name, end = RAILS[rail]
-    scenario, quick = load_scenario(name).but(end_m=end), CONTROLLERS[controller].quick
+    key, *searched, _ = QUANTITIES[quantity]
     sensors = {"seed": 101} | ({} if setting == tuning.LOOP else {"perfect": True})
+    quick = CONTROLLERS[controller].quick
+    run = Experiment(load_scenario(name).but(end_m=end), controller, options=quick, setting=setting, sensors=sensors)
 
     def fails(value: float) -> bool:
-        change = QUANTITIES[quantity].change(value)
-        experiment = Experiment(
-            scenario, controller, options=quick, setting=setting, plant=change.get("plant", {}),
-            sensors=sensors | change.get("sensors", {}),
-        )  # fmt: skip
-        return experiment.measured(failed)[0]["failed"]
+        of_car = {"plant": {key: value}} if key.startswith("drive.") else {"sensors": sensors | {key: value}}
+        return replace(run, **of_car).measured(failed)[0]["failed"]
 
-    return survived(fails, QUANTITIES[quantity])
+    return survived(fails, *searched)
 
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
@@ -199,8 +167,8 @@ def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
 def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
     guidance = tuning.tuned(controller, CONTROLLERS[controller].quick, setting)
     found = sensitivity(guidance, speed_kmh, {"seed": 101} if setting == tuning.LOOP else None)
-    peak, margin = (float("inf"), 0.0) if found is None else (found.peak, found.disk_margin)
-    return {"peak_sensitivity": peak, "disk_margin": margin}, None
+    largest, margin = (float("inf"), 0.0) if found is None else (peak(found), disk_margin(found))
+    return {"peak_sensitivity": largest, "disk_margin": margin}, None
 
 
 def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
@@ -217,7 +185,7 @@ def main() -> None:
         values = ordered_map(pool, lambda case: largest(*case), survivals, "margins")
         found = ordered_map(pool, lambda case: peaks(*case), loops, "sensitivity")
     table = pd.DataFrame(survivals, columns=["setting", "controller", "rail", "quantity"]).assign(largest=values)
-    table["unit"] = [QUANTITIES[name].unit for name in table["quantity"]]
+    table["unit"] = [QUANTITIES[name][-1] for name in table["quantity"]]
     measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(found))
     for name, rows in {"margins": table, "sensitivity": measured}.items():
         write(paths.product(f"data/results/{name}.csv"), rows.to_csv(index=False, float_format="%.6g"))

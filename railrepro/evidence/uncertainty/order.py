@@ -6,8 +6,7 @@ an interrupted study goes on where it was. Serves the paper's Fig. 6.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import pandas as pd
 
@@ -31,27 +30,6 @@ SEEDS = (101, 102, 103)
 _GROUPS = ("lateral", "gyro", "wheel_speed", "speed", "position")
 
 
-@dataclass(frozen=True)
-class Axis:
-    """One thing that is changed.
-
-    Attributes
-    ----------
-    unit : str
-    values : tuple
-        Numbers, or names of choices.
-    change : callable
-        Value -> changed arguments of `Experiment`.
-    controllers : tuple of str
-        Whom it concerns.
-    """
-
-    unit: str
-    values: tuple
-    change: Callable[[float | str], dict] = field(default=lambda value: {})
-    controllers: tuple[str, ...] = CONTROLLERS
-
-
 def _noisy(factor: float) -> dict:
     """Sensors of the loop with a multiple of their noise, no bias and no latency, and the filter."""
     loop = load_loop()
@@ -69,54 +47,51 @@ CAR = {
 """Profiles of the wheels; and what stands between the car and its controllers: nothing, the filter of the realistic
 loop with exact readings, all of that loop."""
 AXES = {
-    "bandwidth": Axis("over the tuned", (1 / 3, 0.5, 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0), controllers=CONTROLLERS[1:]),
-    "unbalanced acceleration": Axis("m/s2", (0.0, 0.15, 0.3, 0.4333, 0.65, 0.85, 1.0)),
-    "creep stiffness": Axis(
-        "over ours",
-        (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0),
-        lambda value: {"plant": {"contact.shear_modulus": value * load_vehicle().contact.shear_modulus}},
-    ),
-    "car": Axis("-", tuple(CAR), CAR.__getitem__),
-    "delay": Axis(
-        "ms",
-        (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0),
-        lambda value: {"sensors": {"perfect": True, "inverter.delay": 1e-3 * value}},
-    ),
-    "noise": Axis("over the sensors'", (0.0, 0.25, 0.5, 1.0, 2.0), _noisy),
+    "bandwidth": ("over the tuned", (1 / 3, 0.5, 2 / 3, 1.0, 1.5, 2.0, 3.0, 4.0)),
+    "unbalanced acceleration": ("m/s2", (0.0, 0.15, 0.3, 0.4333, 0.65, 0.85, 1.0)),
+    "creep stiffness": ("over ours", (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0)),
+    "car": ("-", tuple(CAR)),
+    "delay": ("ms", (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0)),
+    "noise": ("over the sensors'", (0.0, 0.25, 0.5, 1.0, 2.0)),
 }
-"""Everything is nominal but the axis. Delay and noise come behind the filter of the realistic loop: their zero is the
-choice "S1002, filter"."""
+"""What is changed -> unit and values; everything else is nominal. The bandwidth is that of the inversions. Delay and
+noise come behind the filter of the realistic loop: their zero is the choice "S1002, filter"."""
 
 
-def experiment(
-    axis: str, value: float | str, setting: str, controller: str, seed: int = 0, scenario: str = SCENARIO
-) -> Experiment:
-    """The run of a tuned set with an axis (key of `AXES`) at some value; `seed` is of the noise, if there is any."""
-    changed, parameters = dict(AXES[axis].change(value)), tuning.load(controller, setting)["parameters"]
-    if noisy(changed):
-        changed["sensors"] = changed["sensors"] | {"seed": seed}
+def changed(axis: str, value) -> dict:
+    """Arguments of `Experiment` that an axis changes."""
+    if axis == "unbalanced acceleration":
+        return {"alignment": canted(alignments()["T3"], value)}
+    if axis == "creep stiffness":
+        return {"plant": {"contact.shear_modulus": value * load_vehicle().contact.shear_modulus}}
+    if axis == "car":
+        return dict(CAR[value])
+    if axis == "delay":
+        return {"sensors": {"perfect": True, "inverter.delay": 1e-3 * value}}
+    return _noisy(value) if axis == "noise" else {}
+
+
+def experiments(axis: str, value, setting: str, controller: str) -> list[Experiment]:
+    """Runs of a tuned set with an axis (key of `AXES`) at some value: one, or where there is noise one per seed."""
+    more, parameters = changed(axis, value), tuning.load(controller, setting)["parameters"]
     if axis == "bandwidth":
         parameters = parameters | {name: value * parameters[name] for name in {"pole", "frequency"} & set(parameters)}
-    driven = load_scenario(scenario)
-    if axis == "unbalanced acceleration":
-        changed["alignment"] = canted(alignments()[driven.track], value)
-    quick = registry.CONTROLLERS[controller].quick
-    return Experiment(driven, controller, parameters=parameters, options=quick, **changed)
+    label = {"axis": axis, "value": value, "unit": AXES[axis][0], "setting": setting, "controller": controller}
+    sensors, scenario = more.pop("sensors", {}), load_scenario(SCENARIO)
+    found = []
+    for seed in SEEDS if "seed" in sensors else (0,):
+        noise = sensors | ({"seed": seed} if "seed" in sensors else {})
+        quick = registry.CONTROLLERS[controller].quick
+        found.append(Experiment(scenario, controller, label | {"seed": seed}, parameters, quick, sensors=noise, **more))
+    return found
 
 
-def row(axis: str, value: float | str, setting: str, controller: str, seed: int = 0, scenario: str = SCENARIO) -> dict:
-    """Numbers of a run, see `experiment`; of one that derailed only how it ended."""
-    found, _ = experiment(axis, value, setting, controller, seed, scenario)()
-    own = {"axis": axis, "value": value, "unit": AXES[axis].unit, "setting": setting}
-    own |= {"controller": controller, "seed": seed}
+def row(run: Experiment) -> dict:
+    """Numbers of a run of `experiments`; of one that derailed only how it ended."""
+    found, _ = run()
     numbers = {"rmse_mm": 1e3 * found["rmse_y"], "drift_mm": 1e3 * found["mean_error_last_third"]}
     numbers |= {"effort_Nm": float(found["effort_du"])}
-    return own | ({} if found["failed"] else numbers) | {"failed": bool(found["failed"]), "ended": found["ended"]}
-
-
-def noisy(changed: dict) -> bool:
-    """Whether changed arguments of `Experiment` bring noise, of which several realisations are driven."""
-    return "seed" in changed.get("sensors", {})
+    return run.label | ({} if found["failed"] else numbers) | {"failed": bool(found["failed"]), "ended": found["ended"]}
 
 
 def canted(track: Alignment, acceleration: float) -> Alignment:
@@ -128,20 +103,15 @@ def canted(track: Alignment, acceleration: float) -> Alignment:
     return replace(track, segments=(start, replace(ramp, phi=(0.0, angle)), replace(arc, phi=(angle, angle))))
 
 
-def cases(axes: Sequence[str] = tuple(AXES), settings: Sequence[str] = SETTINGS) -> list[tuple]:
-    """All runs of some axes, as arguments of `row`."""
-    return [
-        (axis, value, setting, name, seed)
-        for axis in axes
-        for setting in settings
-        for name in AXES[axis].controllers
-        for value in AXES[axis].values
-        for seed in (SEEDS if noisy(AXES[axis].change(value)) else (0,))
-    ]
-
-
 def main() -> None:
     """Drive all of them and write the table."""
+    cases = [
+        (axis, value, setting, name)
+        for axis, (_, values) in AXES.items()
+        for setting in SETTINGS
+        for name in (CONTROLLERS[1:] if axis == "bandwidth" else CONTROLLERS)
+        for value in values
+    ]
     with executor() as pool:
-        rows = ordered_map(pool, lambda case: row(*case), cases(), "where the order turns")
+        rows = ordered_map(pool, row, [run for case in cases for run in experiments(*case)], "where the order turns")
     write(paths.product("data/results/order_turns.csv"), pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))

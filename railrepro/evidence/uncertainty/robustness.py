@@ -35,10 +35,6 @@ TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
 
 
-def _plain(value):
-    return None if value is None else bool(value) if isinstance(value, bool | np.bool_) else float(value)
-
-
 OPEN = (
     Dimension("profile (cone, S1002)", 0, 1, "integer"),
     Dimension("LTV-MPC (printed, with its affine term)", 0, 1, "integer"),
@@ -87,10 +83,10 @@ class Sample:
         return setup(v, self.setting)
 
 
-def draw(count: int = SAMPLES, seed: int = SEED, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
+def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
     """Quasi-random samples over the prior: one scrambled Sobol sequence, the same in each setting."""
     dimensions = prior()
-    points = stats.qmc.Sobol(len(dimensions), seed=seed).random(count)
+    points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
     return [Sample(number, setting, value) for setting in settings for number, value in enumerate(values)]
 
@@ -106,7 +102,7 @@ def evaluate(sample: Sample) -> dict:
     judged = replace(world, parameters=tuned, sensors=_sensors(sample.setting, JUDGING))
     labels = {"number": sample.number, "setting": sample.setting, "profile": world.profile, "ltv": world.ltv}
     parts = (*PARTS, *ONCE) if sample.number < LONG else PARTS
-    return labels | dict(sample.values) | {"/".join(key): _plain(value) for *key, value in probe(judged, parts)}
+    return labels | dict(sample.values) | {"/".join(key): value for *key, value in probe(judged, parts)}
 
 
 LABELS = ("number", "setting", "profile", "ltv")
@@ -135,11 +131,7 @@ def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
 
 def evidence(row: dict, spread: Mapping | None = None) -> statements.Evidence:
     """What a row of robustness_samples.csv shows, with the spread between seeds of the nominal case."""
-    metrics = {}
-    for name, value in row.items():
-        key = tuple(name.split("/"))
-        if len(key) == 3 and value is not None and not (isinstance(value, float) and np.isnan(value)):
-            metrics[key] = float(value)
+    metrics = {tuple(name.split("/")): value for name, value in row.items() if name.count("/") == 2 and value == value}
     return statements.Evidence(metrics, spread or {})
 
 
@@ -171,10 +163,10 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
     """Share of the samples in which each statement holds, in each setting, with its 95 % interval (Clopper-Pearson).
 
-    Columns id, setting, share, low, high, samples; cone, s1002: shares by profile. Empty for a table of an older form.
+    Columns id, setting, share, low, high, samples; cone, s1002: shares by profile. Empty without a table.
     """
     columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
-    if table is None or not set(LABELS) <= set(table):
+    if table is None:
         return pd.DataFrame(columns=columns)
     judged, rows = holds(table), []
     for identity in [name for name in judged if name not in LABELS]:
@@ -183,11 +175,8 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
             held = own[identity].astype(bool)
             interval = stats.binomtest(int(held.sum()), len(held)).proportion_ci(method="exact")
             profile = held.groupby(own["profile"]).mean()
-            rows.append(
-                {"id": identity, "setting": setting, "share": held.mean(), "low": interval.low, "high": interval.high}
-                | {"samples": len(held)}
-                | {name: profile.get(name, np.nan) for name in ("cone", "s1002")}
-            )
+            by_profile = [profile.get(name, np.nan) for name in columns[-2:]]
+            rows.append((identity, setting, held.mean(), interval.low, interval.high, len(held), *by_profile))
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -199,7 +188,7 @@ def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
     for row in found.itertuples():
         chosen = judged[judged["setting"] == row.setting][row.id].dropna().astype(float)
         deciding.append(_deciding(factors.loc[chosen.index], chosen))
-    return found.assign(candidates=[" ; ".join(names) for names in deciding])
+    return found.assign(candidates=deciding)
 
 
 def confirmed(found: pd.DataFrame, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
@@ -207,7 +196,7 @@ def confirmed(found: pd.DataFrame, run: Callable[[list[Sample]], list[dict]]) ->
     other, everything else nominal; `run` makes rows of samples as `evaluate` does.
     """
     ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
-    pairs = list(dict.fromkeys((r.setting, n) for r in found.itertuples() for n in r.candidates.split(" ; ") if n))
+    pairs = list(dict.fromkeys((r.setting, n) for r in found.itertuples() for n in r.candidates))
     samples = [Sample(i, setting, ((name, value),)) for setting, name in pairs for i, value in enumerate(ends[name])]
     held = holds(pd.DataFrame(run(samples))) if samples else pd.DataFrame()
     ends_of = {pair: (held.iloc[2 * i], held.iloc[2 * i + 1]) for i, pair in enumerate(pairs)}
@@ -216,7 +205,7 @@ def confirmed(found: pd.DataFrame, run: Callable[[list[Sample]], list[dict]]) ->
         low, high = (end.get(row.id) for end in ends_of[row.setting, name])
         return {low, high} == {True, False}
 
-    decided = [", ".join(n for n in r.candidates.split(" ; ") if n and turns(r, n)) for r in found.itertuples()]
+    decided = [", ".join(n for n in r.candidates if turns(r, n)) for r in found.itertuples()]
     return found.drop(columns="candidates").assign(decided_by=decided)
 
 

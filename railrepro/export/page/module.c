@@ -3,9 +3,8 @@
 #define EXPORT(name) __attribute__((export_name(#name)))
 
 static fmu_t fmu;
-static const host_t nobody;
 
-EXPORT(reset) void module_reset(void) { fmu.host = &nobody, connect(&fmu), reset(&fmu); }
+EXPORT(reset) void module_reset(void) { connect(&fmu), reset(&fmu); }
 EXPORT(begin) void module_begin(void) { begin(&fmu); }
 /* 0, 1 where a gear derailed, 3 where the step failed */
 EXPORT(step) int module_step(int n) { return advance(&fmu, n); }

@@ -1,23 +1,17 @@
 """A second derivation of the control model: Lagrange multipliers and automatic derivatives instead of projection.
 
-Shares no code with `railrepro.model.derivation` and exists to disagree with it, should either be wrong.
-Serves the paper's eqs. (13) and (16).
+Shares no code with `railrepro.model.derivation`; paper, eqs. (13) and (16).
 """
-
-from __future__ import annotations
 
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from railrepro.vehicle.parameters import Vehicle
-
 
 @lru_cache
-def _residuals(vehicle_key: tuple) -> ca.Function:
+def _residuals(m, mx, jx, jz, jw, jd, r0, b, delta, ksz, kdz, ksx, kdx, g) -> ca.Function:
     """Residual pieces of the unreduced system: mass matrix, rest, constraint matrix and its rate term."""
-    m, mx, jx, jz, jw, jd, r0, b, delta, ksz, kdz, ksx, kdx, g = vehicle_key
     q, qd = ca.SX.sym("q", 5), ca.SX.sym("qd", 5)  # x, psi, y, wheel angles right and left (about y)
     tau, track = ca.SX.sym("tau", 2), ca.SX.sym("track", 9)
     kappa, phi0, dphi, psi_cb, kappa_cb, m_cb = track[1], track[2], track[3], track[6], track[7], track[8]
@@ -49,29 +43,12 @@ def _residuals(vehicle_key: tuple) -> ca.Function:
     return ca.Function("unreduced", [q, qd, tau, track], [mass, rest, jacobian, ca.jtimes(constraint, q, qd)])
 
 
-def accelerations(state: np.ndarray, torque: np.ndarray, theta: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """xddot (m/s2) and psiddot (rad/s2) from the unreduced equations with three multipliers, shape (2,).
-
-    Parameters
-    ----------
-    state : ndarray, shape (6,)
-        State of the control model with psi_TrAx = psi_Ax - psi_Tr.
-    torque : ndarray, shape (2,)
-        tau_ri, tau_le, traction-positive (N m).
-    theta : ndarray, shape (9,)
-        Track parameters, see `railrepro.model.control_model.THETA`.
-    vehicle : Vehicle
-    """
-    wheel, s = vehicle.wheel, vehicle.suspension
-    gear = vehicle.gear
-    key: tuple[float, ...] = (gear.mass, gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia)
-    key += (wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, gear.contact_base, wheel.cone_angle)
-    key += (s.yaw_stiffness, s.yaw_damping, s.roll_stiffness, s.roll_damping, vehicle.gravity)
+def accelerations(state, torque, theta, parameters) -> np.ndarray:
+    """xddot (m/s2) and psiddot (rad/s2) with three multipliers; arguments as of the control model, (6,), (2,), (9,)."""
+    b, radius, slope = parameters[7], parameters[6], np.tan(parameters[8])
     _, psi, v, psid, y, relative = state
-    slope = np.tan(wheel.cone_angle)
-    right, left, half = wheel.radius + slope * y, wheel.radius - slope * y, gear.contact_base / 2
-    spins = -(v - (half - y) * psid) / right, -(v + (half + y) * psid) / left
+    spins = -(v - (b / 2 - y) * psid) / (radius + slope * y), -(v + (b / 2 + y) * psid) / (radius - slope * y)
     q, qd = np.array([0.0, psi, y, 0.0, 0.0]), np.array([v, psid, v * np.sin(relative), *spins])
-    mass, rest, jacobian, drift = (np.array(part) for part in _residuals(key)(q, qd, torque, theta))
+    mass, rest, jacobian, drift = (np.array(part) for part in _residuals(*parameters)(q, qd, torque, theta))
     system = np.block([[mass, jacobian.T], [jacobian, np.zeros((3, 3))]])
     return np.linalg.solve(system, -np.concatenate([rest, drift]).ravel())[:2]

@@ -1,0 +1,229 @@
+"""C for vector registers: several sets of arguments side by side, or mirrored operations of one set.
+
+`lanes_text` evaluates a function for several sets of arguments. `pairs_text` writes a function whose inputs come in
+pairs, as those of two running gears. Two operations are twins where one does with the mirrored operands what the other
+does with its own. Twins become one operation of two lanes, so that nearly half of them go; each rounds as it does
+alone. The function knows nothing of this: what has no twin, as what acts on the car body, stays a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from pathlib import Path
+
+import casadi as ca
+
+from railrepro.compile.codegen import ELEMENTARY
+
+_OPERATIONS = {
+    **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
+    **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{one} / {}"},
+    **{kind: f"{{own}}{name}({{}})" for kind, name in (
+        (ca.OP_TAN, "tan"), (ca.OP_ASIN, "asin"), (ca.OP_ATAN, "atan"),
+        (ca.OP_EXP, "exp"), (ca.OP_LOG, "log"), (ca.OP_SQRT, "sqrt"), (ca.OP_FLOOR, "floor"), (ca.OP_FABS, "fabs"),
+        (ca.OP_SIGN, "sign"),
+    )},
+    **{kind: f"{{own}}{name}({{}}, {{}})" for kind, name in (
+        (ca.OP_POW, "pow"), (ca.OP_CONSTPOW, "pow"), (ca.OP_FMIN, "fmin"), (ca.OP_FMAX, "fmax"),
+    )},
+    **{kind: f"{{own}}pick({condition}, {{one}}, {{zero}})" for kind, condition in (
+        (ca.OP_LT, "{} < {}"), (ca.OP_LE, "{} <= {}"), (ca.OP_EQ, "{} == {}"), (ca.OP_NE, "{} != {}"),
+        (ca.OP_NOT, "{} == 0"), (ca.OP_AND, "({} != 0) & ({} != 0)"), (ca.OP_OR, "({} != 0) | ({} != 0)"),
+    )},
+    ca.OP_IF_ELSE_ZERO: "{own}pick({} != 0, {}, {zero})",
+}  # fmt: skip
+
+
+class Statements:
+    """Statements of C, each an operation of CasADi on numbers or on lanes; `lines` so far."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._turned: dict[str, str] = {}
+
+    def name(self, text: str, wide: bool) -> str:
+        """Name of a new number or of new lanes with some value."""
+        found = f"t{len(self.lines)}"
+        self.lines.append(f"const {'lanes_t' if wide else 'double'} {found} = {text};")
+        return found
+
+    def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
+        """Name of what an operation gives; ValueError for one that is not translated here."""
+        own = "lanes_" if wide else "own_"
+        if kind in (ca.OP_SIN, ca.OP_COS):
+            (angle,) = values
+            if angle not in self._turned:
+                self._turned[angle] = f"both{len(self.lines)}"
+                self.lines.append(f"const {own}pair_t {self._turned[angle]} = {own}both({angle});")
+            part = (".sin", ".cos") if wide else ("[0]", "[1]")
+            return self.name(self._turned[angle] + part[kind == ca.OP_COS], wide)
+        if kind not in _OPERATIONS:
+            raise ValueError(f"operation {kind} is not translated to lanes")
+        return self.name(_OPERATIONS[kind].format(*values, own=own, one=f"{own}all(1.0)", zero=f"{own}all(0.0)"), wide)
+
+
+def lanes_header(lanes: int = 4) -> str:
+    """C that functions of `lanes_text` (4 lanes) and `pairs_text` (2) need, to stand after `source_text`."""
+    return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text()}{ELEMENTARY}"
+
+
+def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
+    """C source of a function that is evaluated for LANES sets of arguments side by side, in vector registers.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of scalar operations (SX).
+    common : sequence of str
+        Names of the inputs that all sets share; what depends on these alone is computed once.
+
+    Returns
+    -------
+    str
+        `static void NAME_lanes(inputs, outputs)`, pointers in CasADi's order to lanes_t (lanes.h), or to double for the
+        common inputs.
+
+    Raises
+    ------
+    ValueError
+        When the function uses an operation that is not translated here.
+    """
+    inputs, outputs = function.name_in(), function.name_out()
+    kinds = ["double" if name in common else "lanes_t" for name in inputs]
+    signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
+    signature += [f"lanes_t *out_{name}" for name in outputs]
+    body, slots = Statements(), dict[int, tuple[str, bool]]()
+    for i in range(function.n_instructions()):
+        kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
+        if kind == ca.OP_OUTPUT:
+            value, wide = slots[of[0]]
+            body.lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes_all({value})'};")
+        elif kind == ca.OP_CONST:
+            slots[to[0]] = body.name(repr(function.instruction_constant(i)), False), False
+        elif kind == ca.OP_INPUT:
+            wide = kinds[of[0]] == "lanes_t"
+            slots[to[0]] = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide), wide
+        else:
+            operands = [slots[slot] for slot in of]
+            wide = any(is_wide for _, is_wide in operands)
+            values = [value if is_wide or not wide else f"lanes_all({value})" for value, is_wide in operands]
+            slots[to[0]] = body.operation(kind, values, wide), wide
+    text = "\n  ".join(body.lines)
+    return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {text}\n}}\n"
+
+
+_COMMUTING = (ca.OP_ADD, ca.OP_MUL)
+_LEAVES = (ca.OP_INPUT, ca.OP_CONST)
+
+
+def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
+    """C source of a function by twins, to be called like what CasADi generates.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of scalar operations (SX).
+    mirrored : mapping
+        For inputs with pairs by name: the index of each entry's partner, its own where it has none. Constants of
+        opposite sign count as partners, too.
+
+    Raises
+    ------
+    ValueError
+        When the function uses an operation that is not translated to lanes.
+    """
+    nodes, outputs = _graph(function)
+    twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])
+    body, found = Statements(), dict[int, str]()
+    lanes: dict[str, str] = {}  # by their first number
+    for node, (kind, *of) in enumerate(nodes):
+        if node in found:
+            continue
+        twin, of_twin = twins[node]
+        wide = twin != node and twin not in found and found.keys() >= {*of_twin}
+        if kind in _LEAVES:
+            pairs = [(_leaf(nodes[node]), _leaf(nodes[twin]))]
+        else:
+            pairs = [(found[operand], found[other]) for operand, other in zip(of, of_twin if wide else of, strict=True)]
+        values = [_lanes(*pair, lanes) if wide else pair[0] for pair in pairs]
+        name = body.name(values[0], wide) if kind in _LEAVES else body.operation(kind, values, wide)
+        found[node] = f"{name}[0]" if wide else name
+        if wide:
+            found[twin], lanes[found[node]] = f"{name}[1]", name
+    return _called(function, body.lines, [(*place, found[node]) for *place, node in outputs])
+
+
+def _leaf(node: tuple) -> str:
+    """C of an input or of a constant."""
+    kind, *of = node
+    return f"arg[{of[0]}][{of[1]}]" if kind == ca.OP_INPUT else repr(of[0])
+
+
+def _graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
+    """Nodes, each once: (kind, operands), (kind, input, entry) or (kind, constant). Outputs: (output, entry, node)."""
+    nodes: list[tuple] = []
+    index: dict[tuple, int] = {}
+    slots: dict[int, int] = {}
+    outputs: list[tuple] = []
+    for i in range(function.n_instructions()):
+        kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
+        if kind == ca.OP_OUTPUT:
+            outputs.append((*to, slots[of[0]]))
+            continue
+        operands = [function.instruction_constant(i)] if kind == ca.OP_CONST else of
+        node = (kind, *(operands if kind in _LEAVES else (slots[slot] for slot in of)))
+        if node not in index:
+            index[node] = len(nodes)
+            nodes.append(node)
+        slots[to[0]] = index[node]
+    return nodes, outputs
+
+
+def _twins(nodes: list[tuple], partners: list[Sequence[int] | None]) -> list[tuple[int, tuple[int, ...]]]:
+    """Twin of each node, itself where it has none, and operands of the twin in the order of the node's own."""
+    index = {node: i for i, node in enumerate(nodes)}
+    for i, (kind, *of) in enumerate(nodes):
+        if kind in _COMMUTING:
+            index.setdefault((kind, *of[::-1]), i)
+    found: list[tuple[int, tuple[int, ...]]] = []
+
+    def others(operand: int) -> list[int]:
+        kind, *of = nodes[operand]
+        opposite = [index[kind, -of[0]]] if kind == ca.OP_CONST and (kind, -of[0]) in index else []
+        return [*opposite, found[operand][0]]
+
+    for i, (kind, *of) in enumerate(nodes):
+        if kind in _LEAVES:
+            partner = partners[of[0]] if kind == ca.OP_INPUT else None
+            found.append((index.get((kind, of[0], partner[of[1]]), i) if partner else i, ()))
+        else:
+            mirrored = [(kind, *operands) for operands in product(*map(others, of))]
+            known = [node for node in mirrored if node in index]
+            found.append((index[known[0]], known[0][1:]) if known else (i, tuple(of)))
+    return found
+
+
+def _lanes(one: str, other: str, lanes: Mapping[str, str]) -> str:
+    """Lanes of two numbers, as they lie in a register or put together."""
+    if one in lanes and other == f"{lanes[one]}[1]":
+        return lanes[one]
+    return f"lanes_all({one})" if one == other else f"lanes_of({one}, {other})"
+
+
+def _called(function: ca.Function, lines: list[str], outputs: list[tuple]) -> str:
+    """A C function of CasADi's form with its companion for the size of its memory."""
+    name, body = function.name(), list(lines)
+    for output in range(function.n_out()):
+        values = [f"res[{output}][{entry}] = {value};" for to, entry, value in outputs if to == output]
+        body.append(f"if (res[{output}]) {{\n    " + "\n    ".join(values) + "\n  }")
+    sizes = zip(("arg", "res", "iw", "w"), (function.n_in(), function.n_out(), 0, 0), strict=True)
+    work = " ".join(f"if ({size}) *{size} = {value};" for size, value in sizes)
+    text = "\n  ".join(body)
+    return f"""
+int {name}(const double **arg, double **res, casadi_int *iw, double *w, int memory) {{
+  {text}
+  return 0;
+}}
+int {name}_work(casadi_int *arg, casadi_int *res, casadi_int *iw, casadi_int *w) {{ {work} return 0; }}
+"""

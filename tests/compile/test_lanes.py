@@ -1,0 +1,106 @@
+"""Sets side by side equal one after the other, so do twins; the car is nearly all twins; divisions are shared."""
+
+import ctypes
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from railrepro.car import equations
+from railrepro.car.component import SteppedCar
+from railrepro.compile import codegen
+from railrepro.compile.lanes import lanes_header, lanes_text, pairs_text
+from railrepro.compile.reciprocals import share_reciprocals
+
+
+def test_lanes_equal_single_evaluations():
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
+    chosen = ca.if_else(ca.logic_and(x[0] < x[1], ca.logic_not(p[0] > 1)), ca.fmin(x[0], 0.8) ** 0.3, ca.exp(-x[1]))
+    wide = ca.vertcat(ca.sin(x[0]) / x[1], -ca.cos(x[1]) * p[0] - 2 * x[0] + x[1] ** 2, 1 / x[1], 3.5 + p[1], chosen)
+    function = ca.Function("several", [x, p], [wide, ca.tan(p[0] * x[0])], ["x", "p"], ["first", "second"])
+    entry = """
+void run(const double *x, const double *p, double *first, double *second) {
+  lanes_t in[2], out[5], last[1];
+  for (int i = 0; i < LANES; ++i) for (int j = 0; j < 2; ++j) in[j][i] = x[2 * i + j];
+  several_lanes(in, p, out, last);
+  for (int i = 0; i < LANES; ++i) for (int j = 0; j < 5; ++j) first[5 * i + j] = out[j][i];
+  for (int i = 0; i < LANES; ++i) second[i] = last[0][i];
+}
+int count(void) { return LANES; }
+"""
+    library = codegen.library(
+        [function], codegen.PREAMBLE + lanes_header() + lanes_text(function, common=["p"]) + entry
+    )
+    n = library.count()
+    sets, common = np.random.default_rng(0).uniform(0.5, 1.5, (n, 2)), np.array([0.3, -0.7])
+    first, second = np.zeros((n, 5)), np.zeros(n)
+    library.run(*(ctypes.c_void_p(array.ctypes.data) for array in (sets, common, first, second)))
+    for values, one, other in zip(sets, first, second, strict=True):
+        exact = [np.array(result).ravel() for result in function(values, common)]
+        np.testing.assert_allclose(one, exact[0], rtol=1e-14)
+        np.testing.assert_allclose(other, exact[1][0], rtol=1e-14)
+
+
+def both(function, mirrored):
+    """The function as CasADi writes it, and by twins; text of the latter."""
+    text = pairs_text(function, mirrored)
+    library = codegen.library((), "#define casadi_int long long\n" + lanes_header(2) + text)
+    return codegen.compiled(function), codegen.CompiledFunction(library, function), text
+
+
+def test_twins_have_the_bits_of_single_operations():
+    """Two gears on a body: functions of each, sums over both, an end of the car by its sign, a part without twin."""
+    x, p = ca.SX.sym("x", 6), ca.SX.sym("p", 2)
+    body, gears, seats = x[:2], (x[2:4], x[4:]), (ca.SX(0.5), ca.SX(-0.5))
+    forces = [
+        ca.sin(gear[0] - seat * p[0]) * ca.exp(gear[1]) + ca.if_else(gear[0] < body[0], ca.sqrt(gear[1]), body[1] ** 2)
+        for gear, seat in zip(gears, seats, strict=True)
+    ]
+    rates = [*forces, forces[0] + forces[1], forces[0] - forces[1], ca.cos(body[0]) / p[1], gears[0][0] * gears[1][1]]
+    rates += [gears[0][0] - gears[0][1], gears[1][1] - gears[1][0]]  # no twins, a difference has its order
+    function = ca.Function("gears", [x, p], [ca.vertcat(*rates), forces[1]], ["x", "p"], ["rates", "rear"])
+    single, twins, text = both(function, {"x": [0, 1, 4, 5, 2, 3]})
+    assert len(re.findall(r"lanes_exp\(", text)) == 1 and "own_exp(" not in text
+    for values in np.random.default_rng(0).uniform(0.1, 1.5, (50, 8)):
+        for bound in (single, twins):
+            bound.arguments[0][:], bound.arguments[1][:] = values[:6], values[6:]
+        np.testing.assert_array_equal(np.concatenate(twins()), np.concatenate(single()))
+    assert pairs_text(function, {}).count("lanes_t") == 0
+
+
+def test_an_operation_that_is_not_translated_is_refused():
+    x = ca.SX.sym("x", 2)
+    with pytest.raises(ValueError, match="is not translated to lanes"):
+        pairs_text(ca.Function("f", [x], [ca.erf(x)], ["x"], ["y"]), {"x": [1, 0]})
+
+
+@pytest.mark.parametrize("name", ["coordinates", "output", "step"])
+def test_the_car_has_the_bits_of_single_operations(name):
+    car = SteppedCar("T3", 70.0)
+    car.step([900.0, -300.0, 500.0, 100.0], steps=400)
+    car.measure()
+    twins, function = car.functions[name], getattr(car.model, name)
+    found = [result.copy() for result in twins()]
+    single = codegen.compiled(function)
+    for argument, value in zip(single.arguments, twins.arguments, strict=True):
+        argument[:] = value
+    for one, other in zip(found, single(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    text = pairs_text(function, equations.mirrored())
+    assert text.count("const lanes_t") > 3 * text.count("const double t")
+
+
+def test_a_denominator_is_inverted_once():
+    """The quotients of a sparse matrix by shared numbers: as many divisions as denominators, equal values."""
+    x, y = ca.SX.sym("x", 5), ca.SX.sym("y", 2)
+    before = ca.Function("f", [x, y], [x[:4] / y[0], ca.sin(x[0] / y[0]) / y[1], 1 / y[1], x[4] / x[0]])
+    after = share_reciprocals(before)
+    divisions = [after.instruction_id(k) for k in range(after.n_instructions())]
+    assert sum(kind in (ca.OP_DIV, ca.OP_INV) for kind in divisions) == 3
+    at = np.array([0.3, -1.2, 2.5, 0.7, 1.9]), np.array([1.7, -0.6])
+    for found, expected in zip(after(*at), before(*at), strict=True):
+        assert np.array(found) == pytest.approx(np.array(expected), rel=1e-15)
+    assert (after.name(), after.name_in(), after.name_out()) == ("f", before.name_in(), before.name_out())
+    a = ca.SX.sym("a")
+    assert (a * (1 / y[0]) - a / y[0]).is_zero()  # simplification is on again
