@@ -1,0 +1,76 @@
+"""Archive of a release: the repository, and the closed-loop runs of Figs. 6 to 9 as data for other programs.
+
+`python -m railrepro release` writes build/railrepro-VERSION.tar.gz by `git archive`. Its folder `runs` has, per figure,
+the car on its route as an FMU, and per controller a CSV with a row per millisecond: the four torque commands, named as
+the FMU's inputs, and its outputs `front.y` and `rear.y` before the step to which the torques belong. Stepped by 1 ms
+with the torques of a file, the FMU gives its displacements to the last digit.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+
+import pandas as pd
+
+from railrepro import paths
+from railrepro.control.registry import PAPER_TRIO, with_r_times
+from railrepro.data import InputError
+from railrepro.evidence.runs import tuning
+from railrepro.evidence.runs.experiment import Experiment
+from railrepro.export.car import export_fmu
+from railrepro.quantities import GEARS, SIDES
+from railrepro.simulation.scenarios import Scenario, load_scenario
+
+TEN_TIMES = "nmpc_r10"
+"""NMPC with ten times R."""
+FIGURES = {
+    "fig06": ("curve_entry_T3", PAPER_TRIO),
+    "fig07": ("sine_tracking", PAPER_TRIO),
+    "fig08": ("adhesion_loss", ("nmpc",)),
+    "fig09": ("braking", ("nmpc", TEN_TIMES, "ndi")),
+}
+"""Scenario and controllers of each figure."""
+
+
+def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
+    """Torque commands (N m) and displacements (m) of a run with the tuned set of `paper`, one row per millisecond."""
+    name = "nmpc" if controller == TEN_TIMES else controller
+    parameters = tuning.load(name, tuning.PAPER)["parameters"]
+    if controller == TEN_TIMES:
+        parameters = with_r_times(parameters, 10.0)
+    series = Experiment(scenario, name, parameters=parameters).run().series
+    torques = {
+        f"tau_{gear}_{side}": series[f"{gear}.tau_long"] + sign * series[f"{gear}.du"]
+        for gear in GEARS
+        for side, sign in zip(SIDES, (1, -1), strict=True)
+    }
+    return pd.DataFrame({"t_s": series["t_s"]} | torques | {f"{gear}.y": series[f"{gear}.y"] for gear in GEARS})
+
+
+def write_runs(folder: Path) -> list[Path]:
+    """Write the FMU and the runs of all figures to a folder; the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for figure, (name, controllers) in FIGURES.items():
+        scenario = load_scenario(name)
+        written.append(export_fmu(folder / f"{figure}_car.fmu", scenario.route(), scenario.speed))
+        for controller in controllers:
+            written.append(folder / f"{figure}_{controller}.csv")
+            exchanged(scenario, controller).to_csv(written[-1], index=False)
+            print(f"{written[-1].name}: {name}, {controller}")
+    return written
+
+
+def main() -> None:
+    """Write the archive of the committed state."""
+    root, name = paths.ROOT, f"railrepro-{version('railrepro')}"
+    if subprocess.run(["git", "-C", root, "diff", "--quiet", "HEAD"]).returncode:
+        raise InputError("release: there are changes that are not committed, or no git repository")
+    files = write_runs(root / "build" / "runs")
+    added = [f"--add-file={file}" for file in files]
+    archive = root / "build" / f"{name}.tar.gz"
+    prefixes = [f"--prefix={name}/runs/", *added, f"--prefix={name}/"]
+    subprocess.run(["git", "-C", root, "archive", *prefixes, f"--output={archive}", "HEAD"], check=True)
+    print(f"{archive.relative_to(root)}: {archive.stat().st_size / 1e6:.0f} MB")
