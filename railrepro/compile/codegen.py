@@ -31,6 +31,11 @@ PREAMBLE = Path(__file__).with_name("call.h").read_text()
 _POINTER = ctypes.POINTER(ctypes.c_double)
 
 
+def defines(values: dict) -> str:
+    """C macros by name."""
+    return "".join(f"#define {name} {value}\n" for name, value in values.items())
+
+
 def source_text(functions: Sequence[ca.Function]) -> str:
     """C source of CasADi functions on `ELEMENTARY`, with their work-size and sparsity companions."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})

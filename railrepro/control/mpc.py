@@ -98,7 +98,7 @@ class PredictiveController:
         self.plan_du, self._measured = np.zeros(s.steps), np.zeros_like(self.horizon.x_hat)
         self.c = _Planner(
             ctypes.addressof(self.horizon.c), self.plan_du.ctypes.data,
-            s.observer, self.vehicle.drive.torque_limit, s.yielding, s.informed, self.mode,
+            s.observer, 0.0, s.yielding, s.informed, self.mode,
         )  # fmt: skip
         self._pointer, self._at = ctypes.byref(self.c), ctypes.c_void_p(self._measured.ctypes.data)
         self._library = self.horizon.library

@@ -20,7 +20,6 @@ from railrepro.data import InputError
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.export.car import export_fmu
-from railrepro.quantities import GEARS, SIDES
 from railrepro.simulation.scenarios import Scenario, load_scenario
 
 TEN_TIMES = "nmpc_r10"
@@ -42,11 +41,12 @@ def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
         parameters = with_r_times(parameters, 10.0)
     series = Experiment(scenario, name, parameters=parameters).run().series
     torques = {
-        f"tau_{gear}_{side}": series[f"{gear}.tau_long"] + sign * series[f"{gear}.du"]
-        for gear in GEARS
-        for side, sign in zip(SIDES, (1, -1), strict=True)
+        "tau_front_le": series["front.tau_long"] + series["front.du"],
+        "tau_front_ri": series["front.tau_long"] - series["front.du"],
+        "tau_rear_le": series["rear.tau_long"] + series["rear.du"],
+        "tau_rear_ri": series["rear.tau_long"] - series["rear.du"],
     }
-    return pd.DataFrame({"t_s": series["t_s"]} | torques | {f"{gear}.y": series[f"{gear}.y"] for gear in GEARS})
+    return pd.DataFrame({"t_s": series["t_s"]} | torques | series[["front.y", "rear.y"]].to_dict("series"))
 
 
 def write_runs(folder: Path) -> list[Path]:

@@ -8,7 +8,8 @@ from pathlib import Path
 from railrepro.car import component, equations
 from railrepro.car.component import DERAILED, LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.export.fmu import Fmu, Parameter, constant, defines, parameters, parameters_text, write_fmu
+from railrepro.compile import codegen
+from railrepro.export.fmu import Fmu, Parameter, constant, parameters, parameters_text, write_fmu
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -68,6 +69,6 @@ def _constants(car: SteppedCar, route: Callable) -> str:
     sizes |= {"FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}
     text = '\n#define INPUTS_TEXT "the four torques"\n'
     text += f'#define INPUT_TEXT "a torque must be a number of at most {LARGEST_TORQUE:g} N m"\n'
-    text += defines(sizes) + defines({name: float(value).hex() for name, value in grids.items()})
+    text += codegen.defines(sizes) + codegen.defines({name: float(value).hex() for name, value in grids.items()})
     arrays = {"CONTACTS": contacts, "START": car.state}
     return text + route("CELLS", car.route.cells) + "".join(constant(*array) for array in arrays.items())

@@ -28,7 +28,6 @@ from railrepro.export.fmu import (
     Fmu,
     Parameter,
     constant,
-    defines,
     index_enum,
     parameters,
     parameters_text,
@@ -157,7 +156,11 @@ class Export:
         sizes |= {"PERIOD": float(CONTROL_PERIOD).hex()}
         positions = [gear.p for gear in (measured.front, measured.rear)]
         text = index_enum("MEASURED", interface.MEASURED) + index_enum("TORQUE", TORQUES)
-        text += defines(sizes) + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n" + _integers("POSITIONS", positions)
+        text += (
+            codegen.defines(sizes)
+            + f"enum {{ N_CELL_COLUMNS = {len(COLUMNS)} }};\n"
+            + _integers("POSITIONS", positions)
+        )
         cells = self.route.cells.copy()
         if lateral.split(self.guidance)[1] is None:
             cells[:, ~_read(control.function)] = 0.0
@@ -185,7 +188,7 @@ class Export:
         sizes |= _work("PLAN", _solver_functions(first))
         sizes |= {"AFFINE": float(first.horizon.c.affine).hex(), "N_NOMINAL": len(NOMINAL)}
         sizes |= {"DRIVE": indices(signature.Gains).drive.torque_limit}
-        text = defines(sizes) + riccati.c_text(settings.variant, settings.discretisation)
+        text = codegen.defines(sizes) + riccati.c_text(settings.variant, settings.discretisation)
         return text + (_HERE / "planner_memory.c").read_text()
 
 
@@ -208,7 +211,7 @@ def _inputs(period: float, signature: law.LawSignature) -> str:
         [pack(getattr(gear, part)) if signature.sensed else [0] * size for gear in gears]
         for part, size in (("estimated", len(STATES)), ("read", len(read)))
     )
-    text = defines(sizes) + _integers("STATES_AT", states) + _integers("ESTIMATED", estimated)
+    text = codegen.defines(sizes) + _integers("STATES_AT", states) + _integers("ESTIMATED", estimated)
     text += _integers("READ_AT", [[row[i] for i in read] for row in states]) + _integers("READ", readings)
     return text + _integers("BASE", [gear.u for gear in gears])
 

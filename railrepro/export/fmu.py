@@ -20,7 +20,7 @@ import numpy as np
 
 from railrepro import data
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile import cache
+from railrepro.compile import cache, codegen
 from railrepro.data import location, write
 from railrepro.quantities import names, notes
 
@@ -56,11 +56,6 @@ def parameters_text(of: Sequence[Parameter]) -> str:
     tables = {"PARAMETERS": "value", "LOWEST": "low", "HIGHEST": "high"}
     text = "".join(constant(name, np.array([getattr(one, key) for one in of])) for name, key in tables.items())
     return index_enum("PARAMETER", [one.name for one in of]) + f"enum {{ N_PARAMETER = {len(of)} }};\n" + text
-
-
-def defines(values: dict) -> str:
-    """C macros by name."""
-    return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
@@ -120,7 +115,7 @@ def write_fmu(path: Path | str, fmu: Fmu, text: str, model: str) -> Path:
         Where the file cannot be written.
     """
     numbers = {"N_INPUT": len(fmu.inputs), "LARGEST_INPUT": float(fmu.largest).hex(), "FMU_NAME": f'"{fmu.name}"'}
-    text += defines(numbers)
+    text += codegen.defines(numbers)
     file, around = location(path), model + Path(__file__).with_name("fmi2.c").read_text()
     guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{around}{_description(fmu, '')}"))
     text += f'\n#define GUID "{guid}"\n{around}'

@@ -46,15 +46,14 @@ def _profile(vehicle: Vehicle) -> tuple[dict[str, float], float, float, float]:
     return middle, slope, (np.tan(high["angle_rad"]) - np.tan(low["angle_rad"])) / (2 * _REACH), conicity
 
 
-def _creep(vehicle: Vehicle) -> tuple[float, np.ndarray]:
+def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tuple[float, np.ndarray]:
     """k_11 (N); lateral force (N) and moment (N m) of both wheels on dry rail per displacement (m), lateral creepage
-    (-) and turning r/v (1/m), shape (2, 3).
+    (-) and turning r/v (1/m), shape (2, 3); contact in the middle and its steepening as of `_profile`.
 
     Kalker's linear forces, reduced as Polach's law is at small creepage. The spin of the right wheel is
     r/v - sin(angle)/r_0, that of the left one has the other sign of the angle.
     """
     contact, dry = vehicle.contact, vehicle.adhesion["dry"]
-    middle, _, steepening, _ = _profile(vehicle)
     root = np.sqrt(middle["semi_axis_x_m"] * middle["semi_axis_y_m"])
     reduced = (dry.k_a + min(dry.k_s, dry.k_a)) / 2 * contact.shear_modulus
     powers = {"c11": 2, "c22": 2, "c23": 3, "c33": 4}
@@ -69,7 +68,8 @@ def lateral_model(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, ...]:
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these
     gear, wheel, stage = vehicle.gear, vehicle.wheel, vehicle.suspension
     v, g, r_0, base = speed, vehicle.gravity, wheel.radius, gear.contact_base
-    (_, slope, steepening, conicity), (k_11, creep) = _profile(vehicle), _creep(vehicle)
+    middle, slope, steepening, conicity = _profile(vehicle)
+    k_11, creep = _creep(vehicle, middle, steepening)
     gamma, mass, above_axle = vehicle.roll_per_shift(slope), vehicle.body.mass / 2 + gear.mass, stage.height - r_0
 
     ydot = z["vy"] - r_0 * z["rolling"]

@@ -94,8 +94,8 @@ class Design:
         Periods from reading to torque, rounded, and how many torques are under way or act, at least one.
     rails : tuple of float
         Amplitude A that each filter believes in (m rad).
-    noise, drift : ndarray, shapes (3,), (2,)
-        Noise of the readings y (m), psi (rad), r (rad/s); drift of the biases of psi and r (per s^0.5).
+    read, noise, drift : ndarray, shapes (3, 12), (3,), (2,)
+        Readings y (m), psi (rad), r (rad/s) from states and biases; their noise; drift of the biases (per s^0.5).
     """
 
     def __init__(self, vehicle: Vehicle, speed: float, settings: LqgSettings, loop: Loop | None):
@@ -122,22 +122,23 @@ class Design:
         outputs = np.zeros((1, _MODEL)), np.zeros((1, 1 + len(KNOWN)))
         self.a, held, *_ = cont2discrete((self.rates, inputs, *outputs), h)
         self.b, self.e = held[:, 0], held[:, 1:]
+        self.read = np.zeros((3, _FREE))
+        self.read[0, [STATES.index("y"), _RAIL]] = 1, -1
+        self.read[1, [STATES.index("psi"), _RATE, _MODEL]] = 1, -1 / speed, 1
+        self.read[2, [STATES.index("r"), _MODEL + 1]] = 1, 1
         self._units = np.array([*UNITS, settings.force, settings.moment, 1e-3, 1e-3 * speed])
 
     def kalman(self, rough: float) -> tuple[np.ndarray, ...]:
         """Gain (12, 3) from readings y, psi, r to states and biases of psi and r, for rails of amplitude A; covariance
         (3, 3) of the innovation; gain (LAGS, 2, 3) to offset and direction of the rails some lags ago."""
-        s, h, drive = self.settings, CONTROL_PERIOD, np.zeros((_MODEL, 4))
+        s, h, read, drive = self.settings, CONTROL_PERIOD, self.read, np.zeros((_MODEL, 4))
         drive[_N, 0], drive[_N + 1, 1], drive[STATES.index("tau"), 2] = s.force, s.moment, s.twist
         drive[_RATE, 3] = np.sqrt(np.pi * rough * _SHORT**2 * self.speed**3)
         both = expm(h * np.block([[-self.rates, drive @ drive.T], [np.zeros_like(self.rates), self.rates.T]]))
-        a, q, read = np.eye(_FREE), np.zeros((_FREE, _FREE)), np.zeros((3, _FREE))
+        a, q = np.eye(_FREE), np.zeros((_FREE, _FREE))
         a[:_MODEL, :_MODEL], q[:_MODEL, :_MODEL] = self.a, self.a @ both[:_MODEL, _MODEL:]  # Van Loan 1978
         q[np.diag_indices(_MODEL)] += 1e-13  # no state is certain, which keeps the equation regular
         q[[-2, -1], [-2, -1]] = h * self.drift**2
-        read[0, [STATES.index("y"), _RAIL]] = 1, -1
-        read[1, [STATES.index("psi"), _RATE, _MODEL]] = 1, -1 / self.speed, 1
-        read[2, [STATES.index("r"), _MODEL + 1]] = 1, 1
         p = riccati(a.T, (read / self.noise[:, None]).T, (q + q.T) / 2, 1 / np.append(self._units, [1e-4, 1e-3]))
         covariance = read @ p @ read.T + np.diag(self.noise**2)
         towards = read.T @ np.linalg.inv(covariance)
@@ -208,14 +209,14 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
 _DESIGNED: dict[tuple, np.ndarray] = {}
 
 
-def designs(vehicle: Vehicle, settings: LqgSettings, loop: Loop | None) -> np.ndarray:
-    """Designs at all `SPEEDS`, one row each; those of an earlier gear or run where they are the same."""
+def designs(vehicle: Vehicle, settings: LqgSettings, loop: Loop | None) -> tuple[Design, np.ndarray]:
+    """First design, and tables of those at all `SPEEDS`: those of an earlier gear or run where they are the same."""
     first = Design(vehicle, SPEEDS[0], settings, loop)
     key = repr(vehicle), settings, first.late, *first.noise, *first.drift
     if key not in _DESIGNED:
         _DESIGNED.clear()  # one vehicle at a time
         _DESIGNED[key] = np.array([Design(vehicle, v, settings, loop).table() for v in SPEEDS])
-    return _DESIGNED[key]
+    return first, _DESIGNED[key]
 
 
 _SOURCE = Path(__file__).with_suffix(".c")
@@ -242,7 +243,7 @@ def source() -> str:
     columns = {f"AT_{name}": i for name, i in INDEX.items()} | {f"K_{name.upper()}": i for i, name in enumerate(KNOWN)}
     speeds = {"LEAST_SPEED": SPEEDS[0], "LOG_STEP": np.log(SPEEDS[1] / SPEEDS[0]), "PERIOD": CONTROL_PERIOD}
     defined = sizes | columns | speeds | {"TAP": TAP, "LAG": LAG, "LOST": _LOST, "PITCH": _PITCH, "CELL": CELL}
-    return "".join(f"#define {name} {value}\n" for name, value in defined.items()) + _SOURCE.read_text()
+    return codegen.defines(defined) + _SOURCE.read_text()
 
 
 @lru_cache
@@ -260,10 +261,9 @@ class LqgGear:
 
     def numbers(self, loop: Loop | None) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Numbers of `lqg_t` by name, and its tables; rails and torques are memory."""
-        vehicle, table, cells = self.vehicle, designs(self.vehicle, self.settings, loop), self.route.cells
-        first, rows = Design(vehicle, SPEEDS[0], self.settings, loop), round(len(cells) * CELL / _PITCH)
+        (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
-        taps = round(self.settings.preview / TAP) + 1
+        taps, rows = round(self.settings.preview / TAP) + 1, round(len(cells) * CELL / _PITCH)
         whole = len(table), table.shape[1], first.sent, taps, first.late, *cells.shape, rows
         behind, limit = max(first.late - 1, 0) * CONTROL_PERIOD, vehicle.drive.torque_limit
         ends = self.settings.memory, self.route.start

@@ -70,7 +70,8 @@ def test_steady_creep_in_an_arc_is_that_of_the_car_and_of_the_hand_formula():
     # the gear is held in the middle; the torque that it takes is unknown instead
     steady = np.linalg.solve(np.column_stack([np.delete(a, STATES.index("y"), 1), b]), -e @ known)
     psi = steady[STATES.index("psi") - 1]
-    lateral_stiffness = -gear_model._creep(V)[1][0, 1]
+    middle, _, steepening, _ = gear_model._profile(V)
+    lateral_stiffness = -gear_model._creep(V, middle, steepening)[1][0, 1]
     assert psi == pytest.approx(side / lateral_stiffness, rel=0.01)
     shifted = (last["front_le.N"] - last["front_ri.N"]) / 2  # leans the contact normals, which the model leaves out
     creep_force = last["front_le.Fy"] + last["front_ri.Fy"]
@@ -88,7 +89,7 @@ def test_stiff_creep_is_the_control_model(monkeypatch, cone_angle, tolerance):
     """Displacement after torque, cant, body and curvature; on a cone the hub's roll moves the contact by 1.6 %."""
     vehicle, speed = load_vehicle(**{"contact.profile": "cone", "wheel.cone_angle": cone_angle}), 50.0
     rolls_only = np.array([[0.0, -2e13, 0.0], [0.0, 0.0, 0.0]])
-    monkeypatch.setattr(gear_model, "_creep", lambda vehicle: (1e13, rolls_only))
+    monkeypatch.setattr(gear_model, "_creep", lambda *given: (1e13, rolls_only))
     own_a, own_b, own_e, _ = lateral_model(vehicle, speed)
     control = rolling.control_model()
     x, u, theta = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("theta", len(rolling.THETA))

@@ -26,9 +26,7 @@ def loop_gain(design: Design) -> np.ndarray:
     gain, *_ = design.kalman(design.rails[-1])
     feedback, _ = design.regulator()
     free = len(gain)
-    read = np.zeros((3, free))
-    read[[0, 1, 2], [STATES.index(name) for name in ("y", "psi", "r")]] = 1.0
-    read[0, n + 2], read[1, n + 3], read[1, model], read[2, model + 1] = -1.0, -1 / design.speed, 1.0, 1.0
+    read = design.read
     torque = np.concatenate([feedback[:model], np.zeros(free - model)])
     of_state = torque @ (np.eye(free) - gain @ read)
     step = np.eye(free)
