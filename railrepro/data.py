@@ -110,12 +110,17 @@ def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole
 
 def check_fields(settings: Any) -> None:
     """Refuse (InputError) a dataclass with a number beyond its annotated range, or a flag or text that is none."""
-    kind = type(settings)
-    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+    kind: Any = type(settings)
+    for name, hint in _hints(kind).items():
         base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
         for allowed in notes:
             if isinstance(allowed, Quantity) or allowed in (bool, str):
                 require(f"{kind.__name__}: {name}", getattr(settings, name), allowed, whole=base is int)
+
+
+@functools.cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return typing.get_type_hints(kind, include_extras=True)
 
 
 Plain = Annotated[Number, between(-1e12, 1e12)]

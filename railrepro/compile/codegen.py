@@ -28,7 +28,6 @@ ELEMENTARY = Path(__file__).with_name("elementary.c").read_text()
 """C of elementary functions that takes the place of the system's, see its head."""
 PREAMBLE = Path(__file__).with_name("call.h").read_text()
 """C that stands before all hand-written C."""
-_POINTER = ctypes.POINTER(ctypes.c_double)
 
 
 def defines(values: dict) -> str:
@@ -93,7 +92,7 @@ class CompiledFunction:
 
 def _pointers(arrays: Sequence[np.ndarray], length: int) -> ctypes.Array:
     """C array of `length` pointers to the given float64 arrays (the rest null)."""
-    return (_POINTER * length)(*(array.ctypes.data_as(_POINTER) for array in arrays))
+    return (ctypes.c_void_p * length)(*(array.ctypes.data for array in arrays))
 
 
 def compiled(function: ca.Function) -> CompiledFunction:

@@ -103,8 +103,10 @@ class CompiledController(Protocol):
 
     period: float
 
-    def compiled(self, loop: Loop | None, leader: CompiledController | None = None) -> tuple[int, int]:
+    def compiled(self, loop: Loop | None, leader: CompiledController | None = None) -> tuple[int, int] | None:
         """Addresses of its function, see `planner_slot_t` of loop.c, and of the memory that this needs.
+
+        None where `plan` shall be called instead.
 
         Called once, before the run, with the sensors or none, and for the rear gear with the front gear's controller.
         """

@@ -1,8 +1,8 @@
 """Nonlinear and linear time-variant model predictive control of one running gear.
 
-A sample is compiled code: `planner.c` takes in the measured state, looks ahead, solves the problem and keeps the plan.
-Only the reference solver, Ipopt, is called from Python in between. Serves the paper's sections Nonlinear Model
-Predictive Control and Linear Time-Variant Model Predictive Control.
+A sample is compiled code, which the closed loop calls by itself: `planner.c` takes in the measured state, looks ahead,
+solves the problem and keeps the plan. Only the reference solver, Ipopt, is called from Python in between. Serves the
+paper's sections Nonlinear Model Predictive Control and Linear Time-Variant Model Predictive Control.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from railrepro.control.problem import MPCSettings, Problem
+from railrepro.compile import codegen
+from railrepro.control.problem import MPCSettings, Problem, torque_limit
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
 from railrepro.data import InputError, require
+from railrepro.estimation.sensors import Loop
 from railrepro.model.control_model import XDOT, control_model, kept_as_printed
 from railrepro.model.forecast import Forecast, nominal_values
+from railrepro.quantities import pack
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -29,7 +32,7 @@ SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
 
 
 class Solve(NamedTuple):
-    """Record of one sample.
+    """Record of one sample that was asked of `PredictiveController.plan`.
 
     Attributes
     ----------
@@ -53,10 +56,12 @@ class _Planner(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("horizon", "plan")),
+        ("limit", codegen.Call),
+        ("drive", ctypes.c_void_p),
         *((name, ctypes.c_double) for name in ("observer", "torque_limit")),
         *((name, ctypes.c_longlong) for name in ("yielding", "informed", "mode")),
         *((name, ctypes.c_double) for name in ("offset", "expected_y")),
-        *((name, ctypes.c_longlong) for name in ("started", "iterations")),
+        *((name, ctypes.c_longlong) for name in ("started", "iterations", "fallbacks")),
     ]
 
 
@@ -68,8 +73,10 @@ class PredictiveController:
 
     Attributes
     ----------
+    timed : bool
+        Whether the closed loop asks `plan` for its samples, so that each is recorded, in place of their C.
     stats : list of Solve
-        One record per sample.
+        One record per sample that `plan` was asked for.
     plan_du : ndarray, shape (L,)
         Differential torques of the last plan (N m).
     horizon : Horizon
@@ -87,17 +94,21 @@ class PredictiveController:
     route: Route
     gear: int
     settings: MPCSettings = field(default_factory=MPCSettings)
+    timed: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         require("MPC: settings", self.settings, MPCSettings)
+        require("MPC: timed", self.timed, bool)
         self.stats: list[Solve] = []
         s = self.settings
         self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
         nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = Horizon(s, nominal, self.parameters, self.route)
         self.plan_du, self._measured = np.zeros(s.steps), np.zeros_like(self.horizon.x_hat)
+        self._limit = codegen.CompiledFunction(self.horizon.library, torque_limit())
+        self.drive = np.array(pack(self.vehicle.drive), dtype=float)
         self.c = _Planner(
-            ctypes.addressof(self.horizon.c), self.plan_du.ctypes.data,
+            ctypes.addressof(self.horizon.c), self.plan_du.ctypes.data, self._limit.call, self.drive.ctypes.data,
             s.observer, 0.0, s.yielding, s.informed, self.mode,
         )  # fmt: skip
         self._pointer, self._at = ctypes.byref(self.c), ctypes.c_void_p(self._measured.ctypes.data)
@@ -113,13 +124,15 @@ class PredictiveController:
         """Observed offset of the yaw angle (rad), see `MPCSettings.observer`."""
         return self.c.offset
 
-    def torque_limit(self, x_hat: np.ndarray) -> float:
-        """Torque limit (N m) at a measured state (6,)."""
-        return self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
+    @property
+    def fallbacks(self) -> int:
+        """Samples so far whose problem was not solved."""
+        return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
         """The optimal control problem at a measured state (6,) and base torque (N m)."""
-        h, limit, u_d = self.horizon, self.torque_limit(x_hat), u_d if self.settings.informed else 0.0
+        h, u_d = self.horizon, u_d if self.settings.informed else 0.0
+        limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         h.sample(x_hat, u_d, self.settings.torque_bound(u_d, limit))
         h.forecast()
         ahead = Forecast(h.x_d.copy(), h.theta.copy())
@@ -128,13 +141,19 @@ class PredictiveController:
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) for now from a measured state (6,) and the base torque (N m)."""
         begin = time.thread_time()
-        self._measured[:], self.c.torque_limit = x_hat, self.torque_limit(x_hat)
+        self._measured[:] = x_hat
         torque = self._torque(ctypes.c_double(u_d))
         ready = time.thread_time()
         self._library.planner_prepare(self._pointer)
         spent = ready - begin, self.c.iterations, not self.c.started
         self.stats.append(Solve(*spent, time.thread_time() - ready))
         return torque
+
+    def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
+        """See `lateral.CompiledController`; None where samples are timed, and for a class with a `plan` of its own."""
+        if self.timed or type(self).plan is not PredictiveController.plan:
+            return None
+        return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
 
     def _torque(self, u_d: ctypes.c_double) -> float:
         return self._library.planner_plan(self._pointer, self._at, u_d)
@@ -156,6 +175,10 @@ class NMPC(PredictiveController):
             raise InputError(f"NMPC solver {self.solver!r} is not known; there are {tuple(SOLVERS)}")
         self.mode = SOLVERS[self.solver]
         super().__post_init__()
+
+    def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int] | None:
+        """See `lateral.CompiledController`; None with Ipopt."""
+        return None if self.solver == "ipopt" else super().compiled(loop, leader)
 
     def _torque(self, u_d: ctypes.c_double) -> float:
         if self.solver != "ipopt":

@@ -35,6 +35,8 @@ from railrepro.model.control_model import (
 )
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
+from railrepro.quantities import symbols
+from railrepro.vehicle.parameters import Drive
 
 _WEIGHTS = ("q_x", "q_psi_Ax", "q_xdot", "q_psidot_Ax", "q_y_TrAx", "q_psi_TrAx")
 TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
@@ -110,6 +112,15 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
     inputs = [x, du, u_d, theta, par, period, affine]
     names = ["x", "du", "u_d", "theta", "par", "T", "affine"], ["x_next", "A", "B"]
     return share_reciprocals(ca.Function("prediction", inputs, [reported, a, b], *names, {"cse": True}))
+
+
+@stored
+def torque_limit() -> ca.Function:
+    """(speed (m/s), par, numbers of the drive) -> torque limit of a motor (N m), see `Drive.limit`."""
+    speed, par = ca.SX.sym("speed"), ca.SX.sym("par", len(PARAMETERS))
+    numbers, drive = symbols(Drive, "drive")
+    limit = drive.limit(speed / par[PARAMETERS.index("r_0")])
+    return ca.Function("torque_limit", [speed, par, numbers], [ca.SX(limit)])
 
 
 @lru_cache

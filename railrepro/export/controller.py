@@ -20,7 +20,7 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import interface, lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
-from railrepro.control.problem import TUNING
+from railrepro.control.problem import TUNING, torque_limit
 from railrepro.control.solvers import riccati
 from railrepro.data import InputError, location, require, write
 from railrepro.export.car import INPUTS
@@ -36,9 +36,9 @@ from railrepro.export.fmu import (
 from railrepro.model.control_model import STATES
 from railrepro.model.forecast import NOMINAL, nominal_values
 from railrepro.model.parameters import PARAMETERS
-from railrepro.quantities import GEARS, indices, names, pack, symbols
+from railrepro.quantities import GEARS, indices, names, pack
 from railrepro.track.route import CELL, COLUMNS, INDEX, Route, set_point
-from railrepro.vehicle.parameters import Drive, Vehicle, load_vehicle
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TORQUES = INPUTS
 """Outputs of a controller (N m), inputs of the car."""
@@ -193,11 +193,8 @@ class Export:
 
 
 def _solver_functions(planner: PredictiveController) -> list[ca.Function]:
-    """Functions of the solver, and the torque limit (N m) over the speed (m/s) from the numbers of the drive."""
-    (numbers, drive), speed, settings = symbols(Drive, "drive"), ca.SX.sym("speed"), planner.settings
-    limit = ca.SX(drive.limit(speed / planner.vehicle.wheel.radius))
-    solver = riccati.functions(settings.variant, settings.discretisation)
-    return [*solver, ca.Function("torque_limit", [speed, numbers], [limit])]
+    settings = planner.settings
+    return [*riccati.functions(settings.variant, settings.discretisation), torque_limit()]
 
 
 def _inputs(period: float, signature: law.LawSignature) -> str:

@@ -1,7 +1,7 @@
 /* The memory of a planner and of its horizon, of a size that is known when it is compiled. Starts after planner.c and the
    constants of the settings. */
 
-enum { FUNCTIONS = 9 };
+enum { FUNCTIONS = 10 };
 
 typedef struct {
   planner_t p;
@@ -15,15 +15,13 @@ typedef struct {
   double *res[FUNCTIONS][PLAN_RES];
   casadi_int iw[FUNCTIONS][PLAN_IW + 1];
   double w[FUNCTIONS][PLAN_W + 1];
-  const double *parameters;
 } planner_memory_t;
 
 static void planner_reset(planner_memory_t *m, int gear, const double *parameters, const double *cells) {
   static const casadi_fn functions[FUNCTIONS] = {preview_position, preview_stage,     riccati_terminal, riccati_backward,
                                                  riccati_forward,  barrier_stiffness, barrier_terminal, barrier_backward,
-                                                 barrier_again};
+                                                 barrier_again,    torque_limit};
   memset(m, 0, sizeof *m);
-  m->parameters = parameters;
   call_t calls[FUNCTIONS];
   for (int i = 0; i < FUNCTIONS; ++i) calls[i] = (call_t){functions[i], m->arg[i], m->res[i], m->iw[i], m->w[i]};
   m->h = (horizon_t){STEPS, N_CELLS, MOST_SETS, CELL_START, CELL_STEP, cells,
@@ -34,22 +32,6 @@ static void planner_reset(planner_memory_t *m, int gear, const double *parameter
                      m->feedback, m->feedforward, m->dx, m->du, m->slope, m->fixed, m->side,
                      m->inner, m->slack, m->multiplier, m->slack_step, m->multiplier_step, m->target, m->barrier,
                      &m->passes};
-  m->p = (planner_t){&m->h, m->plan, parameters[PARAMETER_OBSERVER], 0, YIELDING, INFORMED, MODE, 0, 0, 0, 0};
-}
-
-/* Torque limit (N m) at a speed (m/s). */
-static double limit_at(planner_memory_t *m, double speed) {
-  double limit, *out[PLAN_RES] = {&limit};
-  const double *in[PLAN_ARG] = {&speed, m->parameters + DRIVE};
-  torque_limit(in, out, m->iw[0], m->w[0], 0);
-  return limit;
-}
-
-/* Differential torque (N m) from measured states and base torque. */
-static double planner_sample(planner_memory_t *m, const double *measured, const double *readings, double base) {
-  (void)readings;  /* the states were made of them */
-  m->p.torque_limit = limit_at(m, measured[STATE_xdot]);
-  const double torque = planner_plan(&m->p, measured, base);
-  planner_prepare(&m->p);
-  return torque;
+  m->p = (planner_t){&m->h, m->plan, calls[9], parameters + DRIVE, parameters[PARAMETER_OBSERVER], 0,
+                     YIELDING, INFORMED, MODE, 0, 0, 0, 0, 0};
 }

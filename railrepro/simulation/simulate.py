@@ -179,13 +179,10 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
         return loop.run(longest)
     steps, (front, rear) = round(controllers[0].period / CONTROL_PERIOD), controllers
     faults: list[BaseException] = []
-    if hasattr(front, "compiled"):
-        planners = [front.compiled(sensors), rear.compiled(sensors, front)]
-    else:
-        called = [
-            _called(controller, gear, sensors, faults) for gear, controller in zip(GEARS, controllers, strict=True)
-        ]
-        planners = [(ctypes.cast(function, ctypes.c_void_p).value or 0, 0) for function in called]
+    compiled = [front.compiled(sensors), rear.compiled(sensors, front)] if hasattr(front, "compiled") else []
+    called = [_called(controller, gear, sensors, faults) for gear, controller in zip(GEARS, controllers, strict=True)]
+    python = [(ctypes.cast(function, ctypes.c_void_p).value or 0, 0) for function in called]
+    planners = [fast or slow for fast, slow in zip(compiled or python, python, strict=True)]
     loop.connect(planners, steps)
     log = loop.run(longest + -longest % steps)  # whole samples
     for fault in faults:

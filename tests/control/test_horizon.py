@@ -125,10 +125,23 @@ def test_no_sample_on_poor_rail_falls_back(name, solver):
     cone = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
     scenario = scenarios.load_scenario("adhesion_loss")
     run = simulate.run(scenario, replace(built, controller=Counting), plant_vehicle=cone)
-    assert run.failed and not any(record.fallback for guided in run.controllers for record in guided.stats)
+    assert run.failed and not any(guided.fallbacks for guided in run.controllers)
     if solver == "rti":  # the last problem of a converged sample starts from its solution
         assert np.mean(np.array(most) > MOST_SETS) > 0.02
     assert max(most) < 60
+
+
+@pytest.mark.parametrize(("kind", "options"), [(NMPC, {"solver": "rti"}), (NMPC, {}), (LTVMPC, {"printed": True})])
+def test_the_loop_runs_the_sample_that_plan_runs(kind, options, vehicle):
+    scenario = scenarios.load_scenario("braking").but(end_m=80.0)
+    fast, slow = (
+        simulate.run(scenario, lambda *of, timed=timed: kind(*of, replace(WIDE, observer=0.3), timed=timed, **options))
+        for timed in (False, True)
+    )
+    assert fast.series.equals(slow.series) and fast.series["front.du"].abs().max() > 10
+    for one, other in zip(fast.controllers, slow.controllers, strict=True):
+        assert not one.stats and len(other.stats) > 100
+        assert np.array_equal(one.plan_du, other.plan_du) and one.offset == other.offset != 0
 
 
 def test_a_problem_without_interior_is_reported_and_its_sample_falls_back(vehicle, way):
@@ -139,10 +152,10 @@ def test_a_problem_without_interior_is_reported_and_its_sample_falls_back(vehicl
         horizon.solve()
     for guided in (NMPC(vehicle, way, 0, WIDE), NMPC(vehicle, way, 0, WIDE, solver="rti"), LTVMPC(vehicle, way, 0)):
         guided.plan(measured(way, **STATE), 0.0)
-        guided.horizon.c.most_sets, guided.torque_limit = 0, lambda x_hat: 0.0
+        guided.horizon.c.most_sets, guided.drive[:] = 0, 0.0
         assert guided.plan_du[1] != 0.0
         assert guided.plan(measured(way, **STATE), 0.0) == 0.0
-        assert [record.fallback for record in guided.stats] == [False, True]
+        assert [record.fallback for record in guided.stats] == [False, True] and guided.fallbacks == 1
 
 
 def after(x, torque, guided):

@@ -12,17 +12,28 @@ typedef struct {
   horizon_t *h;
   /* torques (N m) of the plan */
   double *plan;
+  /* torque limit of a motor over the speed, from the numbers of the drive */
+  call_t limit;
+  const double *drive;
   double observer, torque_limit;
   casadi_int yielding, informed, mode;
   /* observed offset of the yaw angle, lateral position that is expected next */
   double offset, expected_y;
-  /* whether the last sample was solved, so that the next one starts from it; its iterations */
-  casadi_int started, iterations;
+  /* whether the last sample was solved, so that the next one starts from it; its iterations; samples that were not */
+  casadi_int started, iterations, fallbacks;
 } planner_t;
 
 /* Torque within the bound of the sample. */
 static double bounded(const horizon_t *h, double torque) {
   return fmin(fmax(torque, -h->bound), h->bound);
+}
+
+/* Torque limit of a motor (N m) at a speed (m/s). */
+static double limit_at(const planner_t *p, double speed) {
+  double limit = 0;
+  const double *of[] = {&speed, p->h->par, p->drive};
+  double *to[] = {&limit};
+  return call(&p->limit, of, 3, to, 1) ? 0 : limit;
 }
 
 /* Put a state and a base torque into the horizon; the state may be one of its trajectory. */
@@ -77,6 +88,7 @@ void planner_begin(planner_t *p, const double *measured, double base) {
   const casadi_int prepared = p->mode == REAL_TIME && p->started;
   double x[N];
   memcpy(x, measured, sizeof x);
+  p->torque_limit = limit_at(p, x[STATE_xdot]);
   if (p->observer > 0) {
     if (p->started && x[STATE_xdot] > 1)
       p->offset += p->observer * (x[STATE_y_TrAx] - p->expected_y) / (x[STATE_xdot] * p->h->tuning[TUNING_period]);
@@ -98,7 +110,7 @@ double planner_take(planner_t *p, int failed) {
     p->expected_y = h->x[N + STATE_y_TrAx] + (p->mode == LINEAR ? h->dx[N + STATE_y_TrAx] : 0);
   }
   for (casadi_int k = 0; k < h->steps; ++k) p->plan[k] = bounded(h, p->plan[k]);
-  p->started = !failed;
+  p->started = !failed, p->fallbacks += failed != 0;
   return p->plan[0];
 }
 
@@ -132,4 +144,13 @@ void planner_prepare(planner_t *p) {
   if (p->mode != REAL_TIME || !p->started) return;
   enter(p, p->h->x + N, p->h->u_d);
   prepare(p);
+}
+
+/* A sample as the closed loop asks for it, see planner_slot_t of loop.c; readings are not needed, the states were made of
+   them. */
+double planner_sample(void *planner, const double *state, const double *readings, double base) {
+  (void)readings;
+  const double torque = planner_plan(planner, state, base);
+  planner_prepare(planner);
+  return torque;
 }

@@ -21,7 +21,7 @@ import numpy as np
 
 from railrepro.compile import codegen
 from railrepro.compile.lanes import lanes_header, lanes_text
-from railrepro.control.problem import TUNING, MPCSettings, dynamics
+from railrepro.control.problem import TUNING, MPCSettings, dynamics, torque_limit
 from railrepro.control.solvers.recursion import barrier, recursion
 from railrepro.model import forecast
 from railrepro.model.control_model import STATES, THETA
@@ -86,7 +86,7 @@ def c_text(variant: str, discretisation: str) -> str:
 @lru_cache
 def _library(variant: str, discretisation: str) -> ctypes.CDLL:
     extra = codegen.PREAMBLE + c_text(variant, discretisation)
-    loaded = codegen.library(functions(variant, discretisation), extra)
+    loaded = codegen.library([*functions(variant, discretisation), torque_limit()], extra)
     loaded.planner_plan.restype = loaded.planner_take.restype = ctypes.c_double
     return loaded
 

@@ -109,8 +109,7 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
         solver.plan(problem.x_hat, problem.u_d)
         torques.append(solver.plan_du.copy())
     seconds = [record.seconds + record.preparation for record in solver.stats]
-    failures = sum(record.fallback for record in solver.stats)
-    return np.array(torques), np.array(seconds), np.array([record.iterations for record in solver.stats]), failures
+    return np.array(torques), np.array(seconds), np.array([each.iterations for each in solver.stats]), solver.fallbacks
 
 
 def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
@@ -167,13 +166,14 @@ def sample_times(settings=tuning.SETTINGS, names=SCENARIOS, drives: int = 3, end
         scenario = scenarios.load_scenario(name)
         scenario = scenario.but(end_m=min(scenario.end_m, end_m))
         sensors = {"seed": 1} if each == tuning.LOOP else {}
-        experiment = Experiment(scenario, controller, options=options, setting=each, sensors=sensors)
+        timed = options | {"timed": True}
+        experiment = Experiment(scenario, controller, options=timed, setting=each, sensors=sensors)
         run = experiment.run()
         times = 1e3 * _least_times(run, experiment, drives - 1)
         row = {"setting": each, "controller": controller, "solver": options.get("solver", "one QP"), "scenario": name}
         row |= {"steps": run.controllers[0].settings.steps, "n": len(times), "median_ms": np.median(times)}
         row |= {"p99_ms": np.quantile(times, 0.99), "max_ms": times.max()}
-        fallbacks = sum(solve.fallback for guided in run.controllers for solve in guided.stats)
+        fallbacks = sum(guided.fallbacks for guided in run.controllers)
         rows.append(row | {"fallbacks": fallbacks, "failed": run.failed})
     return pd.DataFrame(rows)
 

@@ -202,9 +202,8 @@ class Experiment:
             values |= ride.ride_summary(series, vehicle)
         row = {name: value for name, (value, _) in values.items()}
         row |= {"failed_at_m": float(series["front.p"].iloc[-1]) if run.failed else np.nan}
-        solves = [solve for controller in run.controllers for solve in getattr(controller, "stats", ())]
         row |= {"failed": run.failed, "ended": run.ended, "warnings": "; ".join(run.warnings)}
-        return row | {"fallbacks": sum(solve.fallback for solve in solves)}
+        return row | {"fallbacks": sum(getattr(controller, "fallbacks", 0) for controller in run.controllers)}
 
 
 @lru_cache(maxsize=64)
