@@ -9,9 +9,7 @@ import pytest
 from railrepro import paths
 from railrepro.control.registry import PAPER_TRIO, with_r_times
 from railrepro.evidence.claims import calibrated, statements
-from railrepro.evidence.claims.probe import LOSS
 from railrepro.evidence.runs import tuning
-from railrepro.simulation.scenarios import load_scenario
 
 CHOICES = calibrated.load()
 
@@ -58,21 +56,18 @@ def test_perturbations_move_every_changed_number_and_nothing_else(size):
 def test_the_curve_entry_is_the_papers_with_margin():
     found = calibrated.judged(calibrated.paper_like(), parts=("curve",)).set_index("statement")
     assert set(found.index) == {"C04", "C05", "C06", "C07", "C08", "C09", "C10", "C11", "C12", "C42"}
-    assert set(found.index[~found["holds"]]) == {"C12"}  # an error at the crests 1.18 times that below, not 1.2
-    assert found["margin"].drop("C12").min() > 0.05
+    assert found["holds"].all() and found["margin"].min() > 0.03
 
 
 @pytest.mark.slow
-def test_statements_hold_but_two_with_the_stop_of_the_paper_and_a_later_peak():
+def test_statements_hold_but_one_with_the_stop_of_the_paper_and_a_later_peak():
     """The paper's run passes the adhesion peak at 240 m; with a poor rail on which that is so, C23 and C50 fall."""
     setup = calibrated.paper_like()
     found = calibrated.judged(setup).set_index("statement")
-    assert set(found.index[~found["holds"]]) == {"C12", "C46"} and len(found) == len(calibrated.MATCHED)
+    assert set(found.index[~found["holds"]]) == {"C46"} and len(found) == len(calibrated.MATCHED)
     stored = pd.read_csv(paths.source("data/results/paper_like.csv")).set_index("statement")
     assert np.allclose(found["value"], stored.loc[found.index, "value"], rtol=2e-3)
-    nmpc = with_r_times(setup.parameters["nmpc"], setup.r_loss)
-    loss = setup.experiment(load_scenario(LOSS).but(end_m=400.0), "nmpc", nmpc, stride=1)()[1]
-    assert 240 < loss.loc[loss["segment"] == 3, "p_m"].min() < 275
+    assert 240 < calibrated.peak_passed(setup) < 275
     for factor in (1.0, setup.r_second):
         tuned = with_r_times(setup.parameters["nmpc"], setup.r_brake * factor)
         assert setup.experiment(setup.braking(), "nmpc", tuned)()[0]["stopping_distance"] < 1000

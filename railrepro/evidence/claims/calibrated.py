@@ -4,7 +4,8 @@ data/paper_like.toml lists every choice that was made for it: nominal, changed t
 statements that it was chosen for. It shows that such a car exists and what it takes; it makes no verdict "reproduced",
 its results stand in a column of their own. `python -m railrepro calibrated [--draws N]` writes data/results:
 paper_like.csv (what holds, and by how much), paper_like_alone.csv (which statements fall when a choice is put back
-alone) and paper_like_perturbed.csv (all changed numbers off by one and by three percent).
+alone), paper_like_conflicts.csv (what no value of a choice fulfils together) and paper_like_perturbed.csv (all changed
+numbers off by one and by three percent).
 
 Serves the paper's section Multi-Body Simulation Results.
 """
@@ -20,17 +21,24 @@ import pandas as pd
 from pydantic import Field
 
 from railrepro import data, paths
+from railrepro.control.registry import with_r_times
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.probe import probe
 from railrepro.evidence.claims.setup import ProbeSetup, setup
-from railrepro.evidence.claims.statements import REPRODUCED, Evidence, MissingEvidence
+from railrepro.evidence.claims.statements import LOSS, REPRODUCED, Evidence, MissingEvidence
 from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.simulation.scenarios import load_scenario
 
 PARTS = ("curve", "sine", "loss", "brake")
 """What Figs. 6 to 9 show, see `probe.PARTS`."""
 SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
+CONFLICTS = {
+    "shortest wave of Fig. 9 (m)": ("brake", (10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0)),
+    "friction of the poor rail (-)": ("loss", (0.108, 0.110, 0.112, 0.114, 0.116, 0.118, 0.120, 0.124)),
+}
+"""Choices that one statement wants large and another small: the part of the probe that shows it, and their values."""
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
@@ -141,6 +149,29 @@ def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]
     return [(name, back, values | {name: back}) for name, back in put_back.items() if back != values[name]]
 
 
+def conflict(choice: str, value: float) -> pd.DataFrame:
+    """What the statements of one of `CONFLICTS` find at a value of its choice.
+
+    Columns of `judged`, choice, at (the value), peak_m (where Fig. 8 first passes the adhesion peak; nan for others).
+    """
+    values = {name: choice.value for name, choice in load().items()}
+    part = CONFLICTS[choice][0]
+    if part == "brake":
+        changed: dict[str, Any] = {"brake_sweep": values["brake_sweep"] | {"period_end_m": value}}
+    else:
+        changed = {"adhesion.poor.mu0": value}
+    world = setup(values | changed)
+    peak = peak_passed(world) if part == "loss" else np.nan
+    return judged(world, [part]).assign(choice=choice, at=value, peak_m=peak)
+
+
+def peak_passed(world: ProbeSetup) -> float:
+    """Where a wheel first passes the adhesion peak in Fig. 8 (m)."""
+    nmpc = with_r_times(world.parameters["nmpc"], world.r_loss)
+    _, series = world.experiment(load_scenario(LOSS).but(end_m=400.0), "nmpc", nmpc, stride=1)()
+    return float("nan") if series is None else float(series.loc[series["segment"] == 3, "p_m"].min())
+
+
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
     """Values of the choices with every changed number off by at most a relative size, drawn evenly."""
     rng = np.random.default_rng([SEED, draw])
@@ -152,15 +183,17 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
 def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     """Tables by the end of their names.
 
-    '': see `judged`; _alone: choice, put_back, holds (number), falls; _perturbed: size, draw, statement, value, margin,
-    holds.
+    '': see `judged`; _alone: choice, put_back, holds (number), falls; _conflicts: see `conflict`; _perturbed: size,
+    draw, statement, value, margin, holds.
     """
     choices = load()
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
     moves = [(size, draw) for size in SIZES for draw in range(draws)]
     cases = [values, *(case for *_, case in one_back), *(perturbed(choices, size, draw) for size, draw in moves)]
+    points = [(name, value) for name, (_, of) in CONFLICTS.items() for value in of]
     with executor() as pool:
         whole, *rest = ordered_map(pool, lambda case: judged(setup(case)), cases, "calibrated car", quiet)
+        conflicts = ordered_map(pool, lambda point: conflict(*point), points, "conflicts", quiet)
     rows = []
     for (name, back, _), found in zip(one_back, rest, strict=False):
         falls = set(whole.loc[whole["holds"], "statement"]) - set(found.loc[found["holds"], "statement"])
@@ -172,6 +205,7 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     return {
         "": whole,
         "_alone": pd.DataFrame(rows, columns=["choice", "put_back", "holds", "falls"]),
+        "_conflicts": pd.concat(conflicts),
         "_perturbed": pd.concat(drawn)[columns] if drawn else pd.DataFrame(columns=columns),
     }
 
