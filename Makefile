@@ -1,5 +1,4 @@
 # Two commands matter: `make figures` and `make test`; each sets up .venv by itself. `make help` lists the rest.
-.DELETE_ON_ERROR:
 SHELL := /bin/bash
 ifeq ($(filter grouped-target,$(.FEATURES)),)
   $(error GNU Make 4.3 or newer is needed, this is $(MAKE_VERSION))
@@ -7,10 +6,7 @@ endif
 
 PYTHON ?= python3
 PY := .venv/bin/python
-CORES := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || echo 1)
-# Notebooks at a time; each has the workers of its share of the processors.
-AT_ONCE := $(shell echo $$(( $(CORES) < 4 ? $(CORES) : 4 )))
-PYTEST_JOBS := -n $(AT_ONCE) --dist worksteal
+PYTEST_JOBS := -n logical --maxprocesses 4 --dist worksteal
 export PYTHONHASHSEED := 0
 # What decides the last digits: threads, kernels of NumPy and linear algebra.
 $(foreach variable,$(shell $(PYTHON) -IS railrepro/numerics.py),$(eval export $(variable)))
@@ -19,7 +15,6 @@ export IPYTHONDIR := $(CURDIR)/build/ipython
 export MPLCONFIGDIR := $(CURDIR)/build/matplotlib
 export JUPYTER_CONFIG_DIR := $(CURDIR)/build/jupyter/config
 export JUPYTER_DATA_DIR := $(CURDIR)/build/jupyter/data
-export JUPYTER_RUNTIME_DIR := $(CURDIR)/build/jupyter/runtime
 # Without stored byte code each of some hundred processes would compile the libraries that it imports, for seconds.
 unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
 
@@ -40,24 +35,22 @@ VENV := .venv/ready-$(LOCK_HASH)
 READY = .venv/ready-$(1)-$(LOCK_HASH)
 GROUP = awk '/^\# group:/ {on = $$3 ~ "^($(1))$$"} on' environment.lock
 INSTALL = $(call GROUP,$(1)) | .venv/bin/uv pip install -q --python $(PY) --require-hashes --no-deps -r -
-.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study release html live lock strip clean distclean FORCE
+.PHONY: help setup figures check test test-slow test-extras faults lab score leaderboard tune report verify bench study release html live lock strip clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
 	@echo "figNN       one figure with what it needs, for example make fig06"
 
 # As many notebooks at a time as the caller says with -j.
-CHAIN = @$(PY) -m railrepro chain run $(patsubst -j%,--jobs %,$(filter-out -j,$(filter -j%,$(MAKEFLAGS))))
+CHAIN = @$(PY) -m railrepro figures $(patsubst -j%,--jobs %,$(filter-out -j,$(filter -j%,$(MAKEFLAGS))))
 
 setup: $(VENV)  ## set up the environment in .venv
 
 figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/; VEHICLE=mine.toml tries 00 to 09 on your own car
-	$(if $(VEHICLE),$(PY) -m railrepro chain drive "$(VEHICLE)",$(CHAIN))
+	$(if $(VEHICLE),$(PY) -m railrepro drive "$(VEHICLE)",$(CHAIN))
 
-fig%: $(VENV) FORCE
+fig%: $(VENV)
 	$(CHAIN) $@
-
-FORCE:
 
 check: $(VENV)  ## lint, format, types, order of imports
 	$(PY) -m ruff check
@@ -87,17 +80,16 @@ lab: $(VENV)  ## open the chapters in JupyterLab; LAB="--no-browser --ip=0.0.0.0
 score: $(VENV)  ## score a controller: CONTROLLER=path/to/mine.py or a registered name, SEED=n another random seed
 	$(PY) -m railrepro score "$(or $(CONTROLLER),examples/pid.py)" $(if $(SEED),--seed $(SEED))
 
+# Commands of the library under their own names.
 leaderboard: $(VENV)  ## score all registered controllers and those of examples/ (long)
-	$(PY) -m railrepro leaderboard
-
 tune: $(VENV)  ## tune all controllers in all settings by particle swarm (long, resumes); figures follow
-	$(PY) -m railrepro tune
-
-report: figures  ## write REPLICATION.md from the measured results
-	$(PY) -m railrepro report
-
 verify: $(VENV)  ## rerun everything and compare with the committed numbers
-	$(PY) -m railrepro chain verify
+report: figures  ## write REPLICATION.md from the measured results
+release: figures  ## the committed state and the runs of Figs. 6 to 9 as data for other programs: build/railrepro-VERSION.tar.gz
+html: $(call READY,book)  ## the book in build/html: executed notebooks (runs those that are missing), report, library reference
+live: $(call READY,compiler)  ## the car in a browser: build/live/index.html, one file that needs no network
+leaderboard tune verify report release html live:
+	$(PY) -m railrepro $@
 
 bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` also the car in Exudyn (half an hour)
 	$(PY) -m railrepro bench
@@ -107,21 +99,7 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` a
 	  $(PY) tests/validation/second_plant.py; else echo "no second car: \`make test-extras\` installs Exudyn"; fi
 
 study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (long, resumes)
-	$(PY) -m railrepro probe
-	$(PY) -m railrepro calibrated
-	$(PY) -m railrepro robustness
-	$(PY) -m railrepro margins
-	$(PY) -m railrepro loop
-	$(PY) -m railrepro order
-
-release: figures  ## the committed state and the runs of Figs. 6 to 9 as data for other programs: build/railrepro-VERSION.tar.gz
-	$(PY) -m railrepro release
-
-html: $(call READY,book)  ## the book in build/html: executed notebooks (runs those that are missing), report, library reference
-	$(PY) -m railrepro chain html
-
-live: $(call READY,compiler)  ## the car in a browser: build/live/index.html, one file that needs no network
-	$(PY) -m railrepro live
+	for name in probe calibrated robustness margins loop order; do $(PY) -m railrepro $$name || exit 1; done
 
 strip: $(VENV)  ## remove outputs from the notebooks
 	.venv/bin/nbstripout --keep-id --extra-keys "metadata.vscode metadata.widgets metadata.language_info.version" notebooks/*.ipynb

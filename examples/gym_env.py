@@ -21,7 +21,7 @@ import gymnasium
 import numpy as np
 
 from railrepro.control import lateral
-from railrepro.control.law import GEARS, LawSettings
+from railrepro.control.law import GEARS
 from railrepro.data import InputError
 from railrepro.estimation.sensors import readings
 from railrepro.model.control_model import PSI_TRAX, PSIDOT_AX, XDOT, X, Y
@@ -47,7 +47,8 @@ class GuidanceEnv(gymnasium.Env):
     def __init__(self, scenario="curve_entry_T3", sensors: bool = False):
         self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
         self.vehicle, self.sensors, self.loop = load_vehicle(), sensors, None
-        self.route = simulate.checked_route(self.scenario, self.vehicle)
+        self.scenario.check(self.vehicle)
+        self.route = self.scenario.route()
         slower = 5.0 if self.scenario.force_kN else 1.25
         self.duration = slower * self.route.length / self.scenario.speed  # s, of the longest episode
         size = len(GEARS) * (4 + 2 * len(AHEAD)) + 1
@@ -58,8 +59,8 @@ class GuidanceEnv(gymnasium.Env):
         """Begin an episode. The seed draws where the gears stand, and the noise of the sensors."""
         super().reset(seed=seed)
         noisy = readings(seed=int(self.np_random.integers(2**31))) if self.sensors else None
-        law = LawSettings(sensors=noisy)
-        self.loop = simulate.start(self.scenario, lateral.ZeroOrderHold(), self.route, self.vehicle, self.vehicle, law)
+        cars = self.vehicle, self.vehicle
+        self.loop = simulate.start(self.scenario, lateral.ZeroOrderHold(), self.route, *cars, sensors=noisy)
         names = self.loop.car.model.states
         for gear in GEARS:
             self.loop.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)

@@ -25,7 +25,7 @@ if sys.platform == "win32":
 
 from railrepro import code  # noqa: E402, F401  before all others: it notes what this process imports
 
-__version__ = "1.0.0"
+__version__ = "2.0.0"
 
 FACADE = {
     "simulate": "railrepro.simulation.simulate.run",

@@ -13,14 +13,13 @@ import os
 import re
 import sys
 from collections.abc import Iterable
-from fnmatch import fnmatch
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow")
 """Packages whose version may change a number or a figure; the others of the environment check, start or show."""
-_FOLDER = Path(__file__).parent
-_SUFFIXES = (".py", ".c", ".h", ".html", ".j2")
+_FOLDER = str(Path(__file__).parent)
 _ABOVE = "railrepro/evidence/"
 """Above the library, which cannot reach it."""
 _LONG = r'"""[^"\\]*(?:(?:\\.|"(?!""))[^"\\]*)*"""' + r"|'{3}[^'\\]*(?:(?:\\.|'(?!''))[^'\\]*)*'{3}"
@@ -32,10 +31,9 @@ _TOKEN = re.compile(
 )
 _EMPTY = re.compile(r"[ \t]*\n(?:[ \t]*\n)*")
 _FROM = re.compile(r"^[ \t]*from[ \t]+(railrepro[\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
-_IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n]*)", re.MULTILINE)
-_RESOLVED = re.compile(r"""["'](railrepro(?:\.\w+)+):\w+["']""")
-"""A module that `pkgutil.resolve_name` imports when it is used."""
-_OTHER_SOURCE = re.compile(r"""["']([\w{}\[\]]+\.(?:c|h|html|j2))["']""")
+_IMPORT = re.compile(r"^[ \t]*import[ \t][^\n]*\brailrepro\b", re.MULTILINE)
+_DOTTED = re.compile(r"\brailrepro(?:\.\w+)+")
+"""A module in an import, or in a text that `pkgutil.resolve_name` imports when it is used."""
 
 
 def _signature(file: str) -> tuple[int, int] | None:
@@ -47,19 +45,13 @@ def _signature(file: str) -> tuple[int, int] | None:
     return status.st_size, status.st_mtime_ns
 
 
-def _files(folder: str, name: str) -> dict[str, str]:
-    """Sources below a folder: name from the package on -> path."""
-    found: dict[str, str] = {}
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            if entry.is_dir() and entry.name != "__pycache__":
-                found |= _files(entry.path, f"{name}/{entry.name}")
-            elif entry.name.endswith(_SUFFIXES):
-                found[f"{name}/{entry.name}"] = entry.path
-    return found
-
-
-_FILES = _files(str(_FOLDER), "railrepro")
+_FILES = {
+    f"railrepro{folder[len(_FOLDER) :]}/{name}": os.path.join(folder, name)
+    for folder, _, names in os.walk(_FOLDER)
+    for name in names
+    if name.endswith((".py", ".c", ".h"))
+}
+"""Sources by their names from the package on."""
 _IMPORTED = {file: _signature(file) for file in _FILES.values()}
 _edited = False
 
@@ -108,18 +100,16 @@ def content(text: str) -> str:
 
 
 def imports(content: str) -> set[str]:
-    """Modules and names of this package that some Python imports, whatever it does with them."""
+    """Modules and names of this package that some Python imports or names, whatever it does with them."""
     from railrepro import FACADE  # the package imports this module first
 
     joined = content.replace("\\\n", " ")
-    found = {name for line in _IMPORT.findall(joined) for name in re.findall(r"railrepro[\w.]*", line)}
-    resolved = set(_RESOLVED.findall(joined))
-    facade = {f"railrepro.{name}" for name in (FACADE if found else ())}  # any may follow
+    found = set(_DOTTED.findall(joined))
     for module, names in _FROM.findall(joined):
-        found |= {module} | {f"{module}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+)", names)}
-        if module == "railrepro" and "*" in names:
-            facade |= {f"railrepro.{name}" for name in FACADE}
-    return found | resolved | {FACADE[name] for one in found | facade if (name := one[len("railrepro.") :]) in FACADE}
+        found |= {f"{module}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+|\*)", names)}
+    if _IMPORT.search(joined) or "railrepro.*" in found:  # any name of the facade may follow
+        found |= {f"railrepro.{name}" for name in FACADE}
+    return found | {home for name, home in FACADE.items() if f"railrepro.{name}" in found}
 
 
 @cache
@@ -135,12 +125,12 @@ def _source_hash(name: str) -> str:
 
 @cache
 def _next(name: str) -> frozenset[str]:
-    """Sources that a module imports or names; what is filled into a name is any text."""
-    if not name.endswith(".py"):
+    """Modules that a module imports or names, and the C sources beside it; the facade is followed where it is used."""
+    if not name.endswith(".py") or name == "railrepro/__init__.py":
         return frozenset()
-    patterns = [re.sub(r"\{[^}]*\}", "*", other) for other in _OTHER_SOURCE.findall(_text(name))]
-    others = {file for file in _FILES for pattern in patterns if fnmatch(file.rpartition("/")[2], pattern)}
-    return frozenset(_modules(imports(_text(name))) | others)
+    folder = name.rpartition("/")[0]
+    beside = {file for file in _FILES if file.rpartition("/")[0] == folder and not file.endswith(".py")}
+    return frozenset(_modules(imports(_text(name))) | beside)
 
 
 def _modules(names: Iterable[str]) -> set[str]:
@@ -186,10 +176,8 @@ def packages() -> dict[str, str]:
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed
 
-    found = {}
+    found = dict.fromkeys(PACKAGES, "")
     for name in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = installed(name)
-        except PackageNotFoundError:
-            found[name] = ""
     return found

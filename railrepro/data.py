@@ -145,10 +145,7 @@ DISTINCT = pydantic.AfterValidator(_distinct)
 
 
 def _finite(value):
-    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
-        _finite(item)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"has {value}, finite numbers are needed")
+    json.dumps(value, allow_nan=False, default=str)  # refuses what is not finite
     return value
 
 
@@ -156,36 +153,23 @@ Free = Annotated[Any, pydantic.AfterValidator(_finite)]
 """Any value without numbers that are not finite."""
 
 
-def steps(name: str, low: float, high: float) -> pydantic.BeforeValidator:
-    """Lists of [p_m, value] with increasing p_m (m) and values from `low` to `high`, read as tuples of tuples."""
+def _increasing(points):
+    for before, after in itertools.pairwise(points):
+        if not before[0] < after[0]:
+            raise ValueError(f"goes from {before[0]} to {after[0]}, increasing first entries are needed")
+    return points
 
-    def checked(points):
-        pairs = isinstance(points, list | tuple) and all(isinstance(p, list | tuple) and len(p) == 2 for p in points)
-        if (
-            not pairs
-            or not all(is_number(p) and is_number(value) and low <= value <= high for p, value in points)
-            or not all(before[0] < after[0] for before, after in itertools.pairwise(points))
-        ):
-            needed = f"[p_m, {name}] pairs with increasing p_m and a {name} from {low:g} to {high:g} are needed"
-            raise ValueError(f"is {reprlib.repr(points)}, {needed}")
-        return tuple(map(tuple, points))
 
-    return pydantic.BeforeValidator(checked)
+INCREASING = pydantic.AfterValidator(_increasing)
+"""Lists of points whose first entries increase."""
 
 
 def _known_keys(cls: type, value):
-    """Refuse what is no table, unknown keys and missing ones, before the values are looked at."""
-    known = {field.name: field.default is field.default_factory for field in fields(cls)}
-    if isinstance(value, cls):
-        return value
-    if not isinstance(value, dict):
-        raise ValueError(f"is {reprlib.repr(value)}, a table with the keys {sorted(known)} is needed")
-    unknown = sorted(value.keys() - known)
-    missing = [key for key, needed in known.items() if needed and key not in value]
+    """Refuse an unknown key with a list of the known ones, before pydantic looks at the values."""
+    known = [field.name for field in fields(cls)]
+    unknown = sorted(value.keys() - set(known)) if isinstance(value, dict) else []
     if unknown:
-        raise ValueError(f"has the unknown key {unknown[0]!r}; allowed are {sorted(known)}")
-    if missing:
-        raise ValueError(f"lacks the key {missing[0]!r}")
+        raise ValueError(f"has the unknown key {unknown[0]!r}; allowed are {known}")
     return value
 
 
@@ -249,13 +233,14 @@ def build(kind: type, content: Any, where: str) -> Any:
         return _adapter(kind).validate_python(content)
     except pydantic.ValidationError as error:
         finding = error.errors(include_url=False)[0]
-    place = ".".join(_keys(content, finding["loc"]))
-    own = finding.get("ctx", {}).get("error")
+    missing = finding["type"] == "missing"
+    place = ".".join(_keys(content, finding["loc"], missing))
+    own = "is missing" if missing else finding.get("ctx", {}).get("error")
     fault = own or f"{finding['msg']}, found {reprlib.repr(finding['input'])}"
     raise InputError(f"{where}: {place}{'' if own or not place else ':'} {fault}".replace(":  ", ": "))
 
 
-def _keys(content: Any, location: tuple) -> Iterator[str]:
+def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
     """Keys on the way to a fault; an entry of a list by its name, or its number from 1 on.
 
     pydantic also names the class of a union that it tried, which is no key and left out.
@@ -267,6 +252,8 @@ def _keys(content: Any, location: tuple) -> Iterator[str]:
             continue
         named = isinstance(content, dict) and isinstance(content.get("name"), str)
         yield str(step) if isinstance(step, str) else content["name"] if named else str(step + 1)
+    if missing:
+        yield str(location[-1])
 
 
 def write(path: Path, content: str | bytes) -> None:

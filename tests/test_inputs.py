@@ -22,13 +22,13 @@ import numpy as np
 import pytest
 from program import python
 
-from railrepro import __main__ as command
 from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.problem import MPCSettings
 from railrepro.data import InputError, above, between
+from railrepro.evidence import commands as command
 from railrepro.own.lqg import LqgSettings
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -103,8 +103,8 @@ def commands(parser):
 
 def test_every_command_leads_to_a_function_and_its_help_starts_nothing(monkeypatch, capsys):
     offered = commands(command.parser())
-    for parser in [*offered.values(), *commands(offered["chain"]).values()]:
-        module, _, function = (parser.get_default("call") or "railrepro.__main__:main").partition(":")
+    for parser in offered.values():
+        module, _, function = parser.get_default("call").partition(":")
         assert callable(getattr(importlib.import_module(module), function)), parser.prog
     monkeypatch.setattr(command.importlib, "import_module", lambda module: pytest.fail(f"{module} is imported"))
     for name in offered:
@@ -150,7 +150,7 @@ def test_an_interrupt_of_a_command_is_told_in_one_sentence(tmp_path):
     (tmp_path / "tomllib.py").write_text(
         "import signal\ndef load(*_):\n    " + HERE + "\nloads = load\nTOMLDecodeError = ValueError"
     )
-    assert interrupted(tmp_path, "-m", "railrepro", "chain", "run") == (
+    assert interrupted(tmp_path, "-m", "railrepro", "figures") == (
         130,
         "interrupted; nothing half-written, run again to resume\n",
     )

@@ -1,4 +1,4 @@
-"""A property of all classes that files are read into: a number beyond its declared range is refused and named."""
+"""Properties of all classes that files are read into: each number has a range; beyond it, it is refused and named."""
 
 import functools
 import types
@@ -104,3 +104,12 @@ def test_a_number_beyond_its_declared_range_is_refused_in_a_line_that_names_its_
         build(kind, content | {key: given_}, "here")
     said = str(refused.value)
     assert said.startswith(f"here: {key} ") and len(said.splitlines()) == 1, said
+
+
+# Numbers of tuning.toml go to classes of the other files.
+@pytest.mark.parametrize("name", sorted(ROOTS.keys() - {"tuning.toml"}))
+def test_every_number_of_a_file_has_a_range(name):
+    for kind, content in tables(ROOTS[name], read(paths.ROOT / "data" / name)):
+        for key, value in content.items():
+            number = value["value"] if isinstance(value, dict) and "value" in value else value
+            assert type(number) not in (int, float) or key in {ranged for ranged, *_ in quantities(kind)}, key

@@ -12,17 +12,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from railrepro import paths
-from railrepro.data import InputError, build
+from railrepro.data import InputError
 from railrepro.data import read as read_file
-from railrepro.estimation.sensors import Loop
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import tuning
-from railrepro.simulation.scenarios import Scenario, load_scenarios
-from railrepro.track.alignment import CurveEntry, SegmentsEntry, alignments
-from railrepro.track.irregularity import Quality
+from railrepro.simulation.scenarios import load_scenarios
+from railrepro.track.alignment import alignments
 from railrepro.track.table import read_table
-from railrepro.vehicle.parameters import Vehicle, describe, load_vehicle, sample_ranges
+from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
 
 READERS = {
     "data/vehicle.toml": lambda file: (load_vehicle(file), describe(file).to_csv(na_rep=""), sample_ranges(file)),
@@ -31,7 +29,7 @@ READERS = {
     "data/tuning.toml": tuning.load_task,
     "data/claims.toml": statements.load,
     "notebooks/chain.toml": chain.chain,
-    "data/tuned/equal/ndi.json": lambda file: tuning.load("ndi", "equal", folder=file.parent),
+    "data/tuned/equal/ndi.json": lambda file: tuning.read("ndi", "equal", file.parent),
     "data/tracks/T3.csv": read_table,
 }
 VALUES = (
@@ -45,38 +43,6 @@ def places(content) -> list[tuple[object, object]]:
     """Every table or list in a file with every key or index in it."""
     keys = content.keys() if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
     return [pair for key in keys for pair in [(content, key), *places(content[key])]]
-
-
-KINDS = {
-    "vehicle.toml": Vehicle,
-    "sensors.toml": Loop,
-    "scenarios.toml": dict[str, Scenario],
-    "tracks.toml": dict[str, CurveEntry | SegmentsEntry],
-    "irregularities.toml": dict[str, Quality],
-}
-"""Files of data/ and what they are read into."""
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_every_number_of_a_file_has_a_range_and_takes_nothing_else(name):
-    content = read_file(paths.DATA / name)
-    numbers = []
-    for holder, key in places(content):
-        if key == "range":
-            holder[key] = "fixed"  # else the range of samples refuses first
-        elif isinstance(key, str) and type(holder[key]) in (int, float):
-            numbers.append((holder, key))
-    for key, entry in content.items() if name == "scenarios.toml" else ():
-        entry["name"] = key
-    build(KINDS[name], content, "here")
-    assert len(numbers) > 20
-    for holder, key in numbers:
-        kept, beyond = holder[key], () if key == "radius_m" else (-1e308, 1e308)  # a straight may have any radius
-        for wrong in (*beyond, math.nan, 10**400, True, "1", [], {}):
-            holder[key] = wrong
-            with pytest.raises(InputError, match="^here: .*[^\n]$"):
-                build(KINDS[name], content, "here")
-        holder[key] = kept
 
 
 def broken_content(draw, content):

@@ -10,7 +10,6 @@ import ctypes
 import math
 import reprlib
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -25,7 +24,7 @@ from railrepro.compile import cache, codegen
 from railrepro.compile.lanes import lanes_header, pairs_text
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.data import InputError, above, between, require
-from railrepro.track.route import CELL, COLUMNS, INDEX, Route, lay
+from railrepro.track.route import CELL, COLUMNS, Route, lay
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -48,6 +47,11 @@ class _Lookup(ctypes.Structure):
         *((name, ctypes.c_longlong) for name in ("n", "width")),
         ("row", ctypes.c_void_p),
     ]
+
+
+def _lookup(cells: np.ndarray, start: float, step: float, row: np.ndarray) -> _Lookup:
+    """Look-up of a row in a table of uniform cells."""
+    return _Lookup(cells.ctypes.data, start, step, *cells.shape, row.ctypes.data)
 
 
 class _Car(ctypes.Structure):
@@ -165,52 +169,41 @@ class SteppedCar:
         require("speed", speed, above(0.0, LARGEST_SPEED, "m/s"))
         require("substeps", substeps, between(1, 10_000), whole=True)
         self.table, self.time = table or contact_table(vehicle.contact.profile, vehicle), 0.0
-        self.model, self.left_rail = equations.car(), ""
+        self.parameters = equations.parameter_vector(vehicle, good, poor)
         self.state = np.array(equations.rest_state(vehicle, self.table, speed), dtype=float)
-        self.parameters = np.array(equations.parameter_vector(vehicle, good, poor), dtype=float)
+        self.model, self.left_rail, self._library = equations.car(), "", library()
         self.torque, self.period = np.zeros(len(equations.WHEELS)), np.array([CONTROL_PERIOD / substeps])
         self.next_state, self.measured = np.zeros_like(self.state), np.zeros(len(self.model.outputs))
         self.rows = np.zeros((len(equations.BODIES), len(COLUMNS)))
         self.contacts = np.zeros((len(equations.WHEELS), equations.CONTACT_COLUMNS))
-        self._coordinates = np.zeros(len(self.rows) + len(self.contacts))
-        self._library = library()
-        self.functions = self._functions()
-        self.pointer = ctypes.byref(self._structure(substeps))
-        self.look_up()
-
-    def _functions(self) -> dict[str, codegen.CompiledFunction]:
-        """The functions of the equations on the buffers of this car."""
-        rows, contacts = self.rows.reshape(-1), self.contacts.reshape(-1)
-        common = [self.state, self.torque, rows, contacts, self.parameters]
+        coordinates, rows, contacts = np.zeros(len(self.rows) + len(self.contacts)), self.rows, self.contacts
+        common = [self.state, self.torque, rows.reshape(-1), contacts.reshape(-1), self.parameters]
         bindings = {
-            "coordinates": ([self.state, rows, self.parameters], [self._coordinates]),
+            "coordinates": ([self.state, rows.reshape(-1), self.parameters], [coordinates]),
             "output": (common, [self.measured]),
             "step": ([*common, self.period], [self.next_state, np.zeros_like(self.state)]),
         }
-        return {
+        self.functions = {
             name: codegen.CompiledFunction(self._library, getattr(self.model, name), *binding)
             for name, binding in bindings.items()
         }
-
-    def _tables(self) -> Iterator[tuple]:
-        """Cells, start and step (m) of their grid, and the buffer of the cell, by look-up."""
         track, contact = np.ascontiguousarray(self.route.cells), self.table.cells()
-        for row in self.rows:
-            yield track, track[0, INDEX["p"]], CELL, row
-        for row in self.contacts:
-            yield contact, self.table.start, self.table.step, row
-
-    def _structure(self, substeps: int) -> _Car:
-        self._cells = list(self._tables())  # C keeps their addresses
-        lookups = [
-            _Lookup(cells.ctypes.data, start, step, len(cells), cells.shape[1], row.ctypes.data)
-            for cells, start, step, row in self._cells
-        ]
-        self._lookups = (_Lookup * len(lookups))(*lookups)
-        calls = (function.call for function in self.functions.values())
-        coordinates, tables = self._coordinates.ctypes.data, ctypes.addressof(self._lookups)
-        state, following = self.state.ctypes.data, self.next_state.ctypes.data
-        return _Car(*calls, coordinates, tables, len(lookups), state, following, self.state.size, substeps)
+        lookups = [_lookup(track, self.route.start, CELL, row) for row in rows]
+        lookups += [_lookup(contact, self.table.start, self.table.step, row) for row in contacts]
+        self._tables = track, contact, coordinates, (_Lookup * len(lookups))(*lookups)  # C has their addresses
+        self.pointer = ctypes.byref(
+            _Car(
+                *(function.call for function in self.functions.values()),
+                coordinates.ctypes.data,
+                ctypes.addressof(self._tables[-1]),
+                len(lookups),
+                self.state.ctypes.data,
+                self.next_state.ctypes.data,
+                self.state.size,
+                substeps,
+            )
+        )
+        self.look_up()
 
     def c_functions(self) -> tuple[ctypes.c_void_p, ...]:
         """Addresses of `car_measure` and `car_advance` for callers written in C."""
@@ -252,27 +245,19 @@ class SteppedCar:
         self.period[:] = period
         start = self.time
         for done in range(steps):
-            if self._library.car_run(self.pointer, ctypes.c_longlong(1), ctypes.c_double(LARGEST_STATE)):
-                self.time = start + (done + 1) * period
-                if not self.left_rail:
-                    self._tell_derailment()
-                continue
-            new = self.next_state
-            worst = int(np.argmax(~(np.abs(new) < LARGEST_STATE)))
-            raise ArithmeticError(
-                f"{self.model.states[worst]} = {new[worst]:.3g} left all bounds after t = {self.time:.3f} s, "
-                f"p = {self.outputs['front.p']:.1f} m"
-            )
+            if not self._library.car_run(self.pointer, ctypes.c_longlong(1), ctypes.c_double(LARGEST_STATE)):
+                worst = int(np.argmax(~(np.abs(self.next_state) < LARGEST_STATE)))
+                found = f"{self.model.states[worst]} = {self.next_state[worst]:.3g}"
+                raise ArithmeticError(f"{found} left all bounds {self._at('front')}")
+            self.time = start + (done + 1) * period
+            aside = np.abs(self.state[_LATERAL])
+            if not self.left_rail and (aside >= DERAILED).any():
+                gear, y = next(pair for pair in zip(equations.GEARS, aside, strict=True) if pair[1] >= DERAILED)
+                self.left_rail = f"{gear} gear derailed, |y| = {1e3 * y:.1f} mm {self._at(gear)}"
+                warnings.warn(self.left_rail, stacklevel=2)
 
-    def _tell_derailment(self) -> None:
-        for gear, y in zip(equations.GEARS, self.state[_LATERAL], strict=True):
-            if abs(y) >= DERAILED:
-                self.left_rail = (
-                    f"{gear} gear derailed, |y| = {1e3 * abs(y):.1f} mm at t = {self.time:.3f} s, "
-                    f"p = {self.outputs[f'{gear}.p']:.1f} m"
-                )
-                warnings.warn(self.left_rail, stacklevel=3)
-                return
+    def _at(self, gear: str) -> str:
+        return f"at t = {self.time:.3f} s, p = {self.outputs[f'{gear}.p']:.1f} m"
 
     @property
     def outputs(self) -> dict[str, float]:

@@ -134,23 +134,11 @@ def cache_folder() -> Path:
             folder.mkdir(mode=0o700, exist_ok=True)
         except OSError:
             continue  # a checkout that cannot be written is nothing wrong
-        if _own(folder.lstat()) and os.access(folder, os.W_OK):
+        status = folder.lstat()
+        own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+        if own and os.access(folder, os.W_OK):
             return folder
     raise CompilerError(f"{home}: a folder that you alone can write is needed for compiled code")
-
-
-def _own(status: os.stat_result) -> bool:
-    """Whether a file or folder belongs to this user, and no other user can write it; links do not."""
-    return not stat.S_ISLNK(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
-
-
-def own_file(file: Path) -> bytes | None:
-    """Content of a regular file that belongs to this user and that no other user can write; None for anything else."""
-    try:
-        status = file.lstat()
-        return file.read_bytes() if stat.S_ISREG(status.st_mode) and _own(status) else None
-    except OSError:
-        return None
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:

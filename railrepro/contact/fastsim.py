@@ -91,9 +91,9 @@ def rigid_contact(shifts, radius: float, pair: Pair = STANDARD) -> pd.DataFrame:
     """
     rows = []
     for shift in shifts:
-        cut = section(shift, pair)
-        i = int(np.argmax(cut.height - cut.rail_depth))
-        rows.append((shift, cut.position[i], cut.slope[i], radius + cut.height[i]))
+        position, height, slope, rail_depth = section(shift, pair)
+        i = int(np.argmax(height - rail_depth))
+        rows.append((shift, position[i], slope[i], radius + height[i]))
     return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])
 
 

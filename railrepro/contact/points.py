@@ -89,13 +89,11 @@ def _smooth(where: str, points: np.ndarray, needed, from_top: bool) -> tuple[np.
     if not np.isfinite(points).all() or not (np.diff(lateral) > 0).all():
         raise InputError(f"{where}: numbers are needed, {_COLUMNS[0]} going one way; leave out what overhangs")
     first, last = 1e3 * (lateral[[0, -1]] - (lateral[np.argmax(height)] if from_top else 0.0))
-    if first > needed[0] or last < needed[1]:
-        raise InputError(
-            f"{where} goes from {first:.3g} to {last:.3g} mm, {needed[0]} to {needed[1]} mm of its "
-            f"{'top' if from_top else 'tape circle'} are needed"
-        )
-    if np.diff(lateral).max() > 2e-3:
-        raise InputError(f"{where} has a gap of {1e3 * np.diff(lateral).max():.1f} mm, up to 2 mm is allowed (unit?)")
+    gap = 1e3 * np.diff(lateral).max()
+    if first > needed[0] or last < needed[1] or gap > 2:
+        found = f"{where} goes from {first:.3g} to {last:.3g} mm with gaps up to {gap:.2g} mm"
+        origin = "top" if from_top else "tape circle"
+        raise InputError(f"{found}, {needed[0]} to {needed[1]} mm of its {origin} and up to 2 mm are needed (unit?)")
     # in millimetres, where coordinates and heights are of a size that suits the cross-validation
     spline = make_smoothing_spline(1e3 * lateral, 1e3 * height)
     uniform = np.arange(np.ceil(lateral[0] / _STEP), np.floor(lateral[-1] / _STEP) + 1) * _STEP

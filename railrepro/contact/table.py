@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -47,6 +46,7 @@ SHIFTS = np.arange(-150, 121) * 1e-4
 """Shifts of the table of S1002 on 60E1 (m)."""
 _BEYOND = 1e-12
 """How far a cell goes on beyond its ends (m): at a node, also a rounded one, derivatives are those of the cell."""
+_PATCH = ("semi_axis_x_m", "semi_axis_y_m", "c11", "c22", "c23", "c33")
 _LATERAL_STEP = 2e-5
 """Step of the profiles across the rail (m)."""
 
@@ -57,14 +57,12 @@ class ContactTable:
 
     Attributes
     ----------
-    name : str
     frame : DataFrame
         Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, rail_contact_m (lateral position
         on the rail, from half the contact base, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal
         load), c11, c22, c23, c33, normal_stiffness (N/m^1.5).
     """
 
-    name: str
     frame: pd.DataFrame
 
     @property
@@ -151,44 +149,25 @@ def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
     """Contact ellipse of the car's own wheels in the middle of the track, as `cone_patch` gives that of the cone."""
     frame = contact_table(vehicle.contact.profile, vehicle).frame
     middle = frame.iloc[frame["shift_m"].abs().argmin()]
-    coefficients = tuple(float(middle[name]) for name in ("c11", "c22", "c23", "c33"))
-    return float(middle["semi_axis_x_m"]), float(middle["semi_axis_y_m"]), coefficients
+    a, b, *coefficients = (float(middle[name]) for name in _PATCH)
+    return a, b, tuple(coefficients)
 
 
 def _cone(vehicle: Vehicle) -> ContactTable:
     """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse. Source: paper, eqs. (10), (11)."""
     shift = np.arange(-400, 401) * 1e-4
-    slope = np.tan(vehicle.wheel.cone_angle)
-    a, b, (c11, c22, c23, c33) = cone_patch(vehicle)
-    radius = vehicle.wheel.radius + slope * shift
-    constant = {
+    a, b, coefficients = cone_patch(vehicle)
+    radius = vehicle.wheel.radius + np.tan(vehicle.wheel.cone_angle) * shift
+    columns = {
+        "shift_m": shift,
+        "effective_radius_m": radius,
+        "rolling_radius_m": radius,
         "angle_rad": vehicle.wheel.cone_angle,
         "rail_contact_m": 0.0,
-        "semi_axis_x_m": a,
-        "semi_axis_y_m": b,
-        "c11": c11,
-        "c22": c22,
-        "c23": c23,
-        "c33": c33,
+        **dict(zip(_PATCH, (a, b, *coefficients), strict=True)),
         "normal_stiffness": vehicle.contact.normal_stiffness,
     }
-    frame = {"shift_m": shift, "effective_radius_m": radius, "rolling_radius_m": radius}
-    return ContactTable("cone", pd.DataFrame(frame).assign(**constant))
-
-
-class Section(NamedTuple):
-    """Cross-section of a wheel on its rail at a shift.
-
-    Attributes
-    ----------
-    position, height, slope, rail_depth : ndarray, shape (n,)
-        Distance from the track centre (m), height of the wheel profile (m) and its slope (-), depth of the rail (m).
-    """
-
-    position: np.ndarray
-    height: np.ndarray
-    slope: np.ndarray
-    rail_depth: np.ndarray
+    return ContactTable(pd.DataFrame(columns))
 
 
 @cache
@@ -199,11 +178,15 @@ def _rail(pair: Pair) -> tuple[np.ndarray, np.ndarray]:
     return position, np.interp(position, points, depth)
 
 
-def section(shift: float, pair: Pair = STANDARD) -> Section:
-    """A wheel, by default S1002 on 60E1 at 1:40, shifted towards its flange by `shift` (m); see `Section`."""
+def section(shift: float, pair: Pair = STANDARD) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Cross-section of a wheel, by default S1002 on 60E1 at 1:40, shifted towards its flange by `shift` (m).
+
+    Distance from the track centre (m), height of the wheel profile (m) and its slope (-), depth of the rail (m), each
+    of shape (n,).
+    """
     position, depth = _rail(pair)
     height, slope = pair.wheel(position - profiles.TAPE_CIRCLE - shift)
-    return Section(position, height, -slope, depth)
+    return position, height, -slope, depth
 
 
 def elastic_patch(shift: float, radius: float, load: float, modulus: float, pair: Pair = STANDARD):
@@ -244,8 +227,7 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
     )
     a, b, coefficients = zip(*(strip_coefficients(patch.half_lengths, patch.strips) for patch in patches), strict=True)
     centre = int(np.argmin(np.abs(SHIFTS)))
-    cut = section(0.0, pair)
-    depth_at_contact = np.interp(position[centre], cut.position, cut.rail_depth)
+    depth_at_contact = np.interp(position[centre], *_rail(pair))
     climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
     rolling = radius + height
     columns = {
@@ -254,10 +236,8 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
         "angle_rad": np.arctan(slope),
         "rolling_radius_m": rolling,
         "rail_contact_m": position - profiles.TAPE_CIRCLE,
-        "semi_axis_x_m": a,
-        "semi_axis_y_m": b,
-        **dict(zip(("c11", "c22", "c23", "c33"), np.transpose(coefficients), strict=True)),
+        **dict(zip(_PATCH, (a, b, *np.transpose(coefficients)), strict=True)),
         "normal_stiffness": stiffness,
         "approach_m": approach,
     }
-    return ContactTable(pair.name, pd.DataFrame(columns))
+    return ContactTable(pd.DataFrame(columns))

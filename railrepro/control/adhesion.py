@@ -38,13 +38,7 @@ AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)
 
 @dataclass(frozen=True)
 class AdhesionSettings:
-    """Parameters of the law.
-
-    Raises
-    ------
-    InputError
-        When a value is of another kind or beyond its range.
-    """
+    """Parameters of the law; InputError for a value of another kind or beyond its range."""
 
     raise_step: _STEP = 2.0
     """Step up in segment I, the paper's p1."""

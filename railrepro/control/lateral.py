@@ -23,10 +23,10 @@ from railrepro.vehicle.parameters import Vehicle
 GEAR = {
     "x": ("m", "coordinate along the track"),
     "psi_Ax": ("rad", "heading of the running gear"),
-    "xdot": ("m/s", "speed"),
-    "psidot_Ax": ("rad/s", "yaw rate of the running gear"),
-    "y_TrAx": ("m", "lateral displacement from the track, to the right"),
-    "psi_TrAx": ("rad", "yaw angle against the track, to the right"),
+    "v": ("m/s", "speed"),
+    "yaw_rate": ("rad/s", "yaw rate of the running gear"),
+    "y": ("m", "lateral displacement from the track, to the right"),
+    "psi": ("rad", "yaw angle against the track, to the right"),
     "xddot": ("m/s2", "acceleration by the base torque"),
     "held": ("N m", "torque that a slower controller gave last"),
 }
@@ -60,8 +60,6 @@ MODEL = {
     "tau_max": ("N m", "torque limit"),
 }
 """What it knows of the nominal vehicle."""
-SHORT = {"y": "y_TrAx", "psi": "psi_TrAx", "yaw_rate": "psidot_Ax", "v": "xdot"}
-"""Short names of measured states."""
 
 
 class LateralLaw(Protocol):
@@ -74,8 +72,8 @@ class LateralLaw(Protocol):
     def torque(self, q: SimpleNamespace) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
         """Differential torque (N m, positive steers right); with memory also the next value of each state by name.
 
-        `q` has the quantities of `GEAR`, `ROAD` and `MODEL`, their short names `SHORT`, the law's memory and its gains
-        as attributes, all of them CasADi symbols in SI units.
+        `q` has the quantities of `GEAR`, `ROAD` and `MODEL`, the law's memory and its gains as attributes, all of them
+        CasADi symbols in SI units.
         """
 
 
@@ -85,14 +83,10 @@ class SlowController(Protocol):
     One that has a filter of its own has `read(readings, delay)`: with sensors it is called before `plan` with the
     displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as they were read, and the time from the
     reading to the moment when a torque acts (s).
-
-    Attributes
-    ----------
-    period : float
-        Sampling time, a multiple of 1 ms (s).
     """
 
     period: float
+    """Sampling time, a multiple of 1 ms (s)."""
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Differential torque (N m) from the measured states (6,) and the base torque per wheel (N m)."""
@@ -149,30 +143,18 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
 
 @dataclass(frozen=True)
 class Signature:
-    """A 1 kHz law without its numbers: laws of one signature share one compiled object.
-
-    Attributes
-    ----------
-    text : str
-        The serialised function of `function`.
-    gains, memory : tuple of str
-        Names of its gains and states.
-    """
+    """A 1 kHz law without its numbers: laws of one signature share one compiled object."""
 
     text: str
+    """Serialised function (gear, track, memory, gains, model) -> du, next memory; vectors in the order of the names."""
     gains: tuple[str, ...]
     memory: tuple[str, ...]
-
-    @property
-    def function(self) -> ca.Function:
-        """(gear, track, memory, gains, model) -> du, next memory; vectors in the order of the names."""
-        return ca.Function.deserialize(self.text)
+    """Names of its gains and states."""
 
 
 def gains_of(law: LateralLaw) -> dict[str, float]:
     """Run-time numbers of a law by name; InputError when they are no finite numbers."""
-    gains = getattr(law, "gains", dict)
-    gains = gains() if callable(gains) else gains
+    gains = law.gains() if hasattr(law, "gains") else {}
     for name, value in gains.items():
         if not is_number(value):
             raise InputError(f"{_owner(law)}: gain {name!r} is {value!r}, a finite number is needed")
@@ -194,10 +176,9 @@ def signature(law: LateralLaw) -> Signature:
     known: dict[str, ca.SX] = {}
     for group, names in groups.items():
         for name, symbol in zip(names, ca.vertsplit(vectors[group]), strict=True):
-            if name in known or name in SHORT:
+            if name in known:
                 raise InputError(f"{owner}: {name!r} of its {group} is the name of another quantity already")
             known[name] = symbol
-    known |= {short: known[name] for short, name in SHORT.items()}
     du, following = answer(law, SimpleNamespace(**known))
     if set(following) != set(memory):
         raise InputError(f"{owner}: torque() gave memory {sorted(following)}, declared is {list(memory)}")
@@ -236,7 +217,7 @@ def _scalar(value, what: str, owner: str) -> ca.SX:
     try:
         expression = ca.SX(value)
     except NotImplementedError:
-        raise InputError(f"{owner}: its {what} is {value!r}, a scalar expression is needed") from None
-    if expression.shape != (1, 1):
-        raise InputError(f"{owner}: its {what} is an expression of shape {expression.shape}, a scalar is needed")
+        expression = None
+    if expression is None or expression.shape != (1, 1):
+        raise InputError(f"{owner}: its {what} is {value!r}, a scalar expression is needed")
     return ca.densify(expression)

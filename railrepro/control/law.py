@@ -18,17 +18,17 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import interface, lateral
 from railrepro.control.adhesion import AdhesionInputs, AdhesionMemory, AdhesionSettings
 from railrepro.control.allocation import allocate
-from railrepro.control.measurement import MeasuredGear, SensedGear, track_ahead
 from railrepro.data import between, require
 from railrepro.estimation import observers
-from railrepro.estimation.sensors import Readings, SensorGains, SensorMemory
+from railrepro.estimation.sensors import Readings, SensorGains, SensorMemory, Signals, received_torque, sense
 from railrepro.model.control_model import States
-from railrepro.quantities import GEARS, group, listed, named, names, pack, symbols, unpack
-from railrepro.track.route import COLUMNS, reference_in
+from railrepro.quantities import GEARS, WHEELS, group, listed, named, names, pack, symbols, unpack
+from railrepro.track.route import COLUMNS, irregularity_in, reference_in, track_in
 from railrepro.vehicle.parameters import Drive, Vehicle
 
 GUIDANCE_FADE = 1.0
@@ -36,52 +36,12 @@ GUIDANCE_FADE = 1.0
 
 
 @dataclass(frozen=True)
-class LawSettings:
-    """What surrounds the lateral law in the control cycle.
-
-    Attributes
-    ----------
-    adhesion : AdhesionSettings, optional
-        Parameters of the adhesion law; default its own, or those that the sensors need.
-    fixed_share : float
-        See `allocate` (-).
-    sensors : Readings, optional
-        What stands between the car and its controllers; default nothing.
-
-    Raises
-    ------
-    InputError
-        When one is of another kind or beyond its range.
-    """
-
-    adhesion: AdhesionSettings | None = None
-    fixed_share: float = 0.0
-    sensors: Readings | None = None
-
-    def __post_init__(self) -> None:
-        for name, allowed in (("adhesion", AdhesionSettings), ("sensors", Readings)):
-            if getattr(self, name) is not None:
-                require(name, getattr(self, name), allowed)
-        require("fixed_share", self.fixed_share, between(0.0, 1.0))
-
-
-PLAIN = LawSettings()
-"""The paper's adhesion law and allocation, with perfect measurements."""
-
-
-@dataclass(frozen=True)
 class LawSignature:
-    """A 1 kHz law without its numbers: laws of one signature share one compiled object.
-
-    Attributes
-    ----------
-    lateral : lateral.Signature
-    sensed : bool
-        Whether sensors and filter stand between the car and the controllers.
-    """
+    """A 1 kHz law without its numbers: laws of one signature share one compiled object."""
 
     lateral: lateral.Signature
     sensed: bool = False
+    """Whether sensors and filter stand between the car and the controllers."""
 
     @cached_property
     def Gains(self) -> Any:
@@ -144,7 +104,9 @@ class ControlLaw:
 def control_law(
     vehicle: Vehicle,
     guidance: lateral.LateralLaw | None = None,
-    settings: LawSettings = PLAIN,
+    adhesion: AdhesionSettings | None = None,
+    fixed_share: float = 0.0,
+    sensors: Readings | None = None,
     *,
     lateral_limit: float,
     track_end: float,
@@ -158,22 +120,33 @@ def control_law(
         Nominal vehicle of the controllers.
     guidance : LateralLaw, optional
         Default: the held torque of a slower controller guides.
-    settings : LawSettings
+    adhesion : AdhesionSettings, optional
+        Parameters of the adhesion law; default its own, or those that the sensors need.
+    fixed_share : float
+        See `allocate` (-).
+    sensors : Readings, optional
+        What stands between the car and its controllers; default nothing.
     lateral_limit, track_end, stop_speed : float
         Where a run ends (m, m, m/s).
 
     Raises
     ------
     InputError
-        When the lateral law is not well formed, see `lateral.signature`.
+        When an argument is of another kind or beyond its range, or the lateral law is not well formed, see
+        `lateral.signature`.
     """
-    law, sensors = guidance or lateral.ZeroOrderHold(), settings.sensors
-    adhesion = settings.adhesion or AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
+    require("fixed_share", fixed_share, between(0.0, 1.0))
+    if sensors is not None:
+        require("sensors", sensors, Readings)
+    if adhesion is None:
+        adhesion = AdhesionSettings(**({} if sensors is None else vars(sensors.loop.adhesion)))
+    require("adhesion", adhesion, AdhesionSettings)
+    law = guidance or lateral.ZeroOrderHold()
     signature = _shared(lateral.signature(law), sensors is not None)
     gains = {
         "lateral": list(lateral.gains_of(law).values()),
         "adhesion": adhesion,
-        "fixed_share": settings.fixed_share,
+        "fixed_share": fixed_share,
         "nominal_load": vehicle.wheel_load,
         "model": _model(vehicle),
         "drive": vehicle.drive,
@@ -211,6 +184,60 @@ def _library(signature: LawSignature) -> ctypes.CDLL:
     return codegen.library((function(signature),))
 
 
+class MeasuredGear:
+    """One gear whose controllers get its true states, adhesion and slip."""
+
+    def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
+        self.cell, self.gain = cell, gain
+        self.truth = States(*pack(getattr(measured, GEARS[g])))
+        self.wheels = [getattr(measured, wheel) for wheel in WHEELS[2 * g : 2 * g + 2]]
+        self.memory, self.ticks, self.position = getattr(memory, GEARS[g]), memory.ticks, self.truth.x
+
+    def look(self, track: Any) -> tuple[Any, list, list]:
+        """States, and adhesion and slip of the wheels."""
+        return self.truth, [wheel.adhesion for wheel in self.wheels], [wheel.sx for wheel in self.wheels]
+
+    def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
+        """Torques that reach the motors in this cycle (N m), and what the memory keeps of sensors and filter."""
+        return torques, {}
+
+
+class SensedGear(MeasuredGear):
+    """The same through sensors and filter; torques arrive late."""
+
+    def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
+        super().__init__(g, measured, cell, gain, memory)
+        truth, (left, right) = self.truth, self.wheels
+        self._sensor = getattr(gain, GEARS[g])
+        rail, rail_yaw = irregularity_in(cell, "lateral", truth.x)
+        offset = truth.y_TrAx - rail
+        lever = self._sensor.base / 2 * (truth.psi_TrAx - rail_yaw)
+        exact = Signals(offset + lever, offset - lever, truth.psidot_Ax, left.w, right.w, truth.xdot, truth.x)
+        self._readings, self._lines = sense(exact, self.ticks, g, self._sensor, self.memory.sensor)
+        self.position = self._readings.p + CONTROL_PERIOD * self._sensor.command * self._readings.v
+
+    def look(self, track: Any) -> tuple[Any, list, list]:
+        """See `MeasuredGear.look`."""
+        sensor, lines, readings, gain = self._sensor, self.memory.sensor, self._readings, self.gain
+        before = lines.tau_le[:-1], lines.tau_ri[:-1]
+        found, self._filter = observers.observe(readings, before, track, self.ticks, sensor, gain, self.memory.filter)
+        heading = track.psi_Tr + found.psi_TrAx
+        state = States(self.position, heading, found.xdot, found.psidot_Ax, found.y_TrAx, found.psi_TrAx)
+        planes = readings.y_ahead, readings.y_behind
+        read = interface.ReadGear(sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax)
+        self._stored = {"estimated": state, "read": read}
+        return state, found.f, found.s
+
+    def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
+        """See `MeasuredGear.send`."""
+        before = self.memory.sensor.tau_le, self.memory.sensor.tau_ri
+        lines = [[torque, *line[:-1]] for torque, line in zip(torques, before, strict=True)]
+        following = observers.advance(self._filter, lines, track, self._sensor, self.gain)
+        memory = SensorMemory(**self._lines, tau_le=lines[0], tau_ri=lines[1])
+        stored = {"sensor": memory, "filter": following, **self._stored}
+        return [received_torque(line, self._sensor) for line in lines], stored
+
+
 @codegen.stored
 def function(signature: LawSignature) -> ca.Function:
     """The 1 kHz law as a function.
@@ -226,14 +253,8 @@ def function(signature: LawSignature) -> ca.Function:
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
     view = SensedGear if signature.sensed else MeasuredGear
     gears = [view(g, measured, named(COLUMNS, rows[:, g]), gain, memory) for g in range(len(GEARS))]
-    tracks = [track_ahead(gear.cell, gear.position) for gear in gears]
-    front, rear = tracks
-    # what holds at the car body is the mean of what holds at its gears
-    body = {"psi_CB": (front["psi_Tr"] + rear["psi_Tr"]) / 2, "dpsi_dp_CB": (front["dpsi_dp"] + rear["dpsi_dp"]) / 2}
-    results = [
-        _cycle(signature, gear, interface.Track(**track, **body), held[g])
-        for g, (gear, track) in enumerate(zip(gears, tracks, strict=True))
-    ]
+    given = zip(gears, _tracks(gears), ca.vertsplit(held), strict=True)
+    results = [_cycle(signature, *of_gear) for of_gear in given]
     command = [torque for torques, _, _ in results for torque in torques]
     following = signature.Memory(memory.ticks + 1, *(stored for _, stored, _ in results))
     record = signature.Records(
@@ -253,6 +274,19 @@ def function(signature: LawSignature) -> ca.Function:
     )
 
 
+def _tracks(gears: list[MeasuredGear]) -> list:
+    """Track and set point at both gears, see `lateral.ROAD`."""
+    tracks = [track_in(gear.cell, gear.position) for gear in gears]
+    # heading and curvature at the car body are the mean of those at its gears
+    body = [(front + rear) / 2 for front, rear in zip(*tracks, strict=True)][:2]
+    return [
+        interface.Track(
+            *track, *body, gear.cell["dkappa"], *reference_in(gear.cell, gear.position), gear.cell["dddy_ref"]
+        )
+        for gear, track in zip(gears, tracks, strict=True)
+    ]
+
+
 def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX) -> tuple[list, Any, list]:
     """Torques of both wheels of a gear (N m), its next memory, and what the log keeps of it."""
     gain, model, old = gear.gain, gear.gain.model, gear.memory
@@ -264,7 +298,8 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
 
     xddot = 2 * u_d / (model.r_0 * model.m_x_eff)
     groups = [*pack(state), xddot, held], pack(track), old.lateral, gain.lateral, [*pack(model), tau_max]
-    du, following = signature.lateral.function(*(ca.vertcat(*entries) for entries in groups))
+    lateral_law = ca.Function.deserialize(signature.lateral.text)
+    du, following = lateral_law(*(ca.vertcat(*entries) for entries in groups))
     du *= ca.fmin(ca.fmax(state.xdot / GUIDANCE_FADE, 0), 1)
     tau_le, tau_ri, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
     torques, sensed = gear.send([tau_le, tau_ri], track)

@@ -73,15 +73,13 @@ class PredictiveController:
 
     Attributes
     ----------
-    timed : bool
-        Whether the closed loop asks `plan` for its samples, so that each is recorded, in place of their C.
     stats : list of Solve
         One record per sample that `plan` was asked for.
     plan_du : ndarray, shape (L,)
         Differential torques of the last plan (N m).
     horizon : Horizon
-    parameters : ndarray
-        Of the control model.
+    parameters, nominal : ndarray
+        Of the control model and of its forecast, see `forecast.NOMINAL`.
     mode : int
         How a problem is solved, see `LINEAR`.
     c : ctypes.Structure
@@ -94,16 +92,14 @@ class PredictiveController:
     route: Route
     gear: int
     settings: MPCSettings = field(default_factory=MPCSettings)
-    timed: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         require("MPC: settings", self.settings, MPCSettings)
-        require("MPC: timed", self.timed, bool)
         self.stats: list[Solve] = []
         s = self.settings
         self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
-        nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
-        self.horizon = Horizon(s, nominal, self.parameters, self.route)
+        self.nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
+        self.horizon = Horizon(s, self.nominal, self.parameters, self.route)
         self.plan_du, self._measured = np.zeros(s.steps), np.zeros_like(self.horizon.x_hat)
         self._limit = codegen.CompiledFunction(self.horizon.library, torque_limit())
         self.drive = np.array(pack(self.vehicle.drive), dtype=float)
@@ -150,8 +146,8 @@ class PredictiveController:
         return torque
 
     def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
-        """See `lateral.CompiledController`; None where samples are timed, and for a class with a `plan` of its own."""
-        if self.timed or type(self).plan is not PredictiveController.plan:
+        """See `lateral.CompiledController`; None for a class with a `plan` of its own."""
+        if type(self).plan is not PredictiveController.plan:
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
 

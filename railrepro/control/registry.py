@@ -33,27 +33,18 @@ MOST_STEPS, LEAST_STEPS = 100, 5
 
 @dataclass(frozen=True)
 class Controller:
-    """How to build a lateral controller.
-
-    Attributes
-    ----------
-    build : callable
-        Settings -> guidance for `simulate.run`.
-    settings : callable
-        Tuning parameters by name -> settings.
-    preview : bool
-        Whether it sees the set point and the track ahead.
-    information : str
-        What it is given, one phrase.
-    quick : dict
-        Options of `guidance` for many runs: a faster way to nearly the same torques.
-    """
+    """How to build a lateral controller."""
 
     build: Callable
+    """Settings -> guidance for `simulate.run`."""
     settings: Callable
+    """Tuning parameters by name -> settings."""
     preview: bool
+    """Whether it sees the set point and the track ahead."""
     information: str
+    """What it is given, one phrase."""
     quick: dict = field(default_factory=dict)
+    """Options of `guidance` for many runs: a faster way to nearly the same torques."""
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
@@ -78,30 +69,32 @@ class Predictive:
         return self.controller(vehicle, route, gear, self.settings, **dict(self.options))
 
 
-def _inversion(settings: NDI) -> NDI:
-    return settings
-
-
 _STATE = "states of its own gear, track at its position"
 _AHEAD = _STATE + ", track and set point over the horizon"
+_RATES = _STATE + ", set point and its rates now"
+
+
+def _predictive(kind: type, quick: dict | None = None, **options) -> Controller:
+    build = partial(Predictive, kind, options=tuple(options.items()))
+    return Controller(build, mpc_settings, True, _AHEAD, quick or {})
+
+
+def _inversion(information: str, **fixed) -> Controller:
+    return Controller(lambda settings: settings, lambda parameters: NDI(**parameters, **fixed), False, information)
+
+
 NOTHING = "nothing"
 """No guidance, beside which others are scored; it has no parameters."""
 OURS = "lqg_preview"
 """The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
 CONTROLLERS = {
-    "nmpc": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
-    "nmpc_observer": Controller(partial(Predictive, NMPC), mpc_settings, True, _AHEAD, {"solver": "rti"}),
-    "ltv_mpc": Controller(partial(Predictive, LTVMPC), mpc_settings, True, _AHEAD),
-    "ltv_mpc_printed": Controller(
-        partial(Predictive, LTVMPC, options=(("printed", True),)), mpc_settings, True, _AHEAD
-    ),
-    "ndi": Controller(_inversion, lambda p: NDI(**p), False, _STATE + ", set point now"),
-    "ndi_feedforward": Controller(
-        _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
-    ),
-    "ndi_integral": Controller(
-        _inversion, lambda p: NDI(**p, derivatives=3), False, _STATE + ", set point and its rates now"
-    ),
+    "nmpc": _predictive(NMPC, {"solver": "rti"}),
+    "nmpc_observer": _predictive(NMPC, {"solver": "rti"}),
+    "ltv_mpc": _predictive(LTVMPC),
+    "ltv_mpc_printed": _predictive(LTVMPC, printed=True),
+    "ndi": _inversion(_STATE + ", set point now"),
+    "ndi_feedforward": _inversion(_RATES, derivatives=3),
+    "ndi_integral": _inversion(_RATES, derivatives=3),
     # imported when it is asked for, so that the paper's controllers do not stand on ours
     OURS: Controller(
         lambda settings: resolve_name("railrepro.own.lqg:LqgPreview")(settings),
@@ -128,11 +121,6 @@ EMPHASIS = 10.0
 def with_r_times(parameters: dict, factor: float) -> dict:
     """Tuning parameters or changes with R times a factor."""
     return parameters | {"r": factor * parameters["r"]}
-
-
-def r_times(factor: float, controller: str = "") -> str:
-    """Name of a set-up with R times a factor: "R x 10", or "NMPC, R x 10" for a controller called NMPC."""
-    return (f"{controller}, " if controller else "") + f"R x {factor:g}"
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
@@ -175,26 +163,27 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
     InputError
         When there is none, or when the file does not hold a tuned set of this controller in this setting.
     """
-    file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
+    name = f"{controller}.json"
+    file = (folder or paths.source(f"{TUNED}/{setting}")) / name
     if not file.exists():
-        known = [name for name in SETTINGS if paths.source(f"{TUNED}/{name}/{controller}.json").exists()]
-        others = " and ".join(name for name in known if name != setting)
+        known = [other for other in SETTINGS if paths.source(f"{TUNED}/{other}/{name}").exists()]
+        others = " and ".join(other for other in known if other != setting)
         where = f", but in the setting {others}" if others else "; `make tune` makes it"
-        raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}{where}")
+        raise InputError(f"{setting}/{name}: there is no tuned set for {controller!r}{where}")
     content = data.read(file)
     if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
-        raise InputError(f"{file.name}: is {reprlib.repr(content)}, a table with the table parameters is needed")
+        raise InputError(f"{name}: is {reprlib.repr(content)}, a table with the table parameters is needed")
     found = content.get("controller"), content.get("setting")
     if found != (controller, setting):
         raise InputError(
-            f"{file.name}: holds a tuned set of {found[0]!r} in the setting {found[1]!r}, {controller!r} in "
+            f"{name}: holds a tuned set of {found[0]!r} in the setting {found[1]!r}, {controller!r} in "
             f"{setting!r} is needed"
         )
     return content
 
 
-def parameters(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller in some setting, or those that a designer gave it in data/tuning.toml.
+def tuned_set(controller: str, setting: str = PAPER) -> dict:
+    """Tuned set of a controller in some setting, or the parameters that a designer gave it in data/tuning.toml.
 
     Raises
     ------
@@ -205,7 +194,14 @@ def parameters(controller: str, setting: str = PAPER) -> dict:
     if setting not in SETTINGS:
         raise InputError(f"setting {reprlib.repr(setting)} is not known; there are {sorted(SETTINGS)}")
     designed = data.read(paths.source("data/tuning.toml"))["setting"][setting].get("designed", {})
-    return designed[controller] if controller in designed else read(controller, setting)["parameters"]
+    if controller not in designed:
+        return read(controller, setting)
+    return {"controller": controller, "setting": setting, "parameters": designed[controller]}
+
+
+def parameters(controller: str, setting: str = PAPER) -> dict:
+    """Tuned parameters of a controller in some setting, see `tuned_set`."""
+    return tuned_set(controller, setting)["parameters"]
 
 
 def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):

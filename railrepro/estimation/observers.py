@@ -18,6 +18,7 @@ Serves the measured states of the paper's eq. (18).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -120,15 +121,17 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
     )
 
 
-def observe(readings: Any, commands: dict, track: Any, ticks, sensor: Any, gain: Any, memory: Any) -> tuple[Any, Any]:
+def observe(
+    readings: Any, commands: Sequence[list], track: Any, ticks, sensor: Any, gain: Any, memory: Any
+) -> tuple[Any, Any]:
     """Correct the filter of a gear by new readings.
 
     Parameters
     ----------
     readings : Signals of SX
         As late as they are.
-    commands : dict of list
-        Torques that were sent to the wheels by side (N m), newest first; that of this cycle is not among them.
+    commands : two lists
+        Torques that were sent to left and right wheel (N m), newest first; that of this cycle is not among them.
     track : object with dpsi_dp, dphi_dp, psi_Tr, psi_CB, dpsi_dp_CB
         Where the gear is, see `railrepro.control.lateral.ROAD`.
     ticks : SX
@@ -171,7 +174,7 @@ def observe(readings: Any, commands: dict, track: Any, ticks, sensor: Any, gain:
     return Estimates(y, psi + x.creep, r, v, f, s), x
 
 
-def advance(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> Any:
+def advance(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> Any:
     """Propagate the filter by one cycle. `commands` include the torques of this cycle; the rest is as in `observe`."""
     h, model = CONTROL_PERIOD, gain.model
 
@@ -186,8 +189,8 @@ def advance(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> Any:
         y=x.y + h * x.v * (x.psi + x.beta),
         psi=x.psi + h * (x.r - x.v * track.dpsi_dp),
         r=x.r + h * _yaw_acceleration(x, track, gain),
-        le=wheel(x.le, commands["le"]),
-        ri=wheel(x.ri, commands["ri"]),
+        le=wheel(x.le, commands[0]),
+        ri=wheel(x.ri, commands[1]),
     )
 
 
@@ -210,7 +213,7 @@ def _yaw_acceleration(x: Any, track: Any, gain: Any):
     return (moment + 2 * model.J_Wy * x.v / model.r_0 * roll_rate) / gain.filter.J_z
 
 
-def _predicted(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> tuple:
+def _predicted(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> tuple:
     """Position, yaw and yaw rate when a torque of this cycle will arrive.
 
     The present yaw acceleration goes on; torques that are on their way change it as on rolling wheels.
@@ -218,14 +221,13 @@ def _predicted(x: Any, commands: dict, track: Any, sensor: Any, gain: Any) -> tu
     steps, model = 5, gain.model
     h = gain.filter.prediction / steps
     y, psi, r, v, yaw = x.y, x.psi, x.r, x.v, _yaw_acceleration(x, track, gain)
-    motor = {"le": x.le.tau, "ri": x.ri.tau}
-    before = motor["le"] - motor["ri"]
+    motor, before = [x.le.tau, x.ri.tau], x.le.tau - x.ri.tau
     for k in range(steps):
         age = sensor.measurement + sensor.command - (k + 0.5) * h / CONTROL_PERIOD
-        for side in motor:
-            commanded = delayed(commands[side], ca.fmax(age - 0.5, 0))
+        for side, line in enumerate(commands):
+            commanded = delayed(line, ca.fmax(age - 0.5, 0))
             motor[side] += (1 - ca.exp(-h / gain.drive.lag)) * (commanded - motor[side])
-        change = model.b / (2 * model.r_0 * model.J_eff) * (motor["le"] - motor["ri"] - before)
+        change = model.b / (2 * model.r_0 * model.J_eff) * (motor[0] - motor[1] - before)
         y += h * v * (psi + x.beta)
         psi += h * (r - v * track.dpsi_dp)
         r += h * (yaw + change)

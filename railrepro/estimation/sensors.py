@@ -172,6 +172,16 @@ class Loop:
         }
         return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
+    def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations of noise and bias of y (m), psi (rad) and r (rad/s), shape (3,) each.
+
+        Two planes make y and psi; a bias is drawn uniformly.
+        """
+        of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / self.lateral.base])
+        noise = np.append(self.lateral.noise * of_planes, self.gyro.noise)
+        bias = np.append(self.lateral.bias * of_planes, self.gyro.bias)
+        return noise, bias / np.sqrt(3)
+
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     """Read and check the sensors.
@@ -200,17 +210,11 @@ def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
 
 @dataclass(frozen=True)
 class Readings:
-    """Numbers of the sensors in a run: what is constant in it is drawn from its seed.
-
-    Attributes
-    ----------
-    loop : Loop
-    seed : int
-        Of the run; noise and biases of another seed are independent.
-    """
+    """Numbers of the sensors in a run: what is constant in it is drawn from its seed."""
 
     loop: Loop
     seed: int = 0
+    """Of the run; noise and biases of another seed are independent."""
 
     def __post_init__(self) -> None:
         data.require("Readings: loop", self.loop, Loop)

@@ -17,22 +17,17 @@ over settings. A seed draws sensors, irregularities and cars; the published one 
 
 from __future__ import annotations
 
-import importlib.util
-import re
-import sys
+import runpy
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
-from types import SimpleNamespace
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.compile.cache import CompilerError
 from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, NOTHING, SHOWN, Controller
 from railrepro.data import InputError
@@ -40,7 +35,6 @@ from railrepro.estimation.sensors import Loop, readings
 from railrepro.evidence.runs import pso, store, swarm, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.runs.laws import wrapped
 from railrepro.evidence.runs.tuning import EQUAL, LOOP
 from railrepro.evidence.uncertainty import limit as bound
 from railrepro.simulation.ride import Y_OVER_Q_LIMIT
@@ -67,8 +61,6 @@ EXAMPLES = ("only_y", "pid")
 _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
 _DELAYS, _LAGS, _MARGINS_END = (3, 6, 9, 12), (20, 30, 40, 50), 400.0
 """Delay of the command (ms) and time constant of the drive (ms), and where the runs with them end (m)."""
-_LOST, _LARGEST = "lost_cycles", 1e12
-"""Memory of `CountedLaw`, and the torque (N m) from which one counts as not finite."""
 _WALKS, _ACTIVITIES = (220.0, 20.0), (20.0, 50.0, 115.0, 500.0)
 """Walks of lateral force and yaw moment in the quietest run (N/s^0.5, N m/s^0.5), and torques above 5 Hz among which
 the least cost is sought (N m)."""
@@ -94,16 +86,12 @@ METRICS = {
 
 
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
-    """All runs of the suite in both settings, or those of some names, then without the margins.
-
-    They are without guidance; their labels are scenario (name of the run), setting and group.
-    """
+    """All runs of the suite in both settings, or those of some names, then without the margins; see `case`."""
     data.require("seed", seed, data.between(0, 2**31), whole=True)
     found = []
     for setting in (EQUAL, LOOP):
-        sensors = {"seed": seed} if setting == LOOP else {}
         wanted = [each for each in _runs(seed).items() if names is None or each[0] in names]
-        found += [case(name, setting, *run, sensors) for name, run in wanted]
+        found += [case(name, setting, seed, *run) for name, run in wanted]
         found += _margins(setting, seed) if names is None else []
     if not found:
         raise InputError(f"benchmark: there is no run of the names {names}; there are {[*_runs(seed)]}")
@@ -111,11 +99,13 @@ def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
 
 
 def case(
-    name: str, setting: str, scenario: Scenario, irregular: dict, plant: dict, sensors: dict, group: str = ""
-) -> Experiment:
-    """A run of the suite without guidance, see `cases`."""
+    name: str, setting: str, seed: int, scenario: Scenario, irregular: dict, plant: dict,
+    delay: dict | None = None, group: str = "",
+) -> Experiment:  # fmt: skip
+    """A run of the suite without guidance; its label has scenario (name of the run), setting and group."""
     label = {"scenario": name, "setting": setting, "group": group or name}
-    around = {"irregular": irregular, "plant": plant, "sensors": sensors}
+    sensors = {"seed": seed} if setting == LOOP else {"perfect": True} if delay else {}
+    around = {"irregular": irregular, "plant": plant, "sensors": sensors | (delay or {})}
     return Experiment(scenario, NOTHING, label, {}, setting=setting, ride=True, **around)
 
 
@@ -152,52 +142,42 @@ def _margins(setting: str, seed: int) -> list[Experiment]:
         changes = [(f"lag_{ms}ms", {"drive.lag": 1e-3 * ms}, {}) for ms in _LAGS]
         changes += [(f"delay_{ms}ms", {}, {"inverter.delay": 1e-3 * ms}) for ms in _DELAYS]
         for name, plant, delay in changes:
-            drawn = {"seed": (seed + 1 + len(found)) % 2**31} if setting == LOOP else {}
-            perfect = {"perfect": True} if setting == EQUAL and delay else {}
-            found.append(case(f"{name}_{rail}", setting, short, {}, plant, drawn | perfect | delay, MARGINS))
+            draw = (seed + 1 + len(found)) % 2**31
+            found.append(case(f"{name}_{rail}", setting, draw, short, {}, plant, delay, MARGINS))
     return found
 
 
 # What is scored.
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A controller that is scored.
-
-    Attributes
-    ----------
-    name : str
-        Key of `registry.CONTROLLERS`, the name of a file with its suffix, which is never such a key, or a heading.
-    own : Path or type, optional
-        The file, or a class of a chapter; None for a registered controller.
-    """
-
-    name: str
-    own: Path | type | None = None
+Entry = str | Path | type
+"""A controller that is scored: key of `registry.CONTROLLERS`, a file, or a class of a chapter."""
 
 
 def entry(controller: str) -> Entry:
     """The entry for a registered name or the path of a file; InputError when it is neither."""
     if controller in tuple(CONTROLLERS):
-        return Entry(controller)
+        return controller
     file = data.location(controller)
     if not file.is_file():
         known = [*CONTROLLERS]
         raise InputError(f"controller {controller!r} is neither a file nor a registered controller; there are {known}")
-    return Entry(file.name, file.resolve())
+    return file.resolve()
+
+
+def name_of(of: Entry) -> str:
+    """Name of an entry: that of a file with its suffix, so that it is no key of `registry.CONTROLLERS`."""
+    if isinstance(of, type):
+        return of.__name__
+    return of.name if isinstance(of, Path) else of
 
 
 def load_class(file: Path) -> type:
     """The one class with `torque` or `plan` that a file defines; InputError when there is not one."""
-    spec = importlib.util.spec_from_file_location(_MODULE, file)
-    if spec is None or spec.loader is None:
-        raise InputError("is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[_MODULE] = module
-    spec.loader.exec_module(module)
-    own = [thing for thing in vars(module).values() if isinstance(thing, type) and thing.__module__ == _MODULE]
-    found = [each for each in own if hasattr(each, "torque") or hasattr(each, "plan")]
+    defined = [thing for thing in runpy.run_path(str(file), run_name=_MODULE).values() if isinstance(thing, type)]
+    found = [
+        each for each in defined if each.__module__ == _MODULE and (hasattr(each, "torque") or hasattr(each, "plan"))
+    ]
     if len(found) != 1:
         names = [each.__name__ for each in found]
         raise InputError(f"one class with `torque` or with `plan` is needed, found {names or 'none'}")
@@ -205,27 +185,17 @@ def load_class(file: Path) -> type:
 
 
 def fault(error: BaseException, file: Path) -> str:
-    """What a stranger's code raised, in one sentence with the line of his file and its function."""
-    places = [each for each in traceback.extract_tb(error.__traceback__) if each.filename == str(file)]
-    line = error.lineno if isinstance(error, SyntaxError) and error.filename == str(file) else None
-    where = file.name
-    if line or places:
-        inside = "" if line or places[-1].name == "<module>" else f" ({places[-1].name})"
-        where += f", line {line or places[-1].lineno}{inside}"
-    text = " ".join(str(error).partition("Possible prototypes")[0].split())
-    text = re.sub(r"^\S+\.[ch]pp:\d+: ", "", text)
-    return f"{where}: {'' if isinstance(error, InputError) else f'{type(error).__name__}: '}{text}"[:300]
+    """What a user's code raised, in one sentence with the line of the file where there is one."""
+    lines = [each.lineno for each in traceback.extract_tb(error.__traceback__) if each.filename == str(file)]
+    if isinstance(error, SyntaxError):
+        lines.append(error.lineno)
+    where = f"{file.name}, line {lines[-1]}" if lines else file.name
+    kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+    return f"{where}: {kind}{' '.join(str(error).split())}"[:300]
 
 
-def made(own: type, setting: str) -> lateral.Guidance:
-    """Guidance made of a controller class, with the keyword arguments of its `tuned` for a setting."""
-    tables = getattr(own, "tuned", {})
-    if set(tables) - {EQUAL, LOOP}:
-        raise InputError(f"{own.__name__}: `tuned` has {sorted(tables)}, only {[EQUAL, LOOP]} are known")
-    return _with_arguments(own, tables.get(setting, {}))
-
-
-def _with_arguments(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
+def made(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
+    """Guidance made of a controller class with keyword arguments."""
     if not hasattr(own, "plan"):
         return own(**settings)
     return lambda vehicle, route, gear: own(vehicle, known(route), gear, **settings)
@@ -240,29 +210,6 @@ def known(route: Route) -> Route:
     return Route(cells, route.length)
 
 
-class CountedLaw:
-    """A 1 kHz law that counts how often its torque was not finite, which the torque limit would hide."""
-
-    def __init__(self, law: lateral.LateralLaw):
-        self._law = law
-        self.memory = (*getattr(law, "memory", ()), _LOST)
-
-    def gains(self) -> dict[str, float]:
-        """See `LateralLaw.gains`."""
-        return lateral.gains_of(self._law)
-
-    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
-        """See `LateralLaw.torque`."""
-        du, following = lateral.answer(self._law, q)
-        return du, following | {_LOST: getattr(q, _LOST) + 1 - (ca.fabs(du) < _LARGEST)}
-
-
-def _counted(guidance: lateral.Guidance) -> lateral.Guidance:
-    law, _ = lateral.split(guidance)
-    lateral.signature(law)
-    return guidance if isinstance(law, lateral.ZeroOrderHold) else wrapped(guidance, CountedLaw)
-
-
 def _enter(name: str, build: Callable) -> str:
     """Enter a controller into the registry of this process, settings -> guidance; its name."""
     CONTROLLERS[name] = Controller(build, dict, False, "own")
@@ -271,7 +218,6 @@ def _enter(name: str, build: Callable) -> str:
 
 def description() -> str:
     """Names that `torque` of a law of the 1 kHz control cycle may use, with unit and meaning."""
-    short = {full: name for name, full in lateral.SHORT.items()}
     lines = [
         "A law is one class with torque(self, q); q has these quantities as attributes, for example q.y. It returns",
         "the differential torque (N m, positive steers right) as an expression of CasADi. With `memory`, a tuple of",
@@ -281,8 +227,7 @@ def description() -> str:
     for title, names in (("running gear", lateral.GEAR), ("track here", lateral.ROAD), ("vehicle", lateral.MODEL)):
         lines.append(title)
         for name, (unit, meaning) in names.items():
-            shown = f"{name}, {short[name]}" if name in short else name
-            lines.append(f"  {shown:22s}{unit:12s}{meaning}")
+            lines.append(f"  {name:22s}{unit:12s}{meaning}")
     return "\n".join(lines)
 
 
@@ -294,16 +239,15 @@ def drive(of: Entry, case: Experiment) -> dict:
 
     The runs of registered controllers are stored; a file is read and driven by a worker.
     """
-    head = case.label | {"controller": of.name, "failure": ""}
-    if isinstance(of.own, Path):
-        return head | work(_driven_file, of.own, case)
+    head = case.label | {"controller": name_of(of), "failure": ""}
+    if isinstance(of, Path):
+        return head | work(_driven_file, of, case)
     try:
-        if of.own is not None:
-            return head | _driven_class(of.own, case)
-        parameters = {} if of.name == NOTHING else None
-        options = CONTROLLERS[of.name].quick
-        return head | replace(case, controller=of.name, parameters=parameters, options=options).measured(_row)[0]
-    except (InputError, ArithmeticError, CompilerError) as error:
+        if isinstance(of, type):
+            return head | _driven_class(of, case)
+        known = {"controller": of, "parameters": {} if of == NOTHING else None, "options": CONTROLLERS[of].quick}
+        return head | replace(case, **known).measured(_row)[0]
+    except (InputError, ArithmeticError) as error:
         return head | {"failure": str(error)}
 
 
@@ -315,17 +259,17 @@ def _driven_file(file: Path, case: Experiment) -> dict:
 
 
 def _driven_class(own: type, case: Experiment) -> dict:
-    written = _counted(made(own, case.setting))
+    tables = getattr(own, "tuned", {})
+    if set(tables) - {EQUAL, LOOP}:
+        raise InputError(f"{own.__name__}: `tuned` has {sorted(tables)}, only {[EQUAL, LOOP]} are known")
+    written = made(own, tables.get(case.setting, {}))
     asked = replace(case, controller=_enter(f"scored {own.__name__}", lambda settings: written))
     return _row(asked.run(), asked)[0]
 
 
 def _row(run: Run, of: Experiment) -> store.Entry:
     row = {key: value for key, value in of.values(run).items() if isinstance(value, float | int)}
-    lost = sum(count for name, count in run.memory.items() if name.endswith(f".lateral.{_LOST}"))
     row["failure"] = run.ended if run.failed else ""
-    if lost:
-        row["failure"] = f"torque() returned NaN or Inf {lost:.0f} times; {run.ended}"
     row["way"] = float(run.series["front.p"].iloc[-1])
     if of.scenario.stop_kmh is None:
         row.pop("stopping_distance")
@@ -360,7 +304,7 @@ def ends_of_the_scale(case: Experiment) -> dict[str, float]:
     biases of the loop, on dry rail and for disturbances that wander as slowly as in the quietest run. It holds for the
     mean over draws. With perfect measurements only the drive limits the error, which no run comes near: 0.
     """
-    row = drive(Entry(NOTHING), case)
+    row = drive(NOTHING, case)
     found = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
     if case.setting == EQUAL:
         return found
@@ -392,15 +336,13 @@ def score(of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, q
     is driven once.
     """
     wanted = [(seed, case) for seed in seeds for case in cases(seed, names)]
-    different: list[Experiment] = []
-    for _, case in wanted:
-        if case not in different:
-            different.append(case)
+    different = {repr(case): case for _, case in wanted}
     with executor() as pool:
-        ends = ordered_map(pool, ends_of_the_scale, different, "limits", quiet)
-        rows = ordered_map(pool, lambda case: drive(of, case), different, f"score {of.name}", quiet)
-    judged = [row | end | {"points": points(row | end)} for row, end in zip(rows, ends, strict=True)]
-    return pd.DataFrame([judged[different.index(case)] | {"seed": seed} for seed, case in wanted])
+        ends = ordered_map(pool, ends_of_the_scale, [*different.values()], "limits", quiet)
+        rows = ordered_map(pool, lambda case: drive(of, case), [*different.values()], f"score {name_of(of)}", quiet)
+    both = [row | end for row, end in zip(rows, ends, strict=True)]
+    judged = dict(zip(different, [row | {"points": points(row)} for row in both], strict=True))
+    return pd.DataFrame([judged[repr(case)] | {"seed": seed} for seed, case in wanted])
 
 
 # Sums, ranking, page.
@@ -461,9 +403,10 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., f
 
     `runs` are names of data/tuning.toml; unknown ones are left out.
     """
-    name = _enter(f"own {own.__name__}", partial(_with_arguments, own))
+    name = _enter(f"own {own.__name__}", partial(made, own))
     task = tuning.load_task(setting=setting)
-    evaluation = swarm.Evaluation(name, replace(task, runs=tuple(each for each in task.runs if each.name in runs)))
+    chosen = {each: run for each, run in task.runs.items() if each in runs}
+    evaluation = swarm.Evaluation(name, replace(task, runs=chosen))
     return lambda gains, limit=float("inf"): evaluation(dict(gains), limit)[0]
 
 
@@ -484,8 +427,7 @@ def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: i
     """Points per setting and run, a column per controller: heading -> class, or key of `registry.CONTROLLERS`."""
     found = {}
     for heading, one in controllers.items():
-        of = Entry(one) if isinstance(one, str) else Entry(heading, one)
-        found[heading] = score(of, [seed], names, quiet=True).set_index(["setting", "scenario"])["points"]
+        found[heading] = score(one, [seed], names, quiet=True).set_index(["setting", "scenario"])["points"]
     return pd.DataFrame(found)
 
 
@@ -496,8 +438,7 @@ def check(of: Entry) -> None:
     """Drive a controller through some metres in both settings; InputError when it fails but for derailment."""
     scenario = load_scenario("curve_entry_T3").but(end_m=30.0)
     for setting in (EQUAL, LOOP):
-        sensors = {"seed": PUBLISHED} if setting == LOOP else {}
-        row = drive(of, case("check", setting, scenario, {}, {}, sensors))
+        row = drive(of, case("check", setting, PUBLISHED, scenario, {}, {}))
         if "way" not in row:
             raise InputError(row["failure"])
 
@@ -513,12 +454,12 @@ def main(controller: str | None = None, seed: int | None = None, small: bool = F
     if controller is None:
         raise InputError("score: a Python file with one controller class, or a registered name, is needed")
     chosen, draw = entry(controller), PUBLISHED if seed is None else seed
-    print(f"checking controller {chosen.name}", flush=True)
+    print(f"checking controller {name_of(chosen)}", flush=True)
     check(chosen)
     table = score(chosen, [draw], QUICK if small else None)
     head = ["scenario", "setting", "seed", "controller", "points", "failure"]
     units = {name: f"{name} ({unit})" for name, (unit, _) in METRICS.items() if name in table}
-    file = paths.BUILD / "score" / f"{chosen.name}-{draw}.csv"
+    file = paths.BUILD / "score" / f"{name_of(chosen)}-{draw}.csv"
     data.write(file, table[[*head, *units]].rename(columns=units).to_csv(index=False, float_format="%.6g"))
     for _, row in table[table["failure"] != ""].iterrows():
         print(f"failed: {row['scenario']} in the setting {row['setting']}: {row['failure']}")

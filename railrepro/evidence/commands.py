@@ -1,8 +1,12 @@
-"""The commands of `python -m railrepro` and their arguments, which are checked before anything starts."""
+"""The commands of `python -m railrepro` and their arguments, which are checked before anything starts.
+
+What a command needs is imported when it runs.
+"""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import signal
 import sys
@@ -14,9 +18,30 @@ from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
+from railrepro import numerics
 from railrepro.data import InputError
 
 PROGRAM = "python -m railrepro"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command.
+
+    Returns
+    -------
+    int
+        Exit code, see `report_errors`; 2 after wrong arguments.
+    """
+    chosen = vars(parser().parse_args(arguments))
+    numerics.fix()  # before a command imports NumPy
+    module, _, name = chosen.pop("call").partition(":")
+    try:
+        # outside of `report_errors`: libraries that are interrupted while they are imported fail in ways of their own
+        call = getattr(importlib.import_module(module), name)
+    except (InputError, ModuleNotFoundError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return report_errors(partial(call, **chosen))
 
 
 def report_errors(command: Callable[[], object]) -> int:
@@ -90,70 +115,56 @@ def _whole(low: int, high: int) -> Callable[[str], int]:
     return read
 
 
-def _add(group, name: str, call: str, words: str) -> argparse.ArgumentParser:
-    added = group.add_parser(name, help=words, description=words)
-    added.set_defaults(call=f"railrepro.evidence.{call}")
-    return added
+_CALLS = {
+    "figures": ("evidence.chain.chain:figures", "run the notebooks that are stale"),
+    "drive": ("evidence.chain.chain:drive", "run the chapters 00 to 09 with a car of one's own"),
+    "verify": ("evidence.chain.chain:verify", "rerun all notebooks and compare with the committed products"),
+    "html": ("evidence.chain.book:html", "executed notebooks as a book in build/html"),
+    "tune": ("evidence.runs.swarm:main", "tune controllers by particle swarm, write data/tuned (long, resumes)"),
+    "probe": ("evidence.report.flips:main", "metrics of the nominal car (long), or verdicts that answers flip"),
+    "calibrated": ("evidence.claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)"),
+    "robustness": ("evidence.uncertainty.robustness:main", "robustness of the verdicts over samples (long, resumes)"),
+    "margins": ("evidence.uncertainty.margins:main", "stability margins of all tuned sets (long)"),
+    "loop": ("evidence.uncertainty.loop:main", "closed loop over unseen seeds, and its limit (long, resumes)"),
+    "order": ("evidence.uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)"),
+    "bench": ("evidence.bench.speed:main", "measure speed, write data/results"),
+    "report": ("evidence.report.page:main", "judge the statements, write REPLICATION.md, numbers of README.md"),
+    "score": ("evidence.benchmark:main", "score a controller on the benchmark, write build/score"),
+    "leaderboard": ("evidence.benchmark:leaderboard", "score registered controllers and examples/ (long)"),
+    "release": ("evidence.release:main", "an archive with the runs of Figs. 6 to 9 as data for other programs"),
+    "live": ("export.live:main", "the page in build/live that drives the car in a browser"),
+}
+"""Commands with the function that each calls, as "module:name", and what it does."""
 
 
 def parser() -> argparse.ArgumentParser:
     """The commands and their arguments; `call` of what it parses is the function, as "module:name"."""
     top = _Parser(prog=PROGRAM, description="Model predictive control of railway running gears, replicated.")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
-    _studies(partial(_add, commands))
-    _tools(partial(_add, commands))
-    words = "the notebooks and their products"
-    chain = commands.add_parser("chain", help=words, description=words).add_subparsers(required=True, metavar="COMMAND")
-    _chain(partial(_add, chain))
+    added = {name: commands.add_parser(name, help=words, description=words) for name, (_, words) in _CALLS.items()}
+    for name, (call, _) in _CALLS.items():
+        added[name].set_defaults(call=f"railrepro.{call}")
+    for name, metavar, words in (
+        ("figures", "NAME", "notebooks or figures, as fig06; default all"),
+        ("tune", "NAME", "settings and controllers; default all"),
+    ):
+        added[name].add_argument("names", nargs="*", metavar=metavar, help=words)
+    words = "paper, equal, loop; default all; or FILE.toml, a filled data/answers.toml"
+    added["probe"].add_argument("settings", nargs="*", metavar="SETTING", help=words)
+    added["drive"].add_argument("vehicle", type=Path, help="a file like data/vehicle.toml")
+    words = "a Python file with one controller class, or a registered name"
+    added["score"].add_argument("controller", nargs="?", help=words)
+    for name, option, low, high, words in (
+        ("figures", "--jobs", 1, 64, "notebooks at a time; default one per processor"),
+        ("calibrated", "--draws", 0, 1000, "perturbations of each size, default 20"),
+        ("robustness", "--samples", 1, 4096, "samples of the robustness study, default 128"),
+        ("score", "--seed", 0, 2**31, "a different random seed of noise, rails and cars"),
+    ):
+        added[name].add_argument(option, type=_whole(low, high), help=words)
+    for name, option, words in (
+        ("report", "--accept", "write verdicts that changed, too"),
+        ("score", "--describe", "only print what a law may use, with unit and meaning"),
+        ("score", "--small", "only the quick runs of the published draw, no margins"),
+    ):
+        added[name].add_argument(option, action="store_true", help=words)
     return top
-
-
-def _studies(command: Callable) -> None:
-    added = command("tune", "runs.swarm:main", "tune controllers by particle swarm, write data/tuned (long, resumes)")
-    added.add_argument("names", nargs="*", metavar="NAME", help="settings and controllers; default all")
-    added = command("probe", "report.flips:main", "metrics of the nominal car (long), or verdicts that answers flip")
-    added.add_argument(
-        "settings",
-        nargs="*",
-        metavar="SETTING",
-        help="paper, equal, loop; default all; or FILE.toml, a filled data/answers.toml",
-    )
-    added = command("calibrated", "claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)")
-    added.add_argument("--draws", type=_whole(0, 1000), help="perturbations of each size, default 20")
-    added = command(
-        "robustness", "uncertainty.robustness:main", "robustness of the verdicts over samples (long, resumes)"
-    )
-    added.add_argument("--samples", type=_whole(1, 4096), help="samples of the robustness study, default 128")
-    command("margins", "uncertainty.margins:main", "stability margins of all tuned sets (long)")
-    command(
-        "loop", "uncertainty.loop:main", "closed loop with sensors over unseen seeds, and its limit (long, resumes)"
-    )
-    command("order", "uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)")
-    added = command("bench", "bench.speed:main", "measure speed, write data/results")
-    added.add_argument("names", nargs="*", metavar="TABLE", help="tables; default all")
-    added = command("report", "report.page:main", "judge the statements, write REPLICATION.md, numbers of README.md")
-    added.add_argument("--accept", action="store_true", help="write verdicts that changed, too")
-
-
-def _tools(command: Callable) -> None:
-    added = command("score", "benchmark:main", "score a controller on the benchmark, write build/score")
-    added.add_argument("controller", nargs="?", help="a Python file with one controller class, or a registered name")
-    added.add_argument("--describe", action="store_true", help="only print what a law may use, with unit and meaning")
-    added.add_argument("--seed", type=_whole(0, 2**31), help="a different random seed of noise, rails and cars")
-    added.add_argument("--small", action="store_true", help="only the quick runs of the published draw, no margins")
-    command("leaderboard", "benchmark:leaderboard", "score registered controllers and examples/ (long)")
-    command("release", "release:main", "an archive with the runs of Figs. 6 to 9 as data for other programs")
-    added = command("live", "", "the page in build/live that drives the car in a browser")
-    added.set_defaults(call="railrepro.export.live:main")
-
-
-def _chain(command: Callable) -> None:
-    added = command("run", "chain.chain:figures", "run what is stale")
-    added.add_argument("names", nargs="*", metavar="NAME", help="notebooks or figures, as fig06; default all")
-    added.add_argument("--jobs", type=_whole(1, 64), default=0, help="notebooks at a time; default one per processor")
-    added = command("one", "chain.chain:refresh", "run one notebook if it is stale, alone")
-    added.add_argument("name")
-    added = command("drive", "chain.chain:drive", "run the chapters 00 to 09 with a car of one's own")
-    added.add_argument("vehicle", type=Path, help="a file like data/vehicle.toml")
-    command("html", "chain.book:html", "executed notebooks as a book in build/html")
-    command("verify", "chain.verify:verify", "rerun everything and compare with the committed products")

@@ -9,12 +9,11 @@ from railrepro.car import component, equations
 from railrepro.car.component import DERAILED, LARGEST_SPEED, LARGEST_STATE, LARGEST_TORQUE, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.export.fmu import Fmu, Parameter, constant, parameters, parameters_text, write_fmu
-from railrepro.track.route import CELL, COLUMNS, INDEX, Route
+from railrepro.export.fmu import Fmu, Parameter, constant, parameters, parameters_text
+from railrepro.track.route import CELL, COLUMNS, Route
 from railrepro.vehicle.parameters import Vehicle
 
 INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
-MODEL = Path(__file__).with_name("car_fmu.c")
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
@@ -41,34 +40,27 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     InputError
         Without C compiler, with an impossible speed, or where the file cannot be written.
     """
-    text, found = written(SteppedCar(route, speed, vehicle), speed)
-    description = "Multibody car on independently rotating wheels"
-    fmu = Fmu("car", description, equations.car().outputs, INPUTS, LARGEST_TORQUE, found)
-    return write_fmu(path, fmu, text, MODEL.read_text())
+    return car_fmu(SteppedCar(route, speed, vehicle), speed).write(path)
 
 
-def written(car: SteppedCar, speed: float, route: Callable = constant) -> tuple[str, list[Parameter]]:
-    """C source of a car before `MODEL`, and its parameters; `route` writes the table of the route, see `constant`."""
+def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
+    """C source and description of a car; `road` writes the table of the route, see `constant`."""
     found = parameters(equations.CarParameters, car.parameters)
     found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
-    text = component.c_text(equations.rest(car.table))
-    return text + _constants(car, route) + parameters_text(found), found
-
-
-def _constants(car: SteppedCar, route: Callable) -> str:
-    """C constants of an FMU: tables, parameters, start state."""
-
-    contacts = car.table.cells()
-    sizes = {"N_STATE": len(equations.STATES), "N_OUTPUT": len(equations.car().outputs), "N_CELL": len(COLUMNS)}
-    sizes |= {"N_CELLS": len(car.route.cells), "N_CONTACT": equations.CONTACT_COLUMNS, "N_CONTACTS": len(contacts)}
-    sizes |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
-    grids = {"CELL_START": car.route.cells[0, INDEX["p"]], "CELL_STEP": CELL}
-    grids |= {"CONTACT_START": car.table.start, "CONTACT_STEP": car.table.step, "PERIOD": CONTROL_PERIOD}
-    grids |= {"LARGEST_STATE": LARGEST_STATE, "DERAILED": DERAILED}
-    outputs = equations.car().outputs
-    sizes |= {"FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}
-    text = '\n#define INPUTS_TEXT "the four torques"\n'
-    text += f'#define INPUT_TEXT "a torque must be a number of at most {LARGEST_TORQUE:g} N m"\n'
-    text += codegen.defines(sizes) + codegen.defines({name: float(value).hex() for name, value in grids.items()})
-    arrays = {"CONTACTS": contacts, "START": car.state}
-    return text + route("CELLS", car.route.cells) + "".join(constant(*array) for array in arrays.items())
+    contacts, outputs = car.table.cells(), equations.car().outputs
+    numbers = {"N_STATE": len(equations.STATES), "N_INPUT": len(INPUTS), "N_OUTPUT": len(outputs)}
+    numbers |= {"N_CELL": len(COLUMNS), "N_CELLS": len(car.route.cells)}
+    numbers |= {"N_CONTACT": equations.CONTACT_COLUMNS, "N_CONTACTS": len(contacts)}
+    numbers |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
+    numbers |= {"FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}
+    exact = {"CELL_START": car.route.start, "CELL_STEP": CELL, "PERIOD": CONTROL_PERIOD}
+    exact |= {"CONTACT_START": car.table.start, "CONTACT_STEP": car.table.step}
+    exact |= {"LARGEST_STATE": LARGEST_STATE, "DERAILED": DERAILED}
+    said = {
+        "INPUTS_TEXT": '"the four torques"',
+        "INPUT_TEXT": f'"a torque must be a number of at most {LARGEST_TORQUE:g} N m"',
+    }
+    text = component.c_text(equations.rest(car.table)) + codegen.defines(numbers | exact | said)
+    text += road("CELLS", car.route.cells) + constant("CONTACTS", contacts) + constant("START", car.state)
+    description, model = "Multibody car on independently rotating wheels", Path(__file__).with_name("car_fmu.c")
+    return Fmu("car", description, outputs, INPUTS, LARGEST_TORQUE, found, text + parameters_text(found), model)

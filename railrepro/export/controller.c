@@ -1,10 +1,10 @@
 /* A controller of both gears with its road built in, without allocation: the control law every millisecond, and before it,
    every PLAN_STEPS, the torques of slower controllers. Knows nothing of railways. Starts after call.h, the generated law and
-   the constants of the exported one; controller_plan is that of the slower controllers, where there are some. */
+   the constants of the exported one; with PLAN_STEPS also planner_memory_t, planner_reset and planner_sample. */
 
 typedef struct {
   /* what is measured (SI), by the enumerated MEASURED_...; torques that follow (N m), by TORQUE_... */
-  double measured[N_MEASURED], torque[N_TORQUE];
+  double measured[N_INPUT], torque[N_OUTPUT];
   /* by PARAMETER_..., the gains of the law first */
   double parameters[N_PARAMETER];
   /* the road, a table that the caller may exchange */
@@ -49,23 +49,33 @@ void controller_lay(controller_t *c, double cells[N_CELLS * N_CELL_COLUMNS]) {
   c->cells = cells;
 }
 
+#ifdef PLAN_STEPS
+/* Torques of the slower controllers from what is measured, or from what sensors and filter make of it. */
+static void controller_plan(controller_t *c) {
+  static const int read_of_state[N_READINGS] = READ_OF_STATE;
+  for (int g = 0; g < GEARS; ++g) {
+    const double *state = c->measured + g * GEAR_MEASURED, *memory = c->memory + g * GEAR_MEMORY, *read = memory + READ;
+    double exact[N_READINGS];
+    if (ESTIMATED && c->cycles) {
+      state = memory + ESTIMATED;
+    } else {
+      for (int i = 0; i < N_READINGS; ++i) exact[i] = state[read_of_state[i]];
+      read = exact;
+    }
+    c->held[g] = planner_sample(&c->planner[g], state, read, memory[BASE]);
+  }
+}
+#endif
+
 /* One control cycle: from `measured` to `torque`; not 0 when the law fails. */
 int controller_step(controller_t *c) {
   for (int g = 0; g < GEARS; ++g) {
-    const double *row = row_at(c->cells, c->measured[POSITIONS[g]], CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
+    const double p = c->measured[MEASURED_FRONT_P + g * GEAR_MEASURED];
+    const double *row = row_at(c->cells, p, CELL_START, CELL_STEP, N_CELLS, N_CELL_COLUMNS);
     memcpy(c->rows + g * N_CELL_COLUMNS, row, N_CELL_COLUMNS * sizeof(double));
   }
 #ifdef PLAN_STEPS
-  if (c->cycles % PLAN_STEPS == 0)
-    for (int g = 0; g < GEARS; ++g) {
-      double state[N_STATES_OF_GEAR], readings[N_READINGS];
-      const int sensed = ESTIMATED_IN_MEMORY && c->cycles;
-      for (int i = 0; i < N_STATES_OF_GEAR; ++i)
-        state[i] = sensed ? c->memory[ESTIMATED[g][i]] : c->measured[STATES_AT[g][i]];
-      for (int i = 0; i < N_READINGS; ++i)
-        readings[i] = sensed ? c->memory[READ[g][i]] : c->measured[READ_AT[g][i]];
-      c->held[g] = planner_sample(&c->planner[g], state, readings, c->memory[BASE[g]]);
-    }
+  if (c->cycles % PLAN_STEPS == 0) controller_plan(c);
 #endif
   const double *in[] = {c->measured, c->rows, c->held, c->parameters, c->memory};
   double *out[] = {c->torque, c->next};

@@ -7,14 +7,13 @@ standard. All run-time numbers of car and controllers are parameters of their FM
 from __future__ import annotations
 
 import io
-import platform
 import sys
 import uuid
 import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from xml.etree import ElementTree
+from string import Template
 
 import numpy as np
 
@@ -24,8 +23,9 @@ from railrepro.compile import cache, codegen
 from railrepro.data import location, write
 from railrepro.quantities import names, notes
 
-_SOURCE = "all.c"
-"""Name of the C source in an FMU."""
+_HERE = Path(__file__).parent
+_FOLDER, _SUFFIX = {"darwin": ("darwin64", "dylib")}.get(sys.platform, ("linux64", "so"))
+"""Name of this platform in FMI 2.0, and suffix of its shared objects."""
 _ANY = data.Quantity(-1e12, 1e12, "", closed=True)
 """Range of what states none."""
 
@@ -41,13 +41,13 @@ class Parameter:
     high: float
 
 
-def parameters(of: type, values: Iterable[float], below: str = "") -> list[Parameter]:
-    """The entries of a dataclass of quantities as parameters, their names `below` another one."""
+def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
+    """The entries of a dataclass of quantities as parameters."""
     found = []
     for name, note, value in zip(names(of), notes(of), values, strict=True):
         allowed = note if isinstance(note, data.Quantity) else replace(_ANY, unit=note or "")
         low = -allowed.high if allowed.signed else allowed.low
-        found.append(Parameter(below + name, float(value), allowed.unit, low, allowed.high))
+        found.append(Parameter(name, float(value), allowed.unit, low, allowed.high))
     return found
 
 
@@ -55,38 +55,12 @@ def parameters_text(of: Sequence[Parameter]) -> str:
     """C of start values and ranges, and where each stands: PARAMETER_BODY_MASS and so on."""
     tables = {"PARAMETERS": "value", "LOWEST": "low", "HIGHEST": "high"}
     text = "".join(constant(name, np.array([getattr(one, key) for one in of])) for name, key in tables.items())
-    return index_enum("PARAMETER", [one.name for one in of]) + f"enum {{ N_PARAMETER = {len(of)} }};\n" + text
+    return index_enum("PARAMETER", [one.name for one in of]) + codegen.defines({"N_PARAMETER": len(of)}) + text
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
     """C enumeration of the indices of named values, MEASURED_FRONT_P and so on."""
     return f"enum {{ {', '.join(f'{prefix}_{name.replace(chr(46), chr(95)).upper()}' for name in of)} }};\n"
-
-
-@dataclass(frozen=True)
-class Fmu:
-    """What the description of an FMU says.
-
-    Attributes
-    ----------
-    name, description : str
-    outputs, inputs : tuple of str
-    largest : float
-        Largest magnitude of an input (SI).
-    parameters : sequence of Parameter
-    """
-
-    name: str
-    description: str
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-    largest: float
-    parameters: Sequence[Parameter]
-
-    @property
-    def identifier(self) -> str:
-        """Name of the FMU among others."""
-        return f"railrepro_{self.name}"
 
 
 def constant(name: str, values: np.ndarray) -> str:
@@ -95,83 +69,62 @@ def constant(name: str, values: np.ndarray) -> str:
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
 
-def write_fmu(path: Path | str, fmu: Fmu, text: str, model: str) -> Path:
-    """Compile and pack an FMU.
+@dataclass(frozen=True)
+class Fmu:
+    """C source of a car or a controller, and what its description says."""
 
-    Parameters
-    ----------
-    path : path
-        The .fmu file.
-    fmu : Fmu
-    text : str
-        C source with call.h, generated functions and constants. It defines INPUTS_TEXT (names of the inputs, for
-        error messages) and INPUT_TEXT (message for an input out of range).
-    model : str
-        C source of the FMU's model: type fmu_t, functions connect, reset, begin and advance.
+    name: str
+    description: str
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    largest: float
+    """Largest magnitude of an input (SI)."""
+    parameters: Sequence[Parameter]
+    text: str
+    """C source with call.h, generated functions and constants. It defines INPUTS_TEXT (names of the inputs, for error
+    messages) and INPUT_TEXT (message for an input out of range)."""
+    model: Path
+    """C source that follows: type fmu_t, functions connect, reset, begin and advance."""
 
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
-    numbers = {"N_INPUT": len(fmu.inputs), "LARGEST_INPUT": float(fmu.largest).hex(), "FMU_NAME": f'"{fmu.name}"'}
-    text += codegen.defines(numbers)
-    file, around = location(path), model + Path(__file__).with_name("fmi2.c").read_text()
-    guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{around}{_description(fmu, '')}"))
-    text += f'\n#define GUID "{guid}"\n{around}'
-    suffix = "dylib" if sys.platform == "darwin" else "so"
-    compiled, packed = cache.build(text, portable=True), io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.write(compiled, f"binaries/{_system()}/{fmu.identifier}.{suffix}")
-        archive.writestr("modelDescription.xml", _description(fmu, guid))
-        archive.writestr(f"sources/{_SOURCE}", text)
-    write(file, packed.getvalue())
-    return file
+    def write(self, path: Path | str) -> Path:
+        """Compile and pack an .fmu file; InputError where it cannot be written."""
+        numbers = {"LARGEST_INPUT": float(self.largest), "FMU_NAME": f'"{self.name}"'}
+        text, file = self.text + codegen.defines(numbers), location(path)
+        around = self.model.read_text() + (_HERE / "fmi2.c").read_text()
+        guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{around}{self.model_description('')}"))
+        text += codegen.defines({"GUID": f'"{guid}"'}) + around
+        compiled, packed = cache.build(text, portable=True), io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.write(compiled, f"binaries/{_FOLDER}/railrepro_{self.name}.{_SUFFIX}")
+            archive.writestr("modelDescription.xml", self.model_description(guid))
+            archive.writestr("sources/all.c", text)
+        write(file, packed.getvalue())
+        return file
+
+    def model_description(self, guid: str) -> str:
+        """Content of modelDescription.xml; value references count outputs, inputs, parameters."""
+        limits = f'min="{-self.largest:g}" max="{self.largest:g}" start="0"'
+        shown = [(name, "output", "continuous", "") for name in self.outputs]
+        shown += [(name, "input", "continuous", limits) for name in self.inputs]
+        for one in self.parameters:
+            edges = f'start="{one.value!r}" min="{one.low!r}" max="{one.high!r}"'
+            shown.append((one.name, "parameter", "fixed", edges + (f' unit="{one.unit}"' if _has_unit(one) else "")))
+        variables = (
+            f'<ScalarVariable name="{name}" valueReference="{i}" causality="{causality}" variability="{variability}">'
+            f"<Real {number}/></ScalarVariable>"
+            for i, (name, causality, variability, number) in enumerate(shown)
+        )
+        units = sorted({one.unit for one in self.parameters if _has_unit(one)})
+        return Template((_HERE / "modelDescription.xml").read_text()).substitute(
+            identifier=f"railrepro_{self.name}",
+            description=self.description,
+            guid=guid,
+            step=CONTROL_PERIOD,
+            units="".join(f'<Unit name="{unit}"/>' for unit in units),
+            variables="\n    ".join(variables),
+            unknowns="".join(f'<Unknown index="{i + 1}"/>' for i in range(len(self.outputs))),
+        )
 
 
-def _system() -> str:
-    """Name of this platform in FMI 2.0."""
-    return {"linux": "linux64", "darwin": "darwin64"}.get(sys.platform, sys.platform + platform.machine()[-2:])
-
-
-def _variables(fmu: Fmu) -> list[tuple[dict[str, str], dict[str, str]]]:
-    """Attributes of each variable, and those of its number; value references count outputs, inputs, parameters."""
-    limits = {"min": f"{-fmu.largest:g}", "max": f"{fmu.largest:g}", "start": "0"}
-    shown: list[tuple] = [(name, "output", {}) for name in fmu.outputs]
-    shown += [(name, "input", limits) for name in fmu.inputs]
-    for one in fmu.parameters:
-        edges = {"start": repr(one.value), "min": repr(one.low), "max": repr(one.high)}
-        shown.append((one.name, "parameter", edges | ({"unit": one.unit} if one.unit.strip("-") else {})))
-    found = []
-    for i, (name, causality, number) in enumerate(shown):
-        variability = "fixed" if causality == "parameter" else "continuous"
-        head = {"variability": variability, "name": name, "valueReference": str(i), "causality": causality}
-        found.append((head, number))
-    return found
-
-
-def _description(fmu: Fmu, guid: str) -> str:
-    """modelDescription.xml."""
-    named = {"fmiVersion": "2.0", "modelName": fmu.identifier, "guid": guid, "numberOfEventIndicators": "0"}
-    own = {"description": fmu.description, "generationTool": "railrepro", "variableNamingConvention": "structured"}
-    root = ElementTree.Element("fmiModelDescription", named | own)
-    can = {"canHandleVariableCommunicationStepSize": "true", "canGetAndSetFMUstate": "false"}
-    simulation = ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": fmu.identifier} | can)
-    ElementTree.SubElement(ElementTree.SubElement(simulation, "SourceFiles"), "File", name=_SOURCE)
-    units = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted({one.unit for one in fmu.parameters if one.unit.strip("-")}):
-        ElementTree.SubElement(units, "Unit", name=unit)
-    categories = ElementTree.SubElement(root, "LogCategories")
-    for name in ("logStatusError", "logStatusWarning"):
-        ElementTree.SubElement(categories, "Category", name=name)
-    step = str(CONTROL_PERIOD)
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=step)
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    for attributes, number in _variables(fmu):
-        ElementTree.SubElement(ElementTree.SubElement(variables, "ScalarVariable", attributes), "Real", number)
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for kind in ("Outputs", "InitialUnknowns"):
-        unknowns = ElementTree.SubElement(structure, kind)
-        for index in range(1, len(fmu.outputs) + 1):
-            ElementTree.SubElement(unknowns, "Unknown", index=str(index))
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode")
+def _has_unit(one: Parameter) -> bool:
+    return one.unit not in ("", "-")

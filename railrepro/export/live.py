@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
@@ -26,10 +26,9 @@ from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
 from railrepro.control.registry import CONTROLLERS, NOTHING, guidance, parameters
 from railrepro.data import write
-from railrepro.export import car as car_export
-from railrepro.export import controller as controller_export
-from railrepro.export.controller import TORQUES, Export
-from railrepro.export.fmu import Parameter
+from railrepro.export.car import car_fmu
+from railrepro.export.controller import Export
+from railrepro.export.fmu import Fmu
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.track.route import COLUMNS, Route
@@ -59,11 +58,10 @@ FEW, FEWER = 10, 50
 """Cycles from one row of a run to the next, and of a run to standstill."""
 
 
-def webassembly(text: str, model: Path, inputs: Sequence[str]) -> bytes:
-    """Module of a car or a controller from its C before `model`, and the names of its inputs."""
-    parts = (model, _HERE / "module.c")
-    text = f'{text}\n#define N_INPUT {len(inputs)}\n#define FMU_NAME "live"\n'
-    return cache.build(text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
+def webassembly(of: Fmu) -> bytes:
+    """Module of a car or a controller."""
+    parts = of.model, _HERE / "module.c"
+    return cache.build(of.text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
 
 
 def _writable(name: str, values: np.ndarray) -> str:
@@ -89,8 +87,9 @@ def _packed(content: bytes | np.ndarray) -> str:
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
-def _stated(found: list[Parameter]) -> list[dict]:
-    return [asdict(one) for one in found]
+def _module(of: Fmu) -> dict:
+    """A module as the page has it."""
+    return {"module": _packed(webassembly(of)), "parameters": [asdict(one) for one in of.parameters]}
 
 
 def content(tell: Callable[[str], None] = print) -> dict:
@@ -99,16 +98,13 @@ def content(tell: Callable[[str], None] = print) -> dict:
     routes = _alike(scenarios)
     any_route = next(iter(routes.values()))
     tell("car")
-    text, found = car_export.written(SteppedCar(any_route, 50.0), 50.0, _writable)
-    car = {"module": _packed(webassembly(text, car_export.MODEL, TORQUES)), "parameters": _stated(found)}
+    car = _module(car_fmu(SteppedCar(any_route, 50.0), 50.0, _writable))
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
     controllers: dict[str, dict] = {setting: {} for setting in SETTINGS}
     for setting, name in product(SETTINGS, (*SHOWN, OWN)):
         tell(f"{setting} {name}")
-        text, found = Export(_law(name, setting), any_route).written(_writable)
-        module = webassembly(text + controller_export.SIZES, controller_export.MODEL, interface.MEASURED)
-        one = {"label": SHOWN.get(name, "Law of your own"), "module": _packed(module), "parameters": _stated(found)}
-        controllers[setting][name] = one
+        module = _module(Export(_law(name, setting), any_route).fmu(_writable))
+        controllers[setting][name] = {"label": SHOWN.get(name, "Law of your own")} | module
     figures = {}
     for title, name in FIGURES.items():
         tell(title)

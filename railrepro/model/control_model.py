@@ -40,18 +40,12 @@ OUTSIDE = frozenset({"D4"})
 
 @dataclass(frozen=True)
 class ControlModel:
-    """The model with its variant.
-
-    Attributes
-    ----------
-    rhs : casadi.Function
-        (x[6], u[2] = [tau_ri, tau_le], theta[9], par) -> dx/dt[6], SI.
-    discrepancies : frozenset of str
-        What is kept as printed.
-    """
+    """The model with its variant."""
 
     rhs: ca.Function
+    """(x[6], u[2] = [tau_ri, tau_le], theta[9], par) -> dx/dt[6], SI."""
     discrepancies: frozenset[str]
+    """What is kept as printed."""
 
     parameters = PARAMETERS
 

@@ -22,18 +22,12 @@ NOMINAL = ("acceleration_per_torque", "partner", "m_CB")
 
 @dataclass(frozen=True)
 class Forecast:
-    """What lies ahead of one running gear.
-
-    Attributes
-    ----------
-    x_d : ndarray, shape (L + 1, 6)
-        Desired states x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx (SI).
-    theta : ndarray, shape (L + 1, 9)
-        Track parameters of the control model at the forecast positions.
-    """
+    """What lies ahead of one running gear."""
 
     x_d: np.ndarray
+    """Desired states x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx, shape (L + 1, 6), SI."""
     theta: np.ndarray
+    """Track parameters of the control model at the forecast positions, shape (L + 1, 9)."""
 
 
 def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:

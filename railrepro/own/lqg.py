@@ -104,12 +104,10 @@ class Design:
         self.sent = max(self.late, 1)
         self.rails = _SMOOTH, _SMOOTH if loop is None else settings.rails
         self.noise, self.drift = np.array(LEAST_NOISE), np.full(2, 1e-9)
-        if loop is not None:  # two planes make y and psi; a bias is drawn uniformly and drifts with that variance
-            plane, of_psi = loop.lateral, np.sqrt(2) / loop.lateral.base
-            noise = plane.noise / np.sqrt(2), plane.noise * of_psi, loop.gyro.noise
-            biases = np.array([plane.bias * of_psi, loop.gyro.bias]) / np.sqrt(3)
+        if loop is not None:  # a bias drifts with the variance with which it is drawn
+            noise, biases = loop.lateral_errors()
             self.noise = np.maximum(self.noise, noise)
-            self.drift = np.maximum(self.drift, biases * np.sqrt(2 / settings.settle))
+            self.drift = np.maximum(self.drift, biases[1:] * np.sqrt(2 / settings.settle))
         a, b, e, d = lateral_model(vehicle, speed)
         rails = [KNOWN.index(name) for name in ("rail_offset", "rail_rate")]
         low, high = speed * _LONG, speed * _SHORT

@@ -1,33 +1,53 @@
 /* The 1 kHz control cycle between a car and a control law: measure, control, record, step. Knows nothing of either: functions
-   from other shared objects and buffers that they share. Starts after call.h. */
+   from other shared objects and buffers that they share. Starts after call.h and the macros STATES and READINGS. */
 
-/* A slower controller of one gear that is compiled code: torque held from its state, readings and base torque. */
+/* A slower controller of one gear that is compiled code: torque held from its states, readings and base torque. `seen` has the
+   addresses of states and readings. */
 typedef struct {
   double (*sample)(void *, const double *, const double *, double);
   void *self;
-  const double *state, *read, *base;
   double *held;
+  const double *base;
+  const double *const *seen;
 } planner_slot_t;
+
+typedef struct { double *values; casadi_int n; } vector_t;
 
 typedef struct {
   const void *car;
   int (*measure)(const void *);
   int (*advance)(const void *);
   call_t law;
-  /* from the car's outputs to the law, from both to the log, from the law's next memory to its present one */
-  const copy_t *sensed, *logged, *carried;
-  casadi_int n_sensed, n_logged, n_carried;
-  const double *margins;
-  casadi_int n_margins;
-  /* what the slower controllers see in the first cycle and later ones; they are sampled every so many cycles */
-  const copy_t *first, *later;
-  casadi_int n_first, n_later;
+  /* the law measures some of the car's outputs, whose addresses are in `sensed` */
+  const double *const *sensed;
+  vector_t measured;
+  /* what the log keeps, and margins to the limits of the run */
+  vector_t outputs, record, margins;
+  /* from the law's next memory to its present one */
+  copy_t carried;
+  /* sampled every so many cycles */
   const planner_slot_t *planners;
   casadi_int n_planners, every;
 } loop_t;
 
-static void copy(const copy_t *copies, casadi_int n) {
-  for (casadi_int i = 0; i < n; ++i) memcpy(copies[i].to, copies[i].from, (size_t)copies[i].n * sizeof(double));
+static void gather(double *to, const double *const *from, casadi_int n) {
+  for (casadi_int i = 0; i < n; ++i) to[i] = *from[i];
+}
+
+static void plan(const planner_slot_t *slot) {
+  double seen[STATES + READINGS];
+  gather(seen, slot->seen, STATES + READINGS);
+  *slot->held = slot->sample(slot->self, seen, seen + STATES, *slot->base);
+}
+
+/* Copies a vector into the log; whether all of it is finite. */
+static int record(const vector_t *vector, double **row) {
+  int finite = 1;
+  for (casadi_int i = 0; i < vector->n; ++i) {
+    *(*row)++ = vector->values[i];
+    finite = finite && isfinite(vector->values[i]);
+  }
+  return finite;
 }
 
 /* Returns the number of finished control cycles; a margin that is not positive, a value that is not finite or a failing
@@ -35,26 +55,16 @@ static void copy(const copy_t *copies, casadi_int n) {
 casadi_int loop_run(const loop_t *loop, casadi_int n, double *row, casadi_int before) {
   for (casadi_int k = 0; k < n; ++k) {
     if (loop->measure(loop->car)) return k;
-    if (loop->n_planners && (before + k) % loop->every == 0) {
-      before + k ? copy(loop->later, loop->n_later) : copy(loop->first, loop->n_first);
-      for (casadi_int i = 0; i < loop->n_planners; ++i) {
-        const planner_slot_t *p = loop->planners + i;
-        *p->held = p->sample(p->self, p->state, p->read, *p->base);
-      }
-    }
-    copy(loop->sensed, loop->n_sensed);
+    if (loop->n_planners && (before + k) % loop->every == 0)
+      for (casadi_int i = 0; i < loop->n_planners; ++i) plan(loop->planners + i);
+    gather(loop->measured.values, loop->sensed, loop->measured.n);
     if (evaluate(&loop->law)) return k;
-    int finite = 1;
-    for (casadi_int i = 0; i < loop->n_logged; ++i) {
-      const copy_t *log = loop->logged + i;
-      memcpy(row, log->from, (size_t)log->n * sizeof(double));
-      for (casadi_int j = 0; j < log->n; ++j) finite = finite && isfinite(row[j]);
-      row += log->n;
-    }
-    for (casadi_int i = 0; i < loop->n_margins; ++i)
-      if (!(loop->margins[i] > 0)) return k;
+    int finite = record(&loop->outputs, &row);
+    finite = record(&loop->record, &row) && finite;
+    for (casadi_int i = 0; i < loop->margins.n; ++i)
+      if (!(loop->margins.values[i] > 0)) return k;
     if (!finite || loop->advance(loop->car)) return k;
-    copy(loop->carried, loop->n_carried);
+    memcpy(loop->carried.to, loop->carried.from, (size_t)loop->carried.n * sizeof(double));
   }
   return n;
 }

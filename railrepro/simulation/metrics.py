@@ -12,7 +12,7 @@ import scipy
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.contact.creep import adhesion_maximum
 from railrepro.contact.table import middle_patch
-from railrepro.data import InputError, require
+from railrepro.data import InputError
 from railrepro.quantities import GEARS, WHEELS
 from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
@@ -30,21 +30,16 @@ ACTIVITY = 5.0
 class Part:
     """Columns of a part of the car in the series of a run: `Part(series, "front").y_ref` is the column front.y_ref.
 
-    InputError when there is no such column of numbers, or no row.
+    InputError when there is no such column of numbers.
     """
 
     def __init__(self, series: pd.DataFrame, of: str):
-        require("metrics: series", series, pd.DataFrame)
         self._series, self._of = series, of
 
     def __getattr__(self, name: str) -> np.ndarray:
         series, column = self._series, f"{self._of}.{name}"
-        if column not in series or series.empty:
-            raise InputError(
-                f"metrics: a series of {len(series)} rows has no {column!r}, the series of a run is needed"
-            )
-        if series[column].dtype.kind not in "iuf":
-            raise InputError(f"metrics: {column!r} holds {series[column].iloc[0]!r}, numbers are needed")
+        if column not in series or series.empty or series[column].dtype.kind not in "iuf":
+            raise InputError(f"metrics: {column!r} is no column of numbers here, the series of a run is needed")
         return series[column].to_numpy()
 
 

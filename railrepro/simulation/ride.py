@@ -1,9 +1,9 @@
 """Ride and safety of a run in the quantities of vehicle acceptance: rail forces, flange contact, wear, comfort, energy.
 
-Functions work on arrays of shape (n,) over a run (SI, forces on the rail): `p` is the track coordinate, which never
-decreases (m), `rate` the samples per second (Hz). `ride_summary` takes the series of a run and is the edge where units
-of the trade appear. The source of a number stands with it: *read* in a public document that quotes the standard,
-*recalled* from the standard. The standards themselves were not at hand.
+Functions work on arrays of shape (n,) over a run (SI, forces on the rail): `p` is the track coordinate (m), `rate` the
+samples per second (Hz). `ride_summary` takes the series of a run and is the edge where units of the trade appear. The
+source of a number stands with it: *read* in a public document that quotes the standard, *recalled* from the standard.
+The standards themselves were not at hand.
 
 Two kinds of filter. Forces are low-passed forwards and backwards (no phase), so that peaks keep their position on the
 track and those of different wheels can be added. Comfort weightings run forwards only: the standards give a transfer
@@ -43,11 +43,83 @@ Source: Wk, Wd: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 1
 with what is recalled of UIC 513)."""
 _BAND = (0.4, 100.0)
 _FEWEST = 20
+_LEAST_LOAD = 1e3
+"""Divisor of Y/Q where Q is smaller (N), so that a wheel that lifts gives no infinity."""
+_OUTWARDS = {"le": -1, "ri": 1}
+"""Sign of a force to the right that pushes the rail of a side outwards."""
 
 
-def static_wheel_load(vehicle: Vehicle) -> float:
-    """Q0, vertical force of a wheel on straight level track at rest (N)."""
-    return (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity
+def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
+    """All figures of a run: name -> (value, unit).
+
+    Forces, Y/Q and unloading are the largest of the run and of the wheels, flange contacts the sum over the wheels,
+    creep work is their mean.
+
+    Parameters
+    ----------
+    series : DataFrame
+        t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x, nu_y, M_spin, spin, angle, w, tau
+        of each wheel; ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car body, as an accelerometer reads
+        them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
+    vehicle : Vehicle
+        The car itself (of a run with two vehicles the plant's).
+
+    Raises
+    ------
+    InputError
+        When a column is missing, or the run is shorter than 20 rows or 2 m.
+    """
+    if len(series) < _FEWEST:
+        raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
+    t = series["t_s"].to_numpy()
+    rate = (t.size - 1) / (t[-1] - t[0])
+    found = _force_figures(series, vehicle.wheel_load, rate)
+    found |= {name: (work, "N") for name, work in creep_work(series).items()}
+    for point in FLOOR:
+        of_point = Part(series, point)
+        along, across, vertical = of_point.ax, of_point.ay, of_point.az
+        found |= {
+            f"n_mv_{point}": (mean_comfort(along, across, vertical, rate), "-"),
+            f"a_wk_vertical_{point}": (weighted_rms(vertical, "Wk", rate), "m/s2"),
+            f"a_wd_lateral_{point}": (weighted_rms(across, "Wd", rate), "m/s2"),
+        }
+    wheels = [Part(series, wheel) for wheel in WHEELS]
+    # mechanical energy of the motors less what was taken back; without the carrier's pitch rate, which they feel, too
+    torque, speed = np.transpose([wheel.tau for wheel in wheels]), np.transpose([wheel.w for wheel in wheels])
+    energy = float(np.sum(scipy.integrate.trapezoid(torque * speed, t, axis=0)))
+    return found | {"motor_energy_net": (energy / 3.6e6, "kWh")}
+
+
+def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
+    """Largest rail forces of a run, and flange contacts.
+
+    Y/Q is the quotient of both forces after the low-pass, then its means over 2 m. The limit of sum-Y is that of
+    Prud'homme for passenger vehicles and locomotives, 10 kN + 2 Q0 / 3.
+
+    Source: EN 14363 and UIC 518 (read; Prud'homme's limit recalled).
+    """
+    found, ratios, unloading, contacts = {}, [], [], 0.0
+    for gear in GEARS:
+        p, phi, lateral = Part(series, gear).p, Part(series, gear).phi, []
+        for side, wheel in ((side, Part(series, name)) for name, (of, side) in GEAR_AND_SIDE.items() if of == gear):
+            y, q = rail_forces(wheel.N, wheel.Fy, wheel.angle, side, phi)
+            low = low_pass(q, rate)
+            outwards = low_pass(_OUTWARDS[side] * y, rate)
+            ratios.append(sliding_mean(outwards / np.maximum(low, _LEAST_LOAD), p).max())
+            unloading.append((1 - low / wheel_load).max())  # dQ/Q0, filtered as EN 14363 has it (read)
+            contacts += flange_contacts(wheel.angle, p)
+            lateral.append(y)
+        left, right = lateral
+        # EN 14363 and UIC 518 evaluate percentiles over many sections; of one short run the largest value is taken
+        sum_y = np.abs(sliding_mean(low_pass(left + right, rate), p)).max()
+        found[f"sum_y_{gear}"] = (float(sum_y) / 1e3, "kN")
+    limit = (10e3 + 2 * wheel_load / 3) / 1e3
+    return found | {
+        "sum_y_over_limit": (max(found[f"sum_y_{gear}"][0] for gear in GEARS) / limit, "-"),
+        "y_over_q": (float(max(ratios)), "-"),
+        "wheel_unloading": (float(max(unloading)), "-"),
+        "flange_contacts": (contacts, "1/km"),
+    }
 
 
 def rail_forces(normal, creep, angle, side: str, roll=0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -70,15 +142,10 @@ def rail_forces(normal, creep, angle, side: str, roll=0.0) -> tuple[np.ndarray, 
     y, q : ndarray, shape (n,)
         Y, positive to the right on both rails, and Q, positive downwards (N), in axes of the track.
     """
-    tilt = outward(side) * np.asarray(angle, dtype=float) - roll
+    tilt = _OUTWARDS[side] * np.asarray(angle, dtype=float) - roll
     y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
     q = np.multiply(normal, np.cos(tilt)) + np.multiply(creep, np.sin(tilt))
     return y, q
-
-
-def outward(side: str) -> int:
-    """Sign of a force to the right that pushes the rail outwards: 1 on the right rail, -1 on the left."""
-    return 1 if side == "ri" else -1
 
 
 def low_pass(values, rate: float) -> np.ndarray:
@@ -93,18 +160,7 @@ def low_pass(values, rate: float) -> np.ndarray:
 
 
 def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarray:
-    """Sliding mean over the way.
-
-    Parameters
-    ----------
-    values, p : array_like
-    window, step : float
-        Length of the mean and distance of successive means (m).
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Means of all windows that lie within the run, the first from p[0] on.
+    """Means over windows (m) that lie within the run, each a step (m) after the one before, shape (m,).
 
     Raises
     ------
@@ -122,35 +178,6 @@ def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarra
     return (np.interp(starts + window, p, total) - np.interp(starts, p, total)) / window
 
 
-def track_shifting_limit(wheel_load: float) -> float:
-    """Limit of sum-Y (N), 10 kN + 2 Q0 / 3, of passenger vehicles and locomotives from the static wheel load Q0 (N).
-
-    Source: EN 14363, Prud'homme's limit (recalled).
-    """
-    return 10e3 + 2 * wheel_load / 3
-
-
-def y_over_q(y, q, p, rate: float, least: float = 1e3) -> np.ndarray:
-    """Y/Q of a wheel: 20 Hz low-pass of both, quotient, then means over 2 m every 0.5 m.
-
-    Parameters
-    ----------
-    y, q : array_like
-        Y, positive outwards (see `outward`), and Q (N).
-    p, rate
-        See the module.
-    least : float
-        Divisor where Q is smaller (N), so that a wheel that lifts gives no infinity.
-
-    Returns
-    -------
-    ndarray, shape (m,) (-)
-
-    Source: EN 14363 and UIC 518 (read), limit `Y_OVER_Q_LIMIT`.
-    """
-    return sliding_mean(low_pass(y, rate) / np.maximum(low_pass(q, rate), least), p)
-
-
 def flange_contacts(angle, p) -> float:
     """Flange contacts of a wheel (1/km): stretches with a contact angle above `FLANGE_ANGLE`.
 
@@ -164,38 +191,28 @@ def flange_contacts(angle, p) -> float:
 
 
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
-    """Work of the creep forces per metre, means over the way and over the four wheels (N, that is J/m).
+    """Work of the creep forces per metre, means over the distance and over the four wheels (N, that is J/m).
 
     `t_gamma`, the wear number, leaves out the work of spin, `creep_work` has it: where the contact is inclined, as on
-    S1002, spin does a good part of the work. From p of both gears and Fx, Fy, nu_x, nu_y, M_spin, spin of each wheel.
+    S1002, spin does a good part of the work. A slow stretch counts by its length.
 
     Source: Elkins and Eickhoff 1982 (recalled).
     """
     lost: dict[str, list[float]] = {"t_gamma": [], "creep_work": []}
     for name, (gear, _) in GEAR_AND_SIDE.items():
-        wheel, p = Part(series, name), Part(series, gear).p
+        wheel, lengths = Part(series, name), np.gradient(Part(series, gear).p)
         slid = wheel.Fx * wheel.nu_x + wheel.Fy * wheel.nu_y
-        lost["t_gamma"].append(way_mean(-slid, p))
-        lost["creep_work"].append(way_mean(-(slid + wheel.M_spin * wheel.spin), p))
+        lost["t_gamma"].append(float(np.average(-slid, weights=lengths)))
+        lost["creep_work"].append(float(np.average(-(slid + wheel.M_spin * wheel.spin), weights=lengths)))
     return {name: float(np.mean(values)) for name, values in lost.items()}
 
 
-def way_mean(values, p) -> float:
-    """Mean over the way (not over time, so that a slow stretch counts by its length)."""
-    return float(np.average(values, weights=np.gradient(np.asarray(p, dtype=float))))
-
-
 def weighting_filter(name: str, rate: float) -> np.ndarray:
-    """Digital filter of a frequency weighting.
+    """Digital filter of an entry of `WEIGHTINGS`: second-order sections, shape (3 or 4, 6).
 
     Band limits of 0.4 and 100 Hz (Butterworth, second order), transition from acceleration to velocity, upward step;
     each analogue factor goes through the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 %
     of the analogue ones up to 20 Hz and within 4 % up to 80 Hz.
-
-    Returns
-    -------
-    ndarray, shape (3 or 4, 6)
-        Second-order sections.
 
     Source: ISO 2631-1, annex A (read in the manual of a vibration meter).
     """
@@ -236,25 +253,12 @@ def weighted_rms(acceleration, name: str, rate: float) -> float:
     return float(np.sqrt(np.mean(np.square(weighted(acceleration, name, rate)))))
 
 
-def block_rms(acceleration, rate: float) -> np.ndarray:
-    """Root mean squares (m/s2) of a weighted acceleration over blocks of 5 s, shape (blocks,); none for a shorter run.
-
-    They overlap and start every 0.5 s, so that few blocks cover all of a run. In the standard they follow each other
-    over 5 minutes.
-
-    Source: EN 12299.
-    """
-    count, block, step = len(acceleration), round(COMFORT_BLOCK * rate), round(_BLOCK_STEP * rate)
-    total = np.concatenate([[0.0], np.cumsum(np.square(acceleration))])
-    starts = np.arange(0, count - block + 1, step)
-    return np.sqrt((total[starts + block] - total[starts]) / block)
-
-
 def mean_comfort(along, across, vertical, rate: float) -> float:
     """N_MV of a floor point (-): 6 times the root of the summed squares of three 95th percentiles.
 
-    Each acceleration is weighted (Wd, Wd, Wb), then comes the percentile of its `block_rms`. The standard asks for the
-    60 blocks of 5 minutes; what a shorter run gives is a figure to compare controllers on the same run, not one to hold
+    Each acceleration is weighted (Wd, Wd, Wb); percentiles are those of its root mean squares over blocks of
+    `COMFORT_BLOCK`. Blocks start every 0.5 s, so that few blocks cover all of a run. The standard asks for the 60
+    blocks of 5 minutes; what a shorter run gives is a figure to compare controllers on the same run, not one to hold
     against published values. Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable
     (recalled); nan when the run is shorter than one block.
 
@@ -267,66 +271,9 @@ def mean_comfort(along, across, vertical, rate: float) -> float:
     return float(6 * np.linalg.norm(np.percentile(blocks, 95, axis=1)))
 
 
-def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """All figures of a run: name -> (value, unit).
-
-    Forces, Y/Q and unloading are the largest of the run and of the wheels, flange contacts the sum over the wheels,
-    creep work is their mean.
-
-    Parameters
-    ----------
-    series : DataFrame
-        t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x, nu_y, M_spin, spin, angle, w, tau
-        of each wheel; ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car body, as an accelerometer reads
-        them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
-    vehicle : Vehicle
-        The car itself (of a run with two vehicles the plant's).
-
-    Raises
-    ------
-    InputError
-        When a column is missing, or the run is shorter than 20 rows or 2 m.
-    """
-    if len(series) < _FEWEST:
-        raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
-    t = series["t_s"].to_numpy()
-    rate = (t.size - 1) / (t[-1] - t[0])
-    found = _force_figures(series, static_wheel_load(vehicle), rate)
-    found |= {name: (work, "N") for name, work in creep_work(series).items()}
-    for point in FLOOR:
-        of_point = Part(series, point)
-        along, across, vertical = of_point.ax, of_point.ay, of_point.az
-        found |= {
-            f"n_mv_{point}": (mean_comfort(along, across, vertical, rate), "-"),
-            f"a_wk_vertical_{point}": (weighted_rms(vertical, "Wk", rate), "m/s2"),
-            f"a_wd_lateral_{point}": (weighted_rms(across, "Wd", rate), "m/s2"),
-        }
-    wheels = [Part(series, wheel) for wheel in WHEELS]
-    # mechanical energy of the motors less what was taken back; without the carrier's pitch rate, which they feel, too
-    torque, speed = np.transpose([wheel.tau for wheel in wheels]), np.transpose([wheel.w for wheel in wheels])
-    energy = float(np.sum(scipy.integrate.trapezoid(torque * speed, t, axis=0)))
-    return found | {"motor_energy_net": (energy / 3.6e6, "kWh")}
-
-
-def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
-    """Largest rail forces of a run, and flange contacts."""
-    found, ratios, unloading, contacts = {}, [], [], 0.0
-    for gear in GEARS:
-        p, phi, lateral = Part(series, gear).p, Part(series, gear).phi, []
-        for side, wheel in ((side, Part(series, name)) for name, (of, side) in GEAR_AND_SIDE.items() if of == gear):
-            y, q = rail_forces(wheel.N, wheel.Fy, wheel.angle, side, phi)
-            lateral.append(y)
-            ratios.append(y_over_q(outward(side) * y, q, p, rate).max())
-            unloading.append((1 - low_pass(q, rate) / wheel_load).max())  # dQ/Q0, filtered as EN 14363 has it (read)
-            contacts += flange_contacts(wheel.angle, p)
-        left, right = lateral
-        # EN 14363 and UIC 518 evaluate percentiles over many sections; of one short run the largest value is taken
-        sum_y = np.abs(sliding_mean(low_pass(left + right, rate), p)).max()
-        found[f"sum_y_{gear}"] = (float(sum_y) / 1e3, "kN")
-    limit = track_shifting_limit(wheel_load) / 1e3
-    return found | {
-        "sum_y_over_limit": (max(found[f"sum_y_{gear}"][0] for gear in GEARS) / limit, "-"),
-        "y_over_q": (float(max(ratios)), "-"),
-        "wheel_unloading": (float(max(unloading)), "-"),
-        "flange_contacts": (contacts, "1/km"),
-    }
+def block_rms(acceleration, rate: float) -> np.ndarray:
+    """Root mean squares (m/s2) over the blocks of a run, see `mean_comfort`, shape (blocks,)."""
+    count, block, step = len(acceleration), round(COMFORT_BLOCK * rate), round(_BLOCK_STEP * rate)
+    total = np.concatenate([[0.0], np.cumsum(np.square(acceleration))])
+    starts = np.arange(0, count - block + 1, step)
+    return np.sqrt((total[starts + block] - total[starts]) / block)

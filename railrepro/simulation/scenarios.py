@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from railrepro import data, paths
-from railrepro.data import InputError, Number, above, between, steps
+from railrepro.data import InputError, Number, above, between
 from railrepro.reads import Entries
 from railrepro.track import route
 from railrepro.track.table import load_track
@@ -28,7 +28,8 @@ FLANGEWAY = 8.0
 _PERIOD = Annotated[Number, between(2 * route.CELL, 1e5, "m")]
 _POSITION = Annotated[Number, between(-1e5, 1e5, "m")]
 _FADE = Annotated[Number, above(0.0, 1e5, "m")]
-_SHARES = Annotated[tuple, steps("share", 0.0, 1.0)]
+_SHARES = Annotated[tuple[tuple[_POSITION, Annotated[Number, between(0.0, 1.0)]], ...], data.INCREASING]
+_FORCES = Annotated[tuple[tuple[_POSITION, Annotated[Number, between(-500.0, 500.0, "kN")]], ...], data.INCREASING]
 
 
 @data.table
@@ -94,7 +95,7 @@ class Scenario:
     poor_share: _SHARES = ()
     poor_share_left: _SHARES = ()
     poor_share_right: _SHARES = ()
-    force_kN: Annotated[tuple, steps("force", -500.0, 500.0)] = ()
+    force_kN: _FORCES = ()
     set_point: _SET_POINT = field(default_factory=lambda: {"kind": "none"})
     stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
@@ -127,13 +128,8 @@ class Scenario:
         return data.build(Scenario, vars(self) | changes, "scenario")
 
     def check(self, vehicle: Vehicle) -> None:
-        """Refuse wrong fields, adhesion sets that a vehicle lacks, set points beyond its flangeway (InputError)."""
+        """Refuse wrong fields and set points beyond the flangeway of a vehicle (InputError)."""
         self.but()
-        for name in (self.good, self.poor):
-            if name not in vehicle.adhesion:
-                known = list(vehicle.adhesion)
-                raise InputError(f"scenario {self.name}: the adhesion set {name!r} is not known; there are {known}")
-
         amplitude = abs(self.set_point.get("amplitude_mm", 0.0))
         if vehicle.contact.profile != "cone" and amplitude > FLANGEWAY:
             raise InputError(
@@ -166,15 +162,12 @@ class Scenario:
 
     def reference(self) -> ca.Function | None:
         """Lateral set point over the coordinate, if there is one."""
-        point = self.set_point
-        extra = {"fade": point["fade_m"]} if "fade_m" in point else {}
-        if point["kind"] == "sine":
-            end = point.get("end_m", np.inf)
-            return route.sine(1e-3 * point["amplitude_mm"], point["period_m"], point["start_m"], end, **extra)
-        if point["kind"] == "sweep":
-            period = point["period_start_m"], point["period_end_m"]
-            return route.sweep(1e-3 * point["amplitude_mm"], *period, point["start_m"], point["end_m"], **extra)
-        return None
+        point = dict(self.set_point)
+        kind = point.pop("kind")
+        if kind == "none":
+            return None
+        shape, amplitude = {"sine": route.sine, "sweep": route.sweep}[kind], 1e-3 * point.pop("amplitude_mm")
+        return shape(amplitude, **{name.removesuffix("_m"): value for name, value in point.items()})
 
 
 def _ramps(points):
@@ -203,14 +196,14 @@ def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
     file = data.location(path, paths.source("data/scenarios.toml"))
     content = data.read(file)
     for name, entry in content.items():
-        if isinstance(entry, dict) and entry.setdefault("name", name) != name:
-            raise InputError(f"{file.name}: [{name}] has the name {entry['name']!r}; its own key is its name")
+        if isinstance(entry, dict):
+            entry["name"] = name
     return Entries(data.build(dict[str, Scenario], content, file.name), "data/scenarios.toml")
 
 
-def load_scenario(name: str, path: Path | str | None = None) -> Scenario:
-    """One scenario by name; InputError lists the known names otherwise."""
-    scenarios = load_scenarios(path)
+def load_scenario(name: str) -> Scenario:
+    """One scenario of data/scenarios.toml by name; InputError lists the known names otherwise."""
+    scenarios = load_scenarios()
     if not isinstance(name, str) or name not in scenarios:
         raise InputError(f"scenario {name!r} is not known; there are {sorted(scenarios)}")
     return scenarios[name]

@@ -9,6 +9,7 @@ import ctypes
 import itertools
 import math
 import reprlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,11 +25,11 @@ from railrepro.control.law import GEARS
 from railrepro.data import InputError, above, is_number, require
 from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import STATES, X
+from railrepro.numerics import one_thread
 from railrepro.quantities import names
 from railrepro.simulation.closed_loop import SAMPLE, ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
-from railrepro.threads import one_thread
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -52,8 +53,6 @@ class Run:
         Where the run left the validity of the models, one sentence each.
     controllers : tuple
         The slower lateral controllers of front and rear gear, if any, with their solver statistics.
-    state : ndarray
-        Plant state at the end, in the order of `equations.STATES`.
     memory : dict
         States of the law at the end by name, see `law.LawSignature.memory`.
     """
@@ -63,7 +62,6 @@ class Run:
     failed: bool
     warnings: tuple[str, ...]
     controllers: tuple = ()
-    state: np.ndarray = field(default_factory=lambda: np.empty(0), repr=False)
     memory: dict[str, float] = field(default_factory=dict, repr=False)
 
 
@@ -93,7 +91,7 @@ def run(
     plant_vehicle : Vehicle, optional
         The car itself; default the same.
     adhesion, fixed_share, sensors : optional
-        See `law.LawSettings`.
+        See `law.control_law`.
     irregularities, line : optional
         See `railrepro.track.route.lay`.
     substeps : int
@@ -115,12 +113,13 @@ def run(
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
-    settings = law.LawSettings(adhesion, fixed_share, sensors)
-    route = checked_route(scenario, body, irregularities, line)
+    scenario.check(body)
+    route = scenario.route(irregularities, line)
     lateral_law, factory = lateral.split(guidance)
     with one_thread():
         controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
-        loop = start(scenario, lateral_law, route, vehicle, body, settings, substeps)
+        around = {"adhesion": adhesion, "fixed_share": fixed_share, "sensors": sensors}
+        loop = start(scenario, lateral_law, route, vehicle, body, substeps, **around)
         longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
         log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
     series = pd.DataFrame(log, columns=loop.columns)
@@ -129,7 +128,7 @@ def run(
     if not np.isfinite(log[-1]).all():  # the run ends at such a row, which `ended` names
         series = series[:-1]
     memory = dict(zip(loop.control.signature.memory, loop.memory.tolist(), strict=True))
-    return Run(series, ended, failed, _warnings(series, body), controllers, loop.state.copy(), memory)
+    return Run(series, ended, failed, _warnings(series, body), controllers, memory)
 
 
 def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tuple:
@@ -146,29 +145,23 @@ def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tu
     return controllers
 
 
-def checked_route(scenario: Scenario, body: Vehicle, irregularities=None, line=None) -> Route:
-    """Route of a scenario that a car can drive; InputError otherwise."""
-    scenario.check(body)
-    return scenario.route(irregularities, line)
-
-
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    settings: law.LawSettings = law.PLAIN, substeps: int = 1,
+    substeps: int = 1, **around: Any,
 ) -> ClosedLoop:  # fmt: skip
     """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
 
     Parameters
     ----------
-    scenario, guidance, vehicle, settings, substeps
-        See `run`.
+    scenario, guidance, vehicle, substeps, around
+        See `run`; `around` are adhesion, fixed_share and sensors.
     route : Route
-        That of the scenario, see `checked_route`.
+        That of the scenario.
     body : Vehicle
         The car itself.
     """
-    limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, guidance, settings, **limits)
+    around |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    control = law.control_law(vehicle, guidance, **around)
     car = SteppedCar(route, scenario.speed, body, scenario.good, scenario.poor, substeps=substeps)
     return ClosedLoop(car, control)
 
@@ -177,21 +170,21 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
     """Run to the end, with plans of slower controllers at their period; rows of the log, shape (n, columns)."""
     if not controllers:
         return loop.run(longest)
-    steps, (front, rear) = round(controllers[0].period / CONTROL_PERIOD), controllers
+    front, rear = controllers
     faults: list[BaseException] = []
     compiled = [front.compiled(sensors), rear.compiled(sensors, front)] if hasattr(front, "compiled") else []
-    called = [_called(controller, gear, sensors, faults) for gear, controller in zip(GEARS, controllers, strict=True)]
-    python = [(ctypes.cast(function, ctypes.c_void_p).value or 0, 0) for function in called]
-    planners = [fast or slow for fast, slow in zip(compiled or python, python, strict=True)]
-    loop.connect(planners, steps)
-    log = loop.run(longest + -longest % steps)  # whole samples
-    for fault in faults:
-        raise fault
+    samples = [SAMPLE(_sample(*of_gear, sensors, faults)) for of_gear in zip(controllers, GEARS, strict=True)]
+    python = [(ctypes.cast(sample, ctypes.c_void_p).value or 0, 0) for sample in samples]
+    every = round(front.period / CONTROL_PERIOD)
+    loop.connect([fast or slow for fast, slow in zip(compiled or python, python, strict=True)], every)
+    log = loop.run(longest + -longest % every)  # whole samples
+    if faults:
+        raise faults[0]
     return log
 
 
-def _called(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Any:
-    """A controller written in Python as a function that the loop calls; what it raises is kept and ends the run.
+def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Callable:
+    """A sample of a controller written in Python, for the loop; what it raises is kept and ends the run.
 
     With sensors a torque acts a latency after the readings that it answers, those of the cycle before.
     """
@@ -216,7 +209,7 @@ def _called(controller: lateral.SlowController, gear: str, sensors: Loop | None,
             faults.append(fault)
             return math.nan
 
-    return SAMPLE(sample)
+    return sample
 
 
 def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:
@@ -226,15 +219,12 @@ def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:
     broken = [name for name, value in last.items() if not np.isfinite(value)]
     if broken:
         return f"{broken[0]} is not a finite number {at}", True
-    margins = loop.margins
-    for name in GEARS:
-        if margins[f"{name}.lateral"] <= 0:
-            return f"{name} gear derailed, |y| = {1e3 * abs(last[name + '.y']):.1f} mm {at}", True
-    if margins["track_end"] <= 0:
-        return f"end of the run {at}", False
-    if margins["stop_speed"] <= 0:
-        return f"stop speed reached {at}", False
-    return f"time limit reached {at}", False
+    passed = next((name for name, margin in loop.margins.items() if margin <= 0), "")
+    if passed.endswith(".lateral"):
+        gear = passed.removesuffix(".lateral")
+        return f"{gear} gear derailed, |y| = {1e3 * abs(last[f'{gear}.y']):.1f} mm {at}", True
+    reasons = {"track_end": "end of the run", "stop_speed": "stop speed reached"}
+    return f"{reasons.get(passed, 'time limit reached')} {at}", False
 
 
 def _warnings(series: pd.DataFrame, vehicle: Vehicle) -> tuple[str, ...]:

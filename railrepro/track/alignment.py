@@ -109,13 +109,6 @@ class SegmentEntry:
     superelevation_m: Annotated[Number, between(-0.4, 0.4, "m")] | None = None
     inclination_rad: Annotated[Number, between(-0.2, 0.2, "rad")] | None = None
 
-    def after(self, kappa: float, phi: float, eps: float) -> Segment:
-        """The segment that begins with given curvature (1/m), cant angle and inclination (rad)."""
-        end_kappa = kappa if self.radius_m is None else 1 / self.radius_m
-        end_phi = phi if self.superelevation_m is None else math.asin(self.superelevation_m / CANT_BASE)
-        end_eps = eps if self.inclination_rad is None else self.inclination_rad
-        return Segment(self.length_m, (kappa, end_kappa), (phi, end_phi), (eps, end_eps))
-
 
 @data.table
 class SegmentsEntry:
@@ -126,10 +119,13 @@ class SegmentsEntry:
 
     def alignment(self, name: str) -> Alignment:
         """The segments as a track."""
-        made, end = [], (0.0, 0.0, 0.0)
+        made, kappa, phi, eps = [], 0.0, 0.0, 0.0
         for entry in self.segments:
-            made.append(entry.after(*end))
-            end = made[-1].kappa[1], made[-1].phi[1], made[-1].eps[1]
+            end_kappa = kappa if entry.radius_m is None else 1 / entry.radius_m
+            end_phi = phi if entry.superelevation_m is None else math.asin(entry.superelevation_m / CANT_BASE)
+            end_eps = eps if entry.inclination_rad is None else entry.inclination_rad
+            made.append(Segment(entry.length_m, (kappa, end_kappa), (phi, end_phi), (eps, end_eps)))
+            kappa, phi, eps = end_kappa, end_phi, end_eps
         return Alignment(name, tuple(made), None if self.design_speed_kmh is None else self.design_speed_kmh / 3.6)
 
 

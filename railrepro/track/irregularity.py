@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import reprlib
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -17,14 +16,14 @@ import pandas as pd
 import scipy
 
 from railrepro import data, paths
-from railrepro.data import InputError, Number, above, between, require
+from railrepro.data import InputError, Number, above, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channels in the order of their random generators, with their columns."""
 FLANGEWAY = {"lateral_m": (-0.020, 0.020), "gauge_m": (-0.010, 0.035)}
 """What wheels can follow (m); more than the flangeway takes is refused."""
-WAVELENGTH = between(0.5, 1000.0, "m")
-"""Wavelengths of random irregularities."""
+BAND = 3.0, 100.0
+"""Wavelengths of random irregularities (m)."""
 LARGEST = 0.1
 """Largest number of any channel; beyond it the unit is wrong."""
 D1 = 3.0, 25.0
@@ -35,7 +34,8 @@ _ERRI = {
     "erri_high": {"lateral": 6.125e-7, "vertical": 10.80e-7, "gauge": 1.032e-7},
 }
 _WAVE = {"c": 0.8246, "r": 0.0206, "s": 0.4380}
-_HALF_BASE = 0.75
+HALF_BASE = 0.75
+"""Half the distance of the rails to which a cross level refers (m)."""
 _FADE = 30.0
 _LONGEST_WAVES = 32
 """Fewest of the longest waves in a period of a realisation."""
@@ -77,7 +77,7 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
     w2, c2, r2, s2 = wavenumber**2, *(_WAVE[k] ** 2 for k in "crs")
     shape = c2 / ((w2 + r2) * (w2 + c2))
     if channel == "crosslevel":
-        return amplitude["vertical"] / _HALF_BASE**2 * shape * w2 / (w2 + s2)
+        return amplitude["vertical"] / HALF_BASE**2 * shape * w2 / (w2 + s2)
     if channel == "gauge":
         return amplitude["gauge"] * shape * w2 / (w2 + s2)
     return amplitude[channel] * shape
@@ -94,7 +94,7 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
     low = _ERRI["erri_low"]
     wavenumber = np.linspace(2 * np.pi / D1[1], 2 * np.pi / D1[0], 2000)
     density = {channel: irregularity_spectrum("erri_low", channel, wavenumber) for channel in CHANNELS}
-    rails = density["vertical"] + _HALF_BASE**2 * density["crosslevel"], density["lateral"] + density["gauge"] / 4
+    rails = density["vertical"] + HALF_BASE**2 * density["crosslevel"], density["lateral"] + density["gauge"] / 4
     upwards, across = (
         wanted / float(np.sqrt(np.trapezoid(has, wavenumber)))
         for wanted, has in zip((level, alignment), rails, strict=True)
@@ -106,31 +106,27 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
     }
 
 
-def track_quality(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
-    """Standard deviations of level and alignment of one rail in D1 (m) by name; default data/irregularities.toml."""
-    file = data.location(path, paths.source("data/irregularities.toml"))
+def track_quality() -> dict[str, tuple[float, float]]:
+    """Standard deviations of level and alignment of one rail in D1 (m) by name in data/irregularities.toml."""
+    file = paths.source("data/irregularities.toml")
     content = data.build(dict[str, Quality], data.read(file), file.name)
     return {name: (entry.level_mm * 1e-3, entry.alignment_mm * 1e-3) for name, entry in content.items()}
 
 
-def irregularities(
-    p: np.ndarray, spectrum: str = "erri_low", seed: int = 1, shortest: float = 3.0, longest: float = 100.0
-) -> pd.DataFrame:
+def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> pd.DataFrame:
     """Random realisation of track irregularities, to be superposed on a route.
 
     A sum of cosines with random phases, whose frequencies lie one over a period apart. The period is a power of two (m)
-    that is at least as long as the track and as 32 of the longest waves: up to 4096 m for the default band, so all
-    shorter tracks have the same rails at the same p, but for the fade at their ends.
+    that is at least as long as the track and as 32 of the longest waves: up to 4096 m, so all shorter tracks have the
+    same rails at the same p, but for the fade at their ends.
 
     Parameters
     ----------
     p : ndarray, shape (n,)
-        Track coordinates (m), increasing.
+        Track coordinates (m), increasing; steps are at most half of the shortest wave.
     spectrum : str
     seed : int
         Each channel draws from its own generator (seed, channel).
-    shortest, longest : float
-        Band of wavelengths (m); steps of p are at most half of the shortest.
 
     Returns
     -------
@@ -145,23 +141,20 @@ def irregularities(
     Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral representation by FFT).
     """
     p = coordinates(p)
-    if not WAVELENGTH.low <= shortest < longest <= WAVELENGTH.high:
-        band = f"an increasing band within {WAVELENGTH.low:g} to {WAVELENGTH.high:g} m is needed"
-        raise InputError(f"irregularities: wavelengths from {shortest} to {longest} m, {band}")
-    if np.diff(p).max(initial=0.0) > shortest / 2:
+    if np.diff(p).max(initial=0.0) > BAND[0] / 2:
         raise InputError(
-            f"irregularities: p makes a step of {np.diff(p).max():g} m, up to {shortest / 2:g} m is allowed for "
-            f"wavelengths of {shortest:g} m"
+            f"irregularities: p makes a step of {np.diff(p).max():g} m, up to {BAND[0] / 2:g} m is allowed"
         )
     columns = {"p_m": p}
     for i, (channel, column) in enumerate(CHANNELS.items()):
         generator = np.random.default_rng((seed, i))
-        columns[column] = _realisation(p, spectrum, channel, generator, shortest, longest)
+        columns[column] = _realisation(p, spectrum, channel, generator)
     return faded(pd.DataFrame(columns))
 
 
-def _realisation(p, spectrum: str, channel: str, generator, shortest: float, longest: float) -> np.ndarray:
+def _realisation(p, spectrum: str, channel: str, generator) -> np.ndarray:
     """One channel at p, shape (n,): inverse FFT over a period, between its points a spline."""
+    shortest, longest = BAND
     period = 2.0 ** math.ceil(math.log2(max(p[-1] - p[0], _LONGEST_WAVES * longest)))
     step = 2.0 ** math.floor(math.log2(shortest / _PER_WAVE))
     low, high = period / longest, period / shortest
@@ -189,30 +182,29 @@ def coordinates(p) -> np.ndarray:
     return found
 
 
-def check(frame: pd.DataFrame) -> None:
+def check(frame: pd.DataFrame, where: str = "irregularities") -> None:
     """Refuse what cannot be laid along a track: not a frame of irregularities, not finite, beyond the flangeway.
 
     Raises
     ------
     InputError
-        One sentence naming channel and place.
+        One sentence naming where they come from, channel and place.
     """
-    require("irregularities", frame, pd.DataFrame)
+    require(where, frame, pd.DataFrame)
     missing = sorted({"p_m", *CHANNELS.values()} - set(frame))
     if missing:
-        raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
+        raise InputError(f"{where} lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
     p = coordinates(frame["p_m"])
     if p.size < 2:
-        raise InputError(f"irregularities have {p.size} row, at least 2 are needed")
+        raise InputError(f"{where} have {p.size} row, at least 2 are needed")
     for column in CHANNELS.values():
         low, high = FLANGEWAY.get(column, (-LARGEST, LARGEST))
         values = pd.to_numeric(frame[column], errors="coerce").astype(float)
         inside = values.between(low, high).to_numpy()
         if not inside.all():
             row = int(np.argmin(inside))
-            raise InputError(
-                f"irregularities: {column} = {values.iloc[row]:g} at p = {p[row]:g} m, {low:g} to {high:g} is allowed"
-            )
+            found = f"{column} = {values.iloc[row]:g} at p = {p[row]:g} m"
+            raise InputError(f"{where}: {found}, {low:g} to {high:g} is allowed (unit?)")
 
 
 def smooth_step(r: np.ndarray) -> np.ndarray:
@@ -226,25 +218,6 @@ def faded(frame: pd.DataFrame) -> pd.DataFrame:
     p = frame["p_m"].to_numpy()
     fade = smooth_step(np.minimum(p - p[0], p[-1] - p) / _FADE)
     return frame.assign(**{column: fade * frame[column] for column in frame.columns.drop("p_m")})
-
-
-def track_centre(offsets: pd.DataFrame) -> pd.DataFrame:
-    """Frame of irregularities of the track centre from the offsets of both rails from their ideal places.
-
-    Columns p_m, lateral_le_m, lateral_ri_m (right positive), vertical_le_m, vertical_ri_m (down positive).
-    """
-    lateral, vertical = (
-        {side: offsets[f"{name}_{side}_m"] for side in ("le", "ri")} for name in ("lateral", "vertical")
-    )
-    return pd.DataFrame(
-        {
-            "p_m": offsets["p_m"],
-            "lateral_m": (lateral["ri"] + lateral["le"]) / 2,
-            "vertical_m": (vertical["ri"] + vertical["le"]) / 2,
-            "crosslevel_rad": (vertical["ri"] - vertical["le"]) / (2 * _HALF_BASE),
-            "gauge_m": lateral["ri"] - lateral["le"],
-        }
-    )
 
 
 def sampling(frame: pd.DataFrame) -> float:

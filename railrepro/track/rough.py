@@ -15,21 +15,20 @@ from pydantic import Field
 
 from railrepro import data, paths
 from railrepro.data import InputError, Number, above, between
-from railrepro.track.columns import read_numbers, refuse
 from railrepro.track.irregularity import (
+    BAND,
     CHANNELS,
-    FLANGEWAY,
+    HALF_BASE,
     LARGEST,
-    WAVELENGTH,
     check,
     coordinates,
     faded,
     irregularities,
     smooth_step,
-    track_centre,
 )
+from railrepro.track.table import read_numbers, refuse
 
-_STEP = 1.5
+_STEP = BAND[0] / 2
 """Longest step of p_m in a file (m): half of the shortest wave."""
 _START = Annotated[Number, between(-1e6, 1e6, "m")]
 _LENGTH = Annotated[Number, above(0.0, 1e6, "m")]
@@ -50,8 +49,8 @@ class Dip:
         """Irregularities at track coordinates p (m), shape (n,)."""
         _check_fit(self, p, self.length)
         shape = _versine(p, self.start, self.length, self.depth)
-        level = {f"vertical_{side}_m": shape * (self.rail in ("both", side)) for side in ("le", "ri")}
-        return track_centre({"p_m": p, "lateral_le_m": 0.0 * shape, "lateral_ri_m": 0.0 * shape, **level})
+        left, right = (shape * (self.rail in ("both", side)) for side in ("le", "ri"))
+        return _frame(p, vertical_m=(right + left) / 2, crosslevel_rad=(right - left) / (2 * HALF_BASE))
 
 
 @data.table
@@ -66,7 +65,7 @@ class AlignmentFault:
     def at(self, p: np.ndarray) -> pd.DataFrame:
         """Irregularities at track coordinates p (m), shape (n,)."""
         _check_fit(self, p, self.length)
-        return _lateral(p, _versine(p, self.start, self.length, self.amplitude))
+        return _frame(p, lateral_m=_versine(p, self.start, self.length, self.amplitude))
 
 
 @data.table
@@ -90,15 +89,15 @@ class LateralOffset:
                 f"{self.kind}: {self.length:g} m long, at least two transitions of {self.transition:g} m are needed"
             )
         there, back = p - self.start, self.start + self.length - p
-        return _lateral(p, self.offset * smooth_step(np.minimum(there, back) / self.transition))
+        return _frame(p, lateral_m=self.offset * smooth_step(np.minimum(there, back) / self.transition))
 
 
 def _versine(p: np.ndarray, start: float, length: float, height: float) -> np.ndarray:
     return height / 2 * (1 - np.cos(2 * np.pi * np.clip((p - start) / length, 0, 1)))
 
 
-def _lateral(p: np.ndarray, lateral: np.ndarray) -> pd.DataFrame:
-    return pd.DataFrame({"p_m": p} | {column: 0.0 for column in CHANNELS.values()} | {"lateral_m": lateral})
+def _frame(p: np.ndarray, **channels: np.ndarray) -> pd.DataFrame:
+    return pd.DataFrame({"p_m": p} | dict.fromkeys(CHANNELS.values(), 0.0) | channels)
 
 
 def _check_fit(defect: Dip | AlignmentFault | LateralOffset, p: np.ndarray, detail: float) -> None:
@@ -116,7 +115,9 @@ def _check_fit(defect: Dip | AlignmentFault | LateralOffset, p: np.ndarray, deta
 class Rough:
     """Irregularities of a run: random ones (arguments of `irregularities`) or those of a file, and defects.
 
-    `chainage` is the coordinate in the file at which p = 0 lies (m).
+    A file holds what a recording car measured: a CSV with p_m, increasing by at most 1.5 m, which is `chainage` where
+    the run begins (m), and the columns of `irregularity.CHANNELS` with their signs; cross level is the height
+    difference of the rails over 1.5 m.
     """
 
     file: str | None = None
@@ -124,13 +125,10 @@ class Rough:
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"
     seed: Annotated[int, between(0, 2**63)] = 1
-    shortest: Annotated[Number, WAVELENGTH] = 3.0
-    longest: Annotated[Number, WAVELENGTH] = 100.0
 
     def __post_init__(self) -> None:
-        random = self.spectrum, self.seed, self.shortest, self.longest
-        if self.file is not None and random != (Rough.spectrum, Rough.seed, Rough.shortest, Rough.longest):
-            raise ValueError("has a file and what only random irregularities take (spectrum, seed, shortest, longest)")
+        if self.file is not None and (self.spectrum, self.seed) != (Rough.spectrum, Rough.seed):
+            raise ValueError("has a file and what only random irregularities take (spectrum, seed)")
         if self.file is None and self.chainage != 0.0:
             raise ValueError(f"has the chainage {self.chainage!r}, but no file that has one")
 
@@ -138,15 +136,24 @@ class Rough:
         """Irregularities at track coordinates p (m), shape (n,)."""
         p = coordinates(p)
         if self.file is None:
-            total = irregularities(p, self.spectrum, self.seed, self.shortest, self.longest)
+            total = irregularities(p, self.spectrum, self.seed)
         else:
-            measured = read_irregularities(paths.source(self.file), length=float(p[-1]), chainage=self.chainage)
-            channels = {c: np.interp(p, measured["p_m"], measured[c]) for c in CHANNELS.values()}
-            total = faded(pd.DataFrame({"p_m": p} | channels))
+            total = faded(self._measured(paths.source(self.file), p))
         for defect in self.defects:
             total = total + defect.at(p).assign(p_m=0.0)
         check(total)
         return total
+
+    def _measured(self, file: Path, p: np.ndarray) -> pd.DataFrame:
+        frame = read_numbers(file, [[column] for column in ("p_m", *CHANNELS.values())])
+        check(frame, file.name)
+        far = np.diff(frame["p_m"], prepend=frame["p_m"][0]) > _STEP
+        refuse(file.name, frame["p_m"], far, f"which is more than {_STEP:g} m after the row before")
+        at = frame["p_m"] - self.chainage
+        if at.iloc[0] > 0 or at.iloc[-1] < p[-1]:
+            found = f"p_m goes from {at.iloc[0]:g} to {at.iloc[-1]:g} m"
+            raise InputError(f"{file.name}: {found}, the run needs 0 to {p[-1]:g} m; `chainage` shifts it")
+        return pd.DataFrame({"p_m": p} | {c: np.interp(p, at, frame[c]) for c in CHANNELS.values()})
 
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
@@ -167,53 +174,7 @@ def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
     Raises
     ------
     InputError
-        An argument that is not known, missing, or not of this kind; more than the flangeway takes.
+        An argument that is not known, missing, or not of this kind; a file with a wrong or missing number, a gap, or
+        shorter than the run; more than the flangeway takes.
     """
     return data.build(Rough, arguments, "irregular").at(p)
-
-
-def read_irregularities(path: Path | str, length: float, chainage: float = 0.0) -> pd.DataFrame:
-    """Read and check irregularities that a recording car measured; CSV with one row per sample and these columns:
-
-    - p_m: coordinate along the track (m), increasing, 0 where the run begins, or `chainage`;
-    - lateral_m: alignment of the track centre (m), right positive;
-    - vertical_m: longitudinal level of the track centre (m), down positive;
-    - crosslevel_rad: deviation from the designed cant (rad), right rail down positive: height difference over 1.5 m;
-    - gauge_m: deviation from the nominal gauge (m), wider positive.
-
-    Rails measured one by one become a track centre by `railrepro.track.irregularity.track_centre`. The numbers are
-    returned as they are; `railrepro.track.irregularity.faded` makes them begin and end on the ideal track.
-
-    Parameters
-    ----------
-    path : path
-    length : float
-        Length of the run from p = 0 that has to be covered (m).
-    chainage : float
-        What p_m is where the run begins (m); coordinates are returned less this.
-
-    Returns
-    -------
-    DataFrame
-        The columns above.
-
-    Raises
-    ------
-    InputError
-        Missing column, anything but a finite number, p_m not increasing or with a gap, wrong unit, beyond the
-        flangeway, shorter than the run; one sentence naming file and row.
-    """
-    file = data.location(path)
-    frame = read_numbers(file, [[column] for column in ("p_m", *CHANNELS.values())])
-    for column in CHANNELS.values():
-        low, high = FLANGEWAY.get(column, (-LARGEST, LARGEST))
-        refuse(file.name, frame[column], ~frame[column].between(low, high), f"{low:g} to {high:g} is allowed (unit?)")
-    far = np.diff(frame["p_m"], prepend=frame["p_m"][0]) > _STEP
-    refuse(file.name, frame["p_m"], far, f"which is more than {_STEP:g} m after the row before")
-    frame["p_m"] -= chainage
-    first, last = frame["p_m"].iloc[[0, -1]]
-    if first > 0 or last < length:
-        raise InputError(
-            f"{file.name}: p_m goes from {first:g} to {last:g} m, the run needs 0 to {length:g} m; `chainage` shifts it"
-        )
-    return frame

@@ -9,10 +9,10 @@ a kink would ring the contact springs. Controllers read the same cells, so plant
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from railrepro.data import InputError, require
 from railrepro.quantities import group, symbols
 from railrepro.track.irregularity import CHANNELS, check
-from railrepro.track.table import Track
+from railrepro.track.table import Track, track_in
 
 CELL = 0.5
 """Length of a cell (m)."""
@@ -83,17 +83,6 @@ class Route:
         return np.array(reference_in(self._named(p), p)[:2])
 
 
-def track_in(cell: dict, p) -> tuple:
-    """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols).
-
-    Source: eq. (3).
-    """
-    d = p - cell["p"]
-    psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
-    roll = cell["phi"] + cell["dphi"] * d, cell["dphi"]
-    return psi, cell["kappa"] + cell["dkappa"] * d, *roll, cell["eps"] + cell["deps"] * d, cell["deps"]
-
-
 def reference_in(cell: dict, p) -> tuple:
     """Lateral set point and its first two derivatives over p inside a cell.
 
@@ -141,7 +130,7 @@ def lay(
     Raises
     ------
     InputError
-        When irregularities or line are malformed, or something laid is not finite.
+        When irregularities are malformed, or something laid is not finite.
     """
     require("track", track, Track)
     if reference is not None:
@@ -168,10 +157,8 @@ def lay(
 
 
 def _along(name: str, profile: Profile, p: np.ndarray) -> np.ndarray:
-    """Values of a profile at p; InputError when it is no function of p, or a share beyond 0 to 1."""
-    values = np.asarray(profile(p) if callable(profile) else None)
-    if values.dtype.kind not in "iuf" or values.shape not in ((), p.shape):
-        raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function with one number for each p is needed")
+    """Values of a profile at p; InputError for a share beyond 0 to 1."""
+    values = np.asarray(profile(p), dtype=float)
     if name != "force" and (np.abs(values - 0.5) > 0.5 + 1e-9).any():
         raise InputError(f"route: {name} goes from {values.min():g} to {values.max():g}, a share of 0 to 1 is needed")
     return values
@@ -208,14 +195,8 @@ def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarra
 
 
 def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
-    """Set point and its derivatives at p from those of a planned line, shape (4, n); InputError when it is none."""
-    try:
-        at, values = (np.asarray(part, dtype=float) for part in line)
-        fits = at.ndim == 1 and at.size > 0 and values.shape == (len(_SET_POINT), at.size)
-    except (TypeError, ValueError):
-        fits = False
-    if not fits or not (np.isfinite(at).all() and np.isfinite(values).all() and (np.diff(at) > 0).all()):
-        raise InputError("line: finite and increasing coordinates (m,) and finite set points (4, m) are needed")
+    """Set point and its derivatives at p from those of a planned line, shape (4, n)."""
+    at, values = line
     index = np.searchsorted(at, p + 1e-9, side="right") - 1
     inside, index = (index >= 0) & (p <= at[-1]), np.clip(index, 0, None)
     return inside * [*_cubic(values[:, index], p - at[index]), values[3, index]]
@@ -236,16 +217,6 @@ def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
     return ca.vertcat(*terms)
 
 
-def _fade(s: ca.SX, length: float) -> ca.SX:
-    """Smooth step 0 -> 1 over `length` (m) with three vanishing derivatives at both ends."""
-    r = ca.fmin(ca.fmax(s / length, 0), 1)
-    return r**4 * (35 + r * (-84 + r * (70 - 20 * r)))
-
-
-def _within(s: ca.SX, start: float, end: float, fade: float) -> ca.SX:
-    return _fade(s - start, fade) * (1 - _fade(s - end + fade, fade))
-
-
 @lru_cache
 def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
     """Sinusoidal lateral set point as a function p (m) -> y* (m).
@@ -256,7 +227,7 @@ def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.in
     Source: paper, caption of Fig. 7 (period 150 m).
     """
     s = ca.SX.sym("p")
-    return ca.Function("sine", [s], [_sine(s, amplitude, period, start, min(end, 1e6), fade)])
+    return ca.Function("sine", [s], [_sine(s, SetPoint(1, amplitude, period, period, start, min(end, 1e6), fade))])
 
 
 @lru_cache
@@ -271,7 +242,7 @@ def sweep(
     Source: paper, Figs. 6 and 9 (parameters not printed there).
     """
     s = ca.SX.sym("p")
-    return ca.Function("sweep", [s], [_sweep(s, amplitude, period_start, period_end, start, end, fade)])
+    return ca.Function("sweep", [s], [_sweep(s, SetPoint(2, amplitude, period_start, period_end, start, end, fade))])
 
 
 SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m, start m, end m, fade m")
@@ -281,17 +252,26 @@ SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m,
 def set_point() -> ca.Function:
     """Set point and its first three derivatives over the coordinate (m): (p, `SetPoint`) -> [4]."""
     s, (numbers, of) = ca.SX.sym("p"), symbols(SetPoint, "of")
-    sine = _sine(s, of.amplitude, of.period_start, of.start, of.end, of.fade)
-    sweep = _sweep(s, of.amplitude, of.period_start, of.period_end, of.start, of.end, of.fade)
-    chosen = ca.if_else(of.kind == 1, sine, ca.if_else(of.kind == 2, sweep, 0))
+    chosen = ca.if_else(of.kind == 1, _sine(s, of), ca.if_else(of.kind == 2, _sweep(s, of), 0))
     return ca.Function("set_point", [s, numbers], [ca.densify(_differentiated(chosen, s))])
 
 
-def _sine(s: ca.SX, amplitude, period, start, end, fade) -> ca.SX:
-    return amplitude * _within(s, start, end, fade) * ca.sin(2 * np.pi * (s - start) / period)
+def _sine(s: ca.SX, of: Any) -> ca.SX:
+    return of.amplitude * _within(s, of) * ca.sin(2 * np.pi * (s - of.start) / of.period_start)
 
 
-def _sweep(s: ca.SX, amplitude, period_start, period_end, start, end, fade) -> ca.SX:
-    d = ca.fmin(ca.fmax(s - start, 0), end - start)
-    phase = 2 * np.pi * (d / period_start + (1 / period_end - 1 / period_start) * d**2 / (2 * (end - start)))
-    return amplitude * _within(s, start, end, fade) * ca.sin(phase)
+def _sweep(s: ca.SX, of: Any) -> ca.SX:
+    d, wavenumber = ca.fmin(ca.fmax(s - of.start, 0), of.end - of.start), 1 / of.period_end - 1 / of.period_start
+    phase = 2 * np.pi * (d / of.period_start + wavenumber * d**2 / (2 * (of.end - of.start)))
+    return of.amplitude * _within(s, of) * ca.sin(phase)
+
+
+def _within(s: ca.SX, of: Any) -> ca.SX:
+    """1 between start and end, 0 outside."""
+    return _fade(s - of.start, of.fade) * (1 - _fade(s - of.end + of.fade, of.fade))
+
+
+def _fade(s: ca.SX, length: Any) -> ca.SX:
+    """Smooth step 0 -> 1 over `length` (m) with three vanishing derivatives at both ends."""
+    r = ca.fmin(ca.fmax(s / length, 0), 1)
+    return r**4 * (35 + r * (-84 + r * (70 - 20 * r)))

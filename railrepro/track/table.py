@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -20,7 +20,6 @@ import pandas as pd
 from railrepro import data, paths
 from railrepro.data import InputError
 from railrepro.track.alignment import CANT_BASE, LONGEST, MAX_CANT, Alignment, Segment, alignments
-from railrepro.track.columns import read_numbers, refuse
 
 STEP = 0.5
 """Step of generated tables (m)."""
@@ -92,7 +91,7 @@ class Track:
     @cached_property
     def _rows(self) -> dict[str, np.ndarray]:
         """Values and slopes of the cell that begins at each row."""
-        columns = {"psi": "psi_rad", "kappa": "dpsi_dp_1pm", "phi": "phi_rad", "eps": "eps_rad"}
+        columns = {"p": "p_m", "psi": "psi_rad", "kappa": "dpsi_dp_1pm", "phi": "phi_rad", "eps": "eps_rad"}
         rows = {name: self.table[column].to_numpy() for name, column in columns.items()}
         for name in ("kappa", "phi", "eps"):
             rows["d" + name] = np.append(np.diff(rows[name]) / np.diff(self.p), 0.0)
@@ -112,15 +111,11 @@ class Track:
         Source: eq. (3) of the paper, without the factor dp/dt.
         """
         p = np.atleast_1d(np.asarray(p, dtype=float))
-        index, d = self._cell(p)
+        index, _ = self._cell(p)
         row = {name: values[index] for name, values in self._rows.items()}
-        for name in row.keys() - {"psi", "phi", "eps"}:
+        for name in row.keys() - {"p", "psi", "phi", "eps"}:
             row[name] = np.where(p < self.p[0], 0.0, row[name])
-        psi = row["psi"] + (row["kappa"] + row["dkappa"] * d / 2) * d
-        kappa = row["kappa"] + row["dkappa"] * d
-        return np.array(
-            [psi, kappa, row["phi"] + row["dphi"] * d, row["dphi"], row["eps"] + row["deps"] * d, row["deps"]]
-        )
+        return np.array(track_in(row, p))
 
     def travel(self, start: np.ndarray, length: np.ndarray) -> np.ndarray:
         """Displacement in the world frame along stretches within one row each, shape (3, n) (m)."""
@@ -141,6 +136,17 @@ class Track:
             start = self.p[index] + k * _PIECE * np.sign(d)
             reached[:, moving] += self.travel(start[moving], piece[moving])
         return reached
+
+
+def track_in(cell: dict, p) -> tuple:
+    """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols).
+
+    Source: eq. (3).
+    """
+    d = p - cell["p"]
+    psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
+    roll = cell["phi"] + cell["dphi"] * d, cell["dphi"]
+    return psi, cell["kappa"] + cell["dkappa"] * d, *roll, cell["eps"] + cell["deps"] * d, cell["deps"]
 
 
 def load_track(name: Path | str) -> Track:
@@ -229,3 +235,56 @@ def read_table(path: Path | str) -> pd.DataFrame:
     segments = tuple(map(Segment, np.diff(values["p"]), *shape))
     heading = numbers["psi_rad"].iloc[0] if "psi_rad" in numbers else 0.0
     return build_table(Alignment(file.stem, segments), heading=heading)
+
+
+def read_numbers(file: Path, needed: Iterable[Sequence[str]], optional: Iterable[Sequence[str]] = ()) -> pd.DataFrame:
+    """Finite numbers of a CSV along the track.
+
+    Parameters
+    ----------
+    file : Path
+        CSV whose rows follow the first needed column.
+    needed, optional : iterable of sequences of str
+        Columns, each with the names that it may have; others are ignored. A column radius_m may be empty or infinite.
+
+    Returns
+    -------
+    DataFrame
+        At least two rows; the columns that are there, in the order asked for, with their names in the file.
+
+    Raises
+    ------
+    InputError
+        A column that is missing or there twice, anything but a finite number, first column not increasing.
+    """
+    try:
+        text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file.name}: cannot be read as CSV ({str(error).strip()})") from error
+    head = text.iloc[0].tolist()
+    columns, must = [], list(needed)
+    for names in [*must, *optional]:
+        there = [name for name in head if name in names]
+        if len(there) > 1 or (not there and names in must):
+            raise InputError(f"{file.name}: has {there or 'none'} of {list(names)} among {head}, one of them is needed")
+        columns += there
+    if len(text) < 3:
+        raise InputError(f"{file.name}: {len(text) - 1} rows found, at least 2 are needed")
+    text = text.iloc[1:].set_axis(head, axis="columns").reset_index(drop=True)[columns]
+    numbers = text.apply(pd.to_numeric, errors="coerce").astype(float)
+    if "radius_m" in numbers:
+        straight = (text["radius_m"] == "") | np.isinf(numbers["radius_m"])
+        numbers["radius_m"] = numbers["radius_m"].mask(straight, 0.0)
+    for row, column in np.argwhere(~np.isfinite(numbers.to_numpy()))[:1]:
+        found = f"{columns[column]} is {text.iloc[row, column]!r}"
+        raise InputError(f"{file.name}: row {row + 2}, {found}, a finite number is needed")
+    along = numbers[columns[0]]
+    refuse(file.name, along, np.diff(along, prepend=-np.inf) <= 0, "which does not increase")
+    return numbers
+
+
+def refuse(where: str, values: pd.Series, wrong, allowed: str) -> None:
+    """Refuse a column of a CSV with the first of the rows that are wrong; InputError."""
+    if np.any(wrong):
+        row = int(np.argmax(wrong))
+        raise InputError(f"{where}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {allowed}")

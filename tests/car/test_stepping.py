@@ -100,10 +100,10 @@ def test_the_state_that_leaves_all_bounds_is_named_and_kept_out(sign):
     car.step(steps=10)
     good = car.state.copy()
     car.torque[0] = np.nan
-    with pytest.raises(ArithmeticError, match=r"left all bounds after t = 0\.010 s, p = "):
+    with pytest.raises(ArithmeticError, match=r"left all bounds at t = 0\.010 s, p = "):
         car.step(steps=5)
     assert np.array_equal(car.state, good)
     car.torque[0], car.state[equations.INDEX["w.rear_ri"]] = 0.0, sign * 1.2e7
-    named = rf"w\.rear_ri = {'-' if sign < 0 else ''}1\.2e\+07 left all bounds after t = 0\.010 s, p = 0\.5 m"
+    named = rf"w\.rear_ri = {'-' if sign < 0 else ''}1\.2e\+07 left all bounds at t = 0\.010 s, p = 0\.5 m"
     with pytest.raises(ArithmeticError, match=named):
         car.step(steps=3)

@@ -12,7 +12,7 @@ from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.contact import creep
 from railrepro.contact.fastsim import fastsim
-from railrepro.contact.table import CELL_COLUMNS, cone_patch, contact_table, in_cell
+from railrepro.contact.table import cone_patch
 from railrepro.vehicle.parameters import load_vehicle
 
 A, B = 6.28e-3, 7.02e-3  # the ellipse of the published peaks
@@ -132,15 +132,6 @@ def test_values_and_derivatives_stay_finite_at_rest_and_without_load():
     both = ca.Function("f", [symbols], [found, ca.jacobian(found, symbols)])
     for state in ([0, 0, 0, 0], [0, 0, 0, LOAD], [0.1, 0, 0, 0], [0, 0, 0.5, LOAD], [1e-3, 0, 0.1, 1e-3]):
         assert all(np.isfinite(np.array(value)).all() for value in both(state))
-
-
-def test_cone_is_exact_and_cells_join_smoothly():
-    vehicle = load_vehicle()
-    table = contact_table("cone", vehicle)
-    cells = dict(zip(CELL_COLUMNS, table.cells().T, strict=True))
-    assert cells["radius_slope"] == pytest.approx(np.tan(vehicle.wheel.cone_angle))
-    at_end = in_cell(cells, table.step)["effective_radius"]
-    assert np.allclose(at_end[:-1], cells["effective_radius"][1:], atol=1e-15)
 
 
 def test_moment_turns_the_carrier():

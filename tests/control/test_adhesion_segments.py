@@ -52,17 +52,16 @@ def change(adhesion, slip=(0.0, 0.0), rise=(0.0, 0.0), u=1000.0, sign=1, setting
 
 
 BELOW, INSIDE, ABOVE = (0.02, 0.02), (0.05, 0.05), (0.08, 0.08)
-BACK = (-1e-4, -1e-4)
-AHEAD = (1e-4, 1e-4)
+BACK, REST, AHEAD = (-1e-4, -1e-4), (0.0, 0.0), (1e-4, 1e-4)
+REGULAR = {BELOW: (2.0, 1), INSIDE: (0.0, 2), ABOVE: (-5.0, 3)}
+both_ways = pytest.mark.parametrize("sign", [1, -1])
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@both_ways
 @pytest.mark.parametrize(
     ("adhesion", "step", "segment"),
     [
-        (BELOW, 2.0, 1),
-        (INSIDE, 0.0, 2),
-        (ABOVE, -5.0, 3),
+        *((adhesion, *found) for adhesion, found in REGULAR.items()),
         ((0.04701, 0.04701), 0.0, 2),
         ((0.04699, 0.04699), 2.0, 1),
         ((0.05299, 0.05299), 0.0, 2),
@@ -78,54 +77,45 @@ def test_regular_steps(adhesion, step, segment, sign):
     assert change(adhesion, sign=sign) == (pytest.approx(step), segment)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("adhesion", [BELOW, INSIDE, ABOVE])
+@both_ways
+@pytest.mark.parametrize("adhesion", REGULAR)
 @pytest.mark.parametrize(
-    ("rise", "slip"),
+    ("rise", "slip", "drops"),
     [
-        (BACK, AHEAD),  # past the maximum and going on
-        (AHEAD, BACK),  # past the maximum and coming back
-        ((-1e-4, 0.0), (1e-4, 0.0)),  # one wheel is enough
-        ((0.0, -1e-4), (0.0, 1e-4)),
-        ((-1e-4, 1e-4), (1e-4, 1e-4)),
-        ((1e-4, -1e-4), (1e-4, 1e-4)),
+        (BACK, AHEAD, True),  # past the maximum and going on
+        (AHEAD, BACK, True),  # past the maximum and coming back
+        ((-1e-4, 0.0), (1e-4, 0.0), True),  # one wheel is enough
+        ((0.0, -1e-4), (0.0, 1e-4), True),
+        ((-1e-4, 1e-4), AHEAD, True),
+        ((1e-4, -1e-4), AHEAD, True),
+        (AHEAD, AHEAD, False),  # the stable branch
+        (BACK, BACK, False),
+        (BACK, REST, False),
+        (REST, AHEAD, False),
     ],
 )
-def test_a_wheel_past_its_maximum_drops_the_torque(adhesion, rise, slip, sign):
-    assert change(adhesion, slip, rise, sign=sign) == (pytest.approx(-15.0), 3)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("adhesion", "step", "segment"), [(BELOW, 2.0, 1), (INSIDE, 0.0, 2), (ABOVE, -5.0, 3)])
-@pytest.mark.parametrize(("rise", "slip"), [(AHEAD, AHEAD), (BACK, BACK), (BACK, (0.0, 0.0)), ((0.0, 0.0), AHEAD)])
-def test_on_the_stable_branch_the_regular_steps_hold(adhesion, step, segment, rise, slip, sign):
+def test_a_wheel_past_its_maximum_drops_the_torque(adhesion, rise, slip, drops, sign):
+    step, segment = (-15.0, 3) if drops else REGULAR[adhesion]
     assert change(adhesion, slip, rise, sign=sign) == (pytest.approx(step), segment)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("share", "step"), [(0.99, 2.0), (1.01, -15.0), (-0.99, 2.0), (-1.01, -15.0)])
-def test_dead_zone_is_a_rate_of_the_filtered_slip(share, step, sign):
-    moved = share * LAW.dead_zone * CONTROL_PERIOD / POLE
-    rise = -1e-4 * np.sign(share)
-    found, _ = change(BELOW, (moved, moved), (rise, rise), sign=sign)
-    assert found == pytest.approx(step)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("v", "growth"), [(200.0, 1.0), (100.0, 1.0), (25.0, 4.0), (1.0, 100.0), (0.0, 100.0)])
-def test_dead_zone_grows_as_the_noise_of_slip_does(v, growth, sign):
-    settings = replace(LAW, noise_speed=100.0)
-    for share, step in ((0.99, 2.0), (1.01, -15.0)):
-        moved = share * growth * LAW.dead_zone * CONTROL_PERIOD / POLE
-        found, _ = change(BELOW, (moved, moved), BACK, sign=sign, settings=settings, v=v)
+@both_ways
+@pytest.mark.parametrize(
+    ("noise_speed", "v", "growth"),
+    [(0.0, SPEED, 1.0), (100.0, 200.0, 1.0), (100.0, 100.0, 1.0), (100.0, 25.0, 4.0), (100.0, 0.0, 100.0)],
+)
+def test_dead_zone_is_a_rate_of_the_filtered_slip_and_grows_as_its_noise_does(noise_speed, v, growth, sign):
+    settings = replace(LAW, noise_speed=noise_speed)
+    for share, step in ((0.99, 2.0), (1.01, -15.0), (-0.99, 2.0), (-1.01, -15.0)):
+        moved, rise = share * growth * LAW.dead_zone * CONTROL_PERIOD / POLE, -1e-4 * np.sign(share)
+        found, _ = change(BELOW, (moved, moved), (rise, rise), sign=sign, settings=settings, v=v)
         assert found == pytest.approx(step)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_slip_against_the_demand_is_not_past_the_maximum(sign):
-    assert change(BELOW, AHEAD, BACK, sign=sign, level=-SLIP) == (pytest.approx(2.0), 1)
-    assert change(BELOW, AHEAD, BACK, sign=sign, level=0.0) == (pytest.approx(2.0), 1)
-    assert change(BELOW, AHEAD, BACK, sign=sign, level=SLIP) == (pytest.approx(-15.0), 3)
+@both_ways
+@pytest.mark.parametrize("level", [-SLIP, 0.0])
+def test_slip_against_the_demand_is_not_past_the_maximum(level, sign):
+    assert change(BELOW, AHEAD, BACK, sign=sign, level=level) == (pytest.approx(2.0), 1)
 
 
 def test_a_demand_of_zero_counts_as_traction():
@@ -134,17 +124,16 @@ def test_a_demand_of_zero_counts_as_traction():
     assert (u, segment) == (pytest.approx(85.0), 3)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@both_ways
 @pytest.mark.parametrize(
     ("u", "following"), [(16.0, 1.0), (15.0, 0.0), (7.0, 0.0), (1.0, 0.0), (0.0, 2.0), (-3.0, -1.0)]
 )
 def test_letting_go_ends_at_zero_torque(u, following, sign):
     step, segment = change(BELOW, AHEAD, BACK, u=u, sign=sign)
-    assert u + step == pytest.approx(following)
-    assert segment == 3
+    assert (u + step, segment) == (pytest.approx(following), 3)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@both_ways
 @pytest.mark.parametrize(
     ("adhesion", "u", "step"), [(BELOW, LIMIT - 1, 1.0), (BELOW, LIMIT, 0.0), (ABOVE, 1 - LIMIT, -1.0)]
 )

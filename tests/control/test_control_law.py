@@ -48,10 +48,9 @@ def measured(**values):
     return states | values
 
 
-def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, guidance=None, **options):
+def call(y, rows=None, held=(0.0, 0.0), memory=None, adhesion=None, guidance=None):
     """Command by wheel, memory, record and margins by name."""
-    settings = law.LawSettings(adhesion, **options)
-    control = law.control_law(load_vehicle(), guidance or Probe(), settings, **LIMITS)
+    control = law.control_law(load_vehicle(), guidance or Probe(), adhesion, **LIMITS)
     before = dict.fromkeys(control.signature.memory, 0.0) | (memory or {})
     inputs = [y[name] for name in interface.MEASURED], cells() if rows is None else rows, held, control.gains
     found = FUNCTION(*inputs, [before[name] for name in control.signature.memory])
@@ -86,8 +85,7 @@ def test_a_lateral_law_sees_the_road_at_its_gear_and_the_heading_of_the_body_bet
 
 @pytest.mark.parametrize("gear", GEARS)
 def test_a_lateral_law_sees_the_measured_states_of_its_own_gear(gear):
-    outputs = {"x": "p", "psi_Ax": "psi_Ax", "xdot": "v", "psidot_Ax": "psidot_Ax"}
-    outputs |= {"y_TrAx": "y", "psi_TrAx": "psi_TrAx"}
+    outputs = {"x": "p", "psi_Ax": "psi_Ax", "v": "v", "yaw_rate": "psidot_Ax", "y": "y", "psi": "psi_TrAx"}
     values = {f"{g}.{name}": 20.0 + 7 * i + k for i, g in enumerate(GEARS) for k, name in enumerate(outputs.values())}
     for name, output in outputs.items():
         assert seen_by(gear, name, 1.0, y=values) == pytest.approx(values[f"{gear}.{output}"])

@@ -133,11 +133,12 @@ def test_no_sample_on_poor_rail_falls_back(name, solver):
 
 @pytest.mark.parametrize(("kind", "options"), [(NMPC, {"solver": "rti"}), (NMPC, {}), (LTVMPC, {"printed": True})])
 def test_the_loop_runs_the_sample_that_plan_runs(kind, options, vehicle):
-    scenario = scenarios.load_scenario("braking").but(end_m=80.0)
-    fast, slow = (
-        simulate.run(scenario, lambda *of, timed=timed: kind(*of, replace(WIDE, observer=0.3), timed=timed, **options))
-        for timed in (False, True)
-    )
+    class Planned(kind):
+        def plan(self, x_hat, u_d):
+            return super().plan(x_hat, u_d)
+
+    scenario, settings = scenarios.load_scenario("braking").but(end_m=80.0), replace(WIDE, observer=0.3)
+    fast, slow = (simulate.run(scenario, lambda *of, c=c: c(*of, settings, **options)) for c in (kind, Planned))
     assert fast.series.equals(slow.series) and fast.series["front.du"].abs().max() > 10
     for one, other in zip(fast.controllers, slow.controllers, strict=True):
         assert not one.stats and len(other.stats) > 100

@@ -29,12 +29,8 @@ class Own:
         return self._gains
 
     def torque(self, q):
-        return self._torque(q), {"past": q.y}
-
-
-def quantities(values):
-    """What a law is given, with the short names of states."""
-    return SimpleNamespace(**values, **{short: values[name] for short, name in lateral.SHORT.items()})
+        found = self._torque(q)
+        return found if isinstance(found, tuple) else (found, {"past": q.y})
 
 
 def blocks(page):
@@ -77,12 +73,9 @@ def test_a_constant_of_an_own_law_is_not_taken_from_another_one():
 @pytest.mark.parametrize(
     ("guidance", "sentence"),
     [
-        (
-            Own(lambda q: ca.vertcat(q.y, 1)),
-            r"law Own: its torque is an expression of shape \(2, 1\)",
-        ),
+        (Own(lambda q: ca.vertcat(q.y, 1)), r"law Own: its torque is SX\(.*, a scalar expression is needed"),
         (Own(lambda q: "left"), "law Own: its torque is 'left', a scalar expression is needed"),
-        (Own(lambda q: None), "law Own: its torque is None, a scalar expression is needed"),
+        (Own(lambda q: (0, {})), r"law Own: torque\(\) gave memory \[\], declared is \['past'\]"),
         (Own(lambda q: q.yaw), r"law Own: torque\(\) asks for q.yaw; there are .*'psi_Ax'.*'past', 'k', 'J_eff'"),
         (Own(lambda q: 0, {"psi": 1.0}), "law Own: 'psi' of its gains is the name of another quantity already"),
         (Own(lambda q: ca.SX.sym("z")), r"law Own: the symbols \[.*z.*\] are not given to torque"),
@@ -100,14 +93,6 @@ def test_an_own_law_that_is_not_well_formed_is_refused_in_one_sentence(guidance,
     assert "\n" not in str(refusal.value)
 
 
-def test_memory_that_is_not_declared_is_refused():
-    class Forgetful(Own):
-        memory = ()
-
-    with pytest.raises(InputError, match=r"law Forgetful: torque\(\) gave memory \['past'\], declared is \[\]"):
-        lateral.signature(Forgetful(lambda q: 0.0))
-
-
 def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
     class Both(lateral.ZeroOrderHold):
         def __call__(self, vehicle, route, gear):
@@ -122,81 +107,61 @@ def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
             lateral.split(nothing)
 
 
-def jerk_of_the_model(vehicle, x, theta, ddpsi_dp, u_d, du):
-    """Third time derivative of y along the control model, as the track passes by, with torques held."""
-    state = ca.SX.sym("state", len(STATES))
+def along_the_model(vehicle, expressions, state, theta, ddpsi_dp, u_d, du):
+    """Expressions of the state, a row each with its first three derivatives over time along the control model, as the
+    track passes by and with torques held."""
     here = {"psi_Tr": theta["psi_Tr"] + theta["dpsi_dp"] * state[X], "dpsi_dp": theta["dpsi_dp"] + ddpsi_dp * state[X]}
-    track = ca.vertcat(*((theta | here)[name] for name in THETA))
     model = control_model()
     parameters = dict(zip(model.parameters, model.parameter_vector(vehicle), strict=True)) | {"g": 0.0}
+    track = ca.vertcat(*((theta | here)[name] for name in THETA))
     rate = model.rhs(state, ca.vertcat(u_d - du, u_d + du), track, np.array(list(parameters.values())))
-    derivative = state[Y]
+    orders = [ca.vertcat(*expressions)]
     for _ in range(3):
-        derivative = ca.jtimes(derivative, state, rate)
-    return ca.substitute(derivative, state, x)
+        orders.append(ca.jtimes(orders[-1], state, rate))
+    return ca.horzcat(*orders)
 
 
 @pytest.mark.parametrize("speed", [40 / 3.6, 400 / 3.6])
 @pytest.mark.parametrize(("base_torque", "tolerance"), [(0.0, 1e-9), (-2500.0, 5e-3)])
-def test_the_inversion_inverts_the_control_model(speed, base_torque, tolerance):
-    """To first order in all lateral quantities, which `scale` multiplies, the wanted third derivative of y comes out.
+def test_the_inversion_gives_the_control_model_the_error_dynamics(speed, base_torque, tolerance):
+    """y has the third derivative of y*, and k2, k1, k0 and ki times the error's derivatives, itself and its integral.
 
-    The inversion leaves out the yaw stiffness of the weight (one hundredth of the spring's), so the model is taken
-    without gravity, and the moment of a base torque on unequal radii, so it is exact when rolling freely only.
+    This holds to first order in all lateral quantities, which `scale` multiplies. The inversion leaves out the yaw
+    stiffness of the weight (one hundredth of the spring's), so the model is taken without gravity, and the moment of a
+    base torque on unequal radii, so it is exact when rolling freely only.
     """
     vehicle, generator, scale = load_vehicle(), np.random.default_rng(3), ca.SX.sym("scale")
 
     def lateral_quantity(size):
         return scale * generator.normal(0, size)
 
-    x = {"x": 0.0, "xdot": speed, "psi_TrAx": lateral_quantity(1e-3), "y_TrAx": lateral_quantity(3e-3)}
-    x |= {"psidot_Ax": lateral_quantity(0.05)}
+    x = {"x": 0.0, "v": speed, "psi": lateral_quantity(1e-3), "y": lateral_quantity(3e-3)}
+    x |= {"yaw_rate": lateral_quantity(0.05)}
     theta = {"psi_Tr": lateral_quantity(0.1), "dpsi_dp": lateral_quantity(1e-3), "phi_Tr": lateral_quantity(0.1)}
     theta |= {"dphi_dp": lateral_quantity(1e-3), "eps_Tr": 0.0, "deps_dp": 0.0, "m_CB": vehicle.body.mass}
     theta |= {"psi_CB": theta["psi_Tr"] + lateral_quantity(2e-3), "dpsi_dp_CB": lateral_quantity(1e-3)}
-    x["psi_Ax"] = theta["psi_Tr"] + x["psi_TrAx"]
-    extra = {name: lateral_quantity(size) for name, size in (("ddpsi_dp", 1e-5), ("y_ref", 3e-3), ("dy_ref", 1e-4))}
-    extra |= {"ddy_ref": lateral_quantity(1e-5), "dddy_ref": lateral_quantity(1e-6)}
+    x["psi_Ax"] = theta["psi_Tr"] + x["psi"]
+    extra = {"ddpsi_dp": lateral_quantity(1e-5), "tau_max": 4000.0}
+    sizes = {"y_ref": 3e-3, "dy_ref": 1e-4, "ddy_ref": 1e-5, "dddy_ref": 1e-6}
+    set_point = {name: lateral_quantity(size) for name, size in sizes.items()}
+    extra["integral"] = lateral_quantity(1e-4)
 
-    gain, model = NDI(derivatives=3, integral=0.2).gains(), vars(law._model(vehicle))
-    gear = x | {"xddot": 2 * base_torque / (model["r_0"] * model["m_x_eff"]), "held": 0.0}
-    q = quantities(gear | theta | extra | gain | model | {"integral": lateral_quantity(1e-4), "tau_max": 4000.0})
-    du, _ = NDI().torque(q)
-    wanted = ndi.wanted_jerk(q)
-    state = ca.vertcat(*(x[name] for name in STATES))
-    found = jerk_of_the_model(vehicle, state, theta, extra["ddpsi_dp"], base_torque, du)
-    slopes = ca.Function("slopes", [scale], [ca.jacobian(wanted, scale), ca.jacobian(found, scale)])
-    first_order = [float(slope) for slope in slopes(0.0)]
-    assert first_order[1] == pytest.approx(first_order[0], rel=tolerance)
-
-
-def test_the_wanted_jerk_is_that_of_the_error_dynamics():
-    """Time derivatives of y and of the set point along an accelerated run, by differentiation of both over time."""
-    t, v0, acceleration, curvature, integral = ca.SX.sym("t"), 30.0, -1.3, 2e-3, 4e-4
-    p, y = v0 * t + acceleration * t**2 / 2, 2e-3 + 5e-3 * t - 7e-3 * t**2 + 4e-3 * t**3
-    place = ca.SX.sym("p")
-    set_point = [3e-3 - 2e-4 * place + 1e-5 * place**2 + 4e-7 * place**3]
-    for _ in range(3):
-        set_point.append(ca.gradient(set_point[-1], place))
-
-    def over_time(function, order):
-        for _ in range(order):
-            function = ca.gradient(function, t)
-        return function
-
-    v, psi_r = over_time(p, 1), over_time(y, 1) / over_time(p, 1)
-    gear = {"xdot": v, "xddot": acceleration, "psi_TrAx": psi_r, "y_TrAx": y}
-    gear["psidot_Ax"] = (over_time(y, 2) - acceleration * psi_r) / v + v * curvature
-    names = ("y_ref", "dy_ref", "ddy_ref", "dddy_ref")
-    track_ahead = {name: ca.substitute(value, place, p) for name, value in zip(names, set_point, strict=True)}
-    track_ahead["dpsi_dp"] = curvature
-    gain = NDI(pole=20.0, frequency=30.0, damping=0.7, integral=0.1, derivatives=3).gains()
-    q = quantities(gear | track_ahead | gain | {"integral": integral})
-    wanted = over_time(track_ahead["y_ref"], 3) + gain["ki"] * integral
-    wanted += sum(gain[f"k{i}"] * over_time(track_ahead["y_ref"] - y, i) for i in range(3))
-    both = ca.Function("both", [t], [ndi.wanted_jerk(q), wanted])
-    found, expected = map(float, both(0.3))
-    assert found == pytest.approx(expected, rel=1e-10)
+    guidance, model = NDI(integral=0.2, derivatives=3), vars(law._model(vehicle))
+    gain, xddot = guidance.gains(), 2 * base_torque / (model["r_0"] * model["m_x_eff"])
+    q = SimpleNamespace(**(theta | x | set_point | extra | gain | model | {"xddot": xddot}))
+    du, _ = guidance.torque(q)
+    state = ca.SX.sym("state", len(STATES))
+    place, (y0, y1, y2, y3) = state[X], set_point.values()
+    reference = y0 + y1 * place + y2 * place**2 / 2 + y3 * place**3 / 6
+    orders = along_the_model(vehicle, [state[Y], reference], state, theta, extra["ddpsi_dp"], base_torque, du)
+    here = ca.vertcat(*(x[name] for name in [*lateral.GEAR][: len(STATES)]))
+    y, wished = map(ca.horzsplit, ca.vertsplit(ca.substitute(orders, state, here)))
+    wanted = wished[3] + gain["ki"] * extra["integral"] + sum(gain[f"k{i}"] * (wished[i] - y[i]) for i in range(3))
+    all_three = wanted, ndi.wanted_jerk(q), y[3]
+    slopes = ca.Function("slopes", [scale], [ca.jacobian(jerk, scale) for jerk in all_three])
+    expected, asked, found = map(float, slopes(0.0))
+    assert asked == pytest.approx(expected, rel=1e-9)
+    assert found == pytest.approx(expected, rel=tolerance)
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.9, 1), (1.1, 0), (-0.9, 1), (-1.1, 0)])
@@ -205,8 +170,8 @@ def test_the_integral_rests_while_the_error_asks_for_more_torque_than_there_is(s
     pole, speed, inertia = 20.0, 30.0, 2000.0 + 60.0 * 1.5**2 / 2 / 0.46**2
     error = share * 4000.0 * 1.5 / 0.46 * speed / (inertia * pole**3)
     model = dict.fromkeys(lateral.MODEL, 0.0) | {"J_eff": inertia, "r_0": 0.46, "b": 1.5, "tau_max": 4000.0}
-    here = dict.fromkeys((*lateral.GEAR, *lateral.ROAD), 0.0) | {"xdot": speed, "y_TrAx": -error}
+    here = dict.fromkeys((*lateral.GEAR, *lateral.ROAD), 0.0) | {"v": speed, "y": -error}
     guidance = NDI(pole, pole, 1.0, integral=0.1)
-    du, memory = guidance.torque(quantities(here | model | guidance.gains() | {"integral": 0.0}))
+    du, memory = guidance.torque(SimpleNamespace(**here, **model, **guidance.gains(), integral=0.0))
     assert float(du) == pytest.approx(share * 4000.0)
     assert float(memory["integral"]) == pytest.approx(1e-3 * error * grows)

@@ -30,21 +30,14 @@ def vehicle():
 
 def gains_of_the_law(vehicle):
     """Gains of a law behind sensors, those of its filter among them."""
-    settings, limits = law.LawSettings(sensors=Readings(load_loop())), ("lateral_limit", "track_end", "stop_speed")
-    control = law.control_law(vehicle, settings=settings, **dict.fromkeys(limits, 1.0))
+    limits = dict.fromkeys(("lateral_limit", "track_end", "stop_speed"), 1.0)
+    control = law.control_law(vehicle, sensors=Readings(load_loop()), **limits)
     return unpack(control.signature.Gains, control.gains)
 
 
 def drive(loop, name="curve_entry_T3", seed=1, guidance=MODERATE, vehicle=None, **changes):
     sensors = None if loop is None else Readings(loop, seed)
     return simulate.run(load_scenario(name).but(**changes), guidance, vehicle=vehicle, sensors=sensors)
-
-
-def test_a_wheel_that_turns_faster_than_expected_has_less_creep_force(vehicle):
-    found = stationary_gains(vehicle, load_loop())
-    assert found.wheel_w > 0 > found.wheel_force
-    late = load_loop(**{"latency.measurement": 4e-3, "latency.command": 3e-3})
-    assert stationary_gains(vehicle, late).prediction == pytest.approx(7e-3)
 
 
 @pytest.mark.parametrize("speed", observers.SPEEDS)
@@ -56,7 +49,7 @@ def test_the_filter_is_stable_and_sees_every_state(vehicle, speed):
     still = SimpleNamespace(psi_Tr=0.0, psi_CB=0.0, dpsi_dp=0.0, dpsi_dp_CB=0.0, dphi_dp=0.0)
     rest = unpack(FilterState, [0.0] * len(names(FilterState)))
     state = replace(rest, **dict(zip(LATERAL, ca.vertsplit(x), strict=True)), v=speed)
-    following = observers.advance(state, {"le": [0.0] * 21, "ri": [0.0] * 21}, still, gains.front, gains)
+    following = observers.advance(state, 2 * [[0.0] * 21], still, gains.front, gains)
     step = np.array(ca.evalf(ca.jacobian(ca.vertcat(*(getattr(following, name) for name in LATERAL)), x)))
     assert step == pytest.approx(np.eye(5) + 1e-3 * a, abs=1e-12)
     seen = np.vstack([c @ np.linalg.matrix_power(a / np.abs(a).max(), k) for k in range(5)])
@@ -78,9 +71,8 @@ def test_the_filter_feels_the_gyroscopic_moment_of_rolling_wheels(vehicle, cours
     """Nothing else acts: the angular momentum of both wheels and that of yaw stay together while the gear rolls."""
     x = replace(unpack(FilterState, [0.0] * len(names(FilterState))), v=100.0, psi=2e-3, beta=course - 2e-3)
     track = SimpleNamespace(psi_Tr=0.0, psi_CB=2e-3, dpsi_dp=0.0, dpsi_dp_CB=0.0, dphi_dp=cant_rate)
-    commands = dict.fromkeys(("le", "ri"), [0.0] * 21)
     gains = gains_of_the_law(vehicle)
-    turned = observers.advance(x, commands, track, gains.front, gains).r / 1e-3
+    turned = observers.advance(x, 2 * [[0.0] * 21], track, gains.front, gains).r / 1e-3
     # Running to the right the right wheel climbs on its cone and the left one sinks, by tan(delta) y each over b.
     roll_rate = 100.0 * (cant_rate - 2 * np.tan(vehicle.wheel.cone_angle) * course / vehicle.gear.contact_base)
     wheels = 2 * vehicle.wheel.spin_inertia * np.array([0.0, -100.0 / vehicle.wheel.radius, 0.0])
@@ -110,6 +102,7 @@ def test_prediction_pays(monkeypatch):
     fast = NDI(pole=40.0, frequency=30.0, damping=0.6, derivatives=3)
     with_it = drive(late, "sine_tracking", guidance=fast, end_m=400)
     gains = observers.stationary_gains
+    assert gains(load_vehicle(), late).prediction == pytest.approx(9e-3)
     monkeypatch.setattr(observers, "stationary_gains", lambda v, loop: replace(gains(v, loop), prediction=0.0))
     without = drive(late, "sine_tracking", guidance=fast, end_m=400)
     effort = [metrics.effort(run.series) for run in (with_it, without)]

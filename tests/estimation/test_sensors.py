@@ -1,5 +1,7 @@
 """Sensors and delay lines by themselves: noise, bias, resolution, period, age, and files that are refused."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -27,6 +29,11 @@ def readings(cycles, loop, seed=0, gear=0, move=None):
     return np.array(rows)
 
 
+def perfect_but(group, **changes):
+    quiet = load_loop().perfect()
+    return replace(quiet, **{group: replace(getattr(quiet, group), **changes)})
+
+
 def test_perfect_sensors_tell_the_truth():
     assert readings(5, load_loop().perfect()) == pytest.approx(np.tile(list(TRUTH.values()), (5, 1)), rel=1e-15)
 
@@ -38,13 +45,11 @@ def test_noise_has_the_stated_size_and_a_bias_stays():
     stated = {"y_ahead": 2e-4, "y_behind": 2e-4, "psidot_Ax": 4e-3, "w_le": 0.05, "w_ri": 0.05, "v": 0.02, "p": 0.0}
     assert spread == pytest.approx(stated, rel=0.04, abs=1e-9)
     gains = Readings(loop, 4).gains(0)
+    largest = {"y_ahead": 2e-4, "y_behind": 2e-4, "psidot_Ax": 1e-3, "p": 1.0}
     for i, (name, value) in enumerate(TRUTH.items()):
-        assert abs(getattr(gains, name).bias) <= {"y_ahead": 2e-4, "y_behind": 2e-4, "psidot_Ax": 1e-3, "p": 1.0}.get(
-            name, 0
-        )
-        assert rows[:, i].mean() - value == pytest.approx(
-            getattr(gains, name).bias, abs=4 * stated[name] / np.sqrt(6000) + 1e-9
-        )
+        bias, spread = getattr(gains, name).bias, stated[name] / np.sqrt(6000)
+        assert abs(bias) <= largest.get(name, 0)
+        assert rows[:, i].mean() - value == pytest.approx(bias, abs=4 * spread + 1e-9)
     assert gains.y_ahead.bias != 0 and gains.p.bias != 0
 
 
@@ -80,32 +85,25 @@ def test_noise_has_the_same_bits_everywhere():
 
 @pytest.mark.parametrize(("true", "read"), [(1.4e-3, 1e-3), (1.6e-3, 2e-3), (-0.4e-3, 0.0), (-0.6e-3, -1e-3)])
 def test_a_reading_is_the_nearest_step_of_its_resolution(true, read):
-    quiet = load_loop().perfect()
-    loop = sensors.replace(quiet, lateral=sensors.replace(quiet.lateral, resolution=1e-3))
+    loop = perfect_but("lateral", resolution=1e-3)
     assert readings(1, loop, move=lambda k, name: true)[0, :2] == pytest.approx(read, abs=1e-12)
 
 
 def test_a_slow_sensor_keeps_its_reading():
-    loop = load_loop().perfect()
-    loop = sensors.replace(loop, speed=sensors.replace(loop.speed, period=5e-3))
-    found = readings(20, loop, move=lambda k, name: float(k))
+    found = readings(20, perfect_but("speed", period=5e-3), move=lambda k, name: float(k))
     assert found[:, SIGNALS.index("v")].tolist() == [5.0 * (k // 5) for k in range(20)]
     assert found[:, SIGNALS.index("w_le")].tolist() == list(range(20))
 
 
 @pytest.mark.parametrize(("age", "expected"), [(3e-3, 17.0), (2.5e-3, 17.5), (0.0, 20.0), (20e-3, 0.0)])
 def test_readings_are_late_but_for_the_position(age, expected):
-    quiet = load_loop().perfect()
-    loop = sensors.replace(quiet, latency=sensors.Latency(age, 0.0))
-    found = readings(21, loop, move=lambda k, name: float(k))[-1]
+    found = readings(21, perfect_but("latency", measurement=age), move=lambda k, name: float(k))[-1]
     assert found[SIGNALS.index("psidot_Ax")] == pytest.approx(expected)
     assert found[SIGNALS.index("p")] == 20.0
 
 
 def test_lost_readings_keep_the_last_one():
-    quiet = load_loop().perfect()
-    loop = sensors.replace(quiet, lateral=sensors.replace(quiet.lateral, dropout=0.3))
-    found = readings(3000, loop, move=lambda k, name: float(k))
+    found = readings(3000, perfect_but("lateral", dropout=0.3), move=lambda k, name: float(k))
     kept = (np.diff(found, axis=0) == 0).mean(axis=0)
     assert kept[:2] == pytest.approx([0.3, 0.3], abs=0.03) and not kept[2:].any()
     both = (np.diff(found[:, :2], axis=0) == 0).all(axis=1).mean()

@@ -62,6 +62,7 @@ from railrepro.simulation.scenarios import load_scenario
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import swarm, tuning
 from railrepro.evidence.runs.executor import executor
+from railrepro.evidence.runs.experiment import Experiment
 from railrepro.track.irregularity import irregularities
 from railrepro.vehicle.parameters import load_vehicle
 from dataclasses import replace
@@ -79,8 +80,8 @@ if __name__ == "__main__":
     except InputError as error:
         assert "make tune" in str(error)
     task = tuning.load_task()
-    run = tuning.TuningRun("own", scenario)
-    small = replace(task, runs=(run,), budget=task.budget | {"particles": 1, "iterations": 1, "seeds": [1]})
+    run = Experiment(scenario, "own")
+    small = replace(task, runs={"own": run}, budget=task.budget | {"particles": 1, "iterations": 1, "seeds": [1]})
     with executor() as pool:
         tuning.save(swarm.tune("own", small, pool, quiet=True), Path("build/tuned"))
     vehicle = Path("data/vehicle.toml").read_text().replace("value = 0.46", "value = 0.45")

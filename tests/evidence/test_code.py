@@ -4,10 +4,8 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 
 import pytest
-from chapters import write_notebook
 
 from railrepro import code, paths
 from railrepro.evidence.runs import store
@@ -127,56 +125,21 @@ print(row["fade"], code.version() is None)
 """
 
 
-def edited_meanwhile(copy, moment, answers):
-    """What a process prints that waits at a moment while the constant is edited; it says once that it was."""
+@pytest.mark.parametrize(
+    ("moment", "answers", "printed", "new"),
+    [
+        ("between import and key", "\n", "1.0\n1.0 True\n", "2.0"),  # the new code must not get the old value
+        ("between key and import", "\n\n", "200.0\nnow\n200.0 False\n", "1.0"),  # nor code that was put back
+    ],
+)
+def test_a_process_whose_code_was_edited_leaves_nothing_to_the_next(copy, moment, answers, printed, new):
     old = python(copy, PROGRAM, moment)
     assert old.stdout.readline() == "now\n"
     fade(copy, "1.0", "200.0")
     said, told = old.communicate(answers, timeout=120)
-    assert told.count(EDITED) == 1
-    return said
-
-
-def test_a_process_that_imported_old_code_leaves_neither_graph_nor_result_to_the_next(copy):
-    assert edited_meanwhile(copy, "between import and key", "\n") == "1.0\n1.0 True\n"
-    assert python(copy, PROGRAM, "").communicate(timeout=120) == ("200.0\n200.0 False\n", "")
-
-
-def test_what_a_process_computed_of_edited_code_is_gone_with_the_edit(copy):
-    assert edited_meanwhile(copy, "between key and import", "\n\n") == "200.0\nnow\n200.0 False\n"
-    fade(copy, "200.0", "1.0")
-    assert python(copy, PROGRAM, "").communicate(timeout=120) == ("1.0\n1.0 False\n", "")
-
-
-CHAPTER = [
-    "import time\nfrom pathlib import Path\nfrom railrepro import paths\n",
-    "folder = '.'",
-    "Path('imported').touch()\nwhile not Path('go').exists():\n    time.sleep(0.05)\n"
-    "from railrepro.control.law import GUIDANCE_FADE\n"
-    "paths.product('data/fade.csv').write_text(f'fade\\n{GUIDANCE_FADE}\\n')",
-]
-RUN = "from railrepro.evidence.chain import chain; chain.refresh('01_fade')"
-
-
-def test_a_chapter_that_ran_while_the_code_was_edited_is_stale_and_a_stale_one_names_the_module(copy):
-    write_notebook(copy / "notebooks", CHAPTER, "01_fade")
-    entry = '[[notebook]]\nname = "01_fade"\ntitle = "fade"\nwrites = ["data/fade.csv"]\n'
-    (copy / "notebooks/chain.toml").write_text(entry)
-    first = python(copy, RUN)
-    while first.poll() is None and not (copy / "imported").exists():
-        time.sleep(0.05)
-    fade(copy, "1.0", "200.0")
-    (copy / "go").touch()
-    assert "Traceback" not in first.communicate(timeout=120)[1]
-    assert (copy / "data/fade.csv").read_text() == "fade\n200.0\n"
-    fade(copy, "200.0", "1.0")
-    look = "from railrepro.evidence.chain import chain; print(chain.why_stale(chain.find('01_fade')))"
-    assert python(copy, look).communicate(timeout=120)[0] == "an input was edited while it ran\n"
-    _, told = python(copy, RUN).communicate(timeout=120)
-    assert told == ""
-    assert (copy / "data/fade.csv").read_text() == "fade\n1.0\n"
-    fade(copy, "1.0", "2.0")
-    assert python(copy, look).communicate(timeout=120)[0] == "railrepro/control/law.py\n"
+    assert said == printed and told.count(EDITED) == 1
+    fade(copy, "200.0", new)
+    assert python(copy, PROGRAM, "").communicate(timeout=120) == (f"{new}\n{new} False\n", "")
 
 
 STUDY = """

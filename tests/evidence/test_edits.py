@@ -88,7 +88,7 @@ CASES = [
 def test_an_edit_stops_no_chapter(edit, tmp_path, monkeypatch):
     name = next(name for name in chain.chain() if name.startswith(edit.chapter))
     for file, (old, new) in edit.texts.items():
-        source = chain.find(name).path if file == "chapter" else paths.ROOT / file
+        source = chain.chain()[name].path if file == "chapter" else paths.ROOT / file
         text = source.read_text(encoding="utf-8")
         target = tmp_path / ("notebooks" if file == "chapter" else "data") / source.name
         if file == "chapter":
@@ -98,7 +98,7 @@ def test_an_edit_stops_no_chapter(edit, tmp_path, monkeypatch):
         assert old in text
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text.replace(old, new), encoding="utf-8")
-    notebook = chain.find(name)
+    notebook = chain.chain()[name]
     parameters = notebook.parameters | notebook.test_parameters | edit.parameters
     chain.run(notebook, parameters, tmp_path, tmp_path / "executed")
     assert edit.marks <= bool(chain.false_sentences(tmp_path / "executed" / f"{name}.ipynb"))

@@ -12,8 +12,8 @@ from railrepro.evidence.uncertainty import loop
 
 def test_seeds_and_held_out_kinds_are_none_of_tuning():
     task = tuning.load_task(setting="loop")
-    assert not {run.sensors["seed"] for run in task.runs} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 24
-    tuned = [(run.scenario.but(end_m=1.0), run.plant, run.irregular) for run in task.runs]
+    assert not {run.sensors["seed"] for run in task.runs.values()} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 24
+    tuned = [(run.scenario.but(end_m=1.0), run.plant, run.irregular) for run in task.runs.values()]
     for one in loop.experiments():
         known = (one.scenario.but(end_m=1.0), one.plant, one.irregular) in tuned
         assert one.label["kind"] != "held out" or not known or "gyro.dropout" in one.sensors

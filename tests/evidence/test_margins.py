@@ -62,7 +62,7 @@ def test_slow_controllers_are_disturbed_at_the_same_place():
     slow = margins.probed(guidance("nmpc", NMPC, {"solver": "rti"}), 1.0)
     assert callable(slow) and slow.memory == ("probe_ticks",)
     found = margins.sensitivity(guidance("nmpc", NMPC, {"solver": "rti"}), SPEED)
-    assert 1.0 < margins.peak(found) < 4.0
+    assert 1.0 < np.abs(found).max() < 4.0
     assert abs(found[0]) < 0.7  # slow disturbances are countered
 
 
@@ -75,7 +75,6 @@ NMPC = {
 def test_margins_of_hand_made_curves():
     loop = np.array([-0.5, 1j, 3.0])
     found = 1 / (1 + loop)
-    assert margins.peak(found) == pytest.approx(2.0)
     assert margins.disk_margin(found) == pytest.approx(1 / 1.5)  # the gain may double: (2 + a) / (2 - a) = 2
 
 

@@ -4,12 +4,14 @@ import dataclasses
 import pkgutil
 import re
 
+import pandas as pd
+
+from railrepro import paths
 from railrepro.car import equations
 from railrepro.control import interface
-from railrepro.evidence.chain import book
 from railrepro.vehicle import parameters
 
-TABLE, VEHICLE = book.symbols(), parameters.load_vehicle()
+TABLE, VEHICLE = pd.read_csv(paths.DATA / "notation.csv", keep_default_na=False), parameters.load_vehicle()
 SERIES = {*equations.car().outputs, *(f"front.{field.name}" for field in dataclasses.fields(interface.Record))}
 
 

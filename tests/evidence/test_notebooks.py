@@ -16,7 +16,9 @@ def test_notebook(notebook, tmp_path):
         pairs = [(paths.ROOT / product, tmp_path / product) for product in notebook.products]
         found = [(old, new, compare.compare(old, new, chain.tolerance())) for old, new in pairs]
         different = [
-            f"  {old.name}: {one}\n    committed {old}\n    rerun     {new}" for old, new, one in found if one.different
+            f"  {old.name}: {compare.summary(entries)}\n    committed {old}\n    rerun     {new}"
+            for old, new, entries in found
+            if (entries["outcome"] == compare.DIFFERENT).any()
         ]
         assert not different, "\n".join(["other products than the committed ones:", *different, LOOK])
 

@@ -1,8 +1,7 @@
 """Where the order turns: each axis moves one thing, its nominal value moves nothing, and a lost run has no error."""
 
-from dataclasses import replace
-
 import numpy as np
+import pandas as pd
 import pytest
 
 from railrepro.evidence.runs import tuning
@@ -63,8 +62,14 @@ def test_delay_and_noise_begin_where_the_filter_ends():
     assert {"lateral.bias", "gyro.bias", "position.bias", "latency.measurement", "latency.command"} <= silent
 
 
-def test_a_run_that_leaves_the_rail_has_no_error():
+def test_a_run_that_leaves_the_rail_has_no_error(tmp_path, monkeypatch):
     cone = {"contact.profile": "cone"}  # no flange holds it
-    (run,) = order.experiments("bandwidth", 4.0, "paper", "ndi")
-    row = order.row(replace(run, plant=cone))
-    assert row["failed"] and "derailed" in row["ended"] and "rmse_mm" not in row
+    monkeypatch.setattr(order, "changed", lambda axis, value: {"plant": cone})
+    monkeypatch.setattr(order, "AXES", {"bandwidth": ("-", (1.0, 4.0))})
+    monkeypatch.setattr(order, "SETTINGS", ("paper",))
+    monkeypatch.setattr(order, "CONTROLLERS", ("nmpc", "ndi"))
+    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+    order.main()
+    held, lost = pd.read_csv(tmp_path / "data/results/order_turns.csv").to_dict("records")
+    assert not held["failed"] and 0 < held["rmse_mm"] < 5 and held["ended"].startswith("end of the run")
+    assert lost["failed"] and "derailed" in lost["ended"] and np.isnan(lost["rmse_mm"])

@@ -26,13 +26,13 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     assert "01_tiny: done; 0 left" in capfd.readouterr().err
     (tiny / "data/MANIFEST.csv").write_text("path,sha256,made_by,inputs_sha256,seed\ndata/old.csv,0,01_tiny,0,\n")
     assert chain.figures() == 0
-    assert capfd.readouterr().err == "nothing is stale of 1 notebooks\n"
+    assert capfd.readouterr().err == "0 of 1 notebooks are stale\n"
     assert (tiny / "data/MANIFEST.csv").read_text() == manifest
     product.unlink()
     chain.figures(["01"])
     assert product.exists()
     write_notebook(tiny / "notebooks", [CELLS[0], "value = 2", CELLS[2]])
-    chain.refresh("01_tiny")
+    chain.refresh(chain.chain()["01_tiny"])
     assert product.read_text() == "a\n2\n"
 
 
@@ -49,7 +49,7 @@ def test_what_a_kernel_writes_beside_its_cells_is_shown_where_it_ends_early(tiny
 def test_executed_notebooks_are_identical_bytes(tiny):
     executed = []
     for _ in range(2):
-        chain.run(chain.find("01_tiny"), {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb")
+        chain.run(chain.chain()["01_tiny"], {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb")
         executed.append((tiny / "build/nb/01_tiny.ipynb").read_bytes())
     assert executed[0] == executed[1]
     assert not (tiny / "data/results/out.csv").exists()
@@ -58,78 +58,59 @@ def test_executed_notebooks_are_identical_bytes(tiny):
 @pytest.mark.parametrize(
     ("last", "sentence"),
     [
-        ("1 / 0", "failed with ZeroDivisionError"),
         ("import sys\nsys.exit(0)", "failed with|not executed|did not write"),
         ("pass", "did not write data/results/out.csv"),
         (None, "01_tiny: has no parameter 'speed'"),
     ],
 )
 def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
-    chain.refresh("01_tiny")
+    chain.refresh(chain.chain()["01_tiny"])
     if last is None:
         with open(tiny / "notebooks/chain.toml", "a") as file:
             file.write("parameters = { speed = 1 }\n")
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last or CELLS[2]])
     with pytest.raises(InputError, match=sentence) as failed:
-        chain.refresh("01_tiny")
+        chain.refresh(chain.chain()["01_tiny"])
     assert "\n" not in str(failed.value)
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
 
 
-ENTRY = '[[notebook]]\nname = "{}"\ntitle = "x"\nwrites = ["{}"]\nafter = {}\n'
+ENTRY = '[[notebook]]\nname = "{0}"\ntitle = "x"\nwrites = ["data/{1}"]\n'
 
 
-def test_chain_refuses_double_products_and_wrong_order(tiny):
+def test_chain_refuses_what_two_notebooks_write(tiny):
     file = tiny / "notebooks" / "chain.toml"
-    file.write_text(ENTRY.format("01_a", "data/x.csv", []) + ENTRY.format("02_b", "data/x.csv", []))
-    with pytest.raises(InputError, match="written by 01_a and by 02_b"):
+    file.write_text(ENTRY.format("01_a", "x.csv") + ENTRY.format("02_b", "x.csv"))
+    with pytest.raises(InputError, match="data/x.csv is written by 01_a and by 02_b"):
         chain.chain()
-    file.write_text(ENTRY.format("01_a", "data/x.csv", ["02_b"]) + ENTRY.format("02_b", "data/y.csv", []))
-    with pytest.raises(InputError, match="01_a is after '02_b', which is not above it"):
+    file.write_text(ENTRY.format("01_a", "x.csv") + ENTRY.format("01_a", "y.csv"))
+    with pytest.raises(InputError, match="01_a.ipynb is written by 01_a and by 01_a"):
         chain.chain()
 
 
-READING = """import pandas as pd
-from railrepro import paths
-pd.read_csv(paths.source('data/a.csv'))
-paths.product('data/b.csv').write_text('a\\n2\\n')
-open(paths.product('data/b.csv')).read()
-"""
-
-
-def test_a_notebook_that_reads_a_product_of_another_is_after_it(tiny):
-    file, (first, second) = tiny / "notebooks" / "chain.toml", ("01_a", "02_b")
-    write_notebook(tiny / "notebooks", [CELLS[0], "v = 1", "paths.product('data/a.csv').write_text('a\\n1\\n')"], first)
-    write_notebook(tiny / "notebooks", [CELLS[0], "v = 1", READING], second)
-    (tiny / "data/a.csv").write_text("a\n0\n")
-    file.write_text(ENTRY.format(first, "data/a.csv", []) + ENTRY.format(second, "data/b.csv", []))
-    with pytest.raises(InputError, match="02_b: reads data/a.csv of 01_a, which chain.toml does not name in `after`"):
-        chain.refresh(second)
-    assert not (tiny / "data/b.csv").exists()
-    file.write_text(ENTRY.format(first, "data/a.csv", []) + ENTRY.format(second, "data/b.csv", [first]))
-    assert chain.figures(["02"]) == 0
-    assert chain.find(second).reads == ("data/a.csv",)
-    (tiny / "data/a.csv").write_text("a\n5\n")
-    assert chain.why_stale(chain.find(second)) == "data/a.csv"
-    assert chain.why_stale(chain.find(first)) == "data/a.csv was changed or is missing"
-    assert [row.split(",")[0] for row in (tiny / "data/MANIFEST.csv").read_text().split()[1:]] == [
-        "data/a.csv",
-        "data/b.csv",
-    ]
-
-
-def test_a_failing_notebook_stops_those_after_it_and_no_other(tiny, capfd):
-    file, own = tiny / "notebooks" / "chain.toml", [CELLS[0], "v = 1"]
-    write_notebook(tiny / "notebooks", [*own, "1 / 0"], "01_a")
-    for name in ("02_b", "03_c"):
-        write_notebook(tiny / "notebooks", [*own, f"paths.product('data/{name}').write_text('x')"], name)
-    entries = [("01_a", "data/01_a", []), ("02_b", "data/02_b", ["01_a"]), ("03_c", "data/03_c", [])]
-    file.write_text("".join(ENTRY.format(*entry) for entry in entries))
+def test_a_notebook_reads_no_product_of_another_and_one_that_fails_stops_no_other(tiny, capfd):
+    writes, reads = "paths.product('data/{}').write_text('a\\n1\\n')", "open(paths.source('data/{}')).read()"
+    contents = {
+        "01_a": (writes.format("01_a"),),
+        "02_b": (reads.format("01_a"), writes.format("02_b")),
+        "03_c": ("1 / 0",),
+        "04_d": (writes.format("04_d"), reads.format("04_d"), reads.format("in.txt")),
+    }
+    (tiny / "notebooks/chain.toml").write_text("".join(ENTRY.format(name, name) for name in contents))
+    for name, lines in contents.items():
+        write_notebook(tiny / "notebooks", [CELLS[0], "v = 1", "\n".join(lines)], name)
+    for name in ("01_a", "in.txt"):
+        (tiny / "data" / name).write_text("0")
     assert chain.figures(jobs=2) == 1
     told = capfd.readouterr().err
-    assert "3 of 3 notebooks are stale" in told and "02_b: running" not in told and "Traceback" not in told
-    assert "error: 01_a: cell 3 failed with ZeroDivisionError: division by zero (kept build/notebooks/01_a.f" in told
-    assert (tiny / "data/03_c").exists() and "03_c" in (tiny / "data/MANIFEST.csv").read_text()
+    assert "4 of 4 notebooks are stale" in told and "Traceback" not in told
+    assert "error: 02_b: reads data/01_a, which 01_a writes" in told
+    assert "error: 03_c: cell 3 failed with ZeroDivisionError: division by zero (kept build/notebooks/03_c.f" in told
+    assert [(tiny / "data" / name).exists() for name in contents] == [True, False, False, True]
+    rows = (tiny / "data/MANIFEST.csv").read_text().split()[1:]
+    assert [row.split(",")[:3:2] for row in rows] == [["data/01_a", "01_a"], ["data/04_d", "04_d"]]
+    (tiny / "data/in.txt").write_text("5")
+    assert chain.why_stale(chain.chain()["04_d"]) == "data/in.txt"
     with pytest.raises(InputError, match="no notebook or figure of chain.toml begins with 'fig99'"):
         chain.figures(["fig99"])
 
@@ -138,8 +119,8 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     file = shutil.copy(COMMITTED / SCENARIOS, tiny / SCENARIOS)
     loads = "from railrepro.simulation.scenarios import load_scenario\nvalue = load_scenario('curve_entry_T1').end_m\n"
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], loads + CELLS[2]])
-    chain.refresh("01_tiny")
-    notebook, text = chain.find("01_tiny"), file.read_text()
+    chain.refresh(chain.chain()["01_tiny"])
+    notebook, text = chain.chain()["01_tiny"], file.read_text()
     assert chain.why_stale(notebook) == ""
     used = text.index("[curve_entry_T1]")
     for changed, why in (
@@ -156,7 +137,7 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
     all_of_them += "value = len([found['curve_entry_T1'], *found.values()])\n"
     file.write_text(text)
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], all_of_them + CELLS[2]])
-    chain.refresh("01_tiny")
+    chain.refresh(chain.chain()["01_tiny"])
     file.write_text(text.replace("speed_kmh = 280", "speed_kmh = 281"))
     assert chain.why_stale(notebook).startswith(f"{SCENARIOS} [curve_entry_T3]")
     file.write_text(text + text[used:].split("\n\n")[0].replace("curve_entry_T1", "curve_entry_new"))
@@ -167,16 +148,16 @@ def test_an_input_that_is_edited_while_a_chapter_runs_makes_it_stale(tiny):
     (tiny / "data/in.txt").write_text("1")
     edit = "import time\nfile = paths.ROOT / 'data/in.txt'\nfile.read_text()\ntime.sleep(0.1)\nfile.write_text('2')\n"
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], edit + CELLS[2]])
-    chain.refresh("01_tiny")
-    assert chain.why_stale(chain.find("01_tiny")) == chain.EDITED
+    chain.refresh(chain.chain()["01_tiny"])
+    assert chain.why_stale(chain.chain()["01_tiny"]) == chain.EDITED
 
 
 def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
     monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
-    notebook, product = chain.find("01_tiny"), tiny / "data/results/out.csv"
+    notebook, product = chain.chain()["01_tiny"], tiny / "data/results/out.csv"
     assert chain.why_stale(notebook) == "it has not run here"
-    chain.refresh("01_tiny")
+    chain.refresh(chain.chain()["01_tiny"])
     found = chain.inputs(notebook, {})
     (tiny / "environment.lock").write_text("ruff==0.1\n")
     assert chain.why_stale(notebook) == ""
@@ -194,6 +175,22 @@ def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
     assert chain.inputs(notebook, {}) == found, "the machine is no part of a manifest"
     monkeypatch.setattr(code, "packages", lambda: {"numpy": "another one"})
     assert chain.inputs(notebook, {}) != found
+
+
+def test_a_stale_chapter_names_the_module_and_one_that_ran_while_code_was_edited_is_stale(tiny, monkeypatch):
+    notebook = chain.chain()["01_tiny"]
+    chain.refresh(notebook)
+    with monkeypatch.context() as patch:
+        known = code._source_hash
+        patch.setattr(code, "_source_hash", lambda name: "other" if name == "railrepro/paths.py" else known(name))
+        assert chain.why_stale(notebook) == "railrepro/paths.py"
+    assert chain.why_stale(notebook) == ""
+    with monkeypatch.context() as patch:
+        patch.setattr(code, "unchanged", lambda: False)
+        chain.figures()
+    assert chain.why_stale(notebook) == chain.EDITED and not (tiny / "data/MANIFEST.csv").exists()
+    chain.figures()
+    assert chain.why_stale(notebook) == ""
 
 
 def test_the_lock_pins_each_package_once_by_hash_and_without_addresses():

@@ -6,6 +6,7 @@ import pytest
 
 from railrepro.control.registry import PAPER_TRIO
 from railrepro.evidence.claims import probe, statements
+from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.runs import tuning
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
@@ -79,26 +80,23 @@ def test_an_oscillation_about_the_set_point(gain, noise, growth):
 def test_where_one_of_the_perturbed_runs_fails_all_have():
     found = probe._mean([{"failed": 0.0, "rmse_y": 1.0, "a": 1.0}, {"failed": 0.0, "rmse_y": 3.0, "a": 2.0}])
     assert found == {"failed": 0.0, "rmse_y": 2.0, "a": 1.5}
-    assert probe._mean([{"failed": 0.0, "rmse_y": 1.0, "a": 1.0}, {"failed": 1.0, "a": 2.0}]) == {
-        "failed": 1.0,
-        "a": 1.5,
-    }
+    one_failed = probe._mean([{"failed": 0.0, "rmse_y": 1.0, "a": 1.0}, {"failed": 1.0, "a": 2.0}])
+    assert one_failed == {"failed": 1.0, "a": 1.5}
 
 
 def test_the_smallest_fixed_share_is_found_by_halving(monkeypatch):
     """Guidance needs 7.5 % of the torque; the distance rises with what is set aside."""
 
-    def braked(_world, _scenario, _name, _parameters, fixed_share=None):
+    def braked(_world, fixed_share=None):
         if fixed_share is None:
             return {"rmse_y": 1e-3, "stopping_distance": 1000.0}
         enough = 0.075 <= fixed_share < 0.2  # a longer way has more of the error again
         return {"rmse_y": 1.05e-3 if enough else 5e-3, "stopping_distance": 1000 / (1 - fixed_share)}
 
     monkeypatch.setattr(probe, "_braked", braked)
-    world = probe.ProbeSetup({name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO})
-    found = {metric: value for _, _, metric, value in probe._allocated(world)}
+    found = probe._allocated(setup({}))
     assert 0.075 <= found["share"] < 0.078 and found["stopping_distance"] == pytest.approx(1082, abs=3)
-    assert probe._allocated(world, (0.0, 0.02, 0.07))[0][3] == np.inf, "none is enough"
+    assert probe._allocated(setup({}), (0.0, 0.02, 0.07))["rmse_y"] == np.inf, "none is enough"
 
 
 def test_entries_into_macro_slip_that_are_left_again():
@@ -134,8 +132,7 @@ def test_what_a_probe_measures_of_a_run_made_by_hand():
 
 
 def test_a_probe_answers_statements():
-    parameters = {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
-    rows = probe.probe(probe.ProbeSetup(parameters), ["curve", "causes"])
+    rows = probe.probe(setup({}), ["curve", "causes"])
     evidence = statements.Evidence({row[:3]: row[3] for row in rows})
     assert statements.find("C13", evidence).value == pytest.approx(0.41, abs=0.05)  # nearly rolling wheels drift less
     assert 0.6 < statements.find("C35", evidence).value < 0.75  # and S1002 wheels follow worse than cones
@@ -164,8 +161,11 @@ def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting,
     assert set(rows["setting"]) == {setting} and set(rows["swarm"]) == {0, 1, 2}
     braked = rows[rows["scenario"] == probe.BRAKE]
     assert set(braked["swarm"]) == {0} and braked["seed"].nunique() == 1, "once per setting"
+    swarms = sorted(tuning.load("nmpc", setting)["swarms"], key=lambda swarm: swarm["cost"])
+    of_rank = {tuple(swarm["parameters"].values()) for swarm in swarms}
+    assert of_rank <= {tuple(e.parameters.values()) for e in made if e.controller == "nmpc"}
     made.clear()
-    probe.probe(probe.nominal_setup(setting, 0, probe.SEEDS[0]), (*probe.PARTS, *probe.ONCE))
+    probe.probe(setup({}, setting, seed=probe.SEEDS[0]), (*probe.PARTS, *probe.ONCE))
     assert {e.controller for e in made} == set(PAPER_TRIO) and len(made) > 70
     for experiment in made:
         own = tuning.load(experiment.controller, setting)["parameters"]

@@ -93,10 +93,10 @@ def test_what_decides_is_confirmed_by_changing_it_alone():
         large = [dict(s.values).get("wheel.radius", 0.47) > 0.46 for s in samples]
         return [sample(setting=s.setting, ndi=2e-3 if yes else 5e-4) for s, yes in zip(samples, large, strict=True)]
 
-    assert robustness.confirmed(found, run)["decided_by"].tolist() == ["wheel.radius"]
+    assert robustness.confirmed(found, "paper", run)["decided_by"].tolist() == ["wheel.radius"]
     assert [len(s.values) for s in asked] == [1, 1, 1, 1], "each alone, at both ends"
     none = found.assign(candidates=[[]])
-    assert robustness.confirmed(none, run)["decided_by"].tolist() == [""]
+    assert robustness.confirmed(none, "paper", run)["decided_by"].tolist() == [""]
 
 
 def test_what_decides_is_told_without_what_only_moves_with_it_and_without_chance():

@@ -83,6 +83,6 @@ def test_an_edited_input_marks_and_an_edited_product_of_the_chain_does_not(tiny,
     assert said(capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
     commit(tiny, "value = 2", reading)
     assert chain.figures() == 0
-    chain.find("01_tiny").stamp.unlink()
+    chain.chain()["01_tiny"].stamp.unlink()
     with pytest.raises(InputError, match="1 sentence does not hold with the committed values"):
-        chain.refresh("01_tiny")
+        chain.refresh(chain.chain()["01_tiny"])

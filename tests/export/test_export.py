@@ -1,15 +1,17 @@
-"""A controller taken away: coupled with the unit of the car it drives as in a run; its C needs nothing from outside."""
+"""Exported controllers: coupled with the car's FMU they drive as in a run, with parameters as in a run with them."""
 
-import ctypes
+import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
+from units import Instance, fmpy
 
+from railrepro import paths
 from railrepro.compile import cache
 from railrepro.control import interface
-from railrepro.control.law import LawSettings
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import guidance
 from railrepro.estimation.sensors import readings
@@ -17,28 +19,48 @@ from railrepro.export.car import export_fmu
 from railrepro.export.controller import TORQUES, Export
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
 
 SCENARIO = load_scenario("curve_entry_T3").but(end_m=70.0)
 MPC = {"q_psi_TrAx": 1.0, "q_psidot_Ax": 1e-3, "r": 1e-11, "q_terminal": 10.0, "period_ms": 10, "horizon_s": 0.4}
+REAL_TIME = {"solver": "rti"}
 GUIDANCE = {
     "ndi": NDI(30.0, 20.0, 0.8, integral=0.05, derivatives=3),
-    "nmpc_observer": guidance("nmpc_observer", MPC | {"observer": 0.05}, {"solver": "rti"}),
+    "nmpc_observer": guidance("nmpc_observer", MPC | {"observer": 0.05}, REAL_TIME),
     "ltv_mpc": guidance("ltv_mpc", MPC),
     "ltv_mpc_printed": guidance("ltv_mpc_printed", MPC),
     "lqg_preview": guidance("lqg_preview", {}),
 }
+LAW, BRISK = NDI(30.0, 20.0, 0.8), NDI(40.0, 40.0, 1.0)
+Y = ["front.y", "rear.y"]
 
 
-@pytest.fixture(autouse=True)
-def quickly_compiled(monkeypatch):
-    monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
+@pytest.fixture(autouse=True, scope="module")
+def quickly_compiled():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
+        yield
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory):
+    folder, route = tmp_path_factory.mktemp("units"), SCENARIO.route()
+    return {
+        "car": export_fmu(folder / "car.fmu", route, SCENARIO.speed),
+        "ndi": Export(LAW, route).write_fmu(folder / "ndi.fmu"),
+        "nmpc": Export(guidance("nmpc", MPC, REAL_TIME), route).write_fmu(folder / "nmpc.fmu"),
+    }
+
+
+def paths_of(run):
+    return run.series[Y].to_numpy()[:-1]
 
 
 def coupled(car, controller, cycles):
     """Lateral positions of both gears under a master that steps the controller before the car."""
     found = []
     for _ in range(cycles):
-        found.append(car.get(["front.y", "rear.y"]))
+        found.append(car.get(Y))
         controller.set(interface.MEASURED, car.get(interface.MEASURED))
         controller.step()
         car.set(TORQUES, controller.get(TORQUES))
@@ -46,60 +68,110 @@ def coupled(car, controller, cycles):
     return np.array(found)
 
 
-@pytest.mark.parametrize("name", GUIDANCE)
-def test_car_and_controller_coupled_in_fmpy_drive_as_in_a_run(name, tmp_path):
-    from units import Instance
-
-    run = simulate.run(SCENARIO, GUIDANCE[name])
-    route = SCENARIO.route()
-    car = Instance(export_fmu(tmp_path / "car.fmu", route, SCENARIO.speed))
-    controller = Instance(Export(GUIDANCE[name], route).write_fmu(tmp_path / "controller.fmu"))
-    expected = run.series[["front.y", "rear.y"]].to_numpy()[:-1]
-    found = coupled(car, controller, len(expected))
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [*((name, None) for name in GUIDANCE), *((name, 3) for name in ("ndi", "nmpc_observer", "lqg_preview"))],
+)
+def test_car_and_controller_coupled_in_fmpy_drive_as_in_a_run(units, name, seed, tmp_path):
+    """With perfect measurements, and behind sensors."""
+    seen, route = None if seed is None else readings(seed=seed), SCENARIO.route()
+    expected = paths_of(simulate.run(SCENARIO, GUIDANCE[name], sensors=seen))
+    export = Export(GUIDANCE[name], route, sensors=seen)
+    controller = Instance(export.write_fmu(tmp_path / "controller.fmu"))
+    found = coupled(Instance(units["car"]), controller, len(expected))
     assert np.abs(expected).max() > 1e-4
     assert found == pytest.approx(expected, abs=1e-9)  # asked for is 1e-6
 
 
-def driven(source, folder, series):
-    """Torques of the C of a controller that measures what a run measured, and the names that it wants from outside."""
-    file = folder / "controller.c"
-    file.write_text(source + "\nunsigned long size(void) { return sizeof(controller_t); }\n")
-    options = ["-O1", "-ffp-contract=off", "-shared", "-fPIC", "-w", file, "-o", file.with_suffix(".so"), "-lm"]
-    subprocess.run([cache.compiler(), *options], check=True)
-    library = ctypes.CDLL(str(file.with_suffix(".so")))
-    memory = ctypes.create_string_buffer(library.size())
-    numbers = np.frombuffer(memory, dtype=float, count=len(interface.MEASURED) + len(TORQUES))
-    library.controller_reset(memory)
-    torques = []
-    for row in series[list(interface.MEASURED)].to_numpy():
-        numbers[: len(interface.MEASURED)] = row
-        assert library.controller_step(memory) == 0
-        torques.append(numbers[len(interface.MEASURED) :].copy())
+@pytest.mark.parametrize(
+    ("name", "changed", "law"),
+    [
+        ("ndi", {f"lateral.{key}": value for key, value in BRISK.gains().items()}, BRISK),
+        ("nmpc", {"cost.r": 10 * MPC["r"]}, guidance("nmpc", MPC | {"r": 10 * MPC["r"]}, REAL_TIME)),
+    ],
+)
+def test_fmus_with_parameters_drive_as_a_run_with_the_same_change(units, name, changed, law):
+    scenario = SCENARIO.but(speed_kmh=250.0)
+    plant = load_vehicle(**{"body.mass": 30000.0, "drive.lag": 0.008, "adhesion.dry.mu0": 0.2})
+    expected = paths_of(simulate.run(scenario, law, plant_vehicle=plant))
+    in_fmu = {"body.mass": 30000.0, "drive.lag": 0.008, "adhesion.good.mu0": 0.2, "speed": scenario.speed}
+    found = coupled(Instance(units["car"], parameters=in_fmu), Instance(units[name], parameters=changed), len(expected))
+    assert (found == expected).all()
+    unchanged = paths_of(simulate.run(scenario, law))
+    assert abs(unchanged[: len(found)] - expected[: len(unchanged)]).max() > 1e-6
+
+
+def test_a_forecast_as_printed_is_exported_as_printed():
+    fmu = Export(guidance("nmpc", MPC, variant="D4"), SCENARIO.route()).fmu()
+    values = {one.name: one.value for one in fmu.parameters}
+    assert values["forecast.rear.acceleration_per_torque"] < 0 < values["forecast.rear.m_CB"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "name", "value"),
+    [
+        ("car", "body.mass", 1.0),
+        ("car", "speed", 1e3),
+        ("ndi", "adhesion.corridor", -0.1),
+        ("nmpc", "cost.period", 0.02),
+    ],
+)
+def test_a_parameter_out_of_range_is_refused(units, unit, name, value):
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        Instance(units[unit], parameters={name: value})
+
+
+def test_a_parameter_is_set_before_initialisation_ends_and_a_reset_forgets_it(units):
+    car = Instance(units["car"], parameters={"speed": 50.0})
+    assert car.get(["front.v", "speed"]) == [50.0, 50.0]
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        car.set(["speed"], [40.0])
+    assert car.said == ["a parameter is set before initialisation ends, not later"]
+    car.slave.reset()
+    assert car.get(["speed"]) == [SCENARIO.speed]
+
+
+def test_a_set_point_and_a_force_demand_of_ones_own_are_laid_on_the_road(units):
+    """Elementary functions of C and of NumPy differ in their last digits, so the paths do."""
+    sine = {"kind": "sine", "amplitude_mm": 2.0, "start_m": 5.0, "period_m": 50.0}
+    laid = {"kind": 1, "amplitude": 2e-3, "start": 5.0, "period_start": 50.0}
+    expected = paths_of(simulate.run(SCENARIO.but(set_point=sine), LAW))
+    controller = Instance(units["ndi"], parameters={f"set_point.{name}": value for name, value in laid.items()})
+    found = coupled(Instance(units["car"]), controller, len(expected))
+    assert abs(expected).max() > 1e-3
+    assert found == pytest.approx(expected, abs=1e-12)
+
+
+def block(language):
+    """The only program in a language on the page about coupling."""
+    page = (paths.NOTEBOOKS / "book/couple.md").read_text()
+    (found,) = re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    return found
+
+
+def test_the_program_of_the_page_drives_the_trajectory_of_a_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(compile(block("python"), "couple.md", "exec"), names)
+    expected = simulate.run(names["scenario"], LAW).series[["front.p", "front.y"]].to_numpy()[1:]
+    assert len(expected) > 850 and np.abs(expected[:, 1]).max() > 1e-4
+    n = min(len(expected), len(names["path"]))
+    assert np.array(names["path"][:n]) == pytest.approx(expected[:n], abs=1e-9)
+
+
+def test_the_c_of_the_page_steers_back_and_needs_no_more_than_mathematics(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    route = load_scenario("sine_tracking").but(set_point={"kind": "none"}, end_m=50.0).route()
+    Export(LAW, route).write_source("controller.c")
+    Path("main.c").write_text(block("c"))
+    subprocess.run([cache.compiler(), "-O0", "-w", "main.c", "-o", "main", "-lm"], check=True)
+    done = subprocess.run(["./main"], capture_output=True, text=True, check=True)
+    front_le, front_ri, rear_le, rear_ri = map(float, done.stdout.split())
+    assert front_le < 0 < front_ri  # 1 mm to the right of the set point, so to the left
+    assert rear_le == pytest.approx(0, abs=1e-3) and rear_ri == pytest.approx(0, abs=1e-3)
     if shutil.which("nm") is None:
-        return np.array(torques), None
-    wanted = subprocess.run(
-        ["nm", "-D", "--undefined-only", file.with_suffix(".so")], capture_output=True, text=True
-    ).stdout
-    return np.array(torques), {line.split()[-1].partition("@")[0] for line in wanted.splitlines()}
-
-
-@pytest.mark.parametrize("name", ["ndi", "nmpc_observer"])
-def test_the_c_behind_sensors_gives_the_torques_of_a_run_and_needs_nothing(name, tmp_path):
-    seen = readings(seed=3)
-    series = simulate.run(SCENARIO, GUIDANCE[name], sensors=seen).series
-    source = Export(GUIDANCE[name], SCENARIO.route(), settings=LawSettings(sensors=seen)).source()
-    torques, wanted = driven(source, tmp_path, series)
-    du = (torques[:, 0] - torques[:, 1]) / 2
-    late = round(seen.loop.latency.command / 1e-3)
-    recorded = series["front.du"].to_numpy()
-    assert np.abs(recorded).max() > 10
-    assert du[late:] == pytest.approx(recorded[: len(recorded) - late], abs=1e-6)
-    if wanted is None:
-        pytest.skip("the torques are right; there is no nm to tell what the object needs")
-    mathematics = {"sin", "cos", "tan", "sqrt", "exp", "log", "fabs", "floor", "fmin", "fmax", "atan", "atan2", "pow"}
-    assert {name for name in wanted if not name.startswith("_")} <= mathematics | {
-        "tanh",
-        "memcpy",
-        "memset",
-        "memmove",
-    }
+        pytest.skip("it steers back; there is no nm to tell what the object needs")
+    subprocess.run([cache.compiler(), "-O1", "-w", "-c", "controller.c"], check=True)
+    lines = subprocess.run(["nm", "-u", "controller.o"], capture_output=True, text=True, check=True).stdout.splitlines()
+    needed = {line.split()[-1] for line in lines if not line.split()[-1].startswith("_")}
+    assert needed <= {"sqrt", "floor", "memcpy", "memset", "memmove"}

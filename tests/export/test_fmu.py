@@ -1,4 +1,4 @@
-"""The car as an FMI unit: valid, its own GUID, portable, with an answer to every input, several at a time, anywhere."""
+"""The car as an FMU: valid, its own GUID, portable, with an answer to every input, several at a time, anywhere."""
 
 import ctypes
 import math
@@ -20,7 +20,7 @@ CONE = {"contact.profile": "cone"}
 
 @pytest.fixture(scope="module")
 def unit(tmp_path_factory):
-    """A unit on T5, on cones, which have no flange, compiled without optimisation."""
+    """A car on T5, on cones, which have no flange, compiled without optimisation."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
         return export_fmu(tmp_path_factory.mktemp("unit") / "car.fmu", "T5", 60.0, load_vehicle(**CONE))
@@ -30,47 +30,39 @@ def description(unit):
     return ElementTree.fromstring(zipfile.ZipFile(unit).read("modelDescription.xml"))
 
 
-def token(unit):
-    """What an importer must give to get an instance."""
-    return description(unit).get("guid")
-
-
-def test_the_unit_is_valid(unit):
+def test_an_fmu_is_valid_and_holds_sources_that_compile_to_the_interface(unit, tmp_path):
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(unit)) == []
-
-
-def test_the_unit_holds_sources_that_compile_to_the_interface(unit, tmp_path):
     with zipfile.ZipFile(unit) as archive:
         source = archive.extract("sources/all.c", tmp_path)
-    listed = description(unit).find("CoSimulation/SourceFiles/File").get("name")
-    assert source.endswith(listed)
+    assert source.endswith(description(unit).find("CoSimulation/SourceFiles/File").get("name"))
     library = ctypes.CDLL(str(cache.build(Path(source).read_text(), portable=True)))
     assert library.fmi2DoStep and library.fmi2SetReal
 
 
-def test_the_guid_follows_the_content(unit, tmp_path, monkeypatch):
-    guids = set()
+def test_the_guid_follows_the_content_and_another_one_is_refused(unit, tmp_path, monkeypatch):
+    guids = [description(unit).get("guid")]
+    with pytest.raises(Exception, match="instantiate"):
+        Instance(unit, "car", guid="{other}")
     monkeypatch.setattr(cache, "build", lambda text, portable: unit)
-    softer = {"suspension.c_y": 30001.0}
     for route, speed, changes in (
-        *(("T5", 60.0, {}), ("T5", 60.0, {}), ("T3", 60.0, {}), ("T5", 61.0, {}), ("T5", 60.0, softer)),
+        ("T5", 60.0, {}),
+        ("T3", 60.0, {}),
+        ("T5", 61.0, {}),
+        ("T5", 60.0, {"suspension.c_y": 30001.0}),
     ):
-        file = export_fmu(tmp_path / "car.fmu", route, speed, load_vehicle(**CONE | changes))
-        guids.add(token(file))
-    assert len(guids) == 4
-    assert token(unit) in guids
+        guids.append(description(export_fmu(tmp_path / "car.fmu", route, speed, load_vehicle(**CONE | changes))))
+        guids[-1] = guids[-1].get("guid")
+    assert guids[0] == guids[1] and len(set(guids)) == 4
 
 
 def test_no_flag_asks_for_more_than_any_processor_has(monkeypatch):
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
     assert not any(flag.startswith(("-march", "-mavx", "-mtune")) for flag in cache.flags(portable=True))
-    monkeypatch.setenv("RAILREPRO_CFLAGS", "-O2 -march=native")
-    assert "-march=native" in cache.flags(portable=True)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -100001.0])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -100001.0])
 def test_a_torque_out_of_range_is_refused_with_a_sentence(value, unit):
     car = Instance(unit, "car")
     with pytest.raises(fmpy.fmi1.FMICallException):
@@ -80,7 +72,7 @@ def test_a_torque_out_of_range_is_refused_with_a_sentence(value, unit):
     assert math.isfinite(*car.get(Y))
 
 
-def test_a_reset_unit_begins_anew_and_an_unknown_variable_is_refused(unit):
+def test_a_reset_car_begins_anew_and_an_unknown_variable_is_refused(unit):
     car = Instance(unit, "car")
     before = car.get(["front.p", *Y])
     car.step(0.05)
@@ -91,11 +83,6 @@ def test_a_reset_unit_begins_anew_and_an_unknown_variable_is_refused(unit):
     with pytest.raises(fmpy.fmi1.FMICallException):
         car.get(["beyond"])
     assert car.said == ["unknown value reference"]
-
-
-def test_a_unit_with_another_guid_is_refused(unit):
-    with pytest.raises(Exception, match="instantiate"):
-        Instance(unit, "car", guid="{other}")
 
 
 def test_a_car_that_leaves_the_rail_says_so_once(unit):

@@ -28,7 +28,6 @@ from railrepro.contact.table import contact_table
 from railrepro.control.registry import guidance
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import preview, pso, tuning
-from railrepro.track import rough as rough_
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track
@@ -38,8 +37,8 @@ nan, inf = np.nan, np.inf
 folder = Path()
 """Where files are written; the test sets it."""
 WAY = np.arange(0.0, 100.0, 0.5)
-FLAT = np.zeros((4, WAY.size))
 FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
+SWITCH = {"kind": "lateral_offset", "start": 50.0, "length": 10.0, "offset": 5e-3, "transition": 8.0}
 SINE = {"kind": "sine", "amplitude_mm": 3, "period_m": 50, "start_m": 0}
 
 
@@ -92,11 +91,6 @@ def edited(name, old, new, read):
     return file(text.replace(old, new, 1), read, Path(name).name)
 
 
-def tuned_ndi(old, new):
-    """Read a tuned set with a passage replaced."""
-    return edited("tuned/equal/ndi.json", old, new, lambda path: tuning.load("ndi", "equal", path.parent))
-
-
 def tracks(path):
     return [build_table(each) for each in alignments(path).values()]
 
@@ -105,8 +99,8 @@ def line(text):
     return file(text, load_track)
 
 
-def rails(text, **options):
-    return file(text, lambda path: rough_.read_irregularities(path, **{"length": 19.0} | options))
+def rails(text, length=19.0):
+    return file(text, lambda path: rough_track([0.0, length], file=str(path)))
 
 
 def points_of(text):

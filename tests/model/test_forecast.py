@@ -14,6 +14,7 @@ from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import load_vehicle
 
 PERIOD, STEPS = 0.02, 30
+STRAIGHT = route.lay(load_track("T5"))
 HALF_CAR = 13_000 + 3000 + 2 * 60 / 0.46**2  # kg, with the spin inertia of two wheels
 
 
@@ -43,7 +44,7 @@ def test_nominal_values_by_hand(vehicle):
 
 @pytest.mark.parametrize("u_d", [0.0, 1500.0, -1500.0])
 def test_a_held_base_torque_accelerates_uniformly(vehicle, u_d):
-    x_d, theta = ahead(vehicle, route.lay(load_track("T5")), u_d)
+    x_d, theta = ahead(vehicle, STRAIGHT, u_d)
     t, acceleration = PERIOD * np.arange(STEPS + 1), 2 * u_d / 0.46 / HALF_CAR
     assert x_d["x"] == pytest.approx(100 + 40 * t + acceleration * t**2 / 2, rel=1e-12)
     assert x_d["xdot"] == pytest.approx(40 + acceleration * t, rel=1e-12)
@@ -51,7 +52,7 @@ def test_a_held_base_torque_accelerates_uniformly(vehicle, u_d):
 
 
 def test_a_braked_gear_stops_where_its_energy_ends_and_stays(vehicle):
-    x_d, _ = ahead(vehicle, route.lay(load_track("T5")), -4000.0, xdot=0.3)
+    x_d, _ = ahead(vehicle, STRAIGHT, -4000.0, xdot=0.3)
     deceleration = 2 * 4000 / 0.46 / HALF_CAR
     stops = 0.3 / deceleration
     assert PERIOD * 10 < stops < PERIOD * 20
@@ -63,10 +64,9 @@ def test_a_braked_gear_stops_where_its_energy_ends_and_stays(vehicle):
 
 @pytest.mark.parametrize("u_d", [0.0, -4000.0])
 def test_a_gear_at_rest_or_rolling_back_is_not_braked_forward(vehicle, u_d):
-    way = route.lay(load_track("T5"))
-    assert ahead(vehicle, way, u_d, xdot=0.0)[0]["x"] == pytest.approx(100.0, abs=1e-12)
-    assert ahead(vehicle, way, u_d, xdot=-0.01)[0]["xdot"] == pytest.approx(-0.01)
-    assert ahead(vehicle, way, 0.0, xdot=-0.01)[0]["x"][-1] == pytest.approx(100 - 0.01 * PERIOD * STEPS)
+    assert ahead(vehicle, STRAIGHT, u_d, xdot=0.0)[0]["x"] == pytest.approx(100.0, abs=1e-12)
+    assert ahead(vehicle, STRAIGHT, u_d, xdot=-0.01)[0]["xdot"] == pytest.approx(-0.01)
+    assert ahead(vehicle, STRAIGHT, 0.0, xdot=-0.01)[0]["x"][-1] == pytest.approx(100 - 0.01 * PERIOD * STEPS)
 
 
 @pytest.mark.parametrize(("gear", "partner"), [(0, -14.0), (1, 14.0)])

@@ -19,13 +19,6 @@ def frame(**columns):
     return pd.DataFrame(named)
 
 
-def test_lateral_error_and_rmse():
-    series = frame(front__y=[1.0, 5.0], front__y_ref=[2.0, 2.0], rear__y=[0.0, 2.0], rear__y_ref=[2.0, 2.0])
-    assert metrics.lateral_error(series) == pytest.approx([-1.0, 3.0])
-    assert metrics.rmse(series) == pytest.approx(np.sqrt(5.0))
-    assert metrics.rmse(series, "rear") == pytest.approx(np.sqrt(2.0))
-
-
 def waves(shift, length=600.0, start=0.0, trend=0.0, gear="front"):
     """A set point with a wavelength that changes, and y that comes `shift` metres after it."""
     p = start + np.arange(0.0, length, 0.05)

@@ -169,6 +169,12 @@ def test_a_step_of_the_demand_comes_where_it_is_stated_and_lasts_to_the_next():
     assert force == pytest.approx([0.0, 0.0, 4e3, 4e3, -6e3, -6e3])
 
 
+def test_a_set_point_has_the_amplitude_period_and_start_that_are_stated():
+    sine = {"kind": "sine", "amplitude_mm": 2.0, "period_m": 50.0, "start_m": 10.0, "end_m": 200.0, "fade_m": 20.0}
+    route = scenarios.load_scenario("sine_tracking").but(set_point=sine).route()
+    assert route.reference_at(np.array([47.5, 5.0, 205.0]))[0] == pytest.approx([-2e-3, 0.0, 0.0])
+
+
 def test_a_run_that_comes_to_rest_ends_after_ten_times_its_way_at_the_initial_speed():
     run = braked(set_point={"kind": "none"})
     assert run.ended.startswith("time limit reached at t = 23.999 s, p = ")

@@ -97,7 +97,7 @@ def profile(vehicle: Vehicle, angle, rolling_radius, creep: tuple[float, float])
         **dict.fromkeys(("semi_axis_x_m", "semi_axis_y_m"), _PATCH),
         **{"c11": c11, "c22": c22, "c23": 0.0, "c33": 0.0},
     )
-    return ContactTable("published", frame)
+    return ContactTable(frame)
 
 
 LAB = {"m": 1e3, "d": 0.72, "r0": 0.46, "k": 13e3, "N": 20e3, "R": 0.23, "Rr": 0.20, "delta0": np.pi / 180, "f": 1e6}

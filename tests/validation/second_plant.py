@@ -33,6 +33,7 @@ from railrepro.control import interface, lateral, law
 from railrepro.control.registry import CONTROLLERS, PAPER_TRIO
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import probe, statements
+from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.commands import report_errors
 from railrepro.evidence.runs import store, tuning
 from railrepro.quantities import indices, pack
@@ -57,10 +58,11 @@ def run(
     if sensors is not None or irregularities is not None or line is not None:
         raise InputError("the second plant has ideal rails and perfect measurements")
     vehicle = vehicle or load_vehicle()
-    body, way = plant_vehicle or vehicle, simulate.checked_route(scenario, vehicle)
+    scenario.check(vehicle)
+    body, way = plant_vehicle or vehicle, scenario.route()
     lateral_law, factory = lateral.split(guidance)
     limits = {"lateral_limit": DERAILED, "track_end": way.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, lateral_law, law.LawSettings(adhesion, fixed_share), **limits)
+    control = law.control_law(vehicle, lateral_law, adhesion, fixed_share, **limits)
     planners = [factory(vehicle, way, gear) for gear in range(2)] if factory else []
     every = round(planners[0].period / CONTROL_PERIOD) if planners else 1
     memory, held, records, ended = np.zeros(len(control.signature.memory)), np.zeros(2), [], "time limit reached"
@@ -114,7 +116,7 @@ def probed(task: tuple[str, str]) -> list[tuple]:
     """What the statements ask of the car in a part of the probe, on one of the plants."""
     part, plant = task
     with mock.patch.dict(os.environ, {store.FOLDER: "off"}), mock.patch.object(simulate, "run", PLANTS[plant]):
-        rows = probe.probe(probe.nominal_setup("paper", 0, 0), (part,))
+        rows = probe.probe(setup({}), (part,))
     return [(plant, *row) for row in rows]
 
 

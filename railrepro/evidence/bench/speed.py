@@ -1,13 +1,12 @@
 """Times of the solvers of the predictive controllers and of a step of the car, as ratios within one run.
 
-`python -m railrepro bench` writes solve_times.csv, horizon_times.csv, sample_times.csv and step_times.csv of
-data/results and prints them. Times of different machines are never compared; the machine's name stands in each table.
+`python -m railrepro bench` writes solve_times.csv, horizon_times.csv and step_times.csv of data/results and prints
+them. Times of different machines are never compared; the machine's name stands in each table.
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
 
-import itertools
 import platform
 import timeit
 from dataclasses import dataclass, replace
@@ -22,10 +21,8 @@ from railrepro.car.component import SteppedCar
 from railrepro.compile import codegen
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, Problem
-from railrepro.control.registry import WITH_OBSERVER, mpc_settings, parameters
-from railrepro.data import InputError, write
-from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.experiment import Experiment
+from railrepro.control.registry import EQUAL, SETTINGS, mpc_settings, parameters
+from railrepro.data import write
 from railrepro.model.control_model import Y
 from railrepro.simulation import scenarios, simulate
 from railrepro.track.route import Route
@@ -154,30 +151,6 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def sample_times(settings=tuning.SETTINGS, names=SCENARIOS, drives: int = 3, end_m: float = 500.0) -> pd.DataFrame:
-    """Time of the samples of predictive controllers in closed loop, the least of some drives at each sample.
-
-    Contract of data/results/sample_times.csv: the first `end_m` of each scenario, in all settings.
-    """
-    kinds = [(name, {"solver": solver}) for name in ("nmpc", WITH_OBSERVER) for solver in ("gauss_newton", "rti")]
-    kinds += [("ltv_mpc", {}), ("ltv_mpc_printed", {})]
-    rows = []
-    for each, (controller, options), name in tqdm(list(itertools.product(settings, kinds, names)), desc="samples"):
-        scenario = scenarios.load_scenario(name)
-        scenario = scenario.but(end_m=min(scenario.end_m, end_m))
-        sensors = {"seed": 1} if each == tuning.LOOP else {}
-        timed = options | {"timed": True}
-        experiment = Experiment(scenario, controller, options=timed, setting=each, sensors=sensors)
-        run = experiment.run()
-        times = 1e3 * _least_times(run, experiment, drives - 1)
-        row = {"setting": each, "controller": controller, "solver": options.get("solver", "one QP"), "scenario": name}
-        row |= {"steps": run.controllers[0].settings.steps, "n": len(times), "median_ms": np.median(times)}
-        row |= {"p99_ms": np.quantile(times, 0.99), "max_ms": times.max()}
-        fallbacks = sum(guided.fallbacks for guided in run.controllers)
-        rows.append(row | {"fallbacks": fallbacks, "failed": run.failed})
-    return pd.DataFrame(rows)
-
-
 def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
     """Time of the functions of the car, one gear after the other and both side by side, the least of some drives."""
     car, rows = SteppedCar("T3", 70.0), []
@@ -192,16 +165,6 @@ def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _least_times(run: simulate.Run, experiment: Experiment, again: int) -> np.ndarray:
-    """Time of each sample of the slower controllers (s), the least of a run and of some more that go like it.
-
-    What a machine does besides lengthens one drive or the other, what a controller needs all of them.
-    """
-    runs = [run, *(experiment.run() for _ in range(again))]
-    found = [[solve.seconds for controller in each.controllers for solve in controller.stats] for each in runs]
-    return np.min([seconds for seconds in found if len(seconds) == len(found[0])], axis=0)
-
-
 def machine() -> str:
     """Name of the processor."""
     info = Path("/proc/cpuinfo")
@@ -210,20 +173,12 @@ def machine() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
-def main(names: list[str]) -> None:
-    """Measure the named tables, or all, and write them."""
-    vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in tuning.SETTINGS}
-    measures = {
-        "solve_times": lambda: pd.concat([solve_times(vehicle, of[name]).assign(setting=name) for name in of]),
-        "horizon_times": lambda: horizon_times(vehicle, of[tuning.EQUAL]),
-        "sample_times": sample_times,
-        "step_times": step_times,
-    }
-    unknown = set(names) - set(measures)
-    if unknown:
-        raise InputError(f"table {min(unknown)!r} is not known; there are {sorted(measures)}")
-    for name in names or measures:
-        table = measures[name]()
+def main() -> None:
+    """Measure the tables and write them."""
+    vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
+    solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
+    tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[EQUAL]), "step_times": step_times()}
+    for name, table in tables.items():
         table["machine"] = machine()
         write(paths.product(f"data/results/{name}.csv"), table.to_csv(index=False, float_format="%.4g"))
         print(f"\n{name}\n{table.drop(columns='machine').to_string(index=False)}")

@@ -1,4 +1,4 @@
-"""The book in build/html: executed notebooks with their surroundings, report, notation, made by Sphinx."""
+"""The book in build/html: executed notebooks with their surroundings, and the report, made by Sphinx."""
 
 from __future__ import annotations
 
@@ -16,11 +16,8 @@ from railrepro.data import InputError, write
 from railrepro.evidence.chain.chain import Notebook, chain, figures, why_stale
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs.tuning import SETTINGS
-from railrepro.vehicle import parameters
 
-_EQUATION = re.compile(r"\beqs?\. (\([^()\s]+\)(?:(?:, | and | to )\([^()\s]+\))*)")
 _DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
-_TAG = re.compile(r"\\tag\{([^}]*)\}")
 _CHAPTER = re.compile(r"`(\d\d_\w+)`")
 _SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
 _FOLDED = re.compile(
@@ -63,10 +60,6 @@ def _source(folder: Path) -> Path:
     """Write the source of the book; returns its folder."""
     notebooks = chain()
     contents = {name: executed(notebook) for name, notebook in notebooks.items()}
-    home: dict[str, str] = {}
-    for name, content in contents.items():
-        for number in tags(prose(content)):
-            home.setdefault(number, name)
     homes = {identity: statement.notebook for identity, statement in statements.load().items()}
     claims = pd.read_csv(paths.source("data/results/claims.csv"), dtype=str, keep_default_na=False)
     shutil.rmtree(folder, ignore_errors=True)
@@ -75,10 +68,9 @@ def _source(folder: Path) -> Path:
         (folder / name).symlink_to(paths.ROOT / name)
     (folder / "source").symlink_to(paths.NOTEBOOKS)
     for name, content in contents.items():
-        page = chapter(notebooks[name], content, home, claims[claims["id"].map(homes) == name])
+        page = chapter(notebooks[name], content, claims[claims["id"].map(homes) == name])
         write(folder / "notebooks" / f"{name}.ipynb", json.dumps(page))
     write(folder / "REPLICATION.md", report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
-    write(folder / "notation.md", _notation(symbols()))
     return folder
 
 
@@ -93,30 +85,14 @@ def executed(notebook: Notebook) -> dict:
     return content
 
 
-def prose(content: dict) -> str:
-    """Markdown of a notebook."""
-    return "\n".join(cell["source"] for cell in content["cells"] if cell["cell_type"] == "markdown")
-
-
-def tags(text: str) -> list[str]:
-    """Numbers of the paper's equations that formulas in a text carry: of "3a, b" these are 3a, 3b and 3."""
-    found: list[str] = []
-    for tag in _TAG.findall(text):
-        number = "".join(re.findall(r"^\d+", tag))
-        found += [f"{number}{letter}" for letter in re.findall(r"[a-z]", tag)] + [number]
-    return list(dict.fromkeys(found))
-
-
-def chapter(notebook: Notebook, content: dict, home: dict[str, str], claims: pd.DataFrame) -> dict:
-    """A notebook as a page: equations linked, figures with captions, source, data and claims at its end.
+def chapter(notebook: Notebook, content: dict, claims: pd.DataFrame) -> dict:
+    """A notebook as a page: chapters linked, figures with captions, source, data and claims at its end.
 
     Parameters
     ----------
     notebook : Notebook
     content : dict
         See `executed`.
-    home : dict
-        Notebook that shows an equation of the paper, by number.
     claims : DataFrame
         Rows of data/results/claims.csv that rest on it.
 
@@ -126,11 +102,10 @@ def chapter(notebook: Notebook, content: dict, home: dict[str, str], claims: pd.
         The notebook with changed cells.
     """
     cells: list[dict] = []
-    waiting = {number for number, name in home.items() if name == notebook.name}
     for i, cell in enumerate(content["cells"]):
         if cell["cell_type"] == "markdown":
-            text = _DISPLAY.sub(lambda m: _display(m[1], waiting), cell["source"])
-            cells.append(cell | {"source": _linked(text, home)})
+            text = _DISPLAY.sub(lambda match: _display(match[1]), cell["source"])
+            cells.append(cell | {"source": _CHAPTER.sub(_linked, text)})
             continue
         cells.append(_markdown(f"({notebook.name}-{cell['id']})=", f"target-{i}"))
         cells += _with_figures(cell)
@@ -142,26 +117,16 @@ def _markdown(text: str, identity: str) -> dict:
     return {"cell_type": "markdown", "id": identity, "metadata": {}, "source": text}
 
 
-def _display(formula: str, waiting: set[str]) -> str:
-    """A displayed formula as an environment of its own, with a target for each number that still waits for one."""
-    targets = [f"(eq-{number})=\n" for number in tags(formula) if number in waiting]
-    waiting.difference_update(tags(formula))
-    environment = "" if formula.lstrip().startswith(("\\begin{align}", "\\begin{gather}")) else "equation*"
-    # Without the star Sphinx would count the formula as its own, too.
-    starred = re.sub(r"\{(align|gather)\}", r"{\1*}", formula)
-    body = f"\\begin{{{environment}}}\n{formula}\n\\end{{{environment}}}" if environment else starred
-    return f"\n{''.join(targets)}{body}\n"
+def _display(formula: str) -> str:
+    """A displayed formula as an environment without numbers by Sphinx: it carries those of the paper."""
+    if formula.lstrip().startswith(("\\begin{align}", "\\begin{gather}")):
+        return "\n" + re.sub(r"\{(align|gather)\}", r"{\1*}", formula) + "\n"
+    return f"\n\\begin{{equation*}}\n{formula}\n\\end{{equation*}}\n"
 
 
-def _linked(text: str, home: dict[str, str]) -> str:
-    """Mentions of the paper's equations and of chapters as links to their places in the book."""
-
-    def link(match: re.Match) -> str:
-        return f"[{match[0]}](#eq-{match[1]})" if match[1] in home else match[0]
-
-    text = _EQUATION.sub(lambda m: m[0].replace(m[1], re.sub(r"\(([^()]+)\)", link, m[1])), text)
-    names = chain()
-    return _CHAPTER.sub(lambda m: f"[`{m[1]}`]({m[1]}.ipynb)" if m[1] in names else m[0], text)
+def _linked(chapter: re.Match) -> str:
+    """The name of a chapter as a link to its page."""
+    return f"[{chapter[0]}]({chapter[1]}.ipynb)" if chapter[1] in chain() else chapter[0]
 
 
 def _with_figures(cell: dict) -> list[dict]:
@@ -194,10 +159,7 @@ def _download(path: str) -> str:
 
 def _around(notebook: Notebook, claims: pd.DataFrame) -> str:
     """Where a chapter comes from and what rests on it."""
-    reads = [path for path in notebook.reads if (paths.ROOT / path).is_file()]
     lines = ["## Source, data, claims", "", f"Notebook: {_download(f'source/{notebook.name}.ipynb')}.", ""]
-    if reads:
-        lines += [f"Reads: {', '.join(map(_download, reads))}.", ""]
     if notebook.writes:
         lines += [f"Writes: {', '.join(map(_download, notebook.writes))}; figures above.", ""]
     if claims.empty:
@@ -222,39 +184,3 @@ def report(text: str) -> str:
     """REPLICATION.md with links to chapters of the book and a target for each claim."""
     text = re.sub(r"\(notebooks/(\w+)\.ipynb#cell-id=(\w+)\)", r"(#\1-\2)", text)
     return re.sub(r"^\| (C\d\d) \|", r'| <span id="\1"></span>\1 |', text, flags=re.MULTILINE)
-
-
-def symbols() -> pd.DataFrame:
-    """Symbols of the paper (data/notation.csv), then parameters of the car: symbol, meaning, unit, python, equation."""
-    entries = parameters.describe()
-    entries = entries[entries["symbol"] != "-"]
-    vehicle = {
-        "symbol": entries["symbol"].map(_latex),
-        "meaning": entries["key"].str.replace("_", " ").str.replace(".", ", "),
-        "unit": entries["unit"],
-        "python": "vehicle " + entries["key"],
-        "equation": "",
-    }
-    paper = pd.read_csv(paths.source("data/notation.csv"), keep_default_na=False)
-    return pd.concat([paper, pd.DataFrame(vehicle)], ignore_index=True)
-
-
-def _latex(symbol: str) -> str:
-    head, _, index = symbol.partition("_")
-    greek = {"mu", "nu", "tau", "psi", "delta"}
-    return f"${chr(92) + head if head in greek else head}{f'_{{{index}}}' if index else ''}$"
-
-
-def _notation(table: pd.DataFrame) -> str:
-    """Page of the symbols."""
-    lines = [
-        "# Notation",
-        "",
-        "Symbols of the paper, then parameters of the car; `series`: columns of a run's table.",
-        "",
-    ]
-    lines += _head("symbol", "meaning", "unit", "in the library", "equation")
-    for row in table.itertuples():
-        cells = (row.symbol, row.meaning, row.unit, f"`{row.python}`" if row.python else "", row.equation)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n"

@@ -1,8 +1,8 @@
-"""The chain of notebooks: which are stale and why, how one runs, and where each product comes from.
+"""The chain of notebooks: which are stale and why, how they run, and where each product comes from.
 
 notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.reads`). Staleness
-is decided by content, never by time. Each notebook runs in a process of its own, with papermill and a temporary folder:
-its products are put in place when all is well.
+is decided by content, never by time. No notebook reads what another one writes, so they run in any order. Each has a
+kernel of its own and a temporary folder: its products are put in place when all is well.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import field
-from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
+
+import pandas as pd
+import psutil
 
 from railrepro import code, data, numerics, paths, reads
 from railrepro.data import InputError, Number, above, alone, between, write
-from railrepro.evidence.chain.compare import Tolerance
+from railrepro.evidence.chain import compare
 from railrepro.evidence.report.sentences import false_in
 from railrepro.evidence.runs import store
 from railrepro.vehicle.parameters import load_vehicle
@@ -36,7 +38,6 @@ Reads = dict[str, list[str]]
 Inputs = dict[str, str]
 """What the products of a notebook depend on by its name, and the hash of each."""
 EDITED = "an input was edited while it ran"
-EXECUTED = "executed.ipynb"
 _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
 
 
@@ -46,7 +47,6 @@ class Notebook:
 
     name: str
     title: str
-    after: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
     parameters: dict[str, data.Free] = field(default_factory=dict)
@@ -70,14 +70,24 @@ class Notebook:
         return self.writes + tuple(f"figures/{figure}.{suffix}" for figure in self.figures for suffix in SUFFIXES)
 
     @property
-    def reads(self) -> tuple[str, ...]:
-        """What its last run here read below data/ and figures/."""
-        return tuple((_stamped(self) or {"reads": ()})["reads"])
-
-    @property
     def stamp(self) -> Path:
-        """File with what its last successful run read, depended on and made."""
+        """File of its last successful run, see `Stamp`."""
         return paths.BUILD / "stamps" / f"{self.name}.json"
+
+
+Task = Callable[[Notebook, int], object]
+"""What is done with a notebook and a number of processors."""
+
+
+@data.table
+class Stamp:
+    """What the last successful run of a notebook here read, depended on and made, and how long it took (s)."""
+
+    reads: Reads
+    inputs: Inputs
+    machine: dict[str, str]
+    products: dict[str, str]
+    seconds: float
 
 
 @data.table
@@ -85,7 +95,7 @@ class _File:
     """Content of notebooks/chain.toml."""
 
     notebook: tuple[Notebook, ...] = ()
-    verify: Tolerance = Tolerance()
+    verify: compare.Tolerance = compare.Tolerance()
 
 
 def _file(file: Path | None) -> _File:
@@ -93,41 +103,22 @@ def _file(file: Path | None) -> _File:
     return data.build(_File, data.read(file), file.name)
 
 
-def tolerance() -> Tolerance:
+def tolerance() -> compare.Tolerance:
     """Tolerances of a comparison of two runs."""
     return _file(None).verify
 
 
 def chain(file: Path | None = None) -> dict[str, Notebook]:
-    """Notebooks by name, in order; InputError for wrong entries, double products and a wrong order."""
+    """Notebooks by name, in order; InputError for wrong entries and for a file that two of them write."""
     found: dict[str, Notebook] = {}
     maker: dict[str, str] = {}
     for one in _file(file).notebook:
-        for other in one.after:
-            if other not in found:
-                raise InputError(f"chain.toml: {one.name} is after {other!r}, which is not above it")
-        if one.name in found:
-            raise InputError(f"chain.toml: {one.name} is there twice")
-        for product in one.products:
-            if product in maker:
-                raise InputError(f"chain.toml: {product} is written by {maker[product]} and by {one.name}")
-            maker[product] = one.name
+        for written in (f"{one.name}.ipynb", *one.products):
+            if written in maker:
+                raise InputError(f"chain.toml: {written} is written by {maker[written]} and by {one.name}")
+            maker[written] = one.name
         found[one.name] = one
     return found
-
-
-def find(name: str) -> Notebook:
-    """A notebook by name."""
-    notebooks = chain()
-    if name not in notebooks:
-        raise InputError(f"notebook {name!r} is not in chain.toml; there are {list(notebooks)}")
-    return notebooks[name]
-
-
-def before(notebooks: dict[str, Notebook], names: Sequence[str]) -> set[str]:
-    """Notebooks that must have run before some others."""
-    first = {other for name in names for other in notebooks[name].after}
-    return first | before(notebooks, list(first)) if first else first
 
 
 def cells(notebook: Notebook) -> list[dict]:
@@ -176,29 +167,25 @@ def _products(notebook: Notebook) -> dict[str, str]:
     return {product: _hash(_content(paths.ROOT / product)) for product in notebook.products}
 
 
-def _stamped(notebook: Notebook) -> dict | None:
-    """Stamp of the last successful run; None without a readable one."""
+def last_run(notebook: Notebook) -> Stamp | None:
+    """Its last successful run here; None without a readable stamp."""
     try:
-        known = json.loads(notebook.stamp.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return data.build(Stamp, data.read(notebook.stamp), notebook.stamp.name)
+    except InputError:
         return None
-    return known if isinstance(known, dict) and known.keys() == _PARTS else None
-
-
-_PARTS = {"reads", "inputs", "machine", "products", "seconds"}
 
 
 def why_stale(notebook: Notebook) -> str:
     """The input or product that is not that of the last successful run; "" when the notebook is fresh."""
-    known = _stamped(notebook)
-    if known is None:
+    last = last_run(notebook)
+    if last is None:
         return "it has not run here"
-    for now, last, words in (
-        (store.machine(), known["machine"], ""),
-        (inputs(notebook, known["reads"]), known["inputs"], ""),
-        (_products(notebook), known["products"], " was changed or is missing"),
+    for now, before, words in (
+        (store.machine(), last.machine, ""),
+        (inputs(notebook, last.reads), last.inputs, ""),
+        (_products(notebook), last.products, " was changed or is missing"),
     ):
-        changed = [name for name in {**now, **last} if now.get(name) != last.get(name)]
+        changed = [name for name in {**now, **before} if now.get(name) != before.get(name)]
         if changed:
             return f"{changed[0]}{words}" + (f" and {len(changed) - 1} more" if len(changed) > 1 else "")
     return "" if code.unchanged() else EDITED
@@ -206,94 +193,83 @@ def why_stale(notebook: Notebook) -> str:
 
 def minutes(notebook: Notebook) -> float:
     """How long its last run here took, else what chain.toml says (minutes)."""
-    known = _stamped(notebook)
-    return known["seconds"] / 60 if known else notebook.minutes
+    last = last_run(notebook)
+    return last.seconds / 60 if last else notebook.minutes
 
 
-@contextmanager
-def _environment(staging: Path) -> Iterator[None]:
-    """Environment variables of a kernel, for a block: nothing of the user's own settings, products go to staging."""
-    last = dict(os.environ)
-    os.environ |= {f"JUPYTER_{k}_DIR": str(paths.BUILD / "jupyter" / k.lower()) for k in ("CONFIG", "DATA", "RUNTIME")}
-    os.environ |= {"IPYTHONDIR": str(paths.BUILD / "ipython"), "MPLCONFIGDIR": str(paths.BUILD / "matplotlib")}
-    os.environ |= {"JUPYTER_PATH": "", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
-    os.environ |= {"PYTHONHASHSEED": "0", "PYDEVD_DISABLE_FILE_VALIDATION": "1"} | numerics.variables()
-    os.environ[reads.LOG] = str(staging / "reads")
-    os.environ |= {"RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT)}
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(last)
+def _environment(staging: Path, workers: int) -> dict[str, str]:
+    """Environment of a kernel: nothing of the user's own settings, products go to staging."""
+    own = {"IPYTHONDIR": str(paths.BUILD / "ipython"), "MPLCONFIGDIR": str(paths.BUILD / "matplotlib")}
+    own |= {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    own |= {"PYTHONHASHSEED": "0", "PYDEVD_DISABLE_FILE_VALIDATION": "1"} | numerics.variables()
+    own |= {reads.LOG: str(staging / "reads"), "RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT)}
+    share = {"RAILREPRO_WORKERS": str(workers)} if workers else {}
+    return share | os.environ | own
 
 
-@contextmanager
-def _kept_stderr() -> Iterator[None]:
-    """Keep what a kernel and its workers write to stderr for the case that the kernel ends before its time.
+def _kernel(started: dict):
+    """A kernel of this Python for papermill, started with an environment, a folder and a stderr of its own."""
+    from jupyter_client import AsyncKernelManager
+    from jupyter_client.kernelspec import KernelSpecManager
 
-    A kernel that is asked to stop may still write a traceback about its sockets.
-    """
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as kept, os.fdopen(os.dup(2), "wb") as stderr:
-        os.dup2(kept.fileno(), 2)
-        try:
-            yield
-        except (RuntimeError, TimeoutError):
-            kept.seek(0)
-            stderr.write(kept.read())
-            raise
-        finally:
-            os.dup2(stderr.fileno(), 2)
+    class Kernel(AsyncKernelManager):
+        def start_kernel(self, **options):
+            return super().start_kernel(**options, **started)
+
+    return Kernel(kernel_spec_manager=KernelSpecManager(kernel_dirs=[]))
 
 
-def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bool) -> str:
-    """Run papermill into `staging`; what failed, or ""."""
+def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bool, workers: int) -> tuple[Any, str]:
+    """Run a notebook with papermill; its content, and what failed or ""."""
+    import nbformat
     import papermill
-    from traitlets.config import Config
 
     if unknown := parameters.keys() - papermill.inspect_notebook(str(notebook.path)).keys():
-        return f"has no parameter {min(unknown)!r}"
-    output = staging / EXECUTED
-    options: dict = {"kernel_name": "python3", "cwd": str(paths.ROOT), "progress_bar": False}
-    # a busy machine may let a kernel wait: without these nbclient gives up after 4 s and loses outputs
-    options |= {"start_timeout": 300, "iopub_timeout": 300, "allow_errors": keep_going}
-    # kernels side by side may be given one TCP port, so that sockets are files, where their names are not too long
-    if len(str(staging)) < 90:
-        options |= {"config": Config(AsyncKernelManager={"transport": "ipc", "ip": f"{staging}/k"})}
-    try:
-        with _environment(staging), _kept_stderr():
+        return None, f"has no parameter {min(unknown)!r}"
+    output, failure = staging / "executed.ipynb", ""
+    with tempfile.TemporaryFile() as beside:  # what it writes beside its cells, as a traceback while it is stopped
+        kernel = _kernel({"env": _environment(staging, workers), "cwd": str(paths.ROOT), "stderr": beside})
+        kernel.connection_file = str(staging / "kernel.json")
+        # kernels side by side may be given one TCP port, so that sockets are files, where their names are not too long
+        if len(str(staging)) < 90:
+            kernel.transport, kernel.ip = "ipc", str(staging / "k")
+        try:
+            # a busy machine may let a kernel wait: without these nbclient gives up after 4 s and loses outputs
             papermill.execute_notebook(
-                str(notebook.path), str(output), parameters, extra_arguments=["--log-level=50"], **options
-            )
-    except papermill.PapermillExecutionError as error:
-        _deterministic(output)
-        return f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
-    except (RuntimeError, TimeoutError) as error:
-        return f"the kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
-    for i, cell in enumerate(_deterministic(output)):
-        if cell.cell_type == "code" and cell.source.strip() and cell.execution_count is None:
-            return f"cell {i + 1} was not executed"
-    return ""
+                notebook.path, output, parameters, kernel_name="python3", km=kernel, progress_bar=False,
+                start_timeout=300, iopub_timeout=300, allow_errors=keep_going, extra_arguments=["--log-level=50"],
+            )  # fmt: skip
+        except papermill.PapermillExecutionError as error:
+            failure = f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
+        except (RuntimeError, TimeoutError) as error:
+            failure = f"the kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
+            beside.seek(0)
+            print(beside.read().decode(errors="replace"), end="", file=sys.stderr, flush=True)
+    if not output.exists():
+        return None, failure
+    content = nbformat.read(output, 4)
+    _make_deterministic(content)
+    for i, cell in enumerate(content.cells, 1):
+        if not failure and cell.cell_type == "code" and cell.source.strip() and cell.execution_count is None:
+            failure = f"cell {i} was not executed"  # after sys.exit(0) in another one
+    return content, failure
 
 
-def _deterministic(path: Path) -> list:
-    """Remove from an executed notebook what differs between two equal runs; returns its cells."""
-    import nbformat
-
-    notebook = nbformat.read(path, 4)
-    notebook.metadata.pop("papermill", None)
-    for i, cell in enumerate(notebook.cells):
+def _make_deterministic(content: Any) -> None:
+    """Remove from an executed notebook what differs between two equal runs."""
+    content.metadata.pop("papermill", None)
+    for i, cell in enumerate(content.cells):
         for key in ("papermill", "execution"):
             cell.metadata.pop(key, None)
         if "injected-parameters" in cell.metadata.get("tags", []):
             cell["id"] = f"injected-{i}"
         if cell.cell_type == "code":
-            cell.outputs = [o for o in cell.outputs if o.get("name") != "stderr"]
-    nbformat.write(notebook, path)
-    return notebook.cells
+            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
 
 
-def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Reads:
+def run(
+    notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False, workers: int = 0
+) -> Reads:
     """Execute a notebook and move its products below `root`.
 
     Parameters
@@ -302,12 +278,14 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     parameters : dict
         Values for its parameters cell.
     root : Path
-        Products land in root/data and root/figures; TOML files of one's own in root/data and products of notebooks
-        before this one are read there, where they are.
+        Products land in root/data and root/figures; TOML files of one's own in root/data are read there, where they
+        are.
     executed : Path
         Folder of the executed notebook; a failed one is kept there as NAME.failed.ipynb.
     keep_going : bool
         A failing cell does not stop the rest; the products that there are land below `root` before the error is raised.
+    workers : int
+        Processes of its studies where the caller's environment says nothing; 0 for one per processor.
 
     Returns
     -------
@@ -317,33 +295,34 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
     Raises
     ------
     InputError
-        One line: unknown parameter, failing cell, cell not executed, product that is missing or was read too early, no
-        write permission.
+        One line: unknown parameter, failing cell, product that is missing or was read from another notebook, no write
+        permission.
     """
-    notebooks = chain() | {notebook.name: notebook}
-    first = before(notebooks, [notebook.name])
+    import nbformat
+
+    maker = {product: one.name for one in chain().values() for product in one.products}
     with tempfile.TemporaryDirectory(prefix="railrepro-") as folder:
         staging = Path(folder)
-        own = [str(file.relative_to(root)) for file in (root / "data").glob("*.toml")]
-        for file in [*own, *(product for name in first for product in notebooks[name].products)]:
-            if root != paths.ROOT and (root / file).exists():
-                (staging / file).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(root / file, staging / file)
-        failure, output = _execute(notebook, parameters, staging, keep_going), staging / EXECUTED
+        if root != paths.ROOT:
+            (staging / "data").mkdir()
+            for file in (root / "data").glob("*.toml"):
+                shutil.copy2(file, staging / "data")
+        content, failure = _execute(notebook, parameters, staging, keep_going, workers)
         taken = _taken(staging / "reads", notebook)
-        if not failure and (false := false_sentences(output)) and _is_committed(notebook, parameters, taken, root):
-            failure = f"{_counted(false)} with the committed values: {' | '.join(false)}"
         made = {product: staging / product for product in notebook.products if (staging / product).exists()}
         missing = [product for product in notebook.products if product not in made]
-        failure = failure or (f"did not write {missing[0]}, which chain.toml declares" if missing else "")
-        for other in notebooks.values():
-            early = set(other.products) & set(taken) if other.name not in first else set()
-            if early and not failure:
-                failure = f"reads {min(early)} of {other.name}, which chain.toml does not name in `after`"
+        others = sorted(set(taken) & set(maker))
+        false = false_in(content.cells) if content and not failure else []
+        if false and _is_committed(notebook, parameters, set(taken), root):
+            failure = f"{_counted(false)} with the committed values: {' | '.join(false)}"
+        elif missing and not failure:
+            failure = f"did not write {missing[0]}, which chain.toml declares"
+        elif others and not failure:
+            failure = f"reads {others[0]}, which {maker[others[0]]} writes: notebooks do not wait for each other"
         kept = executed / f"{notebook.name}.failed.ipynb"
         kept.unlink(missing_ok=True)
-        if output.exists():
-            write(kept if failure else executed / f"{notebook.name}.ipynb", output.read_bytes())
+        if content:
+            write(kept if failure else executed / f"{notebook.name}.ipynb", nbformat.writes(content) + "\n")
             failure += f" (kept {_short(kept)})" if failure else ""
         for product, temporary in made.items() if keep_going or not failure else ():
             write(root / product, temporary.read_bytes())
@@ -361,35 +340,25 @@ def _counted(false: list[str]) -> str:
     return "1 sentence does not hold" if len(false) == 1 else f"{len(false)} sentences do not hold"
 
 
-def _is_committed(notebook: Notebook, parameters: dict, taken: Reads, root: Path) -> bool:
-    """Whether its parameters and what it reads, but for products of the chain, are those of the last commit.
+def _is_committed(notebook: Notebook, parameters: dict, given: set[str], root: Path) -> bool:
+    """Whether a notebook, its parameters and the inputs that it reads are those of the last commit.
 
     A file of one's own below `root` counts as changed, and all do where no Git answers.
     """
-
-    def git(*arguments: str) -> subprocess.CompletedProcess:
-        return subprocess.run(["git", "-C", str(paths.ROOT), *arguments], capture_output=True, text=True)
-
-    given = set(taken) - {product for one in chain().values() for product in one.products}
-    if root != paths.ROOT and any((root / file).exists() for file in given):
+    if parameters != notebook.parameters or (root != paths.ROOT and any((root / file).exists() for file in given)):
         return False
-    if parameters != notebook.parameters or (given and git("status", "--porcelain", "--", *sorted(given)).stdout):
-        return False
-    committed = git("show", f"HEAD:{paths.NOTEBOOKS.name}/{notebook.path.name}").stdout
-    return bool(committed) and _values(json.loads(committed)["cells"]) == _values(cells(notebook))
+    command = ["git", "-C", str(paths.ROOT), "status", "--porcelain", "--", str(notebook.path), *sorted(given)]
+    done = subprocess.run(command, capture_output=True)
+    return done.returncode == 0 and not done.stdout
 
 
-def _values(content: list[dict]) -> list[str]:
-    """Sources of the cells that hold the parameters of a notebook."""
-    return ["".join(cell["source"]) for cell in content if "parameters" in cell.get("metadata", {}).get("tags", [])]
-
-
-def _short(path: Path) -> str:
-    return str(path.relative_to(paths.ROOT)) if path.is_relative_to(paths.ROOT) else str(path)
+def _short(file: Path) -> str:
+    """A path below the checkout from there on."""
+    return str(file.relative_to(paths.ROOT)) if file.is_relative_to(paths.ROOT) else str(file)
 
 
 def _taken(log: Path, notebook: Notebook) -> Reads:
-    """What a run noted (`railrepro.reads`), but for the products of the notebook itself."""
+    """What a run read, from the log of its processes, but for the products of the notebook itself."""
     found: dict[str, set[str]] = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
         file, _, entry = line.partition("\t")
@@ -398,14 +367,11 @@ def _taken(log: Path, notebook: Notebook) -> Reads:
     return {file: entries for file, entries in known.items() if file not in notebook.products}
 
 
-def refresh(name: str) -> None:
-    """Run a notebook if it is stale, and stamp it: as stale where an input was edited meanwhile."""
-    notebook = find(name)
-    if not why_stale(notebook):
-        return
+def refresh(notebook: Notebook, workers: int = 0) -> None:
+    """Run a notebook and stamp it: as stale where an input was edited meanwhile."""
     begin, own = time.time(), inputs(notebook, {})
-    taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
-    found = inputs(find(name), taken)
+    taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks", workers=workers)
+    found = inputs(chain()[notebook.name], taken)
     files = [paths.ROOT / file for file in taken]
     edited = any(file.is_file() and file.stat().st_mtime > begin for file in files) or not own.items() <= found.items()
     found |= {EDITED: ""} if edited or not code.unchanged() else {}
@@ -413,15 +379,15 @@ def refresh(name: str) -> None:
     write(notebook.stamp, json.dumps(stamp | {"seconds": time.time() - begin}, indent=1))
 
 
-def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
-    """Run what is stale of some notebooks and of those before them, several at a time.
+def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
+    """Run what is stale of some notebooks, several at a time.
 
     Parameters
     ----------
     names : sequence of str
         Names of notebooks or figures, or how these begin, as "fig06"; empty takes all.
-    jobs : int
-        How many at a time; 0 takes one per processor, at most four.
+    jobs : int, optional
+        How many at a time; by default one per processor, at most four.
 
     Returns
     -------
@@ -434,17 +400,80 @@ def figures(names: Sequence[str] = (), jobs: int = 0) -> int:
         found = {n.name for n in notebooks.values() if any(one.startswith(name) for one in (n.name, *n.figures))}
         if not found:
             raise InputError(f"no notebook or figure of chain.toml begins with {name!r}")
-        wanted |= found | before(notebooks, list(found))
+        wanted |= found
     paths.BUILD.mkdir(exist_ok=True)
     with alone(paths.BUILD / "chain.lock"):
-        fresh: set[str] = set()
-        try:
-            return _run_stale([n for n in notebooks.values() if n.name in wanted], jobs, fresh)
-        finally:
-            _write_manifests(notebooks, fresh)
-            for name in sorted(wanted):
-                if false := false_sentences(notebooks[name].executed):
-                    _say(f"{name}: {_counted(false)} with these values")
+        stale = {name: why for name in sorted(wanted) if (why := why_stale(notebooks[name]))}
+        _say(f"{len(stale)} of {len(wanted)} notebooks are stale")
+        for name, why in stale.items():
+            _say(f"{name} is stale: {why}")
+        failed = _run_all([notebooks[name] for name in stale], refresh, jobs)
+        _write_manifests(notebooks, wanted - failed.keys())
+    for name in sorted(wanted):
+        if false := false_sentences(notebooks[name].executed):
+            _say(f"{name}: {_counted(false)} with these values")
+    return int(bool(failed))
+
+
+def _run_all(notebooks: Sequence[Notebook], task: Task, jobs: int | None = None) -> dict[str, str]:
+    """Call `task` with notebooks and the processors of each, side by side; returns why some failed, by name.
+
+    It says which run, how many are left and for about how long. One that fails does not stop the others.
+    """
+    left = {notebook.name: minutes(notebook) for notebook in notebooks}
+    jobs = min(jobs or min(os.cpu_count() or 1, 4), max(1, len(left)))
+    workers = max(1, (os.cpu_count() or 1) // jobs)
+    failed: dict[str, str] = {}
+
+    def one(notebook: Notebook) -> None:
+        _say(f"{notebook.name}: running, about {left[notebook.name]:.1f} min")
+        task(notebook, workers)
+
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        longest_first = sorted(notebooks, key=lambda notebook: -left[notebook.name])
+        futures = {pool.submit(one, notebook): notebook.name for notebook in longest_first}
+        for future in as_completed(futures):
+            name = futures[future]
+            del left[name]
+            try:
+                future.result()
+            except InputError as error:
+                failed[name] = str(error)
+                _say(f"error: {error}")
+                continue
+            rest = max([0.0, *left.values(), sum(left.values()) / jobs])
+            _say(f"{name}: done; {len(left)} left" + (f", about {max(1, round(rest))} min" if left else ""))
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in psutil.Process().children(recursive=True):  # kernels, which would go on
+            process.kill()
+        raise
+    return failed
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)
+
+
+def _write_manifests(notebooks: dict[str, Notebook], names: set[str]) -> None:
+    """Enter the products of some fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
+    maker = {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
+    made: dict[str, list[str]] = {}
+    for notebook in [notebooks[name] for name in names]:
+        last = last_run(notebook)
+        if last is None or EDITED in last.inputs:
+            continue
+        digest = _hash(json.dumps(last.inputs, sort_keys=True).encode())
+        seed = "" if notebook.seed is None else str(notebook.seed)
+        made |= {path: [path, content, notebook.name, digest, seed] for path, content in last.products.items()}
+    for folder in ("data", "figures"):
+        file = paths.ROOT / folder / "MANIFEST.csv"
+        lines = file.read_text(encoding="utf-8").splitlines()[1:] if file.is_file() else []
+        rows = {row[0]: row for row in (line.split(",") for line in lines) if maker.get(row[0]) == row[2]}
+        rows |= {path: row for path, row in made.items() if path.startswith(f"{folder}/")}
+        if rows:
+            write(file, "\n".join([",".join(_COLUMNS), *(",".join(rows[path]) for path in sorted(rows))]) + "\n")
 
 
 def drive(vehicle: Path) -> int:
@@ -474,91 +503,32 @@ def drive(vehicle: Path) -> int:
 
 def rerun(names: Sequence[str], root: Path) -> list[str]:
     """Run notebooks below another folder, all of them whatever fails; returns a line for each that failed."""
-    failed = []
-    for notebook in map(find, names):
-        _say(f"{notebook.name}: running, about {minutes(notebook):.1f} min")
-        try:
-            run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
-        except InputError as error:
-            _say(str(error))
-            failed.append(str(error))
-    return failed
+
+    def again(notebook: Notebook, workers: int) -> None:
+        run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True, workers=workers)
+
+    return list(_run_all([chain()[name] for name in names], again).values())
 
 
-def _run_stale(wanted: list[Notebook], jobs: int, fresh: set[str]) -> int:
-    """Run what is stale of some notebooks, and enter into `fresh` which of them need no run any more."""
-    stale = {notebook.name: why for notebook in wanted if (why := why_stale(notebook))}
-    left: dict[str, float] = {}  # a product of a stale one may make those after it stale, which are asked again then
-    for notebook in wanted:
-        if notebook.name in stale or set(notebook.after) & set(left):
-            left[notebook.name] = minutes(notebook)
-    fresh |= {notebook.name for notebook in wanted} - set(left)
-    if not left:
-        _say(f"nothing is stale of {len(wanted)} notebooks")
-        return 0
-    jobs = min(jobs or min(os.cpu_count() or 1, 4), len(left))
-    _say(f"{len(stale)} of {len(wanted)} notebooks are stale, {_duration(left, jobs)}")
-    for name, why in stale.items():
-        _say(f"{name} is stale: {why}")
-    graph = TopologicalSorter({n.name: set(n.after) & set(left) for n in wanted if n.name in left})
-    graph.prepare()
-    ready: list[str] = []
-    running: dict[str, subprocess.Popen] = {}
-    failed = False
-    try:
-        while graph.is_active() and not (failed and not running):
-            ready = sorted([*ready, *graph.get_ready()], key=lambda name: -left[name])
-            while ready and len(running) < jobs and not failed:
-                name = ready.pop(0)
-                running[name] = _start(name, jobs)
-                _say(f"{name}: running, about {left[name]:.1f} min")
-            time.sleep(0.05)
-            for name in [name for name, process in running.items() if process.poll() is not None]:
-                del left[name]
-                if running.pop(name).returncode:
-                    failed = True  # it has said why; those that run go on, no other one starts
-                    continue
-                graph.done(name)
-                fresh.add(name)
-                _say(f"{name}: done; {len(left)} left" + (f", {_duration(left, jobs)}" if left else ""))
-    finally:
-        for process in running.values():  # they were interrupted as this one was, and look after themselves
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(5.0)
-    return int(failed)
+def verify() -> int:
+    """Run all notebooks in build/verify and print what differs from the committed products.
 
-
-def _start(name: str, jobs: int) -> subprocess.Popen:
-    """A process for a notebook, with the code as it is now; it ends with this one."""
-    workers = os.environ.get("RAILREPRO_WORKERS") or str(max(1, (os.cpu_count() or 1) // jobs))
-    own = {"RAILREPRO_WORKERS": workers, "RAILREPRO_ROOT": str(paths.ROOT), "RAILREPRO_LEADER": str(os.getpid())}
-    return subprocess.Popen([sys.executable, "-m", "railrepro", "chain", "one", name], env=os.environ | own)
-
-
-def _duration(left: dict[str, float], jobs: int) -> str:
-    return f"about {max(1, round(max(max(left.values()), sum(left.values()) / jobs)))} min"
-
-
-def _say(words: str) -> None:
-    print(words, file=sys.stderr, flush=True)
-
-
-def _write_manifests(notebooks: dict[str, Notebook], fresh: set[str]) -> None:
-    """Enter the products of fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
-    maker = {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
-    made: dict[str, list[str]] = {}
-    for notebook in [notebooks[name] for name in fresh]:
-        known = _stamped(notebook)
-        if known is None or EDITED in known["inputs"]:
-            continue
-        digest = _hash(json.dumps(known["inputs"], sort_keys=True).encode())
-        seed = "" if notebook.seed is None else str(notebook.seed)
-        made |= {path: [path, content, notebook.name, digest, seed] for path, content in known["products"].items()}
-    for folder in ("data", "figures"):
-        file = paths.ROOT / folder / "MANIFEST.csv"
-        lines = file.read_text(encoding="utf-8").splitlines()[1:] if file.is_file() else []
-        rows = {row[0]: row for row in (line.split(",") for line in lines) if maker.get(row[0]) == row[2]}
-        rows |= {path: row for path, row in made.items() if path.startswith(f"{folder}/")}
-        text = "\n".join([",".join(_COLUMNS), *(",".join(rows[path]) for path in sorted(rows))]) + "\n"
-        if rows and _content(file) != text.encode():
-            write(file, text)
+    Returns
+    -------
+    int
+        1 when a notebook fails or a product is beyond its tolerance, else 0.
+    """
+    os.environ[store.FOLDER] = "off"  # a rerun computes
+    root, all_entries = paths.BUILD / "verify", []
+    shutil.rmtree(root, ignore_errors=True)
+    findings = rerun(list(chain()), root)
+    for product in [product for notebook in chain().values() for product in notebook.products]:
+        entries = compare.compare(paths.ROOT / product, root / product, tolerance())
+        said = f"{product}: {compare.summary(entries)}"
+        print(said)
+        findings += [said] if (entries["outcome"] == compare.DIFFERENT).any() else []
+        all_entries.append(entries)
+    print(f"all: {compare.summary(pd.concat(all_entries))}")
+    for line in findings:
+        print(f"not reproduced: {line}")
+    return int(bool(findings))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +14,7 @@ from railrepro.data import Number, between
 
 VALUE, KINDS = "value", ("metric", "quantity")
 """The column of a tidy table that holds metrics of different size, and the columns that may name them."""
+OUTCOMES = SAME, NEAR, DIFFERENT = ("same", "within tolerance", "different")
 _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 
@@ -39,57 +39,63 @@ class Tolerance:
     own: tuple[Own, ...] = ()
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """How many entries of a table (or images) are the same, within tolerance or different.
+def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
+    """Compare two tables (csv) or two images (png), entry by entry.
 
-    Attributes
+    Parameters
     ----------
-    same, near, different : int
-    largest : float
-        Largest difference of numbers relative to the largest of their column, or of their metric in it (-).
-    where : str
-        Column and metric of it, or what else differs.
+    committed, rerun : Path
+    tolerance : Tolerance
+
+    Returns
+    -------
+    DataFrame
+        A row per entry of a table, one for an image: `name` (its column and metric, or what else differs), `apart`
+        (difference relative to the largest of that name, of an image the root mean square relative to white (-)) and
+        `outcome` (one of `OUTCOMES`).
     """
-
-    same: int = 0
-    near: int = 0
-    different: int = 0
-    largest: float = 0.0
-    where: str = ""
-
-    def __add__(self, other: Comparison) -> Comparison:
-        worst = max(self, other, key=lambda c: (c.largest, c.different, bool(c.where)))
-        same, near, different = self.same + other.same, self.near + other.near, self.different + other.different
-        return Comparison(same, near, different, worst.largest, worst.where)
-
-    def __str__(self) -> str:
-        text = f"{self.same} same, {self.near} within tolerance, {self.different} different"
-        return text + (f"; largest difference {self.largest:.1e} in {self.where}" if self.where else "")
-
-
-def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> Comparison:
-    """Compare two tables (csv) or two images (png) under the table [verify] of notebooks/chain.toml."""
     for path in (committed, rerun):
         if not path.exists():
-            return Comparison(different=1, where=f"{path.name}, which is missing")
-    kind = _images if committed.suffix == ".png" else _tables
-    return kind(committed, rerun, tolerance)
+            return _judged(f"{path.name}, which is missing", np.inf, 0.0)
+    return (_images if committed.suffix == ".png" else _tables)(committed, rerun, tolerance)
 
 
-def _tables(committed: Path, rerun: Path, tolerance: Tolerance) -> Comparison:
+def summary(entries: pd.DataFrame) -> str:
+    """How many entries have which outcome, and which one is farthest apart."""
+    text = ", ".join(f"{(entries['outcome'] == outcome).sum()} {outcome}" for outcome in OUTCOMES)
+    worst = entries.iloc[entries["apart"].argmax()]
+    return text + (f"; largest difference {worst['apart']:.1e} in {worst['name']}" if worst["apart"] else "")
+
+
+def _judged(name, apart, limit) -> pd.DataFrame:
+    """Entries with their outcomes; arrays of one length, or numbers for a single one."""
+    outcome = np.where(np.equal(apart, 0), SAME, np.where(apart <= limit, NEAR, DIFFERENT))
+    return pd.DataFrame({"name": name, "apart": np.atleast_1d(apart), "outcome": np.atleast_1d(outcome)})
+
+
+def _tables(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
     old, new = pd.read_csv(committed), pd.read_csv(rerun)
     if list(old.columns) != list(new.columns) or len(old) != len(new):
-        return Comparison(different=max(old.size, new.size), where="its rows or columns")
-    total = Comparison()
+        return _judged("its rows or columns", np.inf, 0.0)
+    parts = []
     for column in old.columns:
-        limit = limits(old, committed.name, column, tolerance)
+        kind = next((name for name in KINDS if column == VALUE and name in old), None)
+        name = column if kind is None else f"{column} of " + old[kind].astype(str)
+        apart = _apart(old[column], new[column], None if kind is None else old[kind])
+        apart[(old[column] == new[column]) | (old[column].isna() & new[column].isna())] = 0.0
         if column in tolerance.not_compared:
-            total += Comparison(same=len(old))
-            continue
-        for name, rows in _scales(old, column).items():
-            total += _columns(old[column].iloc[rows], new[column].iloc[rows], limit[rows], name)
-    return total
+            apart[:] = 0.0
+        parts.append(_judged(name, apart, limits(old, committed.name, column, tolerance)))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _apart(old: pd.Series, new: pd.Series, kind: pd.Series | None) -> np.ndarray:
+    """Differences over the largest magnitude of the column, or of its metric in it (-); infinite without numbers."""
+    if not (pd.api.types.is_numeric_dtype(old) and pd.api.types.is_numeric_dtype(new)):
+        return np.full(len(old), np.inf)
+    size = old.astype(float).abs()
+    largest = size.max() if kind is None else size.groupby(kind).transform("max")
+    return ((old.astype(float) - new).abs() / largest).fillna(np.inf).to_numpy(copy=True)
 
 
 def limits(table: pd.DataFrame, name: str, column: str, tolerance: Tolerance) -> np.ndarray:
@@ -102,33 +108,8 @@ def limits(table: pd.DataFrame, name: str, column: str, tolerance: Tolerance) ->
     return found
 
 
-def _scales(table: pd.DataFrame, column: str) -> dict[str, np.ndarray]:
-    """Rows of a column that are of one size: those of one metric where the column holds several, else all."""
-    kind = next((name for name in KINDS if column == VALUE and name in table), None)
-    if kind is None:
-        return {column: np.arange(len(table))}
-    return {f"{column} of {name}": rows for name, rows in table.groupby(kind).indices.items()}
-
-
-def _columns(a: pd.Series, b: pd.Series, limit: np.ndarray, name: str) -> Comparison:
-    same = (a == b) | (a.isna() & b.isna())
-    numeric = pd.api.types.is_numeric_dtype(a) and pd.api.types.is_numeric_dtype(b)
-    if same.all() or not numeric:
-        return Comparison(same=int(same.sum()), different=int((~same).sum()), where="" if same.all() else name)
-    a, b = a.to_numpy(dtype=float), b.to_numpy(dtype=float)
-    apart = np.where(same, 0.0, np.abs(a - b) / np.nanmax(np.abs(a), initial=np.finfo(float).tiny))
-    near = apart <= limit  # false where only one of both is a number
-    largest = float(np.nan_to_num(apart, nan=np.inf).max())
-    return Comparison(int(same.sum()), int((near & ~same).sum()), int((~near).sum()), largest, name)
-
-
-def _images(committed: Path, rerun: Path, tolerance: Tolerance) -> Comparison:
+def _images(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
     old, new = matplotlib.image.imread(committed), matplotlib.image.imread(rerun)
     if old.shape != new.shape:
-        return Comparison(different=1, where="the size of the image")
-    if np.array_equal(old, new):
-        return Comparison(same=1)
-    grey_levels = 255 * np.sqrt(np.mean((old.astype(float) - new) ** 2))
-    if grey_levels <= tolerance.image_rms:
-        return Comparison(near=1)
-    return Comparison(different=1, where=f"the image, {grey_levels:.1f} grey levels")
+        return _judged("the size of the image", np.inf, 0.0)
+    return _judged("the image", np.sqrt(np.mean((old.astype(float) - new) ** 2)), tolerance.image_rms / 255)

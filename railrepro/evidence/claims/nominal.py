@@ -6,15 +6,13 @@ the prose says of other controllers from settings_metrics.csv (notebook 10_setti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property, lru_cache
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.data import InputError
 from railrepro.evidence.claims.statements import Evidence
 from railrepro.evidence.runs import tuning
 
@@ -23,29 +21,10 @@ _SHARED = ("settings_metrics", "nominal_metrics")
 """Tables for all settings; the later one counts."""
 
 
-class Results:
-    """Tables of data/results."""
-
-    def __call__(self, name: str) -> pd.DataFrame:
-        """Read a table, or InputError when it is missing."""
-        file = paths.source(f"data/results/{name}.csv")
-        if not file.exists():
-            raise InputError(f"{file.name}: is missing; `make figures` makes it")
-        return _read(file, file.stat().st_mtime_ns).copy()
-
-    def figure(self, name: str) -> pd.DataFrame:
-        """Read what a figure plots."""
-        file = paths.source(f"figures/{name}.csv")
-        return _read(file, file.stat().st_mtime_ns).copy()
-
-    def optional(self, name: str) -> pd.DataFrame | None:
-        """Read a table, or return None when it is missing."""
-        return self(name) if paths.source(f"data/results/{name}.csv").exists() else None
-
-
-@lru_cache(maxsize=64)
-def _read(file: Path, _changed: int) -> pd.DataFrame:
-    return pd.read_csv(file)
+def result(name: str) -> pd.DataFrame | None:
+    """Read a table of data/results; None before it is made."""
+    file = paths.source(f"data/results/{name}.csv")
+    return pd.read_csv(file) if file.exists() else None
 
 
 class Nominal:
@@ -53,19 +32,16 @@ class Nominal:
 
     Parameters
     ----------
-    results : Results, optional
-        Where tables come from.
+    results : callable, optional
+        Where tables come from, each once: name -> DataFrame, or None before it is made.
     """
 
-    def __init__(self, results: Results | None = None):
-        self.results = results or Results()
+    def __init__(self, results: Callable[[str], pd.DataFrame | None] = result):
+        self.results = cache(results)
+        tables = {name: self.results(name) for name in _SHARED}
+        self._shared = {name: _normal(table) for name, table in tables.items() if table is not None}
         self._known: dict[str, Evidence] = {}
         self._table_of: dict[tuple[str, Key], str] = {}
-
-    @cached_property
-    def _shared(self) -> dict[str, pd.DataFrame]:
-        tables = {name: self.results.optional(name) for name in _SHARED}
-        return {name: _normal(table) for name, table in tables.items() if table is not None}
 
     def settings(self) -> list[str]:
         """Settings in which there is evidence."""
@@ -94,10 +70,8 @@ class Nominal:
 
     def on_calibrated_car(self) -> dict[str, str]:
         """Tell whether each statement holds on the calibrated car, by id; empty before paper_like.csv is made."""
-        found = self.results.optional("paper_like")
-        if found is None:
-            return {}
-        return {str(row.statement): "yes" if row.holds else "no" for row in found.itertuples()}
+        found = self.results("paper_like")
+        return {} if found is None else {row.statement: "yes" if row.holds else "no" for row in found.itertuples()}
 
 
 def _normal(table: pd.DataFrame) -> pd.DataFrame:

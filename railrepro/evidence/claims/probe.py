@@ -9,7 +9,7 @@ Serves the paper's section Multi-Body Simulation Results.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 
 import casadi as ca
@@ -23,8 +23,8 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import EMPHASIS, PAPER_TRIO, with_r_times
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
-from railrepro.evidence.claims.setup import ProbeSetup
-from railrepro.evidence.claims.statements import BRAKE, LOSS, NDI, NOTHING, SOFT, T3
+from railrepro.evidence.claims.setup import ProbeSetup, setup, triple_pole
+from railrepro.evidence.claims.statements import BETWEEN, BRAKE, LOSS, NDI, NOTHING, SOFT, SOFTEST, T3
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment, tidy
@@ -54,6 +54,7 @@ PATCH, SUDDEN_KMH, SUDDEN_KN = (300.0, 500.0), 280.0, 17.0
 """Sudden loss: where the rail is very poor (m), speed, force per gear, in traction and in braking."""
 ROUGH_SEEDS, ROUGH_KMH, ROUGH_END, LINE = (1, 2, 3), 300.0, 1000.0, {"share": 1.0, "smoothing_m": 3.0}
 """Irregular straight: realisations, speed, length (m), and the line that is planned with exact preview."""
+NO_SLIP_CONTROL = AdhesionSettings(active=False)
 RECOVERY = 0.3
 """Time within which a wheel must be back from macro slip (s): a fifth of the way between step and maximum in Fig. 8."""
 UNITS = {
@@ -65,22 +66,17 @@ UNITS = {
 
 Rows = list[tuple[str, str, str, float]]
 """Scenario, controller, metric, value."""
+Measured = Iterator[tuple[str, str, dict[str, float]]]
+"""What a part of a probe yields: scenario, controller, value by metric."""
 
 
-def probe(world: ProbeSetup, parts: Iterable[str] = PARTS, speeds: Iterable[int] = SPEEDS) -> Rows:
+def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
     """Drive a world and measure it: rows in SI; a failed run has only `failed`."""
-    drive: dict[str, Callable[[], Rows]] = {
-        "curve": lambda: _curve(world),
-        "curves": lambda: [row for i in (1, 2, 4) for row in _lateral(world, _straightforward(world, i))],
-        "sine": lambda: [row for speed in speeds for row in _sine(world, speed)],
-        "loss": lambda: _loss(world),
-        "brake": lambda: _brake(world),
-        "causes": lambda: _causes(world),
-        "sudden": lambda: _sudden(world),
-        "share": lambda: _allocated(world) + _uninformed(world),
-        "rails": lambda: _rails(world),
-    }
-    return [row for part in parts for row in drive[part]()]
+    rows: Rows = []
+    for part in parts:
+        for scenario, controller, values in _DRIVE[part](world):
+            rows += [(scenario, controller, name, float(value)) for name, value in values.items()]
+    return rows
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
@@ -156,100 +152,90 @@ def lateral(run: simulate.Run) -> dict[str, float]:
     }
 
 
-def _rows(scenario: str, controller: str, values: dict[str, float]) -> Rows:
-    return [(scenario, controller, name, float(value)) for name, value in values.items()]
-
-
-def _straightforward(world: ProbeSetup, track: int) -> Scenario:
-    lengths = {1: 80.0, 2: 400.0, 4: 700.0}
-    return load_scenario(f"curve_entry_T{track}").but(good=world.good, end_m=lengths[track])
-
-
-def _lateral(world: ProbeSetup, scenario: Scenario, label: str = "") -> Rows:
+def _follow(world: ProbeSetup, scenario: Scenario, label: str) -> Measured:
     """How the paper's three controllers follow a scenario."""
-    label = label or scenario.name
-    rows = _rows(label, NOTHING, nothing(scenario))
+    yield label, NOTHING, nothing(scenario)
     for name in PAPER_TRIO:
-        rows += _rows(label, name, world.experiment(scenario, name).measured(following)[0])
-    return rows
+        yield label, name, world.experiment(scenario, name).measured(following)[0]
 
 
-def _curve(world: ProbeSetup) -> Rows:
+def _curves(world: ProbeSetup) -> Measured:
+    """Curve entries on the other tracks."""
+    for name, length in {"curve_entry_T1": 80.0, "curve_entry_T2": 400.0, "curve_entry_T4": 700.0}.items():
+        yield from _follow(world, load_scenario(name).but(good=world.good, end_m=length), name)
+
+
+def _sine(world: ProbeSetup) -> Measured:
+    for speed in SPEEDS:
+        scenario = load_scenario("sine_tracking").but(good=world.good, speed_kmh=float(speed), end_m=300.0)
+        yield from _follow(world, scenario, f"sine_tracking {speed}")
+
+
+def _curve(world: ProbeSetup) -> Measured:
+    """Fig. 6, with the delay of NDI's torque and how much of the gyroscopic moment each controller balances."""
     scenario, stretched = world.curve(), world.stretched()
-    rows, series = _rows(T3, NOTHING, nothing(scenario)), {}
     track = Track("T3", build_table(stretched)) if stretched else load_track(scenario.track)
     expected = gyroscopic_torque(load_vehicle(**world.vehicle), scenario.speed, track)
+    yield T3, NOTHING, nothing(scenario)
+    series = {}
     for name in PAPER_TRIO:
         values, table = world.experiment(scenario, name, alignment=stretched).measured(entering)
         if table is not None:
             series[name] = table
             values |= {"gyroscopic_share": values.pop("torque_step") / expected}
-        rows += _rows(T3, name, values)
+        yield T3, name, values
     if {"nmpc", NDI} <= set(series):
-        rows += _rows(T3, NDI, torque_shift(series["nmpc"], series[NDI]))
-    return rows
+        yield T3, NDI, torque_shift(series["nmpc"], series[NDI])
 
 
-def _sine(world: ProbeSetup, speed: int) -> Rows:
-    scenario = load_scenario("sine_tracking").but(good=world.good, speed_kmh=float(speed), end_m=300.0)
-    return _lateral(world, scenario, f"sine_tracking {speed}")
-
-
-def _loss(world: ProbeSetup) -> Rows:
+def _loss(world: ProbeSetup) -> Measured:
     """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED` and once without slip control; NDI."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
-    rows = _rows(LOSS, NOTHING, nothing(scenario) | {"slip_at_maximum": slip_at_maximum(scenario, car)})
-    nmpc = with_r_times(world.parameters["nmpc"], world.r_loss)
-    soft = with_r_times(nmpc, EMPHASIS)
-    off = {"adhesion": AdhesionSettings(active=False)}
+    yield LOSS, NOTHING, nothing(scenario) | {"slip_at_maximum": slip_at_maximum(scenario, car)}
+    tuned = {"nmpc": with_r_times(world.parameters["nmpc"], world.r_loss)}
+    tuned[SOFT] = with_r_times(tuned["nmpc"], EMPHASIS)
     cases = {
-        "nmpc": [("nmpc", with_r_times(nmpc, factor), {}) for factor in PERTURBED],
-        SOFT: [("nmpc", with_r_times(soft, factor), {}) for factor in PERTURBED],
-        NDI: [(NDI, world.parameters[NDI], {})],
-        statements.NO_LAW["nmpc"]: [("nmpc", nmpc, off)],
-        statements.NO_LAW[SOFT]: [("nmpc", soft, off)],
+        label: [world.experiment(scenario, "nmpc", with_r_times(nmpc, factor)) for factor in PERTURBED]
+        for label, nmpc in tuned.items()
     }
+    cases[NDI] = [world.experiment(scenario, NDI)]
+    for label, nmpc in tuned.items():
+        cases[statements.NO_LAW[label]] = [world.experiment(scenario, "nmpc", nmpc, adhesion=NO_SLIP_CONTROL)]
     for label, runs in cases.items():
-        found = [world.experiment(scenario, name, tuned, **more).measured(losing)[0] for name, tuned, more in runs]
-        values = _mean(found)
+        values = _mean([run.measured(losing)[0] for run in runs])
         regular = {"regular_end_deviation": values.pop("regular_end_deviation")}
-        rows += _rows(LOSS, label, values)
+        yield LOSS, label, values
         if label in statements.REGULAR:
-            rows += _rows(LOSS, statements.REGULAR[label], regular)
-    return rows
+            yield LOSS, statements.REGULAR[label], regular
 
 
-def _causes(world: ProbeSetup) -> Rows:
+def _causes(world: ProbeSetup) -> Measured:
     """NMPC in the curve (as it is: `_curve`) and on sines, on cones, and in the curve nearly without creep."""
     sine, curve = load_scenario("sine_tracking"), load_scenario(T3)
     driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
     cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": STIFF * world.car().contact.shear_modulus}
-    rows: Rows = []
     for case, scenario in zip(statements.CASES, driven, strict=True):
         plants = {statements.CONES: cones} | ({statements.NO_CREEP: stiff} if case == T3 else {"nmpc": {}})
         for label, plant in plants.items():
-            rows += _rows(case, label, world.experiment(scenario, "nmpc", plant=plant).measured(following)[0])
-    return rows
+            yield case, label, world.experiment(scenario, "nmpc", plant=plant).measured(following)[0]
 
 
-def _sudden(world: ProbeSetup) -> Rows:
+def _sudden(world: ProbeSetup) -> Measured:
     """NMPC with R x 10 over a patch of very poor rail, with and without slip control."""
     begin, end = PATCH
     points = ((0.0, 0.0), (begin - 0.5, 0.0), (begin + 0.5, 1.0), (end - 0.5, 1.0), (end + 0.5, 0.0))
     base = load_scenario(LOSS).but(speed_kmh=SUDDEN_KMH, end_m=end + 300, poor="very_poor", poor_share=())
-    soft, rows = with_r_times(world.parameters["nmpc"], EMPHASIS), []
+    soft = with_r_times(world.parameters["nmpc"], EMPHASIS)
     for case in statements.SUDDEN:
         place, _, drive = case.partition(", ")
         share = {"poor_share" if place == "both rails" else "poor_share_left": points}
         force = SUDDEN_KN if drive == "traction" else -SUDDEN_KN
         scenario = base.but(force_kN=((0.0, force),), **share)
-        for label, law in ((SOFT, None), (statements.NO_LAW[SOFT], AdhesionSettings(active=False))):
-            run = world.experiment(scenario, "nmpc", soft, adhesion=law)
-            rows += _rows(case, label, run.measured(slipping)[0])
-    return rows
+        for label, law in ((SOFT, None), (statements.NO_LAW[SOFT], NO_SLIP_CONTROL)):
+            yield case, label, world.experiment(scenario, "nmpc", soft, adhesion=law).measured(slipping)[0]
 
 
-def _rails(world: ProbeSetup) -> Rows:
+def _rails(world: ProbeSetup) -> Measured:
     """NMPC on an irregular straight with and without exact preview, means over the realisations."""
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=ROUGH_KMH, end_m=ROUGH_END)
     defects = [
@@ -258,12 +244,10 @@ def _rails(world: ProbeSetup) -> Rows:
         {"kind": "lateral_offset", "start": 0.7 * ROUGH_END, "length": 0.15 * ROUGH_END, "offset": 3e-3,
          "transition": 15.0},
     ]  # fmt: skip
-    rows: Rows = []
+    rough = [{"spectrum": "en_B_300", "seed": seed, "defects": defects} for seed in ROUGH_SEEDS]
     for label, known in (("nmpc", {}), (statements.PREVIEW, LINE)):
-        rough = [{"spectrum": "en_B_300", "seed": seed, "defects": defects} for seed in ROUGH_SEEDS]
         runs = [world.experiment(scenario, "nmpc", irregular=each, preview=known, ride=True) for each in rough]
-        rows += _rows(statements.RAILS, label, _mean([run.measured(riding)[0] for run in runs]))
-    return rows
+        yield statements.RAILS, label, _mean([run.measured(riding)[0] for run in runs])
 
 
 def _mean(runs: list[dict[str, float]]) -> dict[str, float]:
@@ -273,61 +257,69 @@ def _mean(runs: list[dict[str, float]]) -> dict[str, float]:
     return found | {"failed": max(run["failed"] for run in runs)}
 
 
-def _brake(world: ProbeSetup) -> Rows:
+def _brake(world: ProbeSetup) -> Measured:
     """Fig. 9: sweeps of R and of NDI's poles, both settings of R with one between them; neighbours of NMPC and NDI."""
-    scenario = world.braking()
-    rows = _rows(BRAKE, NOTHING, nothing(scenario))
-    nmpc, ndi = with_r_times(world.parameters["nmpc"], world.r_brake), world.parameters[NDI]
+    yield BRAKE, NOTHING, nothing(world.braking())
     for factor in world.r_factors:
-        values = _braked(world, scenario, "nmpc", with_r_times(nmpc, factor))
-        rows += _rows(BRAKE, "sweep of R", {f"{key} {factor:g}": value for key, value in values.items()})
-    for label, factor in (
-        ("nmpc", 1.0),
-        (statements.BETWEEN, world.r_second**0.5),
-        (statements.SOFTEST, world.r_second),
-    ):
-        rows += _rows(BRAKE, label, _braked(world, scenario, "nmpc", with_r_times(nmpc, factor)))
+        yield BRAKE, "sweep of R", _suffixed(_braked(world, factor), f" {factor:g}")
+    for label, factor in {"nmpc": 1.0, BETWEEN: world.r_second**0.5, SOFTEST: world.r_second}.items():
+        yield BRAKE, label, _braked(world, factor)
     for pole in world.poles:
-        values = _braked(world, scenario, NDI, {"pole": pole, "frequency": pole, "damping": 1.0})
-        rows += _rows(BRAKE, "sweep of poles", {f"{key} {pole:g}": value for key, value in values.items()})
-    near = {"nmpc": [with_r_times(nmpc, factor) for factor in NEIGHBOURS]}
-    near[NDI] = [ndi | {key: factor * ndi[key] for key in ("pole", "frequency")} for factor in NEIGHBOURS]
-    for name, neighbours in near.items():
-        found = pd.DataFrame([_braked(world, scenario, name, parameters) for parameters in neighbours])
-        spread = {f"{key}_spread": float(np.log(found[key].max() / found[key].min())) for key in found}
-        values = found.iloc[NEIGHBOURS.index(1.0)].to_dict() if name == NDI else {}
-        rows += _rows(BRAKE, name, values | {key: v if v == v else np.inf for key, v in spread.items()})
-    return rows
+        yield BRAKE, "sweep of poles", _suffixed(_stopped(world, NDI, triple_pole(pole)), f" {pole:g}")
+    yield BRAKE, "nmpc", _scatter([_braked(world, factor) for factor in NEIGHBOURS])
+    ndi = world.parameters[NDI]
+    near = [ndi | {key: factor * ndi[key] for key in ("pole", "frequency")} for factor in NEIGHBOURS]
+    runs = [_stopped(world, NDI, parameters) for parameters in near]
+    yield BRAKE, NDI, runs[NEIGHBOURS.index(1.0)] | _scatter(runs)
 
 
-def _braked(world: ProbeSetup, scenario: Scenario, name: str, parameters: dict, **more) -> dict[str, float]:
-    return world.experiment(scenario, name, parameters, **more).measured(braked)[0]
+def _braked(world: ProbeSetup, factor: float = 1.0, **more) -> dict[str, float]:
+    """Error and distance of NMPC in Fig. 9 with R times a factor."""
+    nmpc = with_r_times(world.parameters["nmpc"], world.r_brake)
+    return _stopped(world, "nmpc", with_r_times(nmpc, factor), **more)
 
 
-def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: int = 6) -> Rows:
+def _stopped(world: ProbeSetup, name: str, parameters: dict, **more) -> dict[str, float]:
+    return world.experiment(world.braking(), name, parameters, **more).measured(braked)[0]
+
+
+def _suffixed(values: dict[str, float], suffix: str) -> dict[str, float]:
+    return {name + suffix: value for name, value in values.items()}
+
+
+def _scatter(runs: list[dict[str, float]]) -> dict[str, float]:
+    """Logarithm of largest over smallest value of each metric; infinite where a run failed."""
+    found = pd.DataFrame(runs)
+    return _suffixed(np.log(found.max() / found.min()).fillna(np.inf).to_dict(), "_spread")
+
+
+def _share(world: ProbeSetup) -> Measured:
+    """Fig. 9 with a fixed allocation of the torque, and with an NMPC that does not know the base torque."""
+    yield BRAKE, statements.FIXED, _allocated(world)
+    yield BRAKE, statements.UNINFORMED, _braked(world, changes={"informed": False})
+
+
+def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: int = 6) -> dict[str, float]:
     """The smallest fixed share of the torque with which NMPC guides as accurately as with a variable one.
 
     The first step of the ladder that is enough, then by halving, so that no grid decides; infinite where none is.
     """
-    scenario, nmpc = world.braking(), with_r_times(world.parameters["nmpc"], world.r_brake)
-    enough = statements.GUIDES_AS_WELL * _braked(world, scenario, "nmpc", nmpc)["rmse_y"]
-    tried = ((low, share, _braked(world, scenario, "nmpc", nmpc, fixed_share=share)) for low, share in pairwise(ladder))
+    enough = statements.GUIDES_AS_WELL * _braked(world)["rmse_y"]
+    tried = ((low, share, _braked(world, fixed_share=share)) for low, share in pairwise(ladder))
     low, high, found = next((step for step in tried if step[2]["rmse_y"] <= enough), (0.0, np.nan, {}))
     if not found:
-        return _rows(BRAKE, statements.FIXED, {"rmse_y": np.inf, "stopping_distance": np.inf})
+        return {"rmse_y": np.inf, "stopping_distance": np.inf}
     for _ in range(halvings):
         middle = (low + high) / 2
-        values = _braked(world, scenario, "nmpc", nmpc, fixed_share=middle)
+        values = _braked(world, fixed_share=middle)
         low, high, found = (low, middle, values) if values["rmse_y"] <= enough else (middle, high, found)
-    return _rows(BRAKE, statements.FIXED, found | {"share": high})
+    return found | {"share": high}
 
 
-def _uninformed(world: ProbeSetup) -> Rows:
-    """Fig. 9 with an NMPC that does not know the base torque."""
-    nmpc = with_r_times(world.parameters["nmpc"], world.r_brake)
-    return _rows(
-        BRAKE, statements.UNINFORMED, _braked(world, world.braking(), "nmpc", nmpc, changes={"informed": False})
-    )
+_DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
+    **{"curve": _curve, "curves": _curves, "sine": _sine, "loss": _loss, "brake": _brake},
+    **{"causes": _causes, "sudden": _sudden, "share": _share, "rails": _rails},
+}
 
 
 def gyroscopic_torque(vehicle: Vehicle, speed: float, track: Track) -> float:
@@ -401,14 +393,11 @@ def recovered_share(series: pd.DataFrame) -> float:
     """Share of the entries into segment III from which it is back within `RECOVERY`; columns t_s, segment."""
     time, third = series["t_s"].to_numpy(), (series["segment"] == 3).to_numpy()
     entries = np.flatnonzero(third[1:] & ~third[:-1]) + 1
-    lasting = [_until(time, ~third, entry) for entry in entries if time[-1] - time[entry] > RECOVERY]
-    return float(np.mean([t < RECOVERY for t in lasting])) if lasting else 0.0
-
-
-def _until(time: np.ndarray, there: np.ndarray, start: int) -> float:
-    """Time from a row until a condition holds (s); infinite when it never does."""
-    found = np.flatnonzero(there[start:])
-    return float(time[start + found[0]] - time[start]) if found.size else float("inf")
+    left = np.flatnonzero(~third)
+    next_left = np.append(time[left], np.inf)[np.searchsorted(left, entries)]  # infinite where it never is
+    until = next_left - time[entries]
+    judged = time[-1] - time[entries] > RECOVERY
+    return float(np.mean(until[judged] < RECOVERY)) if judged.any() else 0.0
 
 
 def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
@@ -419,26 +408,6 @@ def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
 
 SEEDS = (101, 102, 103)
 """Noise for judging; tuning has others."""
-COLUMNS = ("scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed")
-
-
-def nominal_setup(setting: str, rank: int, seed: int) -> ProbeSetup:
-    """The uncalibrated car with the tuned sets of a setting.
-
-    Parameters
-    ----------
-    setting : str
-    rank : int
-        Zero for the tuned set, then the other swarms by cost; designed sets have only one.
-    seed : int
-        Of noise and biases, in the setting `loop`.
-    """
-    parameters = {}
-    for name in PAPER_TRIO:
-        tuned = tuning.load(name, setting)
-        swarms = sorted(tuned.get("swarms", []), key=lambda swarm: swarm["cost"])
-        parameters[name] = swarms[rank]["parameters"] if rank < len(swarms) else tuned["parameters"]
-    return ProbeSetup(parameters, setting, sensors={"seed": seed} if setting == tuning.LOOP else {})
 
 
 def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> pd.DataFrame:
@@ -452,12 +421,14 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> p
             tasks += [(each, rank, seed, part) for part in parts]
 
     def driven(task: tuple[str, int, int, str]) -> list[tuple]:
-        *which, part = task
-        return [(*row, UNITS.get(row[2], "-"), *which) for row in probe(nominal_setup(*which), (part,))]
+        setting, rank, seed, part = task
+        rows = probe(setup({}, setting, rank=rank, seed=seed), (part,))
+        return [(*row, UNITS.get(row[2], "-"), setting, rank, seed) for row in rows]
 
     with executor() as pool:
         found = ordered_map(pool, driven, tasks, "nominal", quiet)
-    return pd.DataFrame([row for rows in found for row in rows], columns=list(COLUMNS))
+    columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
+    return pd.DataFrame([row for rows in found for row in rows], columns=columns)
 
 
 def main(settings: Sequence[str] = ()) -> None:

@@ -5,7 +5,7 @@ Choices of the calibrated car, answers to open questions and samples of the robu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -95,18 +95,13 @@ class ProbeSetup:
     def braking(self) -> Scenario:
         """Braking to standstill with the sweep of Fig. 9."""
         base = load_scenario(BRAKE)
-        point = base.set_point | self.brake_sweep
-        return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=point)
+        return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=base.set_point | self.brake_sweep)
 
     def curve(self) -> Scenario:
         """Curve entry on T3 with the sweep of this world; its track may be `stretched`."""
-        base = load_scenario(T3).but(good=self.good)
-        point = base.set_point | {
-            "amplitude_mm": self.amplitude_mm,
-            "period_start_m": self.period_start_m,
-            "period_end_m": self.period_end_m,
-        }
-        return base.but(set_point=point)
+        base = load_scenario(T3)
+        sweep = {name: getattr(self, name) for name in ("amplitude_mm", "period_start_m", "period_end_m")}
+        return base.but(good=self.good, set_point=base.set_point | sweep)
 
     def stretched(self) -> Alignment | None:
         """T3 with the clothoid of this world; None where that is ours."""
@@ -123,7 +118,19 @@ FIELDS = {one.name for one in fields(ProbeSetup)} - {"parameters", "setting", "v
 """Fields of `ProbeSetup` that a value may set."""
 
 
-def setup(values: Mapping[str, Any], setting: str = tuning.PAPER) -> ProbeSetup:
+def triple_pole(pole: float) -> dict[str, float]:
+    """Parameters of an inversion with a triple pole (rad/s)."""
+    return {"pole": pole, "frequency": pole, "damping": 1.0}
+
+
+def setup(
+    values: Mapping[str, Any],
+    setting: str = tuning.PAPER,
+    *,
+    controllers: Iterable[str] = PAPER_TRIO,
+    rank: int = 0,
+    seed: int | None = None,
+) -> ProbeSetup:
     """Set up a probe with some values by name; what is not named is that of the uncalibrated car.
 
     Parameters
@@ -134,17 +141,24 @@ def setup(values: Mapping[str, Any], setting: str = tuning.PAPER) -> ProbeSetup:
         with R times this), and dotted keys of the vehicle.
     setting : str
         Setting whose tuned sets are taken.
+    controllers : iterable of str
+        Whose.
+    rank : int
+        Zero for the tuned set, then the other swarms by cost; designed sets have only one.
+    seed : int, optional
+        Of noise and biases, in the setting `loop`; without it there are no sensors.
 
     Raises
     ------
     InputError
         When nothing has a name. Keys of the vehicle are checked where its car is built.
     """
-    parameters = {name: dict(tuning.load(name, setting)["parameters"]) for name in PAPER_TRIO}
+    parameters = {name: _tuned(name, setting, rank) for name in controllers}
     if LTV_R in values:
         parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[LTV_R])
     if POLE in values:
-        parameters[NDI] = {"pole": values[POLE], "frequency": values[POLE], "damping": 1.0}
+        parameters[NDI] = triple_pole(values[POLE])
+    sensors = {"seed": seed} if seed is not None and setting == tuning.LOOP else {}
     vehicle: dict[str, Any] = {}
     own: dict[str, Any] = {}
     parts = {**parameters, "brake_sweep": own.setdefault("brake_sweep", {})}
@@ -160,4 +174,10 @@ def setup(values: Mapping[str, Any], setting: str = tuning.PAPER) -> ProbeSetup:
             vehicle[name] = value
         else:
             raise InputError(f"{name!r} is set, which nothing has")
-    return ProbeSetup(parameters, setting, vehicle=vehicle, **own)
+    return ProbeSetup(parameters, setting, vehicle=vehicle, sensors=sensors, **own)
+
+
+def _tuned(controller: str, setting: str, rank: int) -> dict[str, Any]:
+    found = tuning.load(controller, setting)
+    swarms = sorted(found.get("swarms", []), key=lambda swarm: swarm["cost"])
+    return dict(swarms[rank]["parameters"] if 0 < rank < len(swarms) else found["parameters"])

@@ -10,6 +10,7 @@ Serves the paper's section Multi-Body Simulation Results.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -19,13 +20,13 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.control.registry import EMPHASIS, PAPER_TRIO, r_times
+from railrepro.control.registry import EMPHASIS, PAPER_TRIO
 from railrepro.data import InputError
 
 REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE = "reproduced", "partly", "tie", "not reproduced", "not testable"
 NOTHING = "nothing"
 """Name under which evidence has what y = 0 gives."""
-SOFT = r_times(EMPHASIS, "nmpc")
+SOFT = f"nmpc, R x {EMPHASIS:g}"
 """NMPC with a larger R in Fig. 8."""
 SOFTEST, BETWEEN = "nmpc, second R", "nmpc, R between"
 """NMPC in the second setting of Fig. 9, and with an R between both."""
@@ -45,10 +46,8 @@ T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
 CASES = (T3, f"{T3} on T5", "sine of 1000 m 160", "sine of 1000 m 400")
 CONES, NO_CREEP = "nmpc on cones", "nmpc, nearly rolling"
 """Runs that show the effect of cones and of creep, and names of NMPC on such a car."""
-VALUES: dict[str, Callable[[Evidence], Finding | float]] = {}
-"""Predicates by id."""
-TABLES: dict[str, str] = {}
-"""Table of data/results that each predicate reads, by id; none reads two."""
+CURVES = tuple(f"curve_entry_T{i}" for i in (1, 2, 3, 4))
+DRIFT = "mean_error_last_third"
 _WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "largest_slip")
 
 
@@ -86,14 +85,14 @@ class Evidence:
     spread : mapping
         The same keys -> logarithm of largest over smallest value among the seeds of swarm and noise.
     tables : callable or None
-        Name of a table of data/results -> DataFrame; None when there are none.
+        Name of a table of data/results -> DataFrame, or None when it is not made yet; None when there are none.
     setting : str
         Setting of comparison that all of it comes from; empty where no controller takes part.
     """
 
     metrics: Mapping[tuple[str, str, str], float]
     spread: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
-    tables: Callable[[str], pd.DataFrame] | None = None
+    tables: Callable[[str], pd.DataFrame | None] | None = None
     setting: str = ""
 
     def __call__(self, scenario: str, controller: str, metric: str) -> float:
@@ -107,9 +106,9 @@ class Evidence:
 
     def table(self, name: str) -> pd.DataFrame:
         """A table of data/results: its rows of the own setting, or one without settings where there is none."""
-        if self.tables is None:
+        table = self.tables(name) if self.tables else None
+        if table is None:
             raise MissingEvidence(name)
-        table = self.tables(name)
         own = table[table["setting"] == self.setting] if "setting" in table else table
         if ("setting" in table) != bool(self.setting) or own.empty:
             raise MissingEvidence(f"{name}, {self.setting or 'no setting'}")
@@ -175,17 +174,12 @@ class Statement:
         """
         if _within(finding.value, self.above, self.below, finding.tie):
             return REPRODUCED
-        if self.tied(finding):
-            return TIE
+        if finding.tie > 0 and _within(finding.value, self.above, self.below, -finding.tie):
+            return TIE  # as near to a limit as seeds differ
         wider = self.partly_above is not None or self.partly_below is not None
         limits = (self.partly_above, self.partly_below) if wider else (self.above, self.below)
         value = finding.value if finding.weaker is None else finding.weaker
         return PARTLY if _within(value, *limits, finding.tie) else NOT
-
-    def tied(self, finding: Finding) -> bool:
-        """Whether a finding is as near to a limit as seeds differ."""
-        inner, outer = (_within(finding.value, self.above, self.below, s * finding.tie) for s in (1, -1))
-        return finding.tie > 0 and outer and not inner
 
 
 def _within(value: float, above: float | None, below: float | None, tie: float) -> bool:
@@ -210,17 +204,24 @@ def find(identity: str, evidence: Evidence) -> Finding:
     return found if isinstance(found, Finding) else Finding(float(found))
 
 
-def value(identity: str, table: str = "nominal_metrics") -> Callable:
-    """Register the function of a statement, and the table that it reads."""
+def findings(evidence: Evidence) -> dict[str, Finding]:
+    """What the predicates find for which the evidence suffices, by id."""
+    found = {}
+    for identity in VALUES:
+        with suppress(MissingEvidence):
+            found[identity] = find(identity, evidence)
+    return found
 
-    def register(function):
-        VALUES[identity], TABLES[identity] = function, table
-        return function
 
-    return register
+def _worst(values: list[float], tie: float = 0.0) -> Finding:
+    """The largest of what is compared; weaker is the smallest."""
+    return Finding(max(values), min(values), tie)
 
 
-@value("C01", table="table1")
+def _fraction(conditions: Iterable[bool]) -> float:
+    return float(np.mean(list(conditions)))
+
+
 def _table_one(e: Evidence) -> float:
     """Deviation from Table I with the one width of the track that fits best (m)."""
     table = e.table("table1")
@@ -229,70 +230,26 @@ def _table_one(e: Evidence) -> float:
     return min(float(np.abs(width * sine - table["printed_m"]).max()) for width in widths)
 
 
-@value("C03")
 def _effort_on_t1(e: Evidence) -> float:
     others = max(e(f"curve_entry_T{i}", "nmpc", "effort_du") for i in (2, 3, 4))
     return e("curve_entry_T1", "nmpc", "effort_du") / others
 
 
-@value("C04")
 def _all_follow(e: Evidence) -> float:
     """The worse of set point and path: error over that of y = 0, yaw against the track over the track's heading."""
     point = max(e(T3, name, "rmse_y") for name in PAPER_TRIO) / e(T3, NOTHING, "rmse_y")
     return max(point, *(e(T3, name, "path_error") for name in PAPER_TRIO))
 
 
-@value("C05")
-def _mpc_beats_ndi(e: Evidence) -> Finding:
-    ratios = [e.ratio(T3, name, NDI) for name in MPC]
-    return Finding(max(ratios), min(ratios), e.tie(T3, PAPER_TRIO))
-
-
-@value("C06")
-def _nmpc_is_best(e: Evidence) -> Finding:
-    ratios = [e.ratio(T3, "nmpc", other) for other in PAPER_TRIO[1:]]
-    return Finding(max(ratios), min(ratios), e.tie(T3, PAPER_TRIO))
-
-
-@value("C07")
-def _ltv_slightly_worse(e: Evidence) -> Finding:
-    return Finding(e(T3, MPC[1], "rmse_y") / e(T3, "nmpc", "rmse_y"), tie=e.tie(T3, MPC))
-
-
-@value("C08")
-def _no_delay(e: Evidence) -> Finding:
-    """Delay as a share of the shortest wavelength."""
-    shares = [abs(e(T3, name, "delay")) / e(T3, NOTHING, "shortest_wave") for name in MPC]
-    return Finding(max(shares), min(shares))
-
-
-@value("C09")
 def _same_torque_later(e: Evidence) -> float:
     if not np.isfinite([e(T3, name, "rmse_y") for name in ("nmpc", NDI)]).all():
         return float("nan")
     return e(T3, NDI, "torque_later") if e(T3, NDI, "torque_alike") > 0.8 else float("nan")
 
 
-@value("C10")
 def _gyroscope(e: Evidence) -> float:
     shares = [e(T3, name, "gyroscopic_share") for name in PAPER_TRIO]
     return max(shares, key=lambda share: abs(share - 1) if np.isfinite(share) else np.inf)
-
-
-@value("C11")
-def _drift(e: Evidence) -> float:
-    return abs(e(T3, "nmpc", "mean_error_last_third")) / e(T3, NOTHING, "largest_error")
-
-
-@value("C12")
-def _large_values(e: Evidence) -> float:
-    return e(T3, "nmpc", "error_at_crests")
-
-
-@value("C13")
-def _drift_from_creep(e: Evidence) -> float:
-    drift = "mean_error_last_third"
-    return abs(e(T3, NO_CREEP, drift) / e(T3, "nmpc", drift))
 
 
 def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
@@ -301,12 +258,6 @@ def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
 
-@value("C14", table="solve_times")
-def _ratio_of_times(e: Evidence) -> float:
-    return usual_times(e, "gauss_newton", "median_ms").median() / usual_times(e, "ltv_mpc", "median_ms").median()
-
-
-@value("C15", table="solve_times")
 def _feasible(e: Evidence) -> Finding:
     worst = e.table("solve_times").query("solver == 'ltv_mpc'")["max_ms"].max()
     return Finding(worst, usual_times(e, "ltv_mpc", "max_ms").max())
@@ -316,22 +267,18 @@ def _ranked(e: Evidence, scenario: str) -> bool:
     return e.ahead(scenario, *MPC) and e.ahead(scenario, MPC[1], NDI)
 
 
-@value("C16")
-def _ranking_on_curves(e: Evidence) -> float:
-    return float(np.mean([_ranked(e, f"curve_entry_T{i}") for i in (1, 2, 3, 4)]))
+def _both_lead(e: Evidence, scenario: str) -> bool:
+    return all(e.ahead(scenario, name, NDI) for name in MPC)
 
 
 def _sines(e: Evidence) -> list[str]:
     return [f"sine_tracking {speed}" for speed in e.speeds()]
 
 
-@value("C17")
-def _ranking_on_sine(e: Evidence) -> Finding:
-    share = np.mean([_ranked(e, scenario) for scenario in _sines(e)])
-    return Finding(float(share), float(np.mean([e.ahead(scenario, "nmpc", NDI) for scenario in _sines(e)])))
+def _nmpc_leads(e: Evidence) -> float:
+    return _fraction(e.ahead(scenario, "nmpc", NDI) for scenario in _sines(e))
 
 
-@value("C18")
 def _slower_is_better(e: Evidence) -> float:
     """Smallest rank correlation of error and speed; not a number when a run failed."""
     errors = pd.DataFrame({name: [e(s, name, "rmse_y") for s in _sines(e)] for name in PAPER_TRIO})
@@ -341,19 +288,12 @@ def _slower_is_better(e: Evidence) -> float:
     return min(np.corrcoef(errors[name].rank(), place)[0, 1] if np.ptp(errors[name]) > 0 else 0.0 for name in errors)
 
 
-@value("C19")
 def _ndi_grows_most(e: Evidence) -> Finding:
     """Slope of the error of NDI over speed against the steeper one of both MPC."""
     slopes = [np.polyfit(e.speeds(), [e(s, name, "rmse_y") for s in _sines(e)], 1)[0] for name in PAPER_TRIO]
     steepest = max(slopes[0], slopes[1])
     ratio = slopes[2] / steepest if steepest > 0 else float("inf") if slopes[2] > 0 else float("nan")
     return Finding(ratio if np.isfinite(slopes[:2]).all() else float("nan"), tie=e.tie(_sines(e)[-1], PAPER_TRIO))
-
-
-@value("C20")
-def _wide_range(e: Evidence) -> Finding:
-    both = [all(e.ahead(scenario, name, NDI) for name in MPC) for scenario in _sines(e)]
-    return Finding(float(np.mean(both)), float(np.mean([e.ahead(scenario, "nmpc", NDI) for scenario in _sines(e)])))
 
 
 def _due_to_the_law(e: Evidence, metric: str, smaller: bool) -> Finding:
@@ -367,39 +307,16 @@ def _due_to_the_law(e: Evidence, metric: str, smaller: bool) -> Finding:
     return Finding(*map(counts, NO_LAW))
 
 
-@value("C21")
-def _regular(e: Evidence) -> Finding:
-    return Finding(*(e(LOSS, name, "regular_end_deviation") for name in REGULAR.values()))
-
-
-@value("C23")
 def _no_macro_slip(e: Evidence) -> Finding:
     found, limit = _due_to_the_law(e, "largest_slip", True), e(LOSS, NOTHING, "slip_at_maximum")
     return Finding(found.value / limit, found.weaker / limit)
 
 
-@value("C24")
-def _returns_from_macro_slip(e: Evidence) -> Finding:
-    return _due_to_the_law(e, "recovered_share", False)
-
-
-@value("C50")
-def _uses_the_maximum(e: Evidence) -> Finding:
-    return _due_to_the_law(e, "utilisation_late", False)
-
-
-@value("C25")
 def _both_directions(e: Evidence) -> float:
     slips = [[e(case, name, "largest_slip") for name in (SOFT, NO_LAW[SOFT])] for case in SUDDEN]
-    return float(np.mean([with_law < 0.5 * without for with_law, without in slips]))
+    return _fraction(with_law < 0.5 * without for with_law, without in slips)
 
 
-@value("C26", table="adhesion_map")
-def _no_knowledge(e: Evidence) -> float:
-    return float((e.table("adhesion_map").query("map == 'friction'")["utilisation"] > 0.75).mean())
-
-
-@value("C27", table="adhesion_law")
 def _step_bound(e: Evidence) -> float:
     """Smallest step over its bound with which the adhesion follows the set point."""
     table = e.table("adhesion_law").sort_values("p2_over_bound", kind="stable")
@@ -407,7 +324,6 @@ def _step_bound(e: Evidence) -> float:
     return float(table.loc[follows, "p2_over_bound"].min())
 
 
-@value("C28")
 def _stable_on_poor_rail(e: Evidence) -> Finding:
     """Slope of y over the set point where the oscillation does not grow; else not a number."""
 
@@ -421,7 +337,6 @@ BOUNDED = 1.5
 """Growth of the error from one half of the way to the other below which an oscillation is bounded."""
 
 
-@value("C49")
 def _poor_is_harder(e: Evidence) -> Finding:
     """Error as a share of that of y = 0, on poor rail over dry rail, at 400 km/h, the least of NMPC and NDI.
 
@@ -453,7 +368,6 @@ def _saved(runs: list[tuple[float, float]]) -> float:
     return 1 - last / way if ordered and np.isfinite([way, largest]).all() and largest > 1.01 * error else float("nan")
 
 
-@value("C30")
 def _trade_off(e: Evidence) -> Finding:
     """What the second setting of R saves beyond the scatter of neighbouring R.
 
@@ -463,12 +377,6 @@ def _trade_off(e: Evidence) -> Finding:
     sweep, scatter = _front(e, "sweep of R"), e(BRAKE, "nmpc", "stopping_distance_spread")
     others = [_saved(sweep[i : i + 3]) - scatter for i in range(len(sweep) - 2)]
     return Finding(_saved(pair) - scatter, max((o for o in others if np.isfinite(o)), default=None))
-
-
-@value("C46")
-def _smoother_than_ndi(e: Evidence) -> float:
-    """Share of the steps of a sweep that trade accuracy for distance, of NMPC's R less that of NDI's poles."""
-    return _traded(_front(e, "sweep of R")) - _traded(_front(e, "sweep of poles"))
 
 
 def _traded(runs: list[tuple[float, float]]) -> float:
@@ -484,24 +392,12 @@ def _against_ndi(e: Evidence, metric: str) -> Finding:
     return Finding(max(ratios), min(ratios), max(e.tie(BRAKE, ("nmpc", NDI), metric), *near))
 
 
-@value("C31")
-def _both_more_accurate(e: Evidence) -> Finding:
-    return _against_ndi(e, "rmse_y")
-
-
-@value("C32")
-def _both_stop_earlier(e: Evidence) -> Finding:
-    return _against_ndi(e, "stopping_distance")
-
-
-@value("C34")
 def _variable_allocation(e: Evidence) -> float:
     """Share of the distance saved against the smallest fixed share that guides as accurately (within a tenth)."""
     fixed = e(BRAKE, FIXED, "stopping_distance")
     return 1 - e(BRAKE, "nmpc", "stopping_distance") / fixed if np.isfinite(fixed) else float("nan")
 
 
-@value("C35")
 def _cones(e: Evidence) -> Finding:
     """Largest change of the error from cones to S1002, over the acceptable one: a fifth, a tenth of the amplitude."""
     found = []
@@ -516,42 +412,69 @@ AMPLITUDE = 3e-3
 """Amplitude of the set points of Figs. 6 and 7 (m)."""
 
 
-@value("C36")
 def _rolling(e: Evidence) -> float:
     """Largest error of NMPC over that of y = 0, in the curve entries and on the sines."""
-    scenarios = [f"curve_entry_T{i}" for i in (1, 2, 3, 4)] + _sines(e)
+    scenarios = [*CURVES, *_sines(e)]
     return max(e(scenario, "nmpc", "rmse_y") / e(scenario, NOTHING, "rmse_y") for scenario in scenarios)
 
 
-@value("C37")
-def _base_torque_helps(e: Evidence) -> float:
-    return e(BRAKE, UNINFORMED, "rmse_y") / e(BRAKE, "nmpc", "rmse_y")
-
-
-def _with_preview(e: Evidence, metric: str) -> float:
-    """A metric of NMPC on the irregular straight with exact preview over without."""
-    return e(RAILS, PREVIEW, metric) / e(RAILS, "nmpc", metric)
-
-
-@value("C39")
-def _known_irregularities(e: Evidence) -> float:
-    return _with_preview(e, "rail_rmse_y")
-
-
-@value("C41")
-def _safety_and_comfort(e: Evidence) -> Finding:
-    ratios = [_with_preview(e, metric) for metric in ("sum_y_over_limit", "n_mv_floor_front")]
-    return Finding(max(ratios), min(ratios))
-
-
-@value("C42")
-def _less_delay(e: Evidence) -> Finding:
-    ratios = [abs(e.ratio(T3, name, NDI, "delay")) for name in MPC]
-    return Finding(max(ratios), min(ratios))
-
-
-@value("C44", table="solve_times")
 def _similar_times(e: Evidence) -> float:
     times = usual_times(e, "ipopt", "median_ms")
     tracks = times[times.index.str.startswith(("curve", "sine"))]
     return tracks.max() / tracks.min()
+
+
+VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
+    "C01": _table_one,
+    "C03": _effort_on_t1,
+    "C04": _all_follow,
+    "C05": lambda e: _worst([e.ratio(T3, name, NDI) for name in MPC], e.tie(T3, PAPER_TRIO)),
+    "C06": lambda e: _worst([e.ratio(T3, "nmpc", other) for other in PAPER_TRIO[1:]], e.tie(T3, PAPER_TRIO)),
+    "C07": lambda e: Finding(e(T3, MPC[1], "rmse_y") / e(T3, "nmpc", "rmse_y"), tie=e.tie(T3, MPC)),
+    # delay as a share of the shortest wavelength
+    "C08": lambda e: _worst([abs(e(T3, name, "delay")) / e(T3, NOTHING, "shortest_wave") for name in MPC]),
+    "C09": _same_torque_later,
+    "C10": _gyroscope,
+    "C11": lambda e: abs(e(T3, "nmpc", DRIFT)) / e(T3, NOTHING, "largest_error"),
+    "C12": lambda e: e(T3, "nmpc", "error_at_crests"),
+    "C13": lambda e: abs(e(T3, NO_CREEP, DRIFT) / e(T3, "nmpc", DRIFT)),
+    "C14": lambda e: (
+        usual_times(e, "gauss_newton", "median_ms").median() / usual_times(e, "ltv_mpc", "median_ms").median()
+    ),
+    "C15": _feasible,
+    "C16": lambda e: _fraction(_ranked(e, curve) for curve in CURVES),
+    "C17": lambda e: Finding(_fraction(_ranked(e, scenario) for scenario in _sines(e)), _nmpc_leads(e)),
+    "C18": _slower_is_better,
+    "C19": _ndi_grows_most,
+    "C20": lambda e: Finding(_fraction(_both_lead(e, scenario) for scenario in _sines(e)), _nmpc_leads(e)),
+    "C21": lambda e: Finding(*(e(LOSS, name, "regular_end_deviation") for name in REGULAR.values())),
+    "C23": _no_macro_slip,
+    "C24": lambda e: _due_to_the_law(e, "recovered_share", False),
+    "C50": lambda e: _due_to_the_law(e, "utilisation_late", False),
+    "C25": _both_directions,
+    "C26": lambda e: _fraction(e.table("adhesion_map").query("map == 'friction'")["utilisation"] > 0.75),
+    "C27": _step_bound,
+    "C28": _stable_on_poor_rail,
+    "C49": _poor_is_harder,
+    "C30": _trade_off,
+    # of the steps of a sweep the share that trades accuracy for distance, of NMPC's R less that of NDI's poles
+    "C46": lambda e: _traded(_front(e, "sweep of R")) - _traded(_front(e, "sweep of poles")),
+    "C31": lambda e: _against_ndi(e, "rmse_y"),
+    "C32": lambda e: _against_ndi(e, "stopping_distance"),
+    "C34": _variable_allocation,
+    "C35": _cones,
+    "C36": _rolling,
+    "C37": lambda e: e(BRAKE, UNINFORMED, "rmse_y") / e(BRAKE, "nmpc", "rmse_y"),
+    "C39": lambda e: e.ratio(RAILS, PREVIEW, "nmpc", "rail_rmse_y"),
+    "C41": lambda e: _worst(
+        [e.ratio(RAILS, PREVIEW, "nmpc", metric) for metric in ("sum_y_over_limit", "n_mv_floor_front")]
+    ),
+    "C42": lambda e: _worst([abs(e.ratio(T3, name, NDI, "delay")) for name in MPC]),
+    "C44": _similar_times,
+}
+"""Predicates by id."""
+TABLES = dict.fromkeys(VALUES, "nominal_metrics") | {
+    **{"C01": "table1", "C26": "adhesion_map", "C27": "adhesion_law"},
+    **dict.fromkeys(("C14", "C15", "C44"), "solve_times"),
+}
+"""Table of data/results that each predicate reads, by id; none reads two."""

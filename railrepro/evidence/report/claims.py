@@ -13,7 +13,7 @@ import pandas as pd
 from railrepro import paths
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
-from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE, Finding, MissingEvidence
+from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE, Finding
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
 
@@ -34,25 +34,16 @@ def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
     `calibrated` whether the statement holds on the calibrated car ("yes", "no" or empty when it was not asked).
     """
     nominal = nominal or Nominal()
-    robust = shares(nominal.results.optional("robustness_samples")).set_index(["id", "setting"])
+    robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
     calibrated = nominal.on_calibrated_car()
-    return pd.DataFrame(
-        _row(identity, statement, nominal, setting, robust) | {"calibrated": calibrated.get(identity, "")}
-        for identity, statement in statements.load().items()
-        for setting in settings_of(identity, statement, nominal)
-    )
-
-
-def settings_of(identity: str, statement: statements.Statement, nominal: Nominal) -> list[str]:
-    """List the settings in which a statement can be judged; [""] if it does not depend on the setting."""
-    found = []
-    for setting in nominal.settings() if statement.kind == "statement" else ():
-        try:
-            statements.find(identity, nominal.evidence(setting))
-            found.append(setting)
-        except MissingEvidence:
-            continue
-    return found or [""]
+    found = {setting: statements.findings(nominal.evidence(setting)) for setting in (*nominal.settings(), "")}
+    rows = []
+    for identity, statement in statements.load().items():
+        for setting in [one for one in nominal.settings() if identity in found[one]] or [""]:
+            share = robust.loc[(identity, setting)] if (identity, setting) in robust.index else None
+            row = _row(identity, statement, setting, found[setting].get(identity), share)
+            rows.append(row | {"calibrated": calibrated.get(identity, "")})
+    return pd.DataFrame(rows)
 
 
 def graded(verdict: str, share: pd.Series | None) -> str:
@@ -61,10 +52,8 @@ def graded(verdict: str, share: pd.Series | None) -> str:
 
 
 def _row(
-    identity: str, statement: statements.Statement, nominal: Nominal, setting: str, robust: pd.DataFrame
-) -> dict:  # fmt: skip
-    share = robust.loc[(identity, setting)] if (identity, setting) in robust.index else None
-    finding = _found(identity, statement, nominal, setting)
+    identity: str, statement: statements.Statement, setting: str, finding: Finding | None, share: pd.Series | None
+) -> dict:
     judged = UNTESTABLE if finding is None else graded(statement.judge(finding), share)
     return {
         "id": identity,
@@ -81,16 +70,6 @@ def _row(
         "judged": judged,
         "data": "" if finding is None else table_file(statements.TABLES[identity]),
     }
-
-
-def _found(identity: str, statement: statements.Statement, nominal: Nominal, setting: str) -> Finding | None:
-    """Finding of the predicate in a setting; None without evidence."""
-    if statement.kind != "statement":
-        return None
-    try:
-        return statements.find(identity, nominal.evidence(setting))
-    except MissingEvidence:
-        return None
 
 
 def table_file(name: str) -> str:

@@ -6,7 +6,7 @@ each speed. Runs that were driven once are read from the store.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import product
 
@@ -15,13 +15,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, with_r_times
+from railrepro.control.registry import CONTROLLERS, PAPER, with_r_times
 from railrepro.evidence.claims import calibrated
-from railrepro.evidence.claims.setup import ProbeSetup
+from railrepro.evidence.claims.setup import ProbeSetup, setup
 from railrepro.evidence.claims.statements import BRAKE, T3
 from railrepro.evidence.report import figures
 from railrepro.evidence.report.sentences import sentences
-from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import run_all
 from railrepro.simulation.scenarios import Scenario, load_scenario
 
@@ -140,7 +139,7 @@ class Comparison:
         drawn: list[str] = []
         for values, run in series.groupby(labels, sort=False):
             name = run["controller"].iloc[0]
-            look = figures.CONTROLLER_STYLE[name]
+            look = figures.LOOKS[name].line
             if labels != ["controller"]:  # other runs of the same controller differ by the style of their line
                 dashes = _DASHES[drawn.count(name) % 4] if name in drawn else look["linestyle"]
                 look = look | {"label": ", ".join(map(str, values)), "linestyle": dashes}
@@ -152,7 +151,7 @@ class Comparison:
                 axis.plot(run["p_m"], factor * run[first], **look)
         for axis, panel in zip(axes, panels, strict=True):
             if reference := PANELS[panel][3]:
-                axis.plot(run["p_m"], PANELS[panel][2] * run[reference], **figures.CONTROLLER_STYLE["set point"])
+                axis.plot(run["p_m"], PANELS[panel][2] * run[reference], **figures.LOOKS["set point"].line)
 
 
 _DASHES = ("-", "--", ":", "-.")
@@ -186,30 +185,28 @@ def compare(
     changes
         Fields of `Scenario`, a list for a value each; and fields of `Experiment` for all runs.
     """
-    cases = dict(controllers) if isinstance(controllers, Mapping) else {name: name for name in controllers}
-    scenarios = scenario if isinstance(scenario, Mapping) else {_name(one): one for one in _listed(scenario)}
+    cases = controllers if isinstance(controllers, Mapping) else {name: name for name in controllers}
+    cases = {name: case if isinstance(case, dict) else {"controller": case} for name, case in cases.items()}
+    if not isinstance(scenario, Mapping):
+        scenario = {getattr(one, "name", one): one for one in _listed(scenario)}
     varied = {name: value for name, value in changes.items() if isinstance(value, list)}
-    grid = {"car": list(car or [""]), "setting": _listed(setting), "scenario": list(scenarios), **varied}
+    grid = {"car": list(car or [""]), "setting": _listed(setting), "scenario": list(scenario), **varied}
     experiments, facts = [], {}
     for *values, case in product(*grid.values(), cases):
         of = dict(zip(grid, values, strict=True))
         given = changes | {name: of[name] for name in varied}
-        more = {name: value for name, value in given.items() if name not in _OF_SCENARIO}
-        more |= cases[case] if isinstance(cases[case], dict) else {"controller": cases[case]}
-        name = more.pop("controller")
-        setup = car[of["car"]] if car else _tuned(name, of["setting"], noise_seed)
-        factor = more.pop("r_times", None)
+        more = {name: value for name, value in given.items() if name not in _OF_SCENARIO} | cases[case]
+        name, factor = more.pop("controller"), more.pop("r_times", None)
+        world = car[of["car"]] if car else setup({}, of["setting"], controllers=[name], seed=noise_seed)
         if factor is not None:
-            factor = factor(setup) if callable(factor) else factor
-            more["parameters"] = with_r_times(setup.parameters[name], factor)
-        driven = _driven(scenarios[of["scenario"]], setup if car else None)
+            more["parameters"] = with_r_times(world.parameters[name], _factor(factor, world))
+        driven = _driven(scenario[of["scenario"]], world if car else None)
         driven = driven.but(**{name: value for name, value in given.items() if name in _OF_SCENARIO})
-        if car:
-            said = facts.setdefault(of["car"], _facts(setup, driven, cases))
-            said |= {} if factor is None else {"R": f"{said['R']} and {factor:g}" if "R" in said else f"R x {factor:g}"}
-        label = {key: value for key, value in of.items() if key != "scenario" or len(scenarios) > 1} | {"case": case}
+        if car and of["car"] not in facts:
+            facts[of["car"]] = _facts(world, driven, cases)
+        label = {key: value for key, value in of.items() if key != "scenario" or len(scenario) > 1} | {"case": case}
         more = {"options": CONTROLLERS[name].quick and {"solver": solver}} | more
-        experiments.append(setup.experiment(driven, name, label=label, stride=stride, **more))
+        experiments.append(world.experiment(driven, name, label=label, stride=stride, **more))
     rows, series = run_all(experiments, "runs")
     assert series is not None, "a stride keeps rows"
     series = series.assign(error_m=series["y_m"] - series["y_ref_m"])
@@ -218,48 +215,45 @@ def compare(
     return Comparison(rows, series, (*levels, last), _headings(facts))
 
 
-def _facts(setup: ProbeSetup, scenario: Scenario, cases: Mapping) -> dict[str, str]:
-    """What decides a figure and may differ between cars: set point, limit of the motors, friction, poles."""
+def _factor(given: float | Callable[[ProbeSetup], float], world: ProbeSetup) -> float:
+    return given(world) if callable(given) else given
+
+
+def _facts(world: ProbeSetup, scenario: Scenario, cases: Mapping[str, dict]) -> list[str]:
+    """What decides a figure and may differ between cars: set point, limit of the motors, friction, poles, R."""
     waves = [f"{value:g}" for name, value in scenario.set_point.items() if name.startswith("period")]
-    found = {"waves": f"waves {' to '.join(waves)} m"}
+    found = [f"waves {' to '.join(waves)} m"]
     if scenario.force_kN:
-        found["limit"] = f"motors {1e-3 * setup.car().drive.torque_limit:g} kN m"
+        found.append(f"motors {1e-3 * world.car().drive.torque_limit:g} kN m")
     if scenario.poor_share:
-        found["friction"] = f"friction {setup.car().adhesion[scenario.poor].mu0:g}"
-    if any("ndi" in (case, case["controller"] if isinstance(case, dict) else "") for case in cases.values()):
-        found["pole"] = f"NDI at {setup.parameters['ndi']['pole']:g} rad/s"
+        found.append(f"friction {world.car().adhesion[scenario.poor].mu0:g}")
+    if any(case["controller"] == "ndi" for case in cases.values()):
+        found.append(f"NDI at {world.parameters['ndi']['pole']:g} rad/s")
+    factors = [f"{_factor(case['r_times'], world):g}" for case in cases.values() if "r_times" in case]
+    if factors:
+        found.append(f"R x {' and '.join(factors)}")
     return found
 
 
-def _headings(facts: Mapping[str, dict[str, str]]) -> dict[str, str]:
+def _headings(facts: Mapping[str, list[str]]) -> dict[str, str]:
     """Name of each car, and below it in what it differs from the others."""
-    differs = [key for key in next(iter(facts.values()), {}) if len({said.get(key) for said in facts.values()}) > 1]
-    lines = [differs[i : i + 2] for i in range(0, len(differs), 2)]
-    return {
-        name: "\n".join([f"{name} car", *(", ".join(said[key] for key in line) for line in lines)])
-        for name, said in facts.items()
-    }
+    found = {}
+    for name, said in facts.items():
+        own = [fact for fact in said if not all(fact in other for other in facts.values())]
+        lines = [", ".join(own[i : i + 2]) for i in range(0, len(own), 2)]
+        found[name] = "\n".join([f"{name} car", *lines])
+    return found
 
 
 def _listed(given) -> list:
     return given if isinstance(given, list) else [given]
 
 
-def _name(scenario: str | Scenario) -> str:
-    return scenario if isinstance(scenario, str) else scenario.name
-
-
-def _driven(scenario: str | Scenario, setup: ProbeSetup | None) -> Scenario:
+def _driven(scenario: str | Scenario, world: ProbeSetup | None) -> Scenario:
     """A scenario by name, as the set-up of a car has those of Figs. 6 and 9."""
     if isinstance(scenario, Scenario):
         return scenario
-    if setup is None:
+    if world is None:
         return load_scenario(scenario)
-    special = {T3: setup.curve, BRAKE: setup.braking}
-    return special.get(scenario, lambda: load_scenario(scenario).but(good=setup.good))()
-
-
-def _tuned(controller: str, setting: str, noise_seed: int) -> ProbeSetup:
-    """The nominal car with a controller as it is tuned in a setting."""
-    sensors = {"seed": noise_seed} if setting == LOOP else {}
-    return ProbeSetup({controller: tuning.load(controller, setting)["parameters"]}, setting, sensors=sensors)
+    special = {T3: world.curve, BRAKE: world.braking}
+    return special.get(scenario, lambda: load_scenario(scenario).but(good=world.good))()

@@ -51,7 +51,7 @@ class Look:
 
     @property
     def line(self) -> dict:
-        """The same as options of a line."""
+        """Options of a line."""
         style = self.linestyle if isinstance(self.linestyle, str) else (self.linestyle[0], tuple(self.linestyle[1]))
         return {"color": self.color, "linestyle": style, "linewidth": self.linewidth, "label": self.label}
 
@@ -64,17 +64,8 @@ def load(path: Path | str | None = None) -> tuple[Entries[Look], Entries[dict]]:
     return Entries(files.build(dict[str, Look], content, file.name), _FILE), Entries(settings, _FILE)
 
 
-class _LineStyles:
-    """Looks as options of a line, by controller."""
-
-    def __getitem__(self, name: str) -> dict:
-        return LOOKS[name].line
-
-
 LOOKS, _SETTINGS = load()
 """One look per controller."""
-CONTROLLER_STYLE = _LineStyles()
-"""The same as options of a line."""
 SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
 """Of the settings of comparison, where the colour is that of a controller."""
 
@@ -95,27 +86,20 @@ def handles(axes: Iterable[Axes]) -> dict[str, Artist]:
 def points(name: str, **options) -> dict:
     """Look of a controller as options of a plot of unconnected markers."""
     look = LOOKS[name]
-    size = 7.0 if look.marker == "*" else 4.5
-    return {
-        "color": look.color,
-        "marker": look.marker,
-        "linestyle": "",
-        "markersize": size,
-        "label": look.label,
-    } | options
+    dot = {"color": look.color, "marker": look.marker, "markersize": 7.0 if look.marker == "*" else 4.5}
+    return dot | {"linestyle": "", "label": look.label} | options
 
 
-def save_figure(figure: Figure, name: str, data: pd.DataFrame, letters: bool = True) -> None:
+def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     """Write figures/NAME as png, and the plotted data as csv, and show the figure in a notebook.
 
     Equal content gives equal bytes. The name is figNN_name, the data are tidy with units in the column names. Where
-    there are several panels each has its letter, if `letters`.
+    there are several panels each has its letter.
     """
     from IPython import get_ipython  # the library does without it
     from IPython.display import display
 
-    if letters:
-        _letter(figure)
+    _letter(figure)
     _fix_layout(figure)
     picture = io.BytesIO()
     figure.savefig(picture, dpi=_DPI)

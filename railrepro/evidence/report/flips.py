@@ -17,7 +17,7 @@ from railrepro.data import InputError
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.setup import setup
-from railrepro.evidence.claims.statements import Evidence, MissingEvidence
+from railrepro.evidence.claims.statements import Evidence
 from railrepro.evidence.report.claims import graded
 from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
@@ -61,21 +61,20 @@ def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) ->
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed]) if driven is None else driven
     nominal = Nominal()
-    robust = shares(nominal.results.optional("robustness_samples")).set_index(["id", "setting"])
-    before = nominal.evidence(tuning.PAPER)
+    robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
+    known = nominal.evidence(tuning.PAPER)
     scenarios, told = {scenario for scenario, *_ in rows}, {key.partition(":")[0] for key in given}
-    metrics = {key: value for key, value in dict(before.metrics).items() if key[0] not in scenarios}
+    metrics = {key: value for key, value in dict(known.metrics).items() if key[0] not in scenarios}
     # seeds of a swarm leave nothing open where the authors say what theirs found
-    spread = {key: value for key, value in before.spread.items() if key[1] not in told}
-    after = Evidence(metrics | {row[:3]: row[3] for row in rows}, spread)
+    spread = {key: value for key, value in known.spread.items() if key[1] not in told}
+    before = statements.findings(known)
+    after = statements.findings(Evidence(metrics | {row[:3]: row[3] for row in rows}, spread))
     found = []
     for identity, statement in statements.load().items():
-        try:
-            verdicts = [statement.judge(statements.find(identity, evidence)) for evidence in (before, after)]
-        except (KeyError, MissingEvidence):
-            continue
-        share = robust.loc[(identity, tuning.PAPER)] if (identity, tuning.PAPER) in robust.index else None
-        found.append((identity, statement.statement, *(graded(verdict, share) for verdict in verdicts)))
+        if identity in before and identity in after:
+            share = robust.loc[(identity, tuning.PAPER)] if (identity, tuning.PAPER) in robust.index else None
+            verdicts = [graded(statement.judge(findings[identity]), share) for findings in (before, after)]
+            found.append((identity, statement.statement, *verdicts))
     return pd.DataFrame(found, columns=["id", "statement", "before", "after"])
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -30,22 +31,12 @@ def short_names() -> pd.Series:
     return pd.read_csv(paths.source("data/statement_names.csv")).set_index("id")["short"]
 
 
-def named(identities: Iterable[str]) -> list[str]:
-    """Short names of statements; the id of one that has none."""
-    names = short_names()
-    return [str(names.get(identity, identity)) for identity in identities]
-
-
 def over_poles(table: pd.DataFrame) -> Figure:
     """Verdicts on statements over the poles of NDI, from poles, id, verdict of data/results/pole_verdicts.csv."""
-    rows, columns = (list(dict.fromkeys(table[name].astype(str))) for name in ("id", "poles"))
-    figure, axes = figures.new_figure(height=0.16 * len(rows) + 0.9)
-    for row in table.itertuples():
-        axes.plot(columns.index(str(row.poles)), rows.index(row.id), **_DOT | _MARKS[row.verdict])
-    axes.set_yticks(range(len(rows)), named(rows), fontsize=6.5)
-    axes.set_xticks(range(len(columns)), [column.replace("swarm", "\nswarm") for column in columns])
-    axes.set(xlabel="triple pole of NDI (rad/s)", ylim=(len(rows) - 0.4, -0.6))
-    _legend(figure, set(table["verdict"]))
+    figure, axes = _marks(table["id"], table["poles"].astype(str), table["verdict"], 0.16, 0.9)
+    poles = table["poles"].astype(str).unique()
+    axes.set_xticks(range(len(poles)), [pole.replace("swarm", "\nswarm") for pole in poles])
+    axes.set_xlabel("triple pole of NDI (rad/s)")
     return figure
 
 
@@ -54,22 +45,25 @@ def verdicts(claims: pd.DataFrame) -> Figure:
 
     From id, kind, setting, judged of data/results/claims.csv.
     """
-    judged = claims[claims["kind"] == "statement"].assign(setting=claims["setting"].fillna(""))
-    columns = [*tuning.SETTINGS, ""]
-    rows = list(dict.fromkeys(judged["id"]))
-    figure, axes = figures.new_figure(height=0.13 * len(rows) + 0.7)
-    for (identity, setting), group in judged.groupby(["id", "setting"], sort=False):
-        axes.plot(columns.index(setting), rows.index(identity), **_DOT | _MARKS[group["judged"].iloc[0]])
-    axes.set_yticks(range(len(rows)), named(rows), fontsize=6.5)
-    axes.set_xticks(range(len(columns)), [*tuning.SETTINGS, "independent\nof setting"])
+    judged = claims[claims["kind"] == "statement"].fillna({"setting": ""})
+    figure, axes = _marks(judged["id"], judged["setting"], judged["judged"], 0.13, 0.7, [*tuning.SETTINGS, ""])
+    axes.set_xticks(range(4), [*tuning.SETTINGS, "independent\nof setting"])
     axes.xaxis.tick_top()
-    axes.set(xlim=(-0.5, len(columns) - 0.5), ylim=(len(rows) - 0.4, -0.6))
+    axes.set_xlim(-0.5, 3.5)
     axes.tick_params(length=0)
-    _legend(figure, set(judged["judged"]))
     return figure
 
 
-def _legend(figure: Figure, used: set[str]) -> None:
-    """Legend of the verdicts that are shown."""
-    handles = [Line2D([], [], label=name, **_DOT | look) for name, look in _MARKS.items() if name in used]
-    figure.legend(handles=handles, ncols=5, loc="outside lower center", handletextpad=0.2, columnspacing=1.0)
+def _marks(
+    ids: pd.Series, columns: pd.Series, judged: pd.Series, height: float, around: float, order: Sequence[str] = ()
+) -> tuple[Figure, Axes]:
+    """Mark each verdict in the row of its statement; height of a row and of what is around them (in)."""
+    rows, order = list(ids.unique()), list(order or columns.unique())
+    figure, axes = figures.new_figure(height=height * len(rows) + around)
+    for identity, column, verdict in zip(ids, columns, judged, strict=True):
+        axes.plot(order.index(column), rows.index(identity), **_DOT | _MARKS[verdict])
+    axes.set_yticks(range(len(rows)), short_names().reindex(rows), fontsize=6.5)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    shown = [Line2D([], [], label=name, **_DOT | look) for name, look in _MARKS.items() if name in set(judged)]
+    figure.legend(handles=shown, ncols=5, loc="outside lower center", handletextpad=0.2, columnspacing=1.0)
+    return figure, axes

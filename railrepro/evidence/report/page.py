@@ -4,7 +4,8 @@ data/replication.md.j2 is the whole report, data/gallery.md.j2 the page figures/
 in README.md between its two marks. data/theses.toml has sentences with the conditions under which they are true.
 A number in them is an expression with a filter that shows it as a link to its table, such as
 `{{ e('paper', 'braking', 'ndi', 'stopping_distance') | linked('nominal_metrics', 'm') }}`, in short
-`{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`. An expression may call the public methods of `Page`.
+`{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`. An expression may use the public members of `Page` and
+the names that it adds to them.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import json
 import re
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -23,6 +25,7 @@ import pandas as pd
 from railrepro import data, paths
 from railrepro.car.equations import BODIES, WHEELS
 from railrepro.car.kinematics import COORDINATES
+from railrepro.control.registry import parameters
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.claims.nominal import Nominal
@@ -37,6 +40,8 @@ CALIBRATED = {"yes": "✓", "no": "✗", "": ""}
 BEGIN, END = "<!-- written by `make report` from data/readme.md.j2 -->\n", "<!-- end of what is written -->\n"
 """Lines of README.md around what the report writes."""
 UNKNOWN = "n/a"
+FREEDOMS = len(BODIES) * len(COORDINATES) // 2 + len(WHEELS)
+"""Degrees of freedom of the car: those of the bodies, and one per wheel."""
 _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 
 
@@ -95,7 +100,8 @@ class Page:
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
         self.judged, self.nominal = judged, nominal
         self.rules, self.verdicts = statements.load(), claims.verdicts(judged)
-        self.settings, self.choices = tuning.SETTINGS, calibrated.load()
+        self.statements = {identity: one for identity, one in self.verdicts.items() if one != claims.NO_VERDICT}
+        self.calibrated_car = nominal.on_calibrated_car()
         self._jinja = jinja2.Environment(
             undefined=jinja2.StrictUndefined,
             loader=jinja2.FileSystemLoader(paths.DATA),
@@ -105,6 +111,18 @@ class Page:
         )
         self._jinja.filters["linked"] = linked
         self._jinja.globals |= {name: getattr(self, name) for name in dir(self) if not name.startswith("_")}
+        self._jinja.globals |= {
+            "mark": {identity: MARKS.get(verdict) for identity, verdict in self.verdicts.items()},
+            "calibrated": judged.set_index("id")["calibrated"].map(CALIBRATED).to_dict(),
+            "settings": tuning.SETTINGS,
+            "task": tuning.load_task(),
+            "choices": calibrated.load(),
+            "tuned": parameters,
+            "swarm": partial(tuning.load, searched=True),
+            "scenario": load_scenario,
+            "csv": csv,
+            "freedoms": FREEDOMS,
+        }
 
     def replication(self) -> str:
         """Render REPLICATION.md."""
@@ -130,12 +148,10 @@ class Page:
 
     def contract(self) -> pd.DataFrame:
         """The verdicts with the reason why a statement fails, as data/results/claims.csv has them."""
-        why = [
-            "" if row.judged == REPRODUCED or not row.data else _LINK.sub(r"\1", self.reasons(row.id))
-            for row in self.judged.itertuples()
-        ]
-        table = self.judged.drop(columns="data")
-        table.insert(list(table).index("evidence"), "why", why)
+        reasons, table = self.sentences("why"), self.judged.drop(columns="data")
+        why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
+        fails = (self.judged["judged"] != REPRODUCED) & (self.judged["data"] != "")
+        table.insert(list(table).index("evidence"), "why", why.str.replace(_LINK, r"\1", regex=True).where(fails, ""))
         return table
 
     def _render(self, name: str, **more) -> str:
@@ -161,10 +177,6 @@ class Page:
         """Fill in the true sentences of a role: the statements that each explains, and its text."""
         said = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         return [(thesis.of, self.text(thesis.says)) for thesis in said]
-
-    def reasons(self, identity: str) -> str:
-        """Say why a statement fails."""
-        return " ".join(says for of, says in self.sentences("why") if identity in of)
 
     def explained(self, role: str) -> list[tuple[list[str], str]]:
         """List the sentences of a role with the statements that each explains, of those that are not reproduced."""
@@ -193,12 +205,12 @@ class Page:
     def holds(self, identity: str, setting: str) -> bool:
         """Tell whether a statement holds in a setting, or on the car `calibrated`."""
         if setting == "calibrated":
-            return self.nominal.on_calibrated_car().get(identity) == "yes"
+            return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == REPRODUCED
 
     def table(self, name: str) -> pd.DataFrame:
         """Read a table of data/results; MissingEvidence when it is not made yet."""
-        found = self.nominal.results.optional(name)
+        found = self.nominal.results(name)
         if found is None:
             raise MissingEvidence(name)
         return found
@@ -210,32 +222,6 @@ class Page:
         if len(rows) != 1:
             raise MissingEvidence(f"{name}: {len(rows)} rows with {where}")
         return rows.iloc[0]
-
-    def csv(self, relative: str) -> pd.DataFrame:
-        """Read a table of the checkout as text."""
-        return pd.read_csv(paths.source(relative), dtype=str).fillna("")
-
-    def tuned(self, controller: str, setting: str = tuning.PAPER) -> dict:
-        """Look up the tuned parameters of a controller."""
-        return tuning.load(controller, setting)["parameters"]
-
-    def swarm_cost(self, controller: str) -> float:
-        """Look up the cost of what the swarm of a controller found on `paper`."""
-        return tuning.load(controller, tuning.PAPER, searched=True)["cost"]
-
-    def seeds(self) -> int:
-        """Count the swarms of each tuned set."""
-        return len(tuning.load_task().budget["seeds"])
-
-    def freedoms(self) -> int:
-        """Count the degrees of freedom of the car: those of the bodies, and one per wheel."""
-        return len(BODIES) * len(COORDINATES) // 2 + len(WHEELS)
-
-    def set_point(self, scenario: str) -> str:
-        """Describe amplitude and wavelengths of a scenario's set point."""
-        point = load_scenario(scenario).set_point
-        waves = [f"{value:g}" for key, value in point.items() if key.startswith("period")]
-        return f"{point['amplitude_mm']:g} mm, {' to '.join(waves)} m"
 
     def time(self, solver: str, column: str = "median_ms") -> float:
         """Median over the scenarios of a column of solve_times.csv, with NMPC of the setting `paper`."""
@@ -249,49 +235,27 @@ class Page:
             raise MissingEvidence("pole of NDI that follows")
         return float(np.interp(-limit, -poles["rmse_mm"], poles["pole_radps"]))
 
-    def forecast_shift(self) -> float:
-        """Displacement of the forecast over the horizon of NMPC by the mean braking of Fig. 9 (cm)."""
-        way = self.e(tuning.PAPER, statements.BRAKE, "nmpc", "stopping_distance")
-        return 100 * load_scenario("braking").speed ** 2 / (2 * way) * self.tuned("nmpc")["horizon_s"] ** 2 / 2
-
-    @property
-    def statements(self) -> dict[str, str]:
-        """Headline verdicts of what gets one, by id."""
-        return {identity: verdict for identity, verdict in self.verdicts.items() if verdict != claims.NO_VERDICT}
-
     def runs(self, figure: str) -> dict[str, list[tuple[float, float]]]:
         """Measure the runs of a figure in setting `paper` by car: RMSE (mm), length (m), at the highest speed."""
-        table = self.nominal.results.figure(figure).query("setting == 'paper'")
-        if "speed_kmh" in table:
-            table = table[table["speed_kmh"] == table["speed_kmh"].max()]
-        found: dict[str, list[tuple[float, float]]] = {}
-        keys = [key for key in ("car", "controller", "case") if key in table]
-        for (car, *_), rows in table.groupby(keys, sort=False):
-            if "rmse_mm" in rows:
-                run = rows["rmse_mm"].iloc[0], np.nan
-            else:
-                run = 1e3 * ((rows["y_m"] - rows["y_ref_m"]) ** 2).mean() ** 0.5, rows["p_m"].iloc[-1]
-            found.setdefault(str(car), []).append(run)
-        return found
+        table = pd.read_csv(paths.source(f"figures/{figure}.csv")).query("setting == 'paper'")
+        if "rmse_mm" in table:
+            fastest = table[table["speed_kmh"] == table["speed_kmh"].max()]
+            return {car: [(error, np.nan) for error in rows["rmse_mm"]] for car, rows in fastest.groupby("car")}
+        table["square"] = (table["y_m"] - table["y_ref_m"]) ** 2
+        each = table.groupby(["car", "case" if "case" in table else "controller"], sort=False)
+        error, length = 1e3 * each["square"].mean() ** 0.5, each["p_m"].last()
+        return {car: list(zip(error[car], length[car], strict=True)) for car in table["car"].unique()}
 
     def outcome(self, identities: list[str]) -> str:
         """Sum up statements: yes where all hold, no where none does, else partly; a fragile one holds."""
         held = [self.verdicts[identity] in (REPRODUCED, claims.FRAGILE) for identity in identities]
         return "yes" if all(held) else "partly" if any(held) else "no"
 
-    def mark(self, identity: str) -> str:
-        """Show the headline verdict of a statement as a mark."""
-        return MARKS[self.verdicts[identity]]
-
     def value(self, identity: str) -> str:
         """Show the headline value of a statement as a link to its table."""
         own = self.judged[(self.judged["id"] == identity) & self.judged["setting"].isin(("", claims.HEADLINE))]
         row = own.iloc[-1]
         return linked(_number(row["measured_value"], row["unit"]), row["data"])
-
-    def calibrated(self, identity: str) -> str:
-        """Show as a mark whether a statement holds on the calibrated car."""
-        return CALIBRATED[self.judged.loc[self.judged["id"] == identity, "calibrated"].iloc[0]]
 
     def cells(self, identity: str) -> list[str]:
         """Show mark, value and share of samples in each setting; in the first where a statement needs none."""
@@ -300,11 +264,6 @@ class Page:
         own = self.judged[self.judged["id"] == identity]
         shown = {row.setting: _cell(row) for row in own.itertuples()}
         return [shown[""], "", ""] if "" in shown else [shown.get(setting, "") for setting in tuning.SETTINGS]
-
-    def limits(self, identity: str) -> str:
-        """Write the limits of a rule in words."""
-        pairs = (("above", self.rules[identity].above), ("below", self.rules[identity].below))
-        return ", ".join(f"{word} {limit:g}" for word, limit in pairs if limit is not None)
 
     def evidence(self, identity: str) -> str:
         """Link a statement to its figure, the notebook cell that makes it and the table that was judged."""
@@ -320,44 +279,34 @@ class Page:
         named = [table for table in tables if table not in ("", table_file("nominal_metrics"))]
         return ", ".join([*links, *(f"[{Path(table).name}]({table})" for table in named)])
 
-    def robust(self) -> dict:
-        """Sum up the robustness study."""
-        answered = claims.shares(self.table("robustness_samples"))
-        found = self.table("robustness_claims").merge(answered[["id", "setting"]]).fillna({"decided_by": ""})
-        counts, causes = [], []
-        for setting in tuning.SETTINGS:
-            own = found[found["setting"] == setting]
-            if own.empty:
-                causes.append(f"`{setting}` is not sampled yet.")
-                continue
-            share = linked(f"{(own.share > 0.5).sum()} of {len(own)}", "robustness_claims")
-            counts.append(f"{share} on `{setting}`")
-            alike = own[own["decided_by"] != ""].groupby("decided_by", sort=False)["id"].agg(", ".join)
-            named = "; ".join(f"{parameter} for {ids}" for parameter, ids in alike.items())
-            causes += [f"Decisive on `{setting}`: {named}."] if named else []
-        asked = [identity for identity, rule in self.rules.items() if rule.kind == "statement"]
-        unsampled = [identity for identity in asked if identity not in set(answered["id"])]
-        size = linked(str(int(found["samples"].max())), "robustness_claims")
-        return {"size": size, "counts": counts, "causes": causes, "unsampled": unsampled}
+    def sampled(self) -> pd.DataFrame:
+        """Shares of the robustness study with what decides them, a row per statement and setting."""
+        study = self.table("robustness_claims")[["id", "setting", "samples", "decided_by"]].fillna({"decided_by": ""})
+        return self.judged.dropna(subset="share").merge(study, on=["id", "setting"])
 
     def effect(self, identity: str) -> str:
         """Describe the largest effect of the printed form of an erratum on NMPC."""
-        effects = self.table("discrepancy_effects")
-        own = effects[effects["id"] == identity]
-        if own.empty:
+        effects = self.table("discrepancy_effects").query("id == @identity")
+        if effects.empty:
             return "no run depends on it"
-        lost, parts = own["lost"].fillna(False).astype(bool), []
-        for words, column in (("RMSE", "rmse_change"), ("torque", "effort_change")) if (~lost).any() else ():
-            worst = own.loc[own.loc[~lost, column].abs().idxmax()]
+        is_lost = effects["lost"].eq(True)
+        lost, driven, parts = effects[is_lost], effects[~is_lost], []
+        for words, column in (("RMSE", "rmse_change"), ("torque", "effort_change")) if len(driven) else ():
+            worst = driven.loc[driven[column].abs().idxmax()]
             parts.append(f"{words} {100 * worst[column]:+.1f} % ({worst['scenario']})")
-        if lost.any():
-            parts.append("derails or triples the error on " + ", ".join(own[lost]["scenario"]))
+        if len(lost):
+            parts.append("derails or triples the error on " + ", ".join(lost["scenario"]))
         return "; ".join(parts)
 
     def as_mark(self, verdict: str) -> str:
         """Show a verdict as a mark, with what follows it, as a setting."""
-        known = max((name for name in MARKS if verdict.startswith(name)), key=len, default="")
+        known = next((name for name in MARKS if verdict.startswith(name)), None)
         return MARKS[known] + verdict.removeprefix(known) if known else verdict
+
+
+def csv(relative: str) -> pd.DataFrame:
+    """Read a table of the checkout as text."""
+    return pd.read_csv(paths.source(relative), dtype=str).fillna("")
 
 
 def quantity(value: float, unit: str = "") -> str:

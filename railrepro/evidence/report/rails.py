@@ -126,7 +126,7 @@ def draw_knowledge(
     fig, (axis, cost) = figures.new_figure(2, 1, height=2.1)
     places, none = [f"{error:g} m" for error in localisation_m], without.xs("none", axis=1, level="preview").loc[names]
     for name in names:
-        look, rows = figures.CONTROLLER_STYLE[name], mean_of[mean_of["controller"] == name].set_index("error")
+        look, rows = figures.LOOKS[name].line, mean_of[mean_of["controller"] == name].set_index("error")
         label, nothing = look["label"], none.loc[name]
         axis.plot(localisation_m, 1e3 * rows.loc[places, "rail_rmse_y"], **look)
         cost.plot(

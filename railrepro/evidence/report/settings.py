@@ -20,21 +20,17 @@ from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.uncertainty import order
 from railrepro.simulation.scenarios import load_scenario
 
-CURVES = {"curve_entry_T1": 80, "curve_entry_T2": 400, "curve_entry_T3": 600, "curve_entry_T4": 700}
-"""Curve entries and where their runs end (m)."""
-CASES: dict[str, tuple[str, float, dict]] = {
-    **{name: (name, end, {}) for name, end in CURVES.items()},
-    "sine_tracking": ("sine_tracking", 600, {}),
-    "T3_irregular": ("curve_entry_T3", 500, {"irregular": {"spectrum": "en_B_300", "seed": 3}}),
-    "adhesion_loss": ("adhesion_loss", 700, {}),
-    "adhesion_loss_stressed": ("adhesion_loss", 700, {"plant": {"drive.lag": 7.5e-3}}),
+CASES: dict[str, tuple[str, str, float, dict]] = {
+    "curve_entry_T1": ("T1, 40 km/h", "curve_entry_T1", 80, {}),
+    "curve_entry_T2": ("T2, 160 km/h", "curve_entry_T2", 400, {}),
+    "curve_entry_T3": ("T3, 280 km/h", "curve_entry_T3", 600, {}),
+    "curve_entry_T4": ("T4, 400 km/h", "curve_entry_T4", 700, {}),
+    "sine_tracking": ("sine, 400 km/h", "sine_tracking", 600, {}),
+    "T3_irregular": ("T3, irregular rails", "curve_entry_T3", 500, {"irregular": {"spectrum": "en_B_300", "seed": 3}}),
+    "adhesion_loss": ("poor rail, 400 km/h", "adhesion_loss", 700, {}),
+    "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 700, {"plant": {"drive.lag": 7.5e-3}}),
 }
-"""Name -> scenario, where the run ends (m), what else the experiment has."""
-TITLES = {
-    **{name: f"{name[-2:]}, {load_scenario(name).speed_kmh:g} km/h" for name in CURVES},
-    **{"sine_tracking": "sine, 400 km/h", "T3_irregular": "T3, irregular rails"},
-    **{"adhesion_loss": "poor rail, 400 km/h", "adhesion_loss_stressed": "poor rail, stressed"},
-}
+"""Name -> title, scenario, where the run ends (m), what else the experiment has."""
 _UNITS = {
     **{"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"},
     **{"largest_error": "m", "utilisation": "-", "failed_at_m": "m"},
@@ -54,7 +50,7 @@ def experiments(
         for rank, swarm in enumerate(ranked):
             seeds = noise_seeds[: None if rank == 0 else 1] if setting == LOOP else [0]
             for case, seed in product(cases, seeds):
-                scenario, end, more = CASES[case]
+                _, scenario, end, more = CASES[case]
                 stressed = stress if case.endswith("stressed") else {}
                 sensors = {"seed": seed} if setting == LOOP else {"perfect": True} if stressed else {}
                 label = {"case": case, "setting": setting, "swarm": swarm["seed"], "seed": seed}
@@ -95,13 +91,6 @@ def errors(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     return error, best["lost"].any().unstack("controller")[names]
 
 
-def spread(runs: pd.DataFrame) -> pd.DataFrame:
-    """Largest less smallest error over swarms and noise, as a share of that of the best set."""
-    found = runs.groupby(["setting", "controller", "case"])["error_mm"].agg(["min", "max"])
-    best = errors(runs)[0].stack().reorder_levels(["setting", "controller", "case"])
-    return ((found["max"] - found["min"]) / best).unstack("case")
-
-
 def draw_ranking(runs: pd.DataFrame) -> Figure:
     """Draw the errors of all controllers in all settings, a panel per scenario."""
     error, lost = errors(runs)
@@ -116,10 +105,10 @@ def draw_ranking(runs: pd.DataFrame) -> Figure:
             axis.hlines(place, rows.min().reindex(names), rows.max().reindex(names), color=color, linewidth=1)
             axis.plot(value, place, mark, color=color, markerfacecolor=face, markersize=3, label=f"setting {setting}")
             axis.plot(value.where(lost.loc[(case, setting)]), place, "x", color=color, markersize=6)
-        axis.set_title(TITLES[case], fontsize=8)
+        axis.set_title(CASES[case][0], fontsize=8)
     first = axes[0, 0]
     first.set(xscale="log", xlim=(2e-3, 40), xticks=[1e-2, 1e-1, 1, 10])
-    first.set_yticks(range(len(names)), [figures.CONTROLLER_STYLE[name]["label"] for name in names])
+    first.set_yticks(range(len(names)), [figures.LOOKS[name].label for name in names])
     first.invert_yaxis()
     for axis in axes[-1]:
         axis.set_xlabel("RMSE of y (mm)")
@@ -144,10 +133,8 @@ def draw_margins(error: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
     disk, survived = margins()
     late = survived["delay (ms)", "poor"]
     front = pd.DataFrame([
-        {"setting": setting, "controller": name, "error_mm": error.loc[setting, name],
-         "disk_margin": disk.loc[(setting, name)].min(), "delay_poor_ms": late[setting, name]}
-        for setting, name in late.index if name in error.columns
-    ])  # fmt: skip
+        (*pair, error.loc[pair], disk.loc[pair].min(), late[pair]) for pair in late.index if pair[1] in error
+    ], columns=["setting", "controller", "error_mm", "disk_margin", "delay_poor_ms"])  # fmt: skip
     size = {"height": 2.2, "width": figures.WIDTH / 3, "sharey": True, "sharex": "row"}
     figure, axes = figures.new_figure(2, 3, **size)
     for column, setting in zip(axes.T, figures.SETTING_MARKERS, strict=True):

@@ -26,9 +26,9 @@ _SYMBOLS = {
 def runs(tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
     """Runs of the cost in each setting: perfect or estimated measurements."""
     given = [
-        {"run": run.name, "km/h": run.scenario.speed_kmh, "m": run.scenario.end_m, "setting": setting,
+        {"run": name, "km/h": run.scenario.speed_kmh, "m": run.scenario.end_m, "setting": setting,
          "given": "estimated" if run.sensors and "perfect" not in run.sensors else "perfect"}
-        for setting, task in tasks.items() for run in task.runs
+        for setting, task in tasks.items() for name, run in task.runs.items()
     ]  # fmt: skip
     return pd.DataFrame(given).pivot(index=["run", "km/h", "m"], columns="setting", values="given").fillna("-")
 
@@ -52,17 +52,6 @@ def costs(sets: Sets) -> pd.DataFrame:
     })  # fmt: skip
 
 
-def parameters(sets: Sets) -> pd.DataFrame:
-    """Tuned parameters by setting and controller."""
-    return _by_pair({pair: found["parameters"] for pair, found in sets.items()}).sort_index()
-
-
-def per_run(sets: Sets) -> pd.DataFrame:
-    """Contributions of each run to the cost (SI), by setting, controller and run."""
-    parts = {pair: pd.DataFrame(found["runs"]).set_index("run") for pair, found in sets.items()}
-    return pd.concat(parts, names=_PAIR)
-
-
 def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFrame]:
     """Draw the lowest cost of every swarm over its iterations, a panel per setting; the used swarm is thick."""
     lines = []
@@ -77,7 +66,7 @@ def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFr
     figure, axes = figures.new_figure(len(settings), 1, height=1.5, sharex=True, sharey=True)
     for axis, setting in zip(axes, settings, strict=True):
         for (name, seed), rows in history[history["setting"] == setting].groupby(["controller", "seed"], sort=False):
-            look = dict(figures.CONTROLLER_STYLE[name])
+            look = figures.LOOKS[name].line
             marks = {"linewidth": 1.2, "marker": figures.LOOKS[name].marker, "markersize": 4}
             marks["markevery"] = list(figures.LOOKS).index(name) % 3, 3
             look |= marks if seed == used[setting, name] else {"linewidth": 0.4, "label": None}
@@ -89,11 +78,6 @@ def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFr
     handles = figures.handles(axes)
     figure.legend(handles.values(), handles.keys(), ncols=2, loc="outside upper center")
     return figure, history
-
-
-def by_iteration(history: pd.DataFrame) -> pd.DataFrame:
-    """Lowest cost of every swarm so far, a column per iteration."""
-    return history.pivot(index=[*_PAIR, "seed"], columns="iteration", values="cost")
 
 
 def draw_sensitivity(sets: Sets, task: swarm.Task, names: Sequence[str]) -> tuple[Figure, pd.DataFrame]:
@@ -136,20 +120,17 @@ def _evaluated(cases: Sequence[tuple[str, str, dict]], tasks: Mapping[str, swarm
 
 def beyond_bounds(sets: Sets, tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
     """What a quarter beyond a bound brings, for each parameter within 2 % of one, all else kept."""
-    moved = [
-        {"setting": setting, "controller": name, "parameter": d.name, "best": value,
-         "beyond": round(factor * bound) if d.scale == "integer" else factor * bound}
-        for (setting, name), found in sets.items() for d in tasks[setting].dimensions[name]
-        for bound, factor in ((d.low, 0.75), (d.high, 1.25))
-        if np.isclose(value := found["parameters"][d.name], bound, rtol=0.02, atol=0)
-    ]  # fmt: skip
-    table = pd.DataFrame(moved, columns=[*_PAIR, "parameter", "best", "beyond"])
-    pairs = list(zip(table["setting"], table["controller"], strict=True))
-    cases = [
-        (*pair, sets[pair]["parameters"] | {row.parameter: row.beyond})
-        for pair, row in zip(pairs, table.itertuples(), strict=True)
-    ]
-    table = table.assign(cost=[sets[pair]["cost"] for pair in pairs], cost_beyond=_evaluated(cases, tasks, "beyond"))
+    rows, cases = [], []
+    for pair, found in sets.items():
+        for d in tasks[pair[0]].dimensions[pair[1]]:
+            best = found["parameters"][d.name]
+            for bound, factor in ((d.low, 0.75), (d.high, 1.25)):
+                if np.isclose(best, bound, rtol=0.02, atol=0):
+                    beyond = round(factor * bound) if d.scale == "integer" else factor * bound
+                    rows.append((*pair, d.name, best, beyond, found["cost"]))
+                    cases.append((*pair, found["parameters"] | {d.name: beyond}))
+    table = pd.DataFrame(rows, columns=[*_PAIR, "parameter", "best", "beyond", "cost"])
+    table["cost_beyond"] = _evaluated(cases, tasks, "beyond")
     return table.assign(gain=1 - table["cost_beyond"] / table["cost"])
 
 

@@ -13,7 +13,6 @@ import multiprocessing
 import os
 import re
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +27,6 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager, suppress
 from functools import lru_cache
-from typing import NoReturn
 
 from tqdm import tqdm
 
@@ -39,8 +37,15 @@ PATIENCE = 15.0
 """Time without scheduler or worker after which a cluster is lost (s)."""
 _LOOK = 1.0
 """Time between two looks at the cluster (s)."""
-_UNGUARDED = 77
-"""Exit code of a local process that was to start processes while it read the script that had started it."""
+_ENDED = (
+    "a process of the study was killed, by the system when memory ran out or by a user: run again to resume; or the "
+    'script that starts the study, which its processes read, calls the library outside of if __name__ == "__main__":'
+)
+_LOST = "the Dask scheduler, or all its workers, are lost; start them and run again to resume"
+_OTHER_CODE = (
+    "a process of the study imported other code of railrepro than the one that sends the runs: it was edited "
+    "meanwhile, or another machine has another version; restart both (in Jupyter the kernel) and run again to resume"
+)
 
 
 class _Around(threading.local):
@@ -86,14 +91,15 @@ def executor() -> Iterator[Executor]:
     workers = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
     if not (workers.isascii() and workers.isdigit() and 1 <= int(workers) <= 4096):
         raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 to 4096 is needed")
-    if getattr(multiprocessing.current_process(), "_inheriting", False):  # what multiprocessing itself looks at
-        sys.exit(_UNGUARDED)  # reported by the process that started this one
     pool = _processes(int(workers))
     try:
         yield pool
     except BaseException:
         _processes.cache_clear()
-        _end(pool)
+        processes = list((pool._processes or {}).values())
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.kill()
         raise
 
 
@@ -114,25 +120,11 @@ def _cluster(address: str) -> Iterator[Executor]:
         client = Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address} ({error})") from error
-    pool = client.get_executor(pure=False, retries=0)
     try:
-        yield pool
+        yield client.get_executor(pure=False, retries=0)
     finally:
         with suppress(Exception):  # a lost scheduler cannot be left in order
             client.close(timeout=2)
-
-
-def _end(pool: ProcessPoolExecutor) -> None:
-    """End a pool at once; what its processes were at is lost."""
-    processes = _started(pool)
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.kill()
-
-
-def _started(pool: Executor) -> list:
-    """The local processes of a pool; none of a cluster."""
-    return list((getattr(pool, "_processes", None) or {}).values())
 
 
 @lru_cache
@@ -176,18 +168,17 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
     Raises
     ------
     InputError
-        When a local process was killed or runs other code, a script is not guarded against being read by the local
-        processes, or the Dask scheduler or all its workers are lost for `PATIENCE`.
+        When a local process ended or runs other code, or the Dask scheduler or all its workers are lost for `PATIENCE`.
     """
     ended = threading.Event()
-    threads = ThreadPoolExecutor(2 * _workers(pool))  # so that each process finds its next run waiting
+    threads = ThreadPoolExecutor(2 * max(_workers(pool), 1))  # so that each process finds its next run waiting
     try:
         futures = [threads.submit(_called, pool, ended, task, argument) for argument in arguments]
-        with _waiting():
-            _follow(pool, futures, title, quiet)
+        with _waiting(), tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
+            _follow(pool, futures, bar)
         return [future.result() for future in futures]
     except (BrokenExecutor, CancelledError) as error:
-        _lost(pool, error)
+        raise InputError(_ENDED if isinstance(pool, ProcessPoolExecutor) else _LOST) from error
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "distributed":
             raise InputError(f"{_LOST} ({type(error).__name__})") from error
@@ -197,19 +188,31 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
         threads.shutdown(wait=False, cancel_futures=True)
 
 
-def _follow(pool: Executor, futures: list[Future], title: str, quiet: bool) -> None:
+def _follow(pool: Executor, futures: list[Future], bar: tqdm) -> None:
     """Show how many are done until all are; raise what the first that fails raises."""
     waiting, seen = set(futures), time.monotonic()
-    with tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
-        while waiting:
-            done, waiting = wait(waiting, _LOOK, "FIRST_COMPLETED")
-            for future in done:
-                future.result()
-            bar.update(len(done))
-            if done or _there(pool):
-                seen = time.monotonic()
-            elif time.monotonic() - seen > PATIENCE:
-                raise InputError(_LOST)
+    while waiting:
+        done, waiting = wait(waiting, _LOOK, "FIRST_COMPLETED")
+        for future in done:
+            future.result()
+        bar.update(len(done))
+        if done or _workers(pool):
+            seen = time.monotonic()
+        elif time.monotonic() - seen > PATIENCE:
+            raise InputError(_LOST)
+
+
+def _workers(pool: Executor) -> int:
+    """Number of the workers of a pool; 0 where a scheduler reports none or does not answer."""
+    client = getattr(pool, "_client", None)
+    if client is None:
+        return getattr(pool, "_max_workers", 1)
+    try:
+        return len(client.sync(client.scheduler.identity, n_workers=-1, callback_timeout=5)["workers"])
+    except TimeoutError:  # a scheduler that loads the modules of a task answers late; a lost one has no connection
+        return int(client.status == "running")
+    except Exception:  # any other error counts as no answer; time decides
+        return 0
 
 
 def _called(pool: Executor, ended: threading.Event, task: Callable, argument):
@@ -234,60 +237,13 @@ def work(function: Callable, *arguments):
     return future.result()
 
 
-Code = tuple[str | None, dict[str, str] | None]
-
-
-def _code(function: Callable) -> Code:
+def _code(function: Callable) -> tuple[str | None, dict[str, str] | None]:
     """Code that this process imported, as far as a function can reach it."""
     return code.version(), code.reached(f"from {function.__module__} import {function.__module__}")
 
 
-def _checked(asked: Code, function: Callable, *arguments):
+def _checked(asked: tuple, function: Callable, *arguments):
     """Result of a function; InputError where this process imported other code than was asked."""
     if None in asked or _code(function) != asked:
         raise InputError(_OTHER_CODE)
     return function(*arguments)
-
-
-def _lost(pool: Executor, error: Exception) -> NoReturn:
-    """Raise why an executor gave up."""
-    if not isinstance(pool, ProcessPoolExecutor):
-        raise InputError(_LOST) from error
-    processes = _started(pool)
-    pool.shutdown()  # a process has no exit code before the pool has waited for it
-    if any(process.exitcode == _UNGUARDED for process in processes):
-        raise InputError(_READ_AGAIN) from None
-    raise InputError(_KILLED) from error
-
-
-def _workers(pool: Executor) -> int:
-    """Number of the processes of a pool, at least 1."""
-    client = getattr(pool, "_client", None)
-    if client is None:
-        return getattr(pool, "_max_workers", 1)
-    return max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-
-
-_KILLED = "a process of the study was killed, by the system when memory ran out or by a user; run again to resume"
-_OTHER_CODE = (
-    "a process of the study imported other code of railrepro than the one that sends the runs: it was edited "
-    "meanwhile, or another machine has another version; restart both (in Jupyter the kernel) and run again to resume"
-)
-_READ_AGAIN = (
-    "the processes of a study read the script that starts it: there, what calls the library must stand below "
-    'if __name__ == "__main__":'
-)
-_LOST = "the Dask scheduler, or all its workers, are lost; start them and run again to resume"
-
-
-def _there(pool: Executor) -> bool:
-    """Whether there are workers: local processes report themselves, of a cluster the scheduler knows its workers."""
-    client = getattr(pool, "_client", None)
-    if client is None:
-        return True
-    try:
-        return bool(client.sync(client.scheduler.identity, callback_timeout=5)["workers"])
-    except TimeoutError:  # a scheduler that loads the modules of a task answers late; a lost one has no connection
-        return client.status == "running"
-    except Exception:  # any other error counts as no answer; time decides
-        return False

@@ -5,7 +5,6 @@ Notebooks and studies are lists of these; the executor decides where they run, a
 
 from __future__ import annotations
 
-import inspect
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -20,11 +19,11 @@ import pandas as pd
 
 from railrepro import paths
 from railrepro.contact.points import read_pair
+from railrepro.control import registry
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.registry import CONTROLLERS, guidance
 from railrepro.data import InputError, require
 from railrepro.estimation import sensors
-from railrepro.evidence.runs import preview, store, tuning
+from railrepro.evidence.runs import preview, store
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
@@ -70,7 +69,7 @@ class Experiment:
     sensors : dict
         Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
     setting : str
-        Which tuned parameters are taken, see `tuning.load`.
+        Which tuned parameters are taken, see `registry.parameters`.
     substeps : int, optional
         See `simulate.run`; default 2 for ride figures on irregular rails, whose wheel loads need it, else 1.
     ride : bool
@@ -93,15 +92,13 @@ class Experiment:
     irregular: dict = field(default_factory=dict)
     preview: dict = field(default_factory=dict)
     sensors: dict = field(default_factory=dict)
-    setting: str = tuning.PAPER
+    setting: str = registry.PAPER
     substeps: int | None = None
     ride: bool = False
     stride: int = 0
 
     def __post_init__(self) -> None:
         require("experiment: scenario", self.scenario, Scenario)
-        for name in ("vehicle", "plant", "sensors", "irregular"):
-            require(f"experiment: {name}", getattr(self, name), dict)
 
     def car(self) -> Vehicle:
         """The car that is driven, with all changes."""
@@ -111,7 +108,7 @@ class Experiment:
         """Tuning parameters of the controller."""
         if self.parameters is not None:
             return self.parameters
-        return tuning.load(self.controller, self.setting)["parameters"]
+        return registry.parameters(self.controller, self.setting)
 
     def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
         """Irregularities, and the line that is planned with what is known of them; None where there is nothing."""
@@ -119,11 +116,7 @@ class Experiment:
             return None, None
         if not self.irregular:
             raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
-        allowed = [name for name in inspect.signature(preview.plan).parameters if name != "frame"]
-        if unknown := sorted(set(self.preview) - set(allowed)):
-            raise InputError(f"preview: {unknown[0]!r} is not known; there are {allowed}")
-        given = [json.dumps(each or {}, sort_keys=True) for each in (self.irregular, self.preview)]
-        return _rails(self.scenario.end_m, *given)
+        return _rails(self.scenario.end_m, json.dumps(self.irregular), json.dumps(self.preview))
 
     def run(self) -> simulate.Run:
         """The simulation itself."""
@@ -131,7 +124,7 @@ class Experiment:
         with self._laid() as scenario:
             return simulate.run(
                 scenario,
-                guidance(self.controller, self.tuned(), self.options, **self.changes),
+                registry.guidance(self.controller, self.tuned(), self.options, **self.changes),
                 irregularities=rough,
                 line=line,
                 sensors=sensors.readings(**self.sensors) if self.sensors else None,
@@ -159,20 +152,22 @@ class Experiment:
         It holds the resolved values, not the names of vehicle, wheel profile, parameters, track and sensors, and the
         code that the run and the function can reach.
         """
-        if self.controller not in CONTROLLERS or not _is_ours(CONTROLLERS[self.controller].build):
+        if not _is_ours(self.controller):
             return None  # of a user's file
         scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
         track = None if self.alignment else load_track(self.scenario.track_file())
-        scenario["track"] = (track.table.to_numpy(), track.design_speed) if track else self.alignment
-        plan = self.tuned(), self.options, self.changes, self.adhesion, self.fixed_share
-        sensed = (self.sensors, sensors.load_loop()) if self.sensors else None
-        believed = load_vehicle(**self.vehicle)
-        cars = believed, self.car() if self.plant else believed
-        files = [name for car in cars if (name := car.contact.profile).endswith(".csv")]
-        wheels = [read_pair(paths.source(name)).digest for name in files]
-        more = self.rails(), sensed, self.substeps, self.ride, self.stride
-        name = measure.__qualname__
-        return store.key(measure.__module__, name, self.controller, scenario, cars, wheels, plan, more)
+        believed, car = load_vehicle(**self.vehicle), self.car()
+        files = [name for each in (believed, car) if (name := each.contact.profile).endswith(".csv")]
+        read = vars(self) | {
+            "scenario": (scenario, track and (track.table.to_numpy(), track.design_speed)),
+            "label": {},
+            "parameters": self.tuned(),
+            "vehicle": believed,
+            "plant": (car, [read_pair(paths.source(name)).digest for name in files]),
+            "irregular": self.rails(),
+            "sensors": (self.sensors, sensors.load_loop()) if self.sensors else None,
+        }
+        return store.key(measure.__module__, measure.__qualname__, read)
 
     def measured(self, measure: Measure) -> store.Entry:
         """What a function measures of this run: from the store where it is there, else by a worker (`executor.work`).
@@ -225,8 +220,11 @@ def tidy(series: pd.DataFrame, stride: int) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _is_ours(build: Callable) -> bool:
-    """Whether a factory, with what it is given, comes from this package."""
+def _is_ours(controller: str) -> bool:
+    """Whether the factory of a controller, with what it is given, comes from this package."""
+    if controller not in registry.CONTROLLERS:
+        return False
+    build = registry.CONTROLLERS[controller].build
     parts = (build.func, *build.args) if isinstance(build, partial) else (build,)
     return all(part.__module__.partition(".")[0] == "railrepro" for part in parts if callable(part))
 

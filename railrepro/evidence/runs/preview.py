@@ -31,9 +31,6 @@ def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_
     DataFrame
         Same p_m and channels.
     """
-    require("known irregularities: amplitude_error", amplitude_error, between(-10.0, 10.0))
-    require("known irregularities: localisation_error_m", localisation_error_m, between(-1e5, 1e5, "m"))
-    require("known irregularities", frame, pd.DataFrame)
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     place = p - localisation_error_m
     inside = (place >= p[0]) & (place <= p[-1])

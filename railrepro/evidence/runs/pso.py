@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from railrepro.data import InputError, between, is_number, require
 
@@ -61,16 +62,18 @@ class Swarm:
     """State of a swarm; `ask` gives parameter sets, `tell` takes their costs and moves the particles.
 
     The random numbers of a move belong to (seed, iteration, particle), so a swarm does not depend on who evaluates it.
-    With `start` (values of all parameters) the first particle begins there.
+    With `start` (values of all parameters) the first particle begins there; InputError when it lacks one or lies
+    outside of the bounds.
     """
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
         self.dimensions, self.seed, self.iteration = dimensions, seed, 0
-        shape = (particles, len(dimensions))
         self.position = np.array([self._random(i, len(dimensions)) for i in range(particles)])
         if start:
+            if set(start) != {d.name for d in dimensions}:
+                raise InputError(f"start has {sorted(start)}, {sorted(d.name for d in dimensions)} are needed")
             self.position[0] = [d.position(start[d.name]) for d in dimensions]
-        self.velocity = np.zeros(shape)
+        self.velocity = np.zeros_like(self.position)
         self.own_position, self.own_cost = self.position.copy(), np.full(particles, np.inf)
         self.rows: list[dict] = []
 
@@ -79,9 +82,10 @@ class Swarm:
 
     def ask(self) -> list[dict[str, float]]:
         """Parameter values of all particles."""
-        return [
-            {d.name: d.value(x) for d, x in zip(self.dimensions, particle, strict=True)} for particle in self.position
-        ]
+        return [self._values(particle) for particle in self.position]
+
+    def _values(self, position: np.ndarray) -> dict[str, float]:
+        return {d.name: d.value(x) for d, x in zip(self.dimensions, position, strict=True)}
 
     def tell(self, costs: list[float]) -> None:
         """Take the costs of the particles of the last `ask` and move on to the next iteration."""
@@ -98,9 +102,6 @@ class Swarm:
             pull = ATTRACTION * draw[:n] * (self.own_position[i] - self.position[i])
             pull += ATTRACTION * draw[n:] * (leader - self.position[i])
             self.velocity[i] = np.clip(CONSTRICTION * (self.velocity[i] + pull), -0.5, 0.5)
-        self._move()
-
-    def _move(self) -> None:
         moved = self.position + self.velocity
         low, high = moved < 0, moved > 1
         moved = np.where(low, -moved, np.where(high, 2 - moved, moved))
@@ -115,8 +116,7 @@ class Swarm:
     @property
     def best(self) -> dict[str, float]:
         """Parameter values of the best particle so far."""
-        best = self.own_position[int(np.argmin(self.own_cost))]
-        return {d.name: d.value(x) for d, x in zip(self.dimensions, best, strict=True)}
+        return self._values(self.own_position[np.argmin(self.own_cost)])
 
     @property
     def cost(self) -> float:
@@ -143,8 +143,8 @@ def minimise(
     iterations: int,
     seed: int,
     patience: int = 1000,
-    report: Callable[[Swarm], None] = lambda swarm: None,
     start: dict[str, float] | None = None,
+    title: str = "",
 ) -> Swarm:
     """Run a swarm to the end of its budget, or until it stagnates.
 
@@ -157,17 +157,17 @@ def minimise(
     particles, iterations, seed : int
     patience : int
         Iterations without improvement before it stops.
-    report : callable
-        Called with the swarm after each iteration.
     start : dict, optional
         Where the first particle begins.
+    title : str
+        Text of the progress bar; empty for none.
     """
     for name, value, least in (("particles", particles, 1), ("iterations", iterations, 1), ("seed", seed, 0)):
         require(f"swarm: {name}", value, between(least, 2**63), whole=True)
-    if not dimensions:
-        raise InputError("swarm: there are no dimensions, at least one is needed")
     swarm = Swarm(dimensions, particles, seed, start)
-    while swarm.iteration < iterations and not swarm.stagnant(patience):
-        swarm.tell(evaluate(swarm.ask(), swarm.limits))
-        report(swarm)
+    with tqdm(total=iterations, desc=title, unit="iteration", disable=not title) as bar:
+        while swarm.iteration < iterations and not swarm.stagnant(patience):
+            swarm.tell(evaluate(swarm.ask(), swarm.limits))
+            bar.set_postfix_str(f"best cost {swarm.cost:.4f}")
+            bar.update()
     return swarm

@@ -2,7 +2,7 @@
 
 An entry belongs to all that a computation reads and to the code that it can reach (`railrepro.code`), the compiler and
 the packages. It lies in build/store, or in the folder `RAILREPRO_STORE`; "off" there neither reads nor writes. Entries
-are JSON, never code: what is broken, cut off or of another user is computed anew.
+are JSON, never code: what is broken or cut off is computed anew.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -96,15 +97,9 @@ def folder() -> Path | None:
     return Path(given) if given else paths.BUILD / "store"
 
 
-def _number(value):
-    """A number of NumPy as one of Python."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__qualname__} cannot be stored")
-
-
 def _packed(row: dict, table: pd.DataFrame | None) -> bytes:
-    return json.dumps([row, None if table is None else table.to_dict("list")], default=_number).encode()
+    content = [row, None if table is None else table.to_dict("list")]
+    return json.dumps(content, default=np.generic.item).encode()
 
 
 def _unpacked(content: bytes) -> Entry:
@@ -118,12 +113,9 @@ def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
     Values of its row are plain, columns of its table numbers.
     """
     place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
-    content = None if place is None else cache.own_file(place)
-    if content is not None:
-        try:
-            return _unpacked(content)
-        except (ValueError, TypeError, RecursionError):
-            pass  # broken
+    if place is not None:
+        with suppress(OSError, ValueError, TypeError, RecursionError):  # there is none, or it is broken
+            return _unpacked(place.read_bytes())
     content = _packed(*compute())
     if place is not None and code.unchanged():
         write(place, content)

@@ -6,12 +6,10 @@ goes on where it was. Serves the paper's section Multi-Body Simulation Results (
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
 
 from railrepro import __version__, paths
 from railrepro.control.registry import CONTROLLERS
@@ -73,19 +71,16 @@ class Evaluation:
         """
         quick, number = CONTROLLERS[self.controller].quick, len(self.task.runs)
         costs, parts = [], []
-        for run in reversed(self.task.runs):
-            experiment = Experiment(
-                run.scenario, self.controller, parameters=parameters, options=quick, irregular=run.irregular,
-                plant=run.plant, sensors=run.sensors,
-            )  # fmt: skip
+        for name, run in reversed(self.task.runs.items()):
+            asked = replace(run, controller=self.controller, parameters=parameters, options=quick)
             try:
-                part, _ = experiment.measured(driven)
+                part, _ = asked.measured(driven)
                 cost = run_cost(part, self.task.cost)
                 part.pop("failed")
             except (ArithmeticError, np.linalg.LinAlgError):
                 cost, part = 2 * self.task.cost["failure"], {"done": 0.0}
             costs.append(cost)
-            parts.append({"run": run.name, "cost": cost, **part})
+            parts.append({"run": name, "cost": cost, **part})
             if sum(costs) > limit * number:
                 break
         return sum(costs) / number, parts
@@ -108,52 +103,44 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
         The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm
         found (`swarms`), `origin`, and under `history` the table of all evaluated particles.
     """
-    budget, evaluation = task.budget, Evaluation(controller, task)
-    swarms, tables = [], []
+    budget, evaluation, found = task.budget, Evaluation(controller, task), {}
+
+    def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
+        limited = list(zip(particles, limits, strict=True))
+        return ordered_map(pool, lambda particle: evaluation(*particle)[0], limited, controller, quiet=True)
+
     for seed in budget["seeds"]:
-        name = f"{task.setting} {controller} {seed}"
-        bar = tqdm(total=budget["iterations"], desc=name, unit="iteration", disable=quiet)
-
-        def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
-            limited = list(zip(particles, limits, strict=True))
-            return ordered_map(pool, lambda particle: evaluation(*particle)[0], limited, controller, quiet=True)
-
-        def report(swarm: pso.Swarm, bar=bar) -> None:
-            bar.n = swarm.iteration
-            bar.set_postfix_str(f"best cost {swarm.cost:.4f}")
-
-        outcome = pso.minimise(
+        title = "" if quiet else f"{task.setting} {controller} {seed}"
+        found[seed] = pso.minimise(
             evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
-            budget["patience"], report, task.start.get(controller),
+            budget["patience"], task.start.get(controller), title,
         )  # fmt: skip
-        bar.close()
-        found = {"seed": seed, "cost": outcome.cost, "evaluations": len(outcome.history), "parameters": outcome.best}
-        swarms.append(found)
-        tables.append(outcome.history.assign(seed=seed))
-    best = min(swarms, key=lambda swarm: swarm["cost"])
-    cost, parts = ordered_map(pool, evaluation, [best["parameters"]], controller, quiet=True)[0]
+    best = min(found.values(), key=lambda swarm: swarm.cost)
+    cost, parts = ordered_map(pool, evaluation, [best.best], controller, quiet=True)[0]
     return {
         "controller": controller,
         "setting": task.setting,
-        "parameters": best["parameters"],
+        "parameters": best.best,
         "cost": cost,
         "runs": parts,
-        "swarms": swarms,
+        "swarms": [
+            {"seed": seed, "cost": swarm.cost, "evaluations": len(swarm.rows), "parameters": swarm.best}
+            for seed, swarm in found.items()
+        ],
         "origin": {"data": origin(controller, task, load_vehicle()), "version": __version__} | budget,
-        "history": pd.concat(tables, ignore_index=True),
+        "history": pd.concat([swarm.history.assign(seed=seed) for seed, swarm in found.items()], ignore_index=True),
     }
 
 
 def main(names: list[str]) -> None:
     """Tune the named controllers, or all, in the named settings, or all."""
-    settings = [name for name in names if name in SETTINGS] or list(SETTINGS)
-    wanted = [name for name in names if name not in SETTINGS]
     known = load_task().dimensions
-    if set(wanted) - set(known):
-        unknown = min(set(wanted) - set(known))
-        raise InputError(
-            f"{unknown!r} is neither setting ({list(SETTINGS)}) nor a controller of tuning.toml ({sorted(known)})"
-        )
+    settings = [name for name in names if name in SETTINGS] or SETTINGS
+    wanted = [name for name in names if name not in SETTINGS]
+    for name in wanted:
+        if name not in known:
+            known = f"setting ({list(SETTINGS)}) nor a controller of tuning.toml ({sorted(known)})"
+            raise InputError(f"{name!r} is neither {known}")
     with executor() as pool:
         for each in settings:
             task = load_task(setting=each)
@@ -161,12 +148,7 @@ def main(names: list[str]) -> None:
                 if name not in task.searched:
                     print(f"{each} {name}: designed, nothing to tune")
                     continue
-                begin = time.perf_counter()
                 result = tune(name, task, pool)
                 save(result, paths.ROOT / TUNED / each)
-                found = ", ".join(f"{swarm['cost']:.4f}" for swarm in result["swarms"])
-                seconds = time.perf_counter() - begin
-                print(
-                    f"{each} {name}: costs {found} after {len(result['history'])} evaluations, {seconds:.0f} s",
-                    flush=True,
-                )
+                costs = ", ".join(f"{swarm['cost']:.4f}" for swarm in result["swarms"])
+                print(f"{each} {name}: costs {costs} after {len(result['history'])} evaluations", flush=True)

@@ -13,7 +13,6 @@ import json
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,37 +20,19 @@ import pandas as pd
 from pydantic import AfterValidator
 
 from railrepro import data, paths
-from railrepro.control.registry import CONTROLLERS, EQUAL, PAPER, TUNED, guidance, read
+from railrepro.control.registry import CONTROLLERS, EQUAL, NOTHING, PAPER, TUNED, guidance, read, tuned_set
 from railrepro.control.registry import LOOP as LOOP  # for those who take the settings from here
 from railrepro.control.registry import SETTINGS as SETTINGS
 from railrepro.control.registry import tuned as tuned
 from railrepro.data import AS_GIVEN, DISTINCT, NOT_EMPTY, Flag, Free, InputError, Number, Plain, above, between
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import pso, store
+from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation.scenarios import Scenario, load_scenarios
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 COUNT = Annotated[int, between(1, 10**6)]
 SEED = Annotated[int, between(0, 2**63)]
-
-
-@dataclass(frozen=True)
-class TuningRun:
-    """One run of the cost, as the arguments of `experiment.Experiment` have it.
-
-    Attributes
-    ----------
-    name : str
-    scenario : Scenario
-    irregular, plant, sensors : dict
-        Rails, what only the car has, and sensors; empty is an ideal track, the nominal car, perfect measurements.
-    """
-
-    name: str
-    scenario: Scenario
-    irregular: dict = field(default_factory=dict)
-    plant: dict = field(default_factory=dict)
-    sensors: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -62,8 +43,8 @@ class Task:
     ----------
     setting : str
     budget, cost : dict
-    runs : tuple of TuningRun
-        The hardest last.
+    runs : dict
+        Name -> run of the cost without controller (`Experiment`), the hardest last.
     dimensions : dict
         Controller -> list of `pso.Dimension`.
     designed : dict
@@ -77,7 +58,7 @@ class Task:
     setting: str
     budget: dict
     cost: dict
-    runs: tuple[TuningRun, ...]
+    runs: dict[str, Experiment]
     dimensions: dict[str, list[pso.Dimension]]
     designed: dict[str, dict] = field(default_factory=dict)
     start: dict[str, dict] = field(default_factory=dict)
@@ -146,37 +127,6 @@ def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
 
 
 @data.table
-class Origin(Budget):
-    """Where a tuned set comes from: budget of the search, version, and what it was tuned for."""
-
-    data: str
-    version: str
-
-
-@data.table
-class SwarmResult:
-    """What one swarm found."""
-
-    seed: SEED
-    cost: Annotated[Number, between(0.0, 1e9)]
-    evaluations: COUNT
-    parameters: dict[str, Plain]
-
-
-@data.table
-class TunedSet:
-    """Content of a file in data/tuned."""
-
-    controller: str
-    setting: Literal["paper", "equal", "loop"]
-    parameters: dict[str, Plain]
-    cost: Annotated[Number, between(0.0, 1e9)]
-    runs: tuple[dict[str, Free], ...]
-    swarms: Annotated[tuple[SwarmResult, ...], NOT_EMPTY]
-    origin: Origin
-
-
-@data.table
 class TaskFile:
     """Content of data/tuning.toml."""
 
@@ -201,7 +151,7 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     _known([setting], content.setting, f"{file.name}: setting")
     entry, where = content.setting[setting], f"{file.name}: [setting.{setting}]"
     _known(entry.runs, content.run, f"{where} has the run")
-    runs = [_run(name, content.run[name], entry.sensors, f"{file.name}: [run.{name}]") for name in entry.runs]
+    runs = {name: _run(content.run[name], entry.sensors, f"{file.name}: [run.{name}]") for name in entry.runs}
     _known(content.controller, CONTROLLERS, f"{file.name}: [controller] has")
     dimensions = {}
     for name, bounds in content.controller.items():
@@ -214,24 +164,14 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
         for name, parameters in entry.designed.items():
             guidance(name, parameters)
         for name, parameters in entry.start.items():
-            _check_start(name, parameters, dimensions[name])
+            pso.Swarm(dimensions[name], 1, 0, parameters)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    return Task(
-        setting, content.budget, content.cost, tuple(runs), dimensions, entry.designed, entry.start,
-        entry.searched_too,
-    )  # fmt: skip
+    budget, cost = content.budget, content.cost
+    return Task(setting, budget, cost, runs, dimensions, entry.designed, entry.start, entry.searched_too)
 
 
-def _check_start(name: str, parameters: dict, dimensions: list[pso.Dimension]) -> None:
-    needed = sorted(dimension.name for dimension in dimensions)
-    if sorted(parameters) != needed:
-        raise InputError(f"start of {name} has {sorted(parameters)}, {needed} are needed")
-    for dimension in dimensions:
-        dimension.position(parameters[dimension.name])
-
-
-def _run(name: str, entry: RunEntry, sensed: bool, where: str) -> TuningRun:
+def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
     scenarios = load_scenarios()
     _known([entry.scenario], scenarios, f"{where} has the scenario")
     change = {"end_m": entry.end_m} | ({} if entry.speed_kmh is None else {"speed_kmh": entry.speed_kmh})
@@ -243,7 +183,7 @@ def _run(name: str, entry: RunEntry, sensed: bool, where: str) -> TuningRun:
         raise InputError(f"{where}: {error}") from None
     sensors = {"seed": entry.seed} | inverter if sensed or inverter else {}
     sensors |= {"perfect": True} if inverter and not sensed else {}
-    return TuningRun(name, scenario, entry.irregular, entry.plant, sensors)
+    return Experiment(scenario, NOTHING, irregular=entry.irregular, plant=entry.plant, sensors=sensors)
 
 
 def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
@@ -254,38 +194,30 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
     same; `is_current` says so, and 05_tuning recomputes its cost.
     """
     tracks, rails = (data.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
-    sets = sorted({name for run in task.runs for name in (run.scenario.good, run.scenario.poor)})
+    sets = sorted({name for run in task.runs.values() for name in (run.scenario.good, run.scenario.poor)})
     car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
     runs = []
-    for run in task.runs:
+    for run in task.runs.values():
         scenario = {k: v for k, v in vars(run.scenario).items() if k not in ("name", "track", "paper")}
         rail = rails.get(str(run.irregular.get("spectrum")), None)
         runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
-    loop = load_loop() if any(run.sensors for run in task.runs) else None
+    loop = load_loop() if any(run.sensors for run in task.runs.values()) else None
     search = task.dimensions[controller], task.start.get(controller)
     return store.digest(runs, car, loop, task.budget, task.cost, *search)[:16]
 
 
 def is_current(controller: str, setting: str) -> bool:
     """Whether a tuned set was searched with the numbers that stand in data/ today; designed sets are."""
-    task = _task_here(setting)
-    if controller in task.designed:
-        return True
-    return load(controller, setting)["origin"]["data"] == origin(controller, task, load_vehicle())
+    found = load(controller, setting).get("origin")
+    return found is None or found["data"] == origin(controller, load_task(setting=setting), load_vehicle())
 
 
-@lru_cache
-def _task_here(setting: str) -> Task:
-    return load_task(setting=setting)
-
-
-def save(tuned: dict, folder: Path) -> None:
+def save(found: dict, folder: Path) -> None:
     """Write a tuned set as JSON and its particles as CSV."""
-    content = {key: value for key, value in tuned.items() if key != "history"}
-    data.write(
-        folder / f"{tuned['controller']}_particles.csv", tuned["history"].to_csv(index=False, float_format="%.6g")
-    )
-    data.write(folder / f"{tuned['controller']}.json", json.dumps(content, indent=2) + "\n")
+    content = {key: value for key, value in found.items() if key != "history"}
+    particles = found["history"].to_csv(index=False, float_format="%.6g")
+    data.write(folder / f"{found['controller']}_particles.csv", particles)
+    data.write(folder / f"{found['controller']}.json", json.dumps(content, indent=2) + "\n")
 
 
 def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
@@ -293,29 +225,10 @@ def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
 
 
-def load(controller: str, setting: str = PAPER, folder: Path | None = None, searched: bool = False) -> dict:
+def load(controller: str, setting: str = PAPER, searched: bool = False) -> dict:
     """Tuned set of a controller in some setting; a designed set has only `controller`, `setting` and `parameters`.
 
-    With `searched`, what a swarm found for a controller that is designed (`Task.searched_too`).
-
-    Raises
-    ------
-    InputError
-        When there is none, when it does not hold a tuned set of this controller, or when it would not be read.
+    With `searched`, what a swarm found for a controller that is designed (`Task.searched_too`). InputError when there
+    is none.
     """
-    task = _task_here(setting)
-    if searched and controller not in task.searched:
-        raise InputError(f"{controller}: no swarm searches it in the setting {setting!r}; it does for {task.searched}")
-    if controller in task.designed and folder is not None:
-        raise InputError(f"{controller}: tuning.toml gives its set in the setting {setting!r}, no file is read")
-    if controller in task.designed and not searched:
-        return {"controller": controller, "setting": setting, "parameters": task.designed[controller]}
-    content, name = read(controller, setting, folder), f"{controller}.json"
-    data.build(TunedSet, content, name)
-    if controller not in task.dimensions:
-        raise InputError(f"{name}: tuning.toml has no bounds for {controller!r}")
-    searched = {dimension.name for dimension in task.dimensions[controller]}
-    for parameters in (content["parameters"], *(swarm["parameters"] for swarm in content["swarms"])):
-        if set(parameters) != searched:
-            raise InputError(f"{name}: has the parameters {sorted(parameters)}, {sorted(searched)} are needed")
-    return content
+    return read(controller, setting) if searched else tuned_set(controller, setting)

@@ -123,7 +123,8 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
     a[n + slow + 1 :, n + slow : -1] = np.eye(late)
     for row, name in enumerate(BIASES):
         c[row, STATES.index(name)] = c[row, n + len(UNKNOWN) + row] = 1.0
-    noise, spread = _sensor_errors(loop)
+    noise, spread = loop.lateral_errors()
+    noise, spread = np.maximum(noise, 1e-9), np.maximum(spread, 1e-12)
     walked = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
     units = np.concatenate([UNITS, np.sqrt(walked / h), np.full(chain, 100.0)])
     q = np.diag((_QUIET * units) ** 2)
@@ -134,14 +135,6 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
         a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), np.eye(len(noise)),
         STATES.index("y"), n + slow, units,
     )  # fmt: skip
-
-
-def _sensor_errors(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations of noise and bias of y (m), psi (rad) and r (rad/s); a bias is drawn uniformly."""
-    plane, base, uniform = loop.lateral, loop.lateral.base, np.sqrt(3.0)
-    of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / base])
-    noise = np.append(plane.noise * of_planes, loop.gyro.noise)
-    return np.maximum(noise, 1e-9), np.maximum(np.append(plane.bias * of_planes, loop.gyro.bias) / uniform, 1e-12)
 
 
 def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> Limit:

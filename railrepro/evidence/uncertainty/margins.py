@@ -24,8 +24,8 @@ from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.runs.laws import wrapped
-from railrepro.simulation import metrics, simulate
+from railrepro.evidence.runs.swarm import driven
+from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -46,14 +46,15 @@ _KMH = (100.0, 200.0, 300.0, 400.0)
 
 
 class ProbedLaw:
-    """A 1 kHz law whose torque is disturbed by a sum of sines with Schroeder's phases; a `lateral.LateralLaw`.
+    """The 1 kHz law of a guidance whose torque is disturbed by a sum of sines with Schroeder's phases; a
+    `lateral.LateralLaw`.
 
     The amplitude (N m) is that of each sine.
     """
 
-    def __init__(self, law: lateral.LateralLaw, amplitude: float):
-        self._law, self._amplitude = law, amplitude
-        self.memory = (*getattr(law, "memory", ()), "probe_ticks")
+    def __init__(self, guidance: lateral.Guidance, amplitude: float):
+        (self._law, self._factory), self._amplitude = lateral.split(guidance), amplitude
+        self.memory = (*getattr(self._law, "memory", ()), "probe_ticks")
 
     def gains(self) -> dict[str, float]:
         """See `LateralLaw.gains`."""
@@ -66,6 +67,13 @@ class ProbedLaw:
         return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
 
 
+class _WithControllers(ProbedLaw):
+    """One that holds the torque of slower controllers, whose factory it is."""
+
+    def __call__(self, vehicle, route, gear: int) -> lateral.SlowController:
+        return self._factory(vehicle, route, gear)
+
+
 def multisine(t, sine: Callable = np.sin):
     """Sum of sines of unit amplitude at times (s). Source: Schroeder 1970 (phases of low crest factor)."""
     count = len(FREQUENCIES)
@@ -74,16 +82,13 @@ def multisine(t, sine: Callable = np.sin):
 
 def probed(guidance: lateral.Guidance, amplitude: float) -> lateral.Guidance:
     """A guidance with its torque disturbed, see `ProbedLaw`."""
-    return wrapped(guidance, lambda law: ProbedLaw(law, amplitude))
-
-
-def peak(values: np.ndarray) -> float:
-    """Largest magnitude of a `sensitivity`: its inverse is the smallest distance of the open loop from -1."""
-    return float(np.abs(values).max())
+    return (_WithControllers if callable(guidance) else ProbedLaw)(guidance, amplitude)
 
 
 def disk_margin(values: np.ndarray) -> float:
-    """Symmetric disk margin a: gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or phase by 2 atan(a / 2).
+    """Symmetric disk margin a of a `sensitivity`.
+
+    The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2).
 
     Source: Seiler, Packard and Gahinet 2020.
     """
@@ -144,16 +149,16 @@ def survived(fails: Callable[[float], bool], nominal: float, largest: float, res
 def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
     """Largest value of a quantity with which a tuned controller keeps the car off its flanges, see `survived`."""
     name, end = RAILS[rail]
-    key, *searched, _ = QUANTITIES[quantity]
+    key, *bounds, _ = QUANTITIES[quantity]
     sensors = {"seed": 101} | ({} if setting == tuning.LOOP else {"perfect": True})
     quick = CONTROLLERS[controller].quick
     run = Experiment(load_scenario(name).but(end_m=end), controller, options=quick, setting=setting, sensors=sensors)
 
     def fails(value: float) -> bool:
         of_car = {"plant": {key: value}} if key.startswith("drive.") else {"sensors": sensors | {key: value}}
-        return replace(run, **of_car).measured(failed)[0]["failed"]
+        return replace(run, **of_car).measured(driven)[0]["failed"]
 
-    return survived(fails, *searched)
+    return survived(fails, *bounds)
 
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
@@ -167,13 +172,8 @@ def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
 def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
     guidance = tuning.tuned(controller, CONTROLLERS[controller].quick, setting)
     found = sensitivity(guidance, speed_kmh, {"seed": 101} if setting == tuning.LOOP else None)
-    largest, margin = (float("inf"), 0.0) if found is None else (peak(found), disk_margin(found))
+    largest, margin = (float("inf"), 0.0) if found is None else (float(np.abs(found).max()), disk_margin(found))
     return {"peak_sensitivity": largest, "disk_margin": margin}, None
-
-
-def failed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Whether a run derailed or reached the flanges."""
-    return {"failed": run.failed or metrics.reaches_flange(run.series)}, None
 
 
 def main() -> None:

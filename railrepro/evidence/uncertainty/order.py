@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pandas as pd
-
 from railrepro import paths
 from railrepro.control import registry
-from railrepro.data import InputError, write
+from railrepro.data import write
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.evidence.runs.experiment import Experiment
+from railrepro.evidence.runs.experiment import Experiment, run_all
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track.alignment import Alignment, alignments, superelevation_angle
 from railrepro.vehicle.parameters import load_vehicle
@@ -28,6 +25,8 @@ SETTINGS = ("paper", "equal")
 SEEDS = (101, 102, 103)
 """Of the noise; tuning used others."""
 _GROUPS = ("lateral", "gyro", "wheel_speed", "speed", "position")
+_COLUMNS = ("axis", "value", "unit", "setting", "controller", "seed")
+_COLUMNS += ("rmse_mm", "drift_mm", "effort_Nm", "failed", "ended")
 
 
 def _noisy(factor: float) -> dict:
@@ -86,18 +85,8 @@ def experiments(axis: str, value, setting: str, controller: str) -> list[Experim
     return found
 
 
-def row(run: Experiment) -> dict:
-    """Numbers of a run of `experiments`; of one that derailed only how it ended."""
-    found, _ = run()
-    numbers = {"rmse_mm": 1e3 * found["rmse_y"], "drift_mm": 1e3 * found["mean_error_last_third"]}
-    numbers |= {"effort_Nm": float(found["effort_du"])}
-    return run.label | ({} if found["failed"] else numbers) | {"failed": bool(found["failed"]), "ended": found["ended"]}
-
-
 def canted(track: Alignment, acceleration: float) -> Alignment:
     """A curve entry with the cant that leaves an unbalanced acceleration (m/s2) at its design speed."""
-    if track.design_speed is None:
-        raise InputError(f"track {track.name}: has no design speed, so no cant follows from an acceleration")
     start, ramp, arc = track.segments
     angle = superelevation_angle(track.design_speed, 1 / arc.kappa[0], acceleration)
     return replace(track, segments=(start, replace(ramp, phi=(0.0, angle)), replace(arc, phi=(angle, angle))))
@@ -112,6 +101,8 @@ def main() -> None:
         for name in (CONTROLLERS[1:] if axis == "bandwidth" else CONTROLLERS)
         for value in values
     ]
-    with executor() as pool:
-        rows = ordered_map(pool, row, [run for case in cases for run in experiments(*case)], "where the order turns")
-    write(paths.product("data/results/order_turns.csv"), pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
+    table, _ = run_all([run for case in cases for run in experiments(*case)], "where the order turns")
+    table = table.rename(columns={"effort_du": "effort_Nm"})
+    table = table.assign(rmse_mm=1e3 * table["rmse_y"], drift_mm=1e3 * table["mean_error_last_third"])
+    text = table[[*_COLUMNS]].to_csv(index=False, float_format="%.6g")
+    write(paths.product("data/results/order_turns.csv"), text)

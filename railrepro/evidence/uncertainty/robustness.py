@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from railrepro import data, paths
+from railrepro import paths
 from railrepro.control.registry import CONTROLLERS, PAPER_TRIO
 from railrepro.data import write
 from railrepro.evidence.claims import statements
@@ -117,7 +117,7 @@ def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
     task, base = tuning.load_task(setting=setting), tuning.load(name, setting)["parameters"]
     if name in task.designed:
         return base
-    runs = [run for run in task.runs if run.name in ("T3", "sine", "poor")]
+    runs = [run for run_name, run in task.runs.items() if run_name in ("T3", "sine", "poor")]
     preview = CONTROLLERS[name].preview
     best, chosen = np.inf, base
     for scale in (0.1, 1.0, 10.0) if preview else (0.7, 1.0, 1.4):
@@ -127,12 +127,6 @@ def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
         cost = sum(run_cost(parts, task.cost) for parts in driven_runs)
         best, chosen = (cost, parameters) if cost < best else (best, chosen)
     return chosen
-
-
-def evidence(row: dict, spread: Mapping | None = None) -> statements.Evidence:
-    """What a row of robustness_samples.csv shows, with the spread between seeds of the nominal case."""
-    metrics = {tuple(name.split("/")): value for name, value in row.items() if name.count("/") == 2 and value == value}
-    return statements.Evidence(metrics, spread or {})
 
 
 def ties(settings: Iterable[str]) -> dict[str, Mapping]:
@@ -150,7 +144,8 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
     spread = ties(table["setting"].unique())
     rows = []
     for row in table.to_dict("records"):
-        found, seen = {}, evidence(row, spread[row["setting"]])
+        metrics = {tuple(key.split("/")): value for key, value in row.items() if key.count("/") == 2 and value == value}
+        found, seen = {}, statements.Evidence(metrics, spread[row["setting"]])
         for identity, statement in known.items():
             try:
                 found[identity] = statement.judge(statements.find(identity, seen)) == statements.REPRODUCED
@@ -181,31 +176,29 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
-    """`shares`, and the parameters that may decide each statement by rank correlation over the samples."""
+    """`shares` of a setting, and the parameters that may decide each statement by rank correlation over its samples."""
     found, judged = shares(table), holds(table)
-    factors = pd.DataFrame([dict(sample.values) for sample in samples])
-    deciding = []
-    for row in found.itertuples():
-        chosen = judged[judged["setting"] == row.setting][row.id].dropna().astype(float)
+    factors, deciding = pd.DataFrame([dict(sample.values) for sample in samples]), []
+    for identity in found["id"]:
+        chosen = judged[identity].dropna().astype(float)
         deciding.append(_deciding(factors.loc[chosen.index], chosen))
     return found.assign(candidates=deciding)
 
 
-def confirmed(found: pd.DataFrame, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
+def confirmed(found: pd.DataFrame, setting: str, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
     """Keep of the `candidates` those with which a statement turns when they alone go from one end of their range to the
     other, everything else nominal; `run` makes rows of samples as `evaluate` does.
     """
     ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
-    pairs = list(dict.fromkeys((r.setting, n) for r in found.itertuples() for n in r.candidates))
-    samples = [Sample(i, setting, ((name, value),)) for setting, name in pairs for i, value in enumerate(ends[name])]
+    names = list(dict.fromkeys(name for each in found["candidates"] for name in each))
+    samples = [Sample(i, setting, ((name, value),)) for name in names for i, value in enumerate(ends[name])]
     held = holds(pd.DataFrame(run(samples))) if samples else pd.DataFrame()
-    ends_of = {pair: (held.iloc[2 * i], held.iloc[2 * i + 1]) for i, pair in enumerate(pairs)}
 
-    def turns(row, name: str) -> bool:
-        low, high = (end.get(row.id) for end in ends_of[row.setting, name])
-        return {low, high} == {True, False}
+    def turns(identity: str, name: str) -> bool:
+        first = 2 * names.index(name)
+        return identity in held and set(held[identity].iloc[first : first + 2]) == {True, False}
 
-    decided = [", ".join(n for n in r.candidates if turns(r, n)) for r in found.itertuples()]
+    decided = [", ".join(name for name in row.candidates if turns(row.id, name)) for row in found.itertuples()]
     return found.drop(columns="candidates").assign(decided_by=decided)
 
 
@@ -227,17 +220,6 @@ def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: flo
         chosen = columns[name] / np.sqrt((columns[name] ** 2).sum())
         columns, y = columns - np.outer(chosen, chosen @ columns), y - chosen * (chosen @ y)
     return found
-
-
-def robustness(setting: str, count: int = SAMPLES, quiet: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Samples in a setting; shares with what decides, confirmed by changing one parameter at a time."""
-    data.require("samples", count, data.between(1, 4096), whole=True)
-    tuning.load_task(setting=setting)
-    samples = draw(count, settings=(setting,))
-    with executor() as pool:
-        table = pd.DataFrame(ordered_map(pool, evaluate, samples, f"robustness, {setting}", quiet))
-        found, title = candidates(table, samples), f"one at a time, {setting}"
-        return table, confirmed(found, lambda single: ordered_map(pool, evaluate, single, title, quiet))
 
 
 POLES = (10, 15, 20, 25, 30, 35, 40, 50, 60, 70, 80)
@@ -268,12 +250,21 @@ def over_poles(quiet: bool = False) -> pd.DataFrame:
         )
 
 
+def study(setting: str, count: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Samples in a setting; shares with what decides, confirmed by changing one parameter at a time."""
+    samples = draw(count, settings=(setting,))
+    with executor() as pool:
+        table = pd.DataFrame(ordered_map(pool, evaluate, samples, f"robustness, {setting}"))
+        found, title = candidates(table, samples), f"one at a time, {setting}"
+        return table, confirmed(found, setting, lambda single: ordered_map(pool, evaluate, single, title))
+
+
 def main(samples: int | None = None) -> None:
     """Run the study in all settings and write its tables; `samples` is `SAMPLES` unless given."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in tuning.SETTINGS:
-        finished.append(robustness(setting, SAMPLES if samples is None else samples))
+        finished.append(study(setting, samples or SAMPLES))
         table, found = (pd.concat(tables) for tables in zip(*finished, strict=True))
         write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
         write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))

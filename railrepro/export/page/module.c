@@ -13,7 +13,7 @@ EXPORT(outputs) double *module_outputs(void) { return fmu.y; }
 EXPORT(parameters) double *module_parameters(void) { return fmu.parameters; }
 /* The road, to be filled before the start. */
 EXPORT(cells) double *module_cells(void) { return CELLS; }
-#ifdef N_TORQUE
+#ifdef LAW_ARG  /* a controller */
 /* The road as it was laid at the start. */
 EXPORT(laid) double *module_laid(void) { return fmu.cells; }
 /* Differential torques of a slower controller of one's own, front and rear (N m). */
