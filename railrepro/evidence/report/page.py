@@ -351,9 +351,12 @@ def _number(value: float, unit: str = "") -> str:
 
 
 def _cell(row) -> str:
-    """Write mark and value in a setting, with the share of samples in which it holds and its interval."""
-    around = f"; {100 * row.share:.0f} [{100 * row.share_low:.0f}, {100 * row.share_high:.0f}]"
-    return f"{MARKS[row.judged]} {_number(row.measured_value, row.unit)}{around if np.isfinite(row.share) else ''}"
+    """Write mark and value in a setting, with the share of samples in which it holds, its interval for the headline."""
+    found = f"{MARKS[row.judged]} {_number(row.measured_value, row.unit)}"
+    if not np.isfinite(row.share):
+        return found
+    around = f" [{100 * row.share_low:.0f}, {100 * row.share_high:.0f}]" if row.setting == claims.HEADLINE else ""
+    return f"{found}; {100 * row.share:.0f}{around}"
 
 
 def _source(notebook: str, product: str) -> str:
