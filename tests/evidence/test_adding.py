@@ -43,12 +43,7 @@ reason = "a count"
 evidence = "data/results/table1.csv"
 notebook = "01_tracks"
 """
-PREDICATE = """
-
-@value("C99")
-def _four_tracks(e):
-    return float(len(e.table("table1")))
-"""
+PREDICATE = '    "C99": lambda e: float(len(e.table("table1"))),\n'
 CONTROLLER = (
     'CONTROLLERS["own"] = Controller(lambda settings: settings, lambda p: StateFeedback(**p), False, "own gear")\n'
 )
@@ -127,7 +122,7 @@ def test_what_is_added_works_and_leaves_the_tuned_sets_valid(copy):
     add(copy / "data/scenarios.toml", SCENARIO)
     add(copy / "data/irregularities.toml", QUALITY)
     add(copy / "data/claims.toml", CLAIM)
-    add(copy / "railrepro/evidence/claims/statements.py", PREDICATE)
+    insert(copy / "railrepro/evidence/claims/statements.py", '    "C44": _similar_times', PREDICATE)
     (copy / "drive.py").write_text(DRIVE)
     run(copy, "drive.py")
     (copy / "example.py").write_text(example + "assert not run.failed\n" + slower + "assert not run.failed\n")
