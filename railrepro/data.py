@@ -145,7 +145,10 @@ DISTINCT = pydantic.AfterValidator(_distinct)
 
 
 def _finite(value):
-    json.dumps(value, allow_nan=False, default=str)  # refuses what is not finite
+    try:
+        json.dumps(value, allow_nan=False, default=str)
+    except ValueError:
+        raise ValueError(f"has {reprlib.repr(value)}, finite numbers are needed") from None
     return value
 
 

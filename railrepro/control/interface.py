@@ -13,9 +13,10 @@ from railrepro.quantities import WHEELS, group, names
 MeasuredWheel = group("MeasuredWheel", "adhesion -, sx -, w rad/s")
 Measured = group("Measured", {"front": GearStates, "rear": GearStates}, dict.fromkeys(WHEELS, MeasuredWheel))
 """Outputs of the car that the law measures: states of both gears; adhesion, slip and speed of the wheels."""
-GearMargin = group("GearMargin", "lateral m")
+GearMargin = group("GearMargin", "lateral m, torque -")
 Margins = group("Margins", {"front": GearMargin, "rear": GearMargin}, "track_end m, stop_speed m/s")
-"""Distances to the limits of a run, which goes on while all are positive: displacements, end of the track, speed."""
+"""Distances to the limits of a run, which goes on while all are positive: displacements, end of the track, speed. That
+of a torque is 1, or 0 where the lateral law gives no finite number, which the torque limit would hide."""
 Limits = group("Limits", "lateral m, track_end m, stop_speed m/s")
 """Where a run ends: displacement of a gear, coordinate of the front gear, its speed."""
 ReadGear = group("ReadGear", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s")

@@ -154,7 +154,8 @@ class Signature:
 
 def gains_of(law: LateralLaw) -> dict[str, float]:
     """Run-time numbers of a law by name; InputError when they are no finite numbers."""
-    gains = law.gains() if hasattr(law, "gains") else {}
+    gains = getattr(law, "gains", dict)
+    gains = gains() if callable(gains) else gains
     for name, value in gains.items():
         if not is_number(value):
             raise InputError(f"{_owner(law)}: gain {name!r} is {value!r}, a finite number is needed")

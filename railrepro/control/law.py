@@ -255,14 +255,15 @@ def function(signature: LawSignature) -> ca.Function:
     gears = [view(g, measured, named(COLUMNS, rows[:, g]), gain, memory) for g in range(len(GEARS))]
     given = zip(gears, _tracks(gears), ca.vertsplit(held), strict=True)
     results = [_cycle(signature, *of_gear) for of_gear in given]
-    command = [torque for torques, _, _ in results for torque in torques]
-    following = signature.Memory(memory.ticks + 1, *(stored for _, stored, _ in results))
+    command = [torque for torques, *_ in results for torque in torques]
+    following = signature.Memory(memory.ticks + 1, *(stored for _, stored, *_ in results))
     record = signature.Records(
-        *(entry for entries in zip(*(kept for _, _, kept in results), strict=True) for entry in entries)
+        *(entry for entries in zip(*(kept for _, _, kept, _ in results), strict=True) for entry in entries)
     )
     truth, limit = gears[0].truth, gain.limit
-    lateral_margins = (limit.lateral - ca.fabs(gear.truth.y_TrAx) for gear in gears)
-    margins = unpack(interface.Margins, [*lateral_margins, limit.track_end - truth.x, truth.xdot - limit.stop_speed])
+    of_gears = [(limit.lateral - ca.fabs(gear.truth.y_TrAx), end[-1]) for gear, end in zip(gears, results, strict=True)]
+    ends = limit.track_end - truth.x, truth.xdot - limit.stop_speed
+    margins = unpack(interface.Margins, [*of_gears[0], *of_gears[1], *ends])
     outputs = {"command": command, "memory_next": pack(following), "record": pack(record), "margins": pack(margins)}
     return ca.Function(
         "control_law",
@@ -287,8 +288,8 @@ def _tracks(gears: list[MeasuredGear]) -> list:
     ]
 
 
-def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX) -> tuple[list, Any, list]:
-    """Torques of both wheels of a gear (N m), its next memory, and what the log keeps of it."""
+def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX) -> tuple[list, Any, list, ca.SX]:
+    """Torques of both wheels of a gear (N m), its next memory, what the log keeps of it, and `GearMargin.torque`."""
     gain, model, old = gear.gain, gear.gain.model, gear.memory
     state, f, s = gear.look(track)
     f_star = gear.cell["force"] / (2 * gain.nominal_load)
@@ -300,6 +301,7 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
     groups = [*pack(state), xddot, held], pack(track), old.lateral, gain.lateral, [*pack(model), tau_max]
     lateral_law = ca.Function.deserialize(signature.lateral.text)
     du, following = lateral_law(*(ca.vertcat(*entries) for entries in groups))
+    is_finite = ca.fabs(du) < np.inf
     du *= ca.fmin(ca.fmax(state.xdot / GUIDANCE_FADE, 0), 1)
     tau_le, tau_ri, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
     torques, sensed = gear.send([tau_le, tau_ri], track)
@@ -308,4 +310,4 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
     record: list[Any] = [interface.Record(u_d, du, tau_long, f_star, segment, y_ref)]
     if signature.sensed:
         record.append(unpack(interface.EstimatedRecord, [*pack(state), *f, *s, track.y_ref]))
-    return torques, type(old)(**stored, **sensed), record
+    return torques, type(old)(**stored, **sensed), record, is_finite

@@ -82,6 +82,8 @@ class PredictiveController:
         Of the control model and of its forecast, see `forecast.NOMINAL`.
     mode : int
         How a problem is solved, see `LINEAR`.
+    drive : ndarray
+        Numbers of the drive, from which the torque limit follows.
     c : ctypes.Structure
         `planner_t` of planner.c.
     """
@@ -146,8 +148,8 @@ class PredictiveController:
         return torque
 
     def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
-        """See `lateral.CompiledController`; None for a class with a `plan` of its own."""
-        if type(self).plan is not PredictiveController.plan:
+        """See `lateral.CompiledController`; None for a class of one's own, which may change what a sample is."""
+        if type(self) not in (NMPC, LTVMPC):
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
 

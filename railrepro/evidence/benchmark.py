@@ -187,7 +187,7 @@ def load_class(file: Path) -> type:
 def fault(error: BaseException, file: Path) -> str:
     """What a user's code raised, in one sentence with the line of the file where there is one."""
     lines = [each.lineno for each in traceback.extract_tb(error.__traceback__) if each.filename == str(file)]
-    if isinstance(error, SyntaxError):
+    if isinstance(error, SyntaxError) and error.filename == str(file):
         lines.append(error.lineno)
     where = f"{file.name}, line {lines[-1]}" if lines else file.name
     kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from string import Template
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -110,7 +111,8 @@ class Fmu:
             edges = f'start="{one.value!r}" min="{one.low!r}" max="{one.high!r}"'
             shown.append((one.name, "parameter", "fixed", edges + (f' unit="{one.unit}"' if _has_unit(one) else "")))
         variables = (
-            f'<ScalarVariable name="{name}" valueReference="{i}" causality="{causality}" variability="{variability}">'
+            f'<ScalarVariable name={quoteattr(name)} valueReference="{i}" causality="{causality}" '
+            f'variability="{variability}">'
             f"<Real {number}/></ScalarVariable>"
             for i, (name, causality, variability, number) in enumerate(shown)
         )

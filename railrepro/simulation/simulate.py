@@ -11,7 +11,6 @@ import math
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -52,7 +51,7 @@ class Run:
     warnings : tuple of str
         Where the run left the validity of the models, one sentence each.
     controllers : tuple
-        The slower lateral controllers of front and rear gear, if any, with their solver statistics.
+        The slower lateral controllers of front and rear gear, if any; `fallbacks` counts samples without a solution.
     memory : dict
         States of the law at the end by name, see `law.LawSignature.memory`.
     """
@@ -118,8 +117,10 @@ def run(
     lateral_law, factory = lateral.split(guidance)
     with one_thread():
         controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
-        around = {"adhesion": adhesion, "fixed_share": fixed_share, "sensors": sensors}
-        loop = start(scenario, lateral_law, route, vehicle, body, substeps, **around)
+        loop = start(
+            scenario, lateral_law, route, vehicle, body, substeps,
+            adhesion=adhesion, fixed_share=fixed_share, sensors=sensors,
+        )  # fmt: skip
         longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
         log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
     series = pd.DataFrame(log, columns=loop.columns)
@@ -147,21 +148,22 @@ def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tu
 
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    substeps: int = 1, **around: Any,
+    substeps: int = 1, *, adhesion: AdhesionSettings | None = None, fixed_share: float = 0.0,
+    sensors: Readings | None = None,
 ) -> ClosedLoop:  # fmt: skip
     """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
 
     Parameters
     ----------
-    scenario, guidance, vehicle, substeps, around
-        See `run`; `around` are adhesion, fixed_share and sensors.
+    scenario, guidance, vehicle, substeps, adhesion, fixed_share, sensors
+        See `run`.
     route : Route
         That of the scenario.
     body : Vehicle
         The car itself.
     """
-    around |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, guidance, **around)
+    limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    control = law.control_law(vehicle, guidance, adhesion, fixed_share, sensors, **limits)
     car = SteppedCar(route, scenario.speed, body, scenario.good, scenario.poor, substeps=substeps)
     return ClosedLoop(car, control)
 
@@ -220,6 +222,8 @@ def _reason(loop: ClosedLoop, series: pd.DataFrame) -> tuple[str, bool]:
     if broken:
         return f"{broken[0]} is not a finite number {at}", True
     passed = next((name for name, margin in loop.margins.items() if margin <= 0), "")
+    if passed.endswith(".torque"):
+        return f"the lateral law of the {passed.removesuffix('.torque')} gear gave no finite torque {at}", True
     if passed.endswith(".lateral"):
         gear = passed.removesuffix(".lateral")
         return f"{gear} gear derailed, |y| = {1e3 * abs(last[f'{gear}.y']):.1f} mm {at}", True

@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
+from railrepro.evidence.runs.experiment import Experiment
+from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS
 from railrepro.track.table import load_track
@@ -125,3 +127,15 @@ def test_a_planned_line_is_added_to_the_set_point():
     added = both.reference_at(inside)[0] - plain.reference_at(inside)[0]
     assert added == pytest.approx([expected], rel=1e-9)
     assert np.array_equal(both.reference_at(outside), plain.reference_at(outside))
+
+
+def test_preview_makes_the_set_point_follow_the_rails():
+    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=160, end_m=200)
+    numbers = {"pole": 30.0, "frequency": 30.0, "damping": 1.0}
+    errors = {}
+    for name, known in (("none", {}), ("exact", {"share": 1.0}), ("late", {"localisation_error_m": 10.0})):
+        experiment = Experiment(
+            scenario, "ndi_feedforward", parameters=numbers, irregular={"spectrum": "en_B_300"}, preview=known
+        )
+        errors[name] = experiment()[0]["rail_rmse_y"]
+    assert errors["exact"] < 0.6 * errors["none"] and errors["late"] > 1.5 * errors["exact"]

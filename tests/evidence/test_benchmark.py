@@ -36,6 +36,8 @@ FAULTS = {
     "throws": (SLOW.format("return 1 / 0"), "own.py, line 7: ZeroDivisionError: division by zero"),
     "gives nothing": (SLOW.format("pass"), "returned None at t = 0.000 s, p = 0.0 m; a finite number"),
     "no period": (SLOW.format("return 0.0").replace("period =", "rhythm ="), "Mine: period is None, a number"),
+    "law that is NaN": (LAW.format("return float('nan') * q.held"), "the lateral law of the front gear gave no finite"),
+    "law that becomes NaN": (LAW.format("return (q.held - 1) ** 0.5"), "gave no finite torque at t = 0.000 s"),
     "law without its symbol": (LAW.format("return q.height"), "own.py, line 4: lateral law Own: torque() asks for"),
     "wrong setting": (LAW.format("return 0 * q.held") + "    tuned = {'paper': {}}", "`tuned` has ['paper']"),
     "derails": (SLOW.format("return 3000.0"), "gear derailed, |y| = 30."),

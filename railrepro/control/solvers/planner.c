@@ -110,7 +110,8 @@ double planner_take(planner_t *p, int failed) {
     p->expected_y = h->x[N + STATE_y_TrAx] + (p->mode == LINEAR ? h->dx[N + STATE_y_TrAx] : 0);
   }
   for (casadi_int k = 0; k < h->steps; ++k) p->plan[k] = bounded(h, p->plan[k]);
-  p->started = !failed, p->fallbacks += failed != 0;
+  p->started = !failed;
+  p->fallbacks += failed != 0;
   return p->plan[0];
 }
 

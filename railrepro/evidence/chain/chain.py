@@ -14,10 +14,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import tomllib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,6 +40,8 @@ Reads = dict[str, list[str]]
 Inputs = dict[str, str]
 """What the products of a notebook depend on by its name, and the hash of each."""
 EDITED = "an input was edited while it ran"
+_ENDING = threading.Event()
+"""Set when the chain is interrupted, so that no thread starts another kernel."""
 _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
 
 
@@ -214,6 +218,8 @@ def _kernel(started: dict):
 
     class Kernel(AsyncKernelManager):
         def start_kernel(self, **options):
+            if _ENDING.is_set():
+                raise RuntimeError("the chain was interrupted")
             return super().start_kernel(**options, **started)
 
     return Kernel(kernel_spec_manager=KernelSpecManager(kernel_dirs=[]))
@@ -407,8 +413,10 @@ def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
         _say(f"{len(stale)} of {len(wanted)} notebooks are stale")
         for name, why in stale.items():
             _say(f"{name} is stale: {why}")
-        failed = _run_all([notebooks[name] for name in stale], refresh, jobs)
-        _write_manifests(notebooks, wanted - failed.keys())
+        try:
+            failed = _run_all([notebooks[name] for name in stale], refresh, jobs)
+        finally:
+            _write_manifests(notebooks, {name for name in wanted if not why_stale(notebooks[name])})
     for name in sorted(wanted):
         if false := false_sentences(notebooks[name].executed):
             _say(f"{name}: {_counted(false)} with these values")
@@ -430,6 +438,7 @@ def _run_all(notebooks: Sequence[Notebook], task: Task, jobs: int | None = None)
         task(notebook, workers)
 
     pool = ThreadPoolExecutor(jobs)
+    _ENDING.clear()
     try:
         longest_first = sorted(notebooks, key=lambda notebook: -left[notebook.name])
         futures = {pool.submit(one, notebook): notebook.name for notebook in longest_first}
@@ -438,22 +447,24 @@ def _run_all(notebooks: Sequence[Notebook], task: Task, jobs: int | None = None)
             del left[name]
             try:
                 future.result()
-            except InputError as error:
-                failed[name] = str(error)
-                _say(f"error: {error}")
+            except Exception as error:  # whatever it is, the other notebooks go on
+                failed[name] = str(error) if isinstance(error, InputError) else f"{name}: {error!r}"
+                _say(f"error: {failed[name]}")
                 continue
             rest = max([0.0, *left.values(), sum(left.values()) / jobs])
             _say(f"{name}: done; {len(left)} left" + (f", about {max(1, round(rest))} min" if left else ""))
     except BaseException:
+        _ENDING.set()
         pool.shutdown(wait=False, cancel_futures=True)
         for process in psutil.Process().children(recursive=True):  # kernels, which would go on
-            process.kill()
+            with suppress(psutil.Error):
+                process.kill()
         raise
     return failed
 
 
 def _say(words: str) -> None:
-    print(words, file=sys.stderr, flush=True)
+    print(words + "\n", end="", file=sys.stderr, flush=True)  # at once: several notebooks speak
 
 
 def _write_manifests(notebooks: dict[str, Notebook], names: set[str]) -> None:

@@ -63,6 +63,8 @@ def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
 def summary(entries: pd.DataFrame) -> str:
     """How many entries have which outcome, and which one is farthest apart."""
     text = ", ".join(f"{(entries['outcome'] == outcome).sum()} {outcome}" for outcome in OUTCOMES)
+    if entries.empty:
+        return text
     worst = entries.iloc[entries["apart"].argmax()]
     return text + (f"; largest difference {worst['apart']:.1e} in {worst['name']}" if worst["apart"] else "")
 

@@ -62,7 +62,9 @@ def _marks(
     figure, axes = figures.new_figure(height=height * len(rows) + around)
     for identity, column, verdict in zip(ids, columns, judged, strict=True):
         axes.plot(order.index(column), rows.index(identity), **_DOT | _MARKS[verdict])
-    axes.set_yticks(range(len(rows)), short_names().reindex(rows), fontsize=6.5)
+    axes.set_yticks(
+        range(len(rows)), short_names().reindex(rows).fillna(dict(zip(rows, rows, strict=True))), fontsize=6.5
+    )
     axes.set_ylim(len(rows) - 0.4, -0.6)
     shown = [Line2D([], [], label=name, **_DOT | look) for name, look in _MARKS.items() if name in set(judged)]
     figure.legend(handles=shown, ncols=5, loc="outside lower center", handletextpad=0.2, columnspacing=1.0)

@@ -5,6 +5,7 @@ Notebooks and studies are lists of these; the executor decides where they run, a
 
 from __future__ import annotations
 
+import inspect
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -99,6 +100,8 @@ class Experiment:
 
     def __post_init__(self) -> None:
         require("experiment: scenario", self.scenario, Scenario)
+        for name in ("vehicle", "plant", "sensors", "irregular", "preview"):
+            require(f"experiment: {name}", getattr(self, name), dict)
 
     def car(self) -> Vehicle:
         """The car that is driven, with all changes."""
@@ -116,6 +119,9 @@ class Experiment:
             return None, None
         if not self.irregular:
             raise InputError("preview: the track is ideal, `irregular` is needed to know anything of it")
+        allowed = [name for name in inspect.signature(preview.plan).parameters if name != "frame"]
+        if unknown := sorted(set(self.preview) - set(allowed)):
+            raise InputError(f"preview: {unknown[0]!r} is not known; there are {allowed}")
         return _rails(self.scenario.end_m, json.dumps(self.irregular), json.dumps(self.preview))
 
     def run(self) -> simulate.Run:

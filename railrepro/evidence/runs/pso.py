@@ -164,6 +164,8 @@ def minimise(
     """
     for name, value, least in (("particles", particles, 1), ("iterations", iterations, 1), ("seed", seed, 0)):
         require(f"swarm: {name}", value, between(least, 2**63), whole=True)
+    if not dimensions:
+        raise InputError("swarm: there are no dimensions, at least one is needed")
     swarm = Swarm(dimensions, particles, seed, start)
     with tqdm(total=iterations, desc=title, unit="iteration", disable=not title) as bar:
         while swarm.iteration < iterations and not swarm.stagnant(patience):
