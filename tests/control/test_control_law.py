@@ -146,6 +146,7 @@ def test_margins_are_distances_to_the_limits():
     y = measured(**{"front.y": -0.01, "rear.y": 0.025, "front.p": 870.0, "rear.p": 856.0, "front.v": 0.3})
     margins = call(y)[3]
     expected = {"front.lateral": 0.02, "rear.lateral": 0.005, "track_end": 30.0, "stop_speed": 0.2}
+    expected |= {"front.torque": 1.0, "rear.torque": 1.0}
     assert margins == pytest.approx(expected)
 
 
