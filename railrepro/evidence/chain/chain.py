@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -232,6 +233,7 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bo
 
     if unknown := parameters.keys() - papermill.inspect_notebook(str(notebook.path)).keys():
         return None, f"has no parameter {min(unknown)!r}"
+    logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what fails is said in one sentence
     output, failure = staging / "executed.ipynb", ""
     with tempfile.TemporaryFile() as beside:  # what it writes beside its cells, as a traceback while it is stopped
         kernel = _kernel({"env": _environment(staging, workers), "cwd": str(paths.ROOT), "stderr": beside})
