@@ -31,6 +31,11 @@ def test_the_uncalibrated_car_is_the_nominal_one_on_s1002_with_the_sets_of_paper
     assert as_given.car() == setup.car() and as_given.braking() == setup.braking()
 
 
+def test_a_single_entry_of_a_sweep_follows_the_whole_one():
+    values = {"brake_sweep": {"amplitude_mm": 2.0, "end_m": 800.0}, "brake_sweep:end_m": 700.0}
+    assert calibrated.setup(values).brake_sweep == {"amplitude_mm": 2.0, "end_m": 700.0}
+
+
 def test_a_choice_is_put_back_alone():
     values = {name: choice.value for name, choice in CHOICES.items()}
     cases = calibrated.alone(CHOICES)

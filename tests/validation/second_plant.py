@@ -122,17 +122,16 @@ def probed(task: tuple[str, str]) -> list[tuple]:
 
 def verdicts(rows: list[tuple]) -> pd.DataFrame:
     """Verdicts of the statements that the probes of both plants answer: id, statement, project, exudyn."""
-    evidence = {
-        plant: statements.Evidence({tuple(key): value for of, *key, value in rows if of == plant}) for plant in PLANTS
+    found = {
+        plant: statements.findings(statements.Evidence({tuple(key): value for of, *key, value in rows if of == plant}))
+        for plant in PLANTS
     }
-    found = []
-    for identity, rule in statements.load().items():
-        try:
-            judged = {plant: rule.judge(statements.find(identity, evidence[plant])) for plant in PLANTS}
-        except (KeyError, statements.MissingEvidence):
-            continue
-        found.append({"id": identity, "statement": rule.statement} | judged)
-    return pd.DataFrame(found)
+    judged = [
+        {"id": identity, "statement": rule.statement} | {plant: rule.judge(found[plant][identity]) for plant in PLANTS}
+        for identity, rule in statements.load().items()
+        if all(identity in found[plant] for plant in PLANTS)
+    ]
+    return pd.DataFrame(judged)
 
 
 def main(_names: list[str]) -> None:

@@ -415,10 +415,16 @@ def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
         _say(f"{len(stale)} of {len(wanted)} notebooks are stale")
         for name, why in stale.items():
             _say(f"{name} is stale: {why}")
+        fresh = wanted - stale.keys()
+
+        def renew(notebook: Notebook, workers: int) -> None:
+            refresh(notebook, workers)
+            fresh.add(notebook.name)
+
         try:
-            failed = _run_all([notebooks[name] for name in stale], refresh, jobs)
+            failed = _run_all([notebooks[name] for name in stale], renew, jobs)
         finally:
-            _write_manifests(notebooks, {name for name in wanted if not why_stale(notebooks[name])})
+            _write_manifests(notebooks, fresh)
     for name in sorted(wanted):
         if false := false_sentences(notebooks[name].executed):
             _say(f"{name}: {_counted(false)} with these values")

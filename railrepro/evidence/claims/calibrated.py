@@ -26,7 +26,7 @@ from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.probe import probe
 from railrepro.evidence.claims.setup import ProbeSetup, setup
-from railrepro.evidence.claims.statements import LOSS, REPRODUCED, Evidence, MissingEvidence
+from railrepro.evidence.claims.statements import LOSS, REPRODUCED, Evidence
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.simulation.scenarios import load_scenario
 
@@ -35,10 +35,18 @@ PARTS = ("curve", "sine", "loss", "brake")
 SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
 CONFLICTS = {
-    "shortest wave of Fig. 9 (m)": ("brake", (10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0)),
-    "friction of the poor rail (-)": ("loss", (0.100, 0.104, 0.108, 0.110, 0.112, 0.114, 0.116, 0.118, 0.120, 0.122)),
+    "shortest wave of Fig. 9 (m)": (
+        "brake_sweep:period_end_m",
+        "brake",
+        (10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0),
+    ),
+    "friction of the poor rail (-)": (
+        "adhesion.poor.mu0",
+        "loss",
+        (0.100, 0.104, 0.108, 0.110, 0.112, 0.114, 0.116, 0.118, 0.120, 0.122),
+    ),
 }
-"""Choices that one statement wants large and another small: the part of the probe that shows it, and their values."""
+"""Choices that one statement wants large and another small: name (see `setup`), part of the probe, and levels."""
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
@@ -124,14 +132,11 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
     holds.
     """
     evidence = Evidence({(s, c, m): v for s, c, m, v in probe(world, parts)})
-    rows = []
+    rows, found = [], statements.findings(evidence)
     for identity, rule in statements.load().items():
-        if identity not in MATCHED:
+        if identity not in MATCHED or identity not in found:
             continue
-        try:
-            finding = statements.find(identity, evidence)
-        except MissingEvidence:
-            continue
+        finding = found[identity]
         margins = [
             sign * (finding.value / limit - 1)
             for sign, limit in ((1, rule.above), (-1, rule.below))
@@ -149,20 +154,15 @@ def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]
     return [(name, back, values | {name: back}) for name, back in put_back.items() if back != values[name]]
 
 
-def conflict(choice: str, value: float) -> pd.DataFrame:
-    """What the statements of one of `CONFLICTS` find at a value of its choice.
+def conflict(choice: str, level: float) -> pd.DataFrame:
+    """What the statements of one of `CONFLICTS` find at a level of its choice.
 
-    Columns of `judged`, choice, level (its value), peak_m (where Fig. 8 first passes the adhesion peak, else nan).
+    Columns of `judged`, choice, level, peak_m (where Fig. 8 first passes the adhesion peak, nan for Fig. 9).
     """
-    values = {name: choice.value for name, choice in load().items()}
-    part = CONFLICTS[choice][0]
-    if part == "brake":
-        changed: dict[str, Any] = {"brake_sweep": values["brake_sweep"] | {"period_end_m": value}}
-    else:
-        changed = {"adhesion.poor.mu0": value}
-    world = setup(values | changed)
+    name, part, _ = CONFLICTS[choice]
+    world = paper_like(**{name: level})
     peak = peak_passed(world) if part == "loss" else np.nan
-    return judged(world, [part]).assign(choice=choice, level=value, peak_m=peak)
+    return judged(world, [part]).assign(choice=choice, level=level, peak_m=peak)
 
 
 def peak_passed(world: ProbeSetup) -> float:
@@ -190,7 +190,7 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
     moves = [(size, draw) for size in SIZES for draw in range(draws)]
     cases = [values, *(case for *_, case in one_back), *(perturbed(choices, size, draw) for size, draw in moves)]
-    points = [(name, value) for name, (_, of) in CONFLICTS.items() for value in of]
+    points = [(choice, level) for choice, (*_, levels) in CONFLICTS.items() for level in levels]
     with executor() as pool:
         whole, *rest = ordered_map(pool, lambda case: judged(setup(case)), cases, "calibrated car", quiet)
         conflicts = ordered_map(pool, lambda point: conflict(*point), points, "conflicts", quiet)

@@ -166,7 +166,9 @@ def setup(
         part, colon, key = name.partition(":")
         if name in (LTV_R, POLE):
             continue  # set above, before single parameters of these controllers
-        if name in FIELDS:
+        if name == "brake_sweep":
+            parts[name] |= value  # single entries of it follow
+        elif name in FIELDS:
             own[name] = tuple(value) if isinstance(value, list) else value
         elif colon and part in parts:
             parts[part][key] = value

@@ -145,13 +145,9 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for row in table.to_dict("records"):
         metrics = {tuple(key.split("/")): value for key, value in row.items() if key.count("/") == 2 and value == value}
-        found, seen = {}, statements.Evidence(metrics, spread[row["setting"]])
-        for identity, statement in known.items():
-            try:
-                found[identity] = statement.judge(statements.find(identity, seen)) == statements.REPRODUCED
-            except statements.MissingEvidence:
-                continue
-        rows.append({name: row[name] for name in LABELS} | found)
+        found = statements.findings(statements.Evidence(metrics, spread[row["setting"]]))
+        held = {name: one.judge(found[name]) == statements.REPRODUCED for name, one in known.items() if name in found}
+        rows.append({name: row[name] for name in LABELS} | held)
     return pd.DataFrame(rows)
 
 
