@@ -2,16 +2,12 @@
 
 The number of threads decides in which order sums are taken. The commands of `python -m railrepro` set environment
 variables, which libraries read when they load (`fix`), and make takes them from here: as a script this prints them. All
-processors with AVX2 take the same path, also those that know wider registers. A run without these commands has one
-thread for its time (`one_thread`).
+processors with AVX2 take the same path, also those that know wider registers. The matrices of a run are too small for
+OpenBLAS to share them out among threads, so a run without these commands has the same digits.
 """
 
-import ctypes
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 
 ALWAYS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -21,9 +17,7 @@ WITH_AVX2 = {
     "NPY_DISABLE_CPU_FEATURES": "AVX512F,AVX512CD,AVX512_SKX,AVX512_CLX,AVX512_CNL,AVX512_ICL,AVX512_SPR",
 }
 """Where the caller says nothing else."""
-_PROCESSOR, _LOADED = Path("/proc/cpuinfo"), Path("/proc/self/maps")
-_STEM = "openblas_{}_num_threads"
-_NAMES = (f"scipy_{_STEM}64_", f"scipy_{_STEM}", f"{_STEM}64_", _STEM)
+_PROCESSOR = Path("/proc/cpuinfo")
 
 
 def variables() -> dict[str, str]:
@@ -36,36 +30,6 @@ def fix() -> None:
     """Set them for this process and those that it starts, unless NumPy is loaded and has read others."""
     if "numpy" not in sys.modules:
         os.environ.update(variables())
-
-
-@lru_cache
-def _switches() -> list[tuple[Callable, Callable]]:
-    """Functions that get and set the number of threads of each OpenBLAS that is loaded; NumPy, SciPy have one each."""
-    lines = _LOADED.read_text().splitlines() if _LOADED.exists() else []
-    files = {line.split(maxsplit=5)[-1] for line in lines if "openblas" in line}
-    found = []
-    for library in (ctypes.CDLL(file) for file in sorted(files)):
-        name = next((name for name in _NAMES if hasattr(library, name.format("set"))), None)
-        if name is not None:
-            found.append((getattr(library, name.format("get")), getattr(library, name.format("set"))))
-    return found
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Linear algebra of NumPy and SciPy with one thread for a block, whatever the environment says.
-
-    Where there is no OpenBLAS, or the system does not report what is loaded, nothing changes. Blocks do not overlap:
-    CasADi's objects must not be used by two Python threads at a time.
-    """
-    before = [get() for get, _ in _switches()]
-    try:
-        for _, switch in _switches():
-            switch(1)
-        yield
-    finally:
-        for (_, switch), number in zip(_switches(), before, strict=True):
-            switch(number)
 
 
 if __name__ == "__main__":

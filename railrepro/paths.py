@@ -1,4 +1,4 @@
-"""Where things are; products can be redirected to another folder.
+"""Where files are, products also in another folder; and which of them a notebook reads, noted for the chain.
 
 In a checkout inputs and products lie where one edits them: in its `data`, `figures`, `notebooks`, `build`. The checkout
 is the folder above this package, or `RAILREPRO_ROOT`. An installed package has none: it carries a copy of the inputs
@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import UserDict
+from collections.abc import Iterator
 from pathlib import Path
-
-from railrepro import reads
+from typing import TypeVar
 
 _PACKAGE = Path(__file__).resolve().parent
 _GIVEN = os.environ.get("RAILREPRO_ROOT")
@@ -24,7 +25,12 @@ INSTALLED = not _GIVEN and (_PACKAGE / "data").is_dir()
 ROOT = Path.cwd() if INSTALLED else Path(_GIVEN or _PACKAGE.parent)
 """The checkout, or the working folder where there is none."""
 DATA, FIGURES, NOTEBOOKS, BUILD = (ROOT / name for name in ("data", "figures", "notebooks", "build"))
-reads.follow(ROOT)
+READS = "RAILREPRO_READS"
+"""Environment variable with the file in which a process and those that it starts note what they read."""
+ALL = "*"
+"""Stands for all entries of a file."""
+_noted: set[tuple[str, str, str]] = set()
+Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
@@ -54,3 +60,45 @@ def _redirected() -> Path | None:
         return None
     notebook = os.environ.get("JPY_SESSION_NAME") or shell.user_ns.get("__vsc_ipynb_file__") or "session"
     return BUILD / "tried" / Path(notebook).stem
+
+
+def _note(file: str, entry: str) -> None:
+    log = os.environ.get(READS)
+    if log and (log, file, entry) not in _noted:
+        _noted.add((log, file, entry))
+        with open(log, "a", encoding="utf-8") as stream:
+            stream.write(f"{file}\t{entry}\n")
+
+
+def _opened(event: str, arguments: tuple) -> None:
+    """Note each file below data/ and figures/ that this process opens to read it; an audit hook."""
+    if event != "open" or not isinstance(arguments[0], str | os.PathLike):
+        return
+    _, mode, flags = arguments
+    if set(mode or "") & set("wax+") or (not mode and flags & (os.O_WRONLY | os.O_RDWR)):
+        return
+    file = os.path.abspath(arguments[0])
+    for base in (os.environ.get("RAILREPRO_OUTPUT"), str(ROOT)):
+        name = os.path.relpath(file, base) if base and file.startswith(base + os.sep) else ""
+        if name.startswith(("data/", "figures/")):
+            _note(name, "")
+
+
+if os.environ.get(READS):
+    sys.addaudithook(_opened)
+
+
+class Entries(UserDict[str, Value]):
+    """Entries of a data file by name that note which of them are taken; going through them takes all."""
+
+    def __init__(self, entries: dict[str, Value], file: str):
+        super().__init__(entries)
+        self._file = file
+
+    def __getitem__(self, name: str) -> Value:
+        _note(self._file, name)
+        return super().__getitem__(name)
+
+    def __iter__(self) -> Iterator[str]:
+        _note(self._file, ALL)
+        return super().__iter__()

@@ -1,8 +1,8 @@
 """Wrong input is answered in one sentence: calls, commands, the environment, interrupts.
 
 inputs.toml holds calls and commands that no declared range covers, and a piece of the sentence that answers each.
-Refused is what cannot be meant (`InputError`), told is what a command says. A piece with … stands for several, in their
-order.
+Refused is what cannot be meant (`InputError`), told is what a command says, after variables of the environment. A piece
+with … stands for several, in their order.
 """
 
 import importlib
@@ -20,8 +20,8 @@ from pathlib import Path
 import inputs
 import numpy as np
 import pytest
-from program import python
 
+import railrepro
 from railrepro import paths
 from railrepro.car.component import SteppedCar
 from railrepro.control.adhesion import AdhesionSettings
@@ -30,9 +30,9 @@ from railrepro.control.problem import MPCSettings
 from railrepro.data import InputError, above, between
 from railrepro.evidence import commands as command
 from railrepro.own.lqg import LqgSettings
-from railrepro.vehicle.parameters import load_vehicle
 
 TABLE = tomllib.loads(Path(__file__).with_name("inputs.toml").read_text(encoding="utf-8"))
+NAMES = {name: getattr(railrepro, name) for name in railrepro.FACADE} | vars(inputs)
 
 
 def rows(kind, *more):
@@ -46,19 +46,21 @@ def holds(said, pieces):
 
 
 @pytest.mark.parametrize(("call", "sentence", "kind"), [*rows("refused", InputError), *rows("failed", ArithmeticError)])
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_refused_in_one_sentence(call, sentence, kind, tmp_path, monkeypatch):
-    monkeypatch.setattr(inputs, "folder", tmp_path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        with pytest.raises(kind) as refused:
-            eval(call, vars(inputs))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(kind) as refused:
+        eval(call, dict(NAMES))
     assert holds(str(refused.value), sentence), refused.value
 
 
-@pytest.mark.parametrize(("arguments", "sentence"), rows("told"))
-def test_told_in_one_sentence_before_anything_starts(arguments, sentence, capsys):
+@pytest.mark.parametrize(("words", "sentence"), rows("told"))
+def test_told_in_one_sentence_before_anything_starts(words, sentence, capsys, monkeypatch):
+    around = [word for word in words.split() if "=" in word]
+    for name, value in (word.split("=") for word in around):
+        monkeypatch.setenv(name, value)
     try:
-        code = command.main(arguments.split())
+        code = command.main(words.split()[len(around) :])
     except SystemExit as ended:
         code = ended.code
     said = capsys.readouterr().err
@@ -81,10 +83,7 @@ def test_ends_of_a_range_are_those_that_are_stated(quantity, inside, outside):
             quantity.check(value)
 
 
-SETTINGS = (MPCSettings, AdhesionSettings, LqgSettings, NDI)
-
-
-@pytest.mark.parametrize("kind", SETTINGS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", [MPCSettings, AdhesionSettings, LqgSettings, NDI], ids=lambda kind: kind.__name__)
 def test_settings_of_controllers_refuse_what_is_no_number_of_a_possible_size(kind):
     made = kind()
     numbers = [field.name for field in fields(kind) if type(getattr(made, field.name)) in (int, float)]
@@ -96,13 +95,8 @@ def test_settings_of_controllers_refuse_what_is_no_number_of_a_possible_size(kin
             assert f" {name} " in str(refused.value) and len(str(refused.value).splitlines()) == 1
 
 
-def commands(parser):
-    """Parsers of the commands that one offers."""
-    return parser._subparsers._group_actions[0].choices if parser._subparsers else {}
-
-
 def test_every_command_leads_to_a_function_and_its_help_starts_nothing(monkeypatch, capsys):
-    offered = commands(command.parser())
+    offered = command.parser()._subparsers._group_actions[0].choices
     for parser in offered.values():
         module, _, function = parser.get_default("call").partition(":")
         assert callable(getattr(importlib.import_module(module), function)), parser.prog
@@ -114,7 +108,7 @@ def test_every_command_leads_to_a_function_and_its_help_starts_nothing(monkeypat
 
 
 def test_a_stepped_car_that_leaves_the_rail_says_so_once():
-    car = SteppedCar("T3", 77.8, load_vehicle(**{"contact.profile": "cone"}))  # no flange holds it
+    car = SteppedCar("T3", 77.8, inputs.CONES)  # no flange holds it
     car.step([300, -300, 300, -300], steps=100)
     assert car.left_rail == ""
     with pytest.warns(UserWarning, match=r"gear derailed, \|y\| = 30\.\d mm at t = 0\.2\d\d s, p = ") as said:
@@ -125,48 +119,8 @@ def test_a_stepped_car_that_leaves_the_rail_says_so_once():
         car.step(steps=10)
 
 
-def interrupted(folder, *command):
-    """Exit code and stderr of a command that gets Ctrl-C when it writes its first line."""
-    environment = os.environ | {"PYTHONPATH": f"{folder}:{paths.ROOT}"}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    # A job in the background of a shell hands down that it ignores Ctrl-C.
-    listens = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    process = subprocess.Popen([sys.executable, *command], env=environment, cwd=folder, preexec_fn=listens, **pipes)
-    assert process.stdout.readline() == "here\n"
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate()
-    return process.returncode, said
-
-
 HERE = "print('here', flush=True); signal.pause()"
-
-
-def test_an_interrupt_while_a_command_imports_is_silent(tmp_path):
-    (tmp_path / "numpy.py").write_text(f"import signal; {HERE}")
-    assert interrupted(tmp_path, "-m", "railrepro", "tune") == (-signal.SIGINT, "")
-
-
-def test_an_interrupt_of_a_command_is_told_in_one_sentence(tmp_path):
-    (tmp_path / "tomllib.py").write_text(
-        "import signal\ndef load(*_):\n    " + HERE + "\nloads = load\nTOMLDecodeError = ValueError"
-    )
-    assert interrupted(tmp_path, "-m", "railrepro", "figures") == (
-        130,
-        "interrupted; nothing half-written, run again to resume\n",
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "sentence"),
-    [
-        ("RAILREPRO_WORKERS", "many", "RAILREPRO_WORKERS='many'"),
-        ("RAILREPRO_DASK", "nonsense", "no Dask scheduler answers"),
-    ],
-)
-def test_a_wrong_environment_is_told_in_one_sentence(name, value, sentence):
-    done = python("-m", "railrepro", "tune", "ndi", **{name: value})
-    assert done.returncode == 1 and sentence in done.stderr
-    assert len(done.stderr.splitlines()) == 1, done.stderr
+LOADS = "import signal\ndef load(*_):\n    " + HERE + "\nloads = load\nTOMLDecodeError = ValueError"
 
 
 def test_a_half_made_environment_is_made_again(tmp_path):
@@ -190,3 +144,24 @@ def test_the_clone_in_the_working_directory_does_not_hide_the_package(tmp_path):
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     found = subprocess.run([sys.executable, "first.py"], cwd=tmp_path, env=clean, capture_output=True, text=True)
     assert found.stdout == "run\n", found.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "text", "ended"),
+    [
+        ("numpy", f"import signal; {HERE}", (-signal.SIGINT, "")),
+        ("tomllib", LOADS, (130, "interrupted; nothing half-written, run again to resume\n")),
+    ],
+)
+def test_an_interrupt_of_a_command_is_told_in_one_sentence_or_silent(module, text, ended, tmp_path):
+    """It comes when a module that stands in for another one is reached."""
+    (tmp_path / f"{module}.py").write_text(text)
+    # A job in the background of a shell hands down that it ignores Ctrl-C.
+    listens = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "railrepro", "figures"], env=os.environ | {"PYTHONPATH": f"{tmp_path}:{paths.ROOT}"},
+        cwd=tmp_path, preexec_fn=listens, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout.readline() == "here\n"
+    process.send_signal(signal.SIGINT)
+    assert (process.communicate()[1], process.returncode) == ended[::-1]

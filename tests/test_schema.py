@@ -1,4 +1,4 @@
-"""Reading files: whatever is broken in one, the answer is a valid result or one sentence that names the file."""
+"""Reading files: whatever is broken in one, the answer is a valid result or one sentence that names file and key."""
 
 import json
 import math
@@ -14,119 +14,115 @@ from hypothesis import strategies as st
 from railrepro import paths
 from railrepro.data import InputError
 from railrepro.data import read as read_file
+from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import statements
 from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import load_scenarios
 from railrepro.track.alignment import alignments
+from railrepro.track.irregularity import track_quality
 from railrepro.track.table import read_table
 from railrepro.vehicle.parameters import describe, load_vehicle, sample_ranges
 
 READERS = {
     "data/vehicle.toml": lambda file: (load_vehicle(file), describe(file).to_csv(na_rep=""), sample_ranges(file)),
+    "data/sensors.toml": load_loop,
     "data/tracks.toml": alignments,
     "data/scenarios.toml": load_scenarios,
-    "data/tuning.toml": tuning.load_task,
+    "data/tuning.toml": lambda file: [tuning.load_task(file, setting) for setting in tuning.SETTINGS],
     "data/claims.toml": statements.load,
     "notebooks/chain.toml": chain.chain,
     "data/tuned/equal/ndi.json": lambda file: tuning.read("ndi", "equal", file.parent),
     "data/tracks/T3.csv": read_table,
 }
-VALUES = (
-    *(True, False, "text", "", [], {}, [1], [[0, 1], [0, 1]], {"kind": "sine"}, [math.nan, 1], [1, math.inf, "log"]),
-    *(0, -1, 1, 2.5, 10**400, -1e308, 1e308, 1e-308, math.nan, math.inf, -math.inf),
-)
-ENCODINGS = ("utf-16", "utf-32", "latin-1", "utf-8-sig")
+RANGED = {name: READERS[name] for name in [*READERS][:5]} | {"data/irregularities.toml": lambda file: track_quality()}
+WRONG = (math.nan, math.inf, -math.inf, 1e300, -1e300, 10**400, True, "1", [], {}, 1j)
+"""What no number of a file may be."""
+VALUES = (*WRONG[:-1], "", 0, -1, 1, 2.5, 1e-308, [[0, 1], [0, 1]], {"kind": "sine"}, [math.nan, 1])
 
 
-def places(content) -> list[tuple[object, object]]:
-    """Every table or list in a file with every key or index in it."""
-    keys = content.keys() if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
-    return [pair for key in keys for pair in [(content, key), *places(content[key])]]
+USED = {"radius_m", "irregular", "controller"}
+"""Keys whose numbers are judged where they are used."""
 
 
-def broken_content(draw, content):
-    """Content with a key deleted, renamed, retyped or extreme, or with another order."""
-    holder, key = draw(st.sampled_from(places(content)))
-    change = draw(st.sampled_from(["delete", "rename", "value", "value", "value", "order"]))
-    if change == "delete":
-        del holder[key]
-    elif change == "value":
-        holder[key] = draw(st.sampled_from(VALUES))
-    elif change == "rename" and isinstance(holder, dict):
-        holder[draw(st.sampled_from(["", "name", "two\nlines", f"{key}_", "ä"]))] = holder.pop(key)
-    elif isinstance(holder, dict):
-        holder |= {name: holder.pop(name) for name in reversed(list(holder))}
-    else:
-        holder.reverse()
-    return content
+def places(content, *keys):
+    """Every table or list in a file with every key or index in it, and the keys that lead there."""
+    names = content.keys() if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
+    for name in names:
+        yield content, name, (*keys, name)
+        yield from places(content[name], *keys, name)
 
 
-def broken_table(draw) -> str:
-    """CSV with a cell changed, a column left out or rows in another order."""
-    table = pd.read_csv(paths.ROOT / "data/tracks/T3.csv", nrows=60).astype(object)
-    change = draw(st.sampled_from(["cell", "cell", "column", "order", "more"]))
-    column = draw(st.sampled_from(list(table.columns)))
-    if change == "cell":
-        table.loc[draw(st.integers(0, 59)), column] = draw(st.sampled_from([str(value) for value in VALUES]))
-    elif change == "column":
-        table = table.drop(columns=column)
-    elif change == "order":
-        table = table.iloc[::-1]
-    text = table.to_csv(index=False)
-    return text.replace("\n", ",0\n").replace(",0\n", "\n", 1) if change == "more" else text
-
-
-def broken_bytes(draw, data: bytes) -> bytes:
-    """A file cut off, in another encoding, with foreign bytes, or empty."""
-    change = draw(st.sampled_from(["truncate", "encoding", "insert", "empty", "comment"]))
-    place = draw(st.integers(0, len(data)))
-    if change == "truncate":
-        return data[:place]
-    if change == "encoding":
-        return (data.decode() + "# ä\n").encode(draw(st.sampled_from(ENCODINGS)), "replace")
-    if change == "insert":
-        return data[:place] + draw(st.binary(min_size=1, max_size=4)) + data[place:]
-    return b"" if change == "empty" else b"# nothing\n"
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Where broken files lie."""
-    return tmp_path_factory.mktemp("broken")
-
-
-def read(name: str, file: Path):
+def read(name, file):
     """What a reader gives, or None when it refuses with one sentence that names the file."""
     try:
         return READERS[name](file)
     except InputError as error:
         assert file.name in str(error) and len(str(error).splitlines()) == 1, str(error)
-        assert not str(error).endswith("\n")
         return None
 
 
-@pytest.mark.parametrize("name", READERS)
-def test_committed_files_are_read(name, folder):
-    assert read(name, paths.ROOT / name) is not None
+@pytest.mark.parametrize("name", RANGED)
+def test_every_number_of_a_file_has_a_range_and_is_refused_beyond_it_with_its_key(name, monkeypatch):
+    content = read_file(paths.ROOT / name)
+    monkeypatch.setattr("railrepro.data.read", lambda file: content if name.endswith(file.name) else read_file(file))
+    for holder, last, _ in [*places(content)]:
+        if last == "range":  # of samples, which is checked against the value before the value itself
+            holder[last] = "fixed"
+    for holder, last, keys in [*places(content)]:
+        number = holder[last]
+        if type(number) not in (int, float) or USED & set(keys) or keys[::2] == ("run", "speed_kmh"):
+            continue
+        key = next(key for key in reversed(keys) if isinstance(key, str) and key != "value")
+        for holder[last] in WRONG:
+            with pytest.raises(InputError) as refused:
+                RANGED[name](Path(name))
+            assert key in str(refused.value) and len(str(refused.value).splitlines()) == 1, refused.value
+        holder[last] = number
+
+
+def broken_text(draw, content):
+    """Content with a key deleted or renamed, or a value of another type or size."""
+    holder, key, _ = draw(st.sampled_from([*places(content)]))
+    change = draw(st.sampled_from(["delete", "rename", "value", "value", "value"]))
+    if change == "delete":
+        del holder[key]
+    elif change == "rename" and isinstance(holder, dict):
+        holder[draw(st.sampled_from(["", "name", "two\nlines", f"{key}_", "ä"]))] = holder.pop(key)
+    else:
+        holder[key] = draw(st.sampled_from(VALUES))
+    return json.dumps(content)
+
+
+def broken_table(draw):
+    """CSV with a cell changed or a column left out."""
+    table = pd.read_csv(paths.ROOT / "data/tracks/T3.csv", nrows=60).astype(object)
+    column = draw(st.sampled_from([*table.columns]))
+    if draw(st.booleans()):
+        return table.drop(columns=column).to_csv(index=False)
+    table.loc[draw(st.integers(0, 59)), column] = str(draw(st.sampled_from(VALUES)))
+    return table.to_csv(index=False)
+
+
+def broken_bytes(draw, data):
+    """A file cut off, in another encoding, or with foreign bytes."""
+    place = draw(st.integers(0, len(data)))
+    recoded = (data.decode() + "# ä\n").encode(draw(st.sampled_from(["utf-16", "latin-1", "utf-8-sig"])), "replace")
+    return draw(st.sampled_from([data[:place], recoded, data[:place] + b"\xff\0" + data[place:]]))
 
 
 @settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
 @given(data=st.data())
-def test_broken_files_give_a_valid_result_or_one_sentence(data, folder):
-    """Break one of the files in one way, and read it."""
-    name = data.draw(st.sampled_from(list(READERS)))
-    file = folder / Path(name).name
-    original = (paths.ROOT / name).read_bytes()
+def test_broken_files_give_a_valid_result_or_one_sentence(data, tmp_path):
+    name = data.draw(st.sampled_from([*READERS]))
+    file, original = tmp_path / Path(name).name, paths.ROOT / name
     if data.draw(st.booleans()):
-        text = original if not name.endswith(".csv") else b"\n".join(original.split(b"\n")[:60])
-        file.write_bytes(broken_bytes(data.draw, text))
+        file.write_bytes(broken_bytes(data.draw, original.read_bytes()[:20_000]))
     elif name.endswith(".csv"):
         file.write_text(broken_table(data.draw))
     else:
-        content = broken_content(data.draw, read_file(paths.ROOT / name))
         file = file.with_suffix(".json")  # read alike
-        file.write_text(json.dumps(content))
+        file.write_text(broken_text(data.draw, read_file(original)))
     found = read(name, file)
     assert not re.search(r"\bnan\b", repr(found))
     if isinstance(found, pd.DataFrame):
@@ -134,12 +130,11 @@ def test_broken_files_give_a_valid_result_or_one_sentence(data, folder):
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_empty_files_and_folders_are_refused(name, folder):
-    file = folder / Path(name).name
+def test_empty_files_and_folders_are_refused(name, tmp_path):
+    file = tmp_path / Path(name).name
     for text in ("", "# nothing\n"):
         file.write_text(text)
         assert read(name, file) is None
     file.unlink()
     file.mkdir()
     assert read(name, file) is None
-    file.rmdir()

@@ -19,11 +19,13 @@ import numpy as np
 import pandas as pd
 
 from railrepro.car import equations
+from railrepro.car.outputs import Outputs
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import cache, codegen
 from railrepro.compile.lanes import lanes_header, pairs_text
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.data import InputError, above, between, require
+from railrepro.quantities import names
 from railrepro.track.route import CELL, COLUMNS, Route, lay
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -40,30 +42,11 @@ _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 
 
-class _Lookup(ctypes.Structure):
-    _fields_ = [
-        ("cells", ctypes.c_void_p),
-        *((name, ctypes.c_double) for name in ("start", "step")),
-        *((name, ctypes.c_longlong) for name in ("n", "width")),
-        ("row", ctypes.c_void_p),
-    ]
-
-
-def _lookup(cells: np.ndarray, start: float, step: float, row: np.ndarray) -> _Lookup:
-    """Look-up of a row in a table of uniform cells."""
-    return _Lookup(cells.ctypes.data, start, step, *cells.shape, row.ctypes.data)
-
-
-class _Car(ctypes.Structure):
-    _fields_ = [
-        *((name, codegen.Call) for name in ("coordinates", "output", "step")),
-        ("places", ctypes.c_void_p),
-        ("lookups", ctypes.c_void_p),
-        ("n_lookups", ctypes.c_longlong),
-        ("state", ctypes.c_void_p),
-        ("next", ctypes.c_void_p),
-        *((name, ctypes.c_longlong) for name in ("n_states", "substeps")),
-    ]
+_SOURCE = Path(__file__).with_name("car.c").read_text()
+_SIZES = {"N_STATE": len(equations.STATES), "N_OUTPUT": len(names(Outputs)), "N_PAR": len(equations.PARAMETERS)}
+_SIZES |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
+_SIZES |= {"N_CELL": len(COLUMNS), "N_CONTACT": equations.CONTACT_COLUMNS}
+_Car = codegen.structure("car_t", _SOURCE, _SIZES)
 
 
 @codegen.stored
@@ -76,7 +59,7 @@ def _pairs() -> str:
 
 def c_text(*more: ca.Function) -> str:
     """C of the car between its tables, and of more functions."""
-    return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + Path(__file__).with_name("car.c").read_text()
+    return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
 @lru_cache(maxsize=1)
@@ -137,10 +120,8 @@ class SteppedCar:
         Track cells of `equations.BODIES` and contact cells of `equations.WHEELS`, as last looked up.
     measured : ndarray
         Values of `model.outputs` as last measured.
-    functions : dict
-        The functions on these buffers by name: coordinates, output, step.
-    pointer : ctypes pointer
-        The car for the functions of `car.c`.
+    c : ctypes.Structure
+        `car_t` of car.c, which holds these arrays.
     time : float
         Simulated time (s).
     left_rail : str
@@ -169,54 +150,38 @@ class SteppedCar:
         require("speed", speed, above(0.0, LARGEST_SPEED, "m/s"))
         require("substeps", substeps, between(1, 10_000), whole=True)
         self.table, self.time = table or contact_table(vehicle.contact.profile, vehicle), 0.0
-        self.parameters = equations.parameter_vector(vehicle, good, poor)
-        self.state = np.array(equations.rest_state(vehicle, self.table, speed), dtype=float)
+        parameters = equations.parameter_vector(vehicle, good, poor)
         self.model, self.left_rail, self._library = equations.car(), "", library()
-        self.torque, self.period = np.zeros(len(equations.WHEELS)), np.array([CONTROL_PERIOD / substeps])
-        self.next_state, self.measured = np.zeros_like(self.state), np.zeros(len(self.model.outputs))
-        self.rows = np.zeros((len(equations.BODIES), len(COLUMNS)))
-        self.contacts = np.zeros((len(equations.WHEELS), equations.CONTACT_COLUMNS))
-        coordinates, rows, contacts = np.zeros(len(self.rows) + len(self.contacts)), self.rows, self.contacts
-        common = [self.state, self.torque, rows.reshape(-1), contacts.reshape(-1), self.parameters]
-        bindings = {
-            "coordinates": ([self.state, rows.reshape(-1), self.parameters], [coordinates]),
-            "output": (common, [self.measured]),
-            "step": ([*common, self.period], [self.next_state, np.zeros_like(self.state)]),
-        }
-        self.functions = {
-            name: codegen.CompiledFunction(self._library, getattr(self.model, name), *binding)
-            for name, binding in bindings.items()
-        }
-        track, contact = np.ascontiguousarray(self.route.cells), self.table.cells()
-        lookups = [_lookup(track, self.route.start, CELL, row) for row in rows]
-        lookups += [_lookup(contact, self.table.start, self.table.step, row) for row in contacts]
-        self._tables = track, contact, coordinates, (_Lookup * len(lookups))(*lookups)  # C has their addresses
-        self.pointer = ctypes.byref(
-            _Car(
-                *(function.call for function in self.functions.values()),
-                coordinates.ctypes.data,
-                ctypes.addressof(self._tables[-1]),
-                len(lookups),
-                self.state.ctypes.data,
-                self.next_state.ctypes.data,
-                self.state.size,
-                substeps,
-            )
+        track, profile = np.ascontiguousarray(self.route.cells), self.table.cells()
+        self._tables = track, profile  # C has their addresses
+        self.c = _Car(
+            period=CONTROL_PERIOD / substeps,
+            substeps=substeps,
+            track=track.ctypes.data,
+            track_start=self.route.start,
+            track_step=CELL,
+            track_cells=len(track),
+            profile=profile.ctypes.data,
+            profile_start=self.table.start,
+            profile_step=self.table.step,
+            profile_cells=len(profile),
         )
+        found, self._pointer = codegen.arrays(self.c), ctypes.byref(self.c)
+        self.state, self.next_state, self.torque = found["state"], found["next"], found["torque"]
+        self.measured, self.parameters = found["measured"], found["parameters"]
+        self.rows, self.contacts = found["rows"], found["contacts"]
+        self.parameters[:] = parameters
+        self.state[:] = equations.rest_state(vehicle, self.table, speed)
         self.look_up()
-
-    def c_functions(self) -> tuple[ctypes.c_void_p, ...]:
-        """Addresses of `car_measure` and `car_advance` for callers written in C."""
-        return tuple(ctypes.cast(f, ctypes.c_void_p) for f in (self._library.car_measure, self._library.car_advance))
 
     def look_up(self) -> None:
         """Cells of track and contacts at a state that was set; the contacts need the irregularities of the track."""
         for _ in range(2):
-            self._library.car_look_up(self.pointer)
+            self._library.car_look_up(self._pointer)
 
     def measure(self) -> np.ndarray:
         """Outputs at the present state, in the order of `model.outputs`."""
-        self._library.car_measure(self.pointer)
+        self._library.car_measure(self._pointer)
         return self.measured
 
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
@@ -242,10 +207,10 @@ class SteppedCar:
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:
             self.torque[:] = _torques(torque)
-        self.period[:] = period
+        self.c.period = period
         start = self.time
         for done in range(steps):
-            if not self._library.car_run(self.pointer, ctypes.c_longlong(1), ctypes.c_double(LARGEST_STATE)):
+            if not self._library.car_run(self._pointer, ctypes.c_longlong(1), ctypes.c_double(LARGEST_STATE)):
                 worst = int(np.argmax(~(np.abs(self.next_state) < LARGEST_STATE)))
                 found = f"{self.model.states[worst]} = {self.next_state[worst]:.3g}"
                 raise ArithmeticError(f"{found} left all bounds {self._at('front')}")
@@ -271,7 +236,7 @@ class SteppedCar:
 
     def inputs(self) -> tuple[np.ndarray, ...]:
         """Copies of the arguments x, u, rows, contacts, par of the functions of `model` at the present state."""
-        self._library.car_look_up(self.pointer)
+        self._library.car_look_up(self._pointer)
         return tuple(a.copy() for a in (self.state, self.torque, self.rows.T, self.contacts.T, self.parameters))
 
     def linearise(self) -> Linearisation:

@@ -1,4 +1,5 @@
-/* A generated function with its memory, and a table of uniform cells; the one preamble of all hand-written C here. */
+/* The one preamble of all hand-written C here. Generated functions take arrays of pointers to their arguments and results;
+   those of scalar operations need no memory. */
 
 #include <math.h>
 #include <string.h>
@@ -7,14 +8,6 @@
 #define casadi_int long long int
 #endif
 typedef int (*casadi_fn)(const double **, double **, casadi_int *, double *, int);
-typedef struct { casadi_fn evaluate; const double **arg; double **res; casadi_int *iw; double *w; } call_t;
-typedef struct {
-  const double *cells;
-  double start, step;
-  casadi_int n, width;
-  double *row;
-} lookup_t;
-typedef struct { double *to; const double *from; casadi_int n; } copy_t;
 
 /* Row of the cell that holds coordinate p; outside the table the first or last one, the first also where p is NaN. */
 static const double *row_at(const double *cells, double p, double start, double step, casadi_int n, casadi_int width) {
@@ -23,6 +16,4 @@ static const double *row_at(const double *cells, double p, double start, double 
   if (cell > (double)(n - 1)) cell = (double)(n - 1);
   return cells + (casadi_int)cell * width;
 }
-
-static int evaluate(const call_t *call) { return call->evaluate(call->arg, call->res, call->iw, call->w, 0); }
 

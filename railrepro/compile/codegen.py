@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import math
 import pickle
+import re
 import sys
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -35,6 +37,11 @@ def defines(values: dict) -> str:
     return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
+def enumeration(names: Iterable[str]) -> str:
+    """C constants that count from 0, or have the values that stand with them."""
+    return f"enum {{ {', '.join(names)} }};\n"
+
+
 def source_text(functions: Sequence[ca.Function]) -> str:
     """C source of CasADi functions on `ELEMENTARY`, with their work-size and sparsity companions."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
@@ -48,30 +55,61 @@ def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
     return ctypes.CDLL(str(cache.build(source_text(functions) + extra)))
 
 
-class Call(ctypes.Structure):
-    """A generated function with its memory, as C callers see it."""
+def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
+    """The ctypes class of a struct of hand-written C.
 
-    _fields_ = [(name, ctypes.c_void_p) for name in ("evaluate", "arg", "res", "iw", "w")]
+    Parameters
+    ----------
+    name : str
+        That of `typedef struct { … } name;` in `text`. Its members are double, casadi_int, one of `kinds`, pointers, or
+        arrays of these.
+    text : str
+    sizes : mapping
+        Constants in the lengths of arrays.
+    kinds : type
+        Further types of members by name.
+    """
+    known = {"double": ctypes.c_double, "casadi_int": ctypes.c_longlong} | kinds
+    text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    (body,) = re.findall(rf"typedef struct(?: \w+)? {{([^{{}}]*)}} {name};", text)
+    fields: list[tuple[str, Any]] = []
+    for kind, members in re.findall(r"(?:const |struct )?(\w+) ([^;]+);", body):
+        for member in members.split(","):
+            found: Any = ctypes.c_void_p if "*" in member.partition("[")[0] else known[kind]
+            entry, *lengths = re.findall(r"\w[\w *]*", member)
+            for length in reversed(lengths):
+                found *= math.prod(int(sizes.get(factor, factor)) for factor in re.findall(r"\w+", length))
+            fields.append((entry, found))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
+
+
+def initialiser(of: ctypes.Structure) -> str:
+    """The numbers in a struct as a value in C, without its arrays and pointers."""
+    scalars = [name for name, kind, *_ in of._fields_ if kind in (ctypes.c_double, ctypes.c_longlong)]
+    return f"{{{', '.join(f'.{name} = {getattr(of, name)!r}' for name in scalars)}}}"
+
+
+def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
+    """The arrays of numbers in a struct by name, on its memory."""
+    kinds = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
+    listed = [name for name, kind in kinds.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
+    return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
 
 
 class CompiledFunction:
     """A function of a shared object with its work memory, evaluated on NumPy buffers without copies.
 
     `arguments` and `results` are contiguous float64 arrays in CasADi's column-major order; fill the first, call, read
-    the second. Arrays may be shared between functions. `call` describes the function to callers written in C.
+    the second.
     """
 
-    def __init__(self, library: ctypes.CDLL, function: ca.Function, arguments=None, results=None):
+    def __init__(self, library: ctypes.CDLL, function: ca.Function):
         self.name = function.name()
         self._symbol = getattr(library, self.name)
         self._symbol.restype = ctypes.c_int
         taken = [function.nnz_in(i) for i in range(function.n_in())]
         given = [function.nnz_out(i) for i in range(function.n_out())]
-        self.arguments: list[np.ndarray] = arguments or list(map(np.zeros, taken))
-        self.results: list[np.ndarray] = results or list(map(np.zeros, given))
-        for size, array in zip([*taken, *given], [*self.arguments, *self.results], strict=True):
-            if array.size != size or array.dtype != np.float64 or not array.flags.c_contiguous:
-                raise ValueError(f"{self.name}: a contiguous float64 buffer of {size} numbers is needed")
+        self.arguments, self.results = list(map(np.zeros, taken)), list(map(np.zeros, given))
         work = [ctypes.c_longlong() for _ in range(4)]
         getattr(library, self.name + "_work")(*map(ctypes.byref, work))
         n_arg, n_res, n_iw, n_w = (max(1, size.value) for size in work)
@@ -81,7 +119,6 @@ class CompiledFunction:
             (ctypes.c_longlong * n_iw)(),
             (ctypes.c_double * n_w)(),
         )
-        self.call = Call(ctypes.cast(self._symbol, ctypes.c_void_p), *map(ctypes.addressof, self._memory))
 
     def __call__(self) -> list[np.ndarray]:
         """Evaluate `arguments` into `results` (returned as the same arrays)."""

@@ -93,22 +93,23 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
     signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
     signature += [f"lanes_t *out_{name}" for name in outputs]
-    body, slots = Statements(), dict[int, tuple[str, bool]]()
-    for i in range(function.n_instructions()):
-        kind, to, of = function.instruction_id(i), function.instruction_output(i), function.instruction_input(i)
-        if kind == ca.OP_OUTPUT:
-            value, wide = slots[of[0]]
-            body.lines.append(f"out_{outputs[to[0]]}[{to[1]}] = {value if wide else f'lanes_all({value})'};")
-        elif kind == ca.OP_CONST:
-            slots[to[0]] = body.name(repr(function.instruction_constant(i)), False), False
+    nodes, results = _graph(function)
+    body, found = Statements(), list[tuple[str, bool]]()
+    for kind, *of in nodes:
+        if kind == ca.OP_CONST:
+            wide, name = False, body.name(repr(of[0]), False)
         elif kind == ca.OP_INPUT:
             wide = kinds[of[0]] == "lanes_t"
-            slots[to[0]] = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide), wide
+            name = body.name(f"in_{inputs[of[0]]}[{of[1]}]", wide)
         else:
-            operands = [slots[slot] for slot in of]
+            operands = [found[operand] for operand in of]
             wide = any(is_wide for _, is_wide in operands)
             values = [value if is_wide or not wide else f"lanes_all({value})" for value, is_wide in operands]
-            slots[to[0]] = body.operation(kind, values, wide), wide
+            name = body.operation(kind, values, wide)
+        found.append((name, wide))
+    for to, entry, node in results:
+        value, wide = found[node]
+        body.lines.append(f"out_{outputs[to]}[{entry}] = {value if wide else f'lanes_all({value})'};")
     text = "\n  ".join(body.lines)
     return f"static void {function.name()}_lanes({', '.join(signature)}) {{\n  {text}\n}}\n"
 

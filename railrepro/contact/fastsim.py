@@ -13,7 +13,6 @@ from scipy.interpolate import CubicSpline
 
 from railrepro.contact.creep import polach, strip_coefficients
 from railrepro.contact.normal import contact_modulus
-from railrepro.contact.points import STANDARD, Pair
 from railrepro.contact.table import elastic_patch, section
 from railrepro.vehicle.parameters import Vehicle
 
@@ -83,15 +82,15 @@ def _slide(p_x, p_y, bound, flexible_x, flexible_y):
     return p_x / (1 + weight / flexible_x), p_y / (1 + weight / flexible_y)
 
 
-def rigid_contact(shifts, radius: float, pair: Pair = STANDARD) -> pd.DataFrame:
-    """Point contact of rigid profiles, by default S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
+def rigid_contact(shifts, radius: float) -> pd.DataFrame:
+    """Point contact of rigid profiles, S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
 
     At shifts towards the flange (m), shape (n,), for a nominal rolling radius (m): columns shift_m, position_m (from
     the track centre), tan_angle (-), rolling_radius_m.
     """
     rows = []
     for shift in shifts:
-        position, height, slope, rail_depth = section(shift, pair)
+        position, height, slope, rail_depth = section(shift)
         i = int(np.argmax(height - rail_depth))
         rows.append((shift, position[i], slope[i], radius + height[i]))
     return pd.DataFrame(rows, columns=["shift_m", "position_m", "tan_angle", "rolling_radius_m"])

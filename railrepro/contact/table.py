@@ -1,5 +1,4 @@
-"""Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, S1002 on 60E1
-at 1:40, or measured profiles.
+"""Wheel-rail contact as a table over the lateral shift of the wheel: cone on a line rail, or S1002 on 60E1 at 1:40.
 
 The plant needs, at each shift u (positive towards the flange): the radius of the equivalent wheel on a knife-edge rail
 (its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and
@@ -25,11 +24,10 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
-from railrepro import paths
 from railrepro.compile.codegen import stored
 from railrepro.contact import normal, profiles
 from railrepro.contact.creep import elementary, kalker_coefficients, strip_coefficients
-from railrepro.contact.points import STANDARD, Pair, read_pair
+from railrepro.data import InputError
 from railrepro.vehicle.parameters import Vehicle
 
 _LINEAR = (
@@ -122,13 +120,14 @@ def in_cell(cell: dict, offset) -> dict:
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
-    """Contact table of a profile pair ("cone", "s1002" or a CSV of `points`) for a vehicle; see `ContactTable`."""
+    """Contact table of a profile pair ("cone" or "s1002") for a vehicle; see `ContactTable`."""
     if profile == "cone":
         return _cone(vehicle)
+    if profile != "s1002":
+        raise InputError(f"profile {profile!r} is not known; there are cone and s1002")
     material = vehicle.contact
     modulus = normal.contact_modulus(material.young, material.poisson)
-    pair = STANDARD if profile == "s1002" else read_pair(paths.source(profile))
-    return pair_table(vehicle.wheel.radius, material.nominal_load, modulus, material.normal_stiffness, pair)
+    return pair_table(vehicle.wheel.radius, material.nominal_load, modulus, material.normal_stiffness)
 
 
 def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
@@ -171,32 +170,32 @@ def _cone(vehicle: Vehicle) -> ContactTable:
 
 
 @cache
-def _rail(pair: Pair) -> tuple[np.ndarray, np.ndarray]:
+def _rail() -> tuple[np.ndarray, np.ndarray]:
     """Uniform lateral grid over the rail head and its depth (m)."""
-    points, depth = pair.rail or profiles.inclined_rail()
+    points, depth = profiles.inclined_rail()
     position = np.arange(np.ceil(points[0] / _LATERAL_STEP), np.floor(points[-1] / _LATERAL_STEP)) * _LATERAL_STEP
     return position, np.interp(position, points, depth)
 
 
-def section(shift: float, pair: Pair = STANDARD) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cross-section of a wheel, by default S1002 on 60E1 at 1:40, shifted towards its flange by `shift` (m).
+def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Cross-section of an S1002 wheel on 60E1 at 1:40, shifted towards its flange by `shift` (m).
 
     Distance from the track centre (m), height of the wheel profile (m) and its slope (-), depth of the rail (m), each
     of shape (n,).
     """
-    position, depth = _rail(pair)
-    height, slope = pair.wheel(position - profiles.TAPE_CIRCLE - shift)
+    position, depth = _rail()
+    height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
     return position, height, -slope, depth
 
 
-def elastic_patch(shift: float, radius: float, load: float, modulus: float, pair: Pair = STANDARD):
+def elastic_patch(shift: float, radius: float, load: float, modulus: float) -> normal.Patch:
     """Contact of a wheel at a shift (m), see `normal.elastic_contact` and `pair_table`."""
-    return normal.elastic_contact(*section(shift, pair), radius, load, modulus)
+    return normal.elastic_contact(*section(shift), radius, load, modulus)
 
 
 @stored
-def pair_table(radius: float, load: float, modulus: float, stiffness: float, pair: Pair = STANDARD) -> ContactTable:
-    """A pair of profiles, by default S1002 on 60E1 at 1:40, averaged over the elastic patch.
+def pair_table(radius: float, load: float, modulus: float, stiffness: float) -> ContactTable:
+    """S1002 on 60E1 at 1:40, averaged over the elastic patch.
 
     The effective radius is the integral of the mean slope, so that at nominal load the normal forces of the patch have
     the resultant that the table gives. The Hertz stiffness is the same at every shift: one that changed with the shift
@@ -212,7 +211,6 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
         Contact modulus E* (Pa).
     stiffness : float
         Hertz stiffness (N/m^1.5).
-    pair : Pair
 
     Returns
     -------
@@ -221,13 +219,13 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float, pai
 
     Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (half spaces, coefficients).
     """
-    patches = [elastic_patch(shift, radius, load, modulus, pair) for shift in SHIFTS]
+    patches = [elastic_patch(shift, radius, load, modulus) for shift in SHIFTS]
     position, height, slope, approach = (
         np.array([getattr(patch, name) for patch in patches]) for name in ("position", "height", "slope", "approach")
     )
     a, b, coefficients = zip(*(strip_coefficients(patch.half_lengths, patch.strips) for patch in patches), strict=True)
     centre = int(np.argmin(np.abs(SHIFTS)))
-    depth_at_contact = np.interp(position[centre], *_rail(pair))
+    depth_at_contact = np.interp(position[centre], *_rail())
     climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
     rolling = radius + height
     columns = {

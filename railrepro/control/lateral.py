@@ -98,7 +98,7 @@ class CompiledController(Protocol):
     period: float
 
     def compiled(self, loop: Loop | None, leader: CompiledController | None = None) -> tuple[int, int] | None:
-        """Addresses of its function, see `planner_slot_t` of loop.c, and of the memory that this needs.
+        """Addresses of its function, see `sample_t` of slots.c, and of the memory that this needs.
 
         None where `plan` shall be called instead.
 

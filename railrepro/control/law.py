@@ -10,7 +10,6 @@ Serves the paper's Fig. 4 and sections Adhesion Control and Integration Approach
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Annotated, Any
@@ -96,10 +95,6 @@ class ControlLaw:
         """The law as a CasADi function, see `function`."""
         return function(self.signature)
 
-    def library(self) -> ctypes.CDLL:
-        """The law as a shared object."""
-        return _library(self.signature)
-
 
 def control_law(
     vehicle: Vehicle,
@@ -177,11 +172,6 @@ def _model(vehicle: Vehicle) -> Any:
         tan_delta=np.tan(vehicle.wheel.cone_angle),
         m_x_eff=vehicle.effective_longitudinal_mass,
     )
-
-
-@lru_cache
-def _library(signature: LawSignature) -> ctypes.CDLL:
-    return codegen.library((function(signature),))
 
 
 class MeasuredGear:

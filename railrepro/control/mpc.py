@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from railrepro.compile import codegen
-from railrepro.control.problem import MPCSettings, Problem, torque_limit
+from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
 from railrepro.data import InputError, require
@@ -51,20 +50,6 @@ class Solve(NamedTuple):
     preparation: float = 0.0
 
 
-class _Planner(ctypes.Structure):
-    """`planner_t` of planner.c."""
-
-    _fields_ = [
-        *((name, ctypes.c_void_p) for name in ("horizon", "plan")),
-        ("limit", codegen.Call),
-        ("drive", ctypes.c_void_p),
-        *((name, ctypes.c_double) for name in ("observer", "torque_limit")),
-        *((name, ctypes.c_longlong) for name in ("yielding", "informed", "mode")),
-        *((name, ctypes.c_double) for name in ("offset", "expected_y")),
-        *((name, ctypes.c_longlong) for name in ("started", "iterations", "fallbacks")),
-    ]
-
-
 @dataclass
 class PredictiveController:
     """What both controllers share: the horizon, its samples in compiled code, and their record.
@@ -84,8 +69,6 @@ class PredictiveController:
         How a problem is solved, see `LINEAR`.
     drive : ndarray
         Numbers of the drive, from which the torque limit follows.
-    c : ctypes.Structure
-        `planner_t` of planner.c.
     """
 
     mode = CONVERGED  # not an argument, so without annotation
@@ -102,15 +85,11 @@ class PredictiveController:
         self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
         self.nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = Horizon(s, self.nominal, self.parameters, self.route)
-        self.plan_du, self._measured = np.zeros(s.steps), np.zeros_like(self.horizon.x_hat)
-        self._limit = codegen.CompiledFunction(self.horizon.library, torque_limit())
+        self.plan_du, self._measured = self.horizon.plan, np.zeros_like(self.horizon.x_hat)
         self.drive = np.array(pack(self.vehicle.drive), dtype=float)
-        self.c = _Planner(
-            ctypes.addressof(self.horizon.c), self.plan_du.ctypes.data, self._limit.call, self.drive.ctypes.data,
-            s.observer, 0.0, s.yielding, s.informed, self.mode,
-        )  # fmt: skip
-        self._pointer, self._at = ctypes.byref(self.c), ctypes.c_void_p(self._measured.ctypes.data)
-        self._library = self.horizon.library
+        self.c, self._library = self.horizon.c, self.horizon.library
+        self.c.drive, self.c.mode = self.drive.ctypes.data, self.mode
+        self._pointer, self._at = self.horizon.pointer, ctypes.c_void_p(self._measured.ctypes.data)
 
     @property
     def period(self) -> float:
@@ -206,4 +185,4 @@ class LTVMPC(PredictiveController):
     def __post_init__(self) -> None:
         require("LTVMPC: printed", self.printed, bool)
         super().__post_init__()
-        self.horizon.c.affine = 0.0 if self.printed else 1.0
+        self.c.affine = 0.0 if self.printed else 1.0

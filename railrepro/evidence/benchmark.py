@@ -332,17 +332,14 @@ def _bounds(loop: Loop, speed: float) -> dict:
 def score(of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False) -> pd.DataFrame:
     """Rows of the suite for one or several draws, with `points`, `nothing`, `best`, `limit` and `seed`.
 
-    A class of a chapter is driven in this process, because others cannot read it. A run that two draws have in common
-    is driven once.
+    A class of a chapter is driven in this process, because others cannot read it.
     """
-    wanted = [(seed, case) for seed in seeds for case in cases(seed, names)]
-    different = {repr(case): case for _, case in wanted}
+    drawn = [replace(case, label=case.label | {"seed": seed}) for seed in seeds for case in cases(seed, names)]
     with executor() as pool:
-        ends = ordered_map(pool, ends_of_the_scale, [*different.values()], "limits", quiet)
-        rows = ordered_map(pool, lambda case: drive(of, case), [*different.values()], f"score {name_of(of)}", quiet)
+        ends = ordered_map(pool, ends_of_the_scale, drawn, "limits", quiet)
+        rows = ordered_map(pool, lambda case: drive(of, case), drawn, f"score {name_of(of)}", quiet)
     both = [row | end for row, end in zip(rows, ends, strict=True)]
-    judged = dict(zip(different, [row | {"points": points(row)} for row in both], strict=True))
-    return pd.DataFrame([judged[repr(case)] | {"seed": seed} for seed, case in wanted])
+    return pd.DataFrame([row | {"points": points(row)} for row in both])
 
 
 # Sums, ranking, page.
@@ -406,8 +403,7 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., f
     name = _enter(f"own {own.__name__}", partial(made, own))
     task = tuning.load_task(setting=setting)
     chosen = {each: run for each, run in task.runs.items() if each in runs}
-    evaluation = swarm.Evaluation(name, replace(task, runs=chosen))
-    return lambda gains, limit=float("inf"): evaluation(dict(gains), limit)[0]
+    return lambda gains, limit=float("inf"): swarm.evaluate(name, replace(task, runs=chosen), dict(gains), limit)[0]
 
 
 def tune(

@@ -25,13 +25,7 @@ PROGRAM = "python -m railrepro"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command.
-
-    Returns
-    -------
-    int
-        Exit code, see `report_errors`; 2 after wrong arguments.
-    """
+    """Run one command; its exit code, see `report_errors`, 2 after wrong arguments."""
     chosen = vars(parser().parse_args(arguments))
     numerics.fix()  # before a command imports NumPy
     module, _, name = chosen.pop("call").partition(":")
@@ -47,11 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
 def report_errors(command: Callable[[], object]) -> int:
     """Run a command; what stops it is reported in one sentence.
 
-    Returns
-    -------
-    int
-        Exit code: the number that the command returned, 0 after anything else, which is printed; 1 after an
-        `InputError` or where the system refuses a file, 130 after Ctrl-C.
+    Its exit code is the number that it returned, 0 after anything else, which is printed; 1 after an `InputError` or
+    where the system refuses a file, 130 after Ctrl-C.
     """
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see `railrepro.__main__`
@@ -135,6 +126,22 @@ _CALLS = {
     "live": ("export.live:main", "the page in build/live that drives the car in a browser"),
 }
 """Commands with the function that each calls, as "module:name", and what it does."""
+_ARGUMENTS: list[tuple[str, str, dict]] = [
+    ("figures", "names", {"nargs": "*", "metavar": "NAME", "help": "notebooks or figures, as fig06; default all"}),
+    ("figures", "--jobs", {"type": _whole(1, 64), "help": "notebooks at a time; default one per processor"}),
+    ("drive", "vehicle", {"type": Path, "help": "a file like data/vehicle.toml"}),
+    ("tune", "names", {"nargs": "*", "metavar": "NAME", "help": "settings and controllers; default all"}),
+    ("probe", "settings", {"nargs": "*", "metavar": "SETTING", "help": "paper, equal, loop; default all; or FILE.toml, "
+                           "a filled data/answers.toml"}),
+    ("calibrated", "--draws", {"type": _whole(0, 1000), "help": "perturbations of each size, default 20"}),
+    ("robustness", "--samples", {"type": _whole(1, 4096), "help": "samples of the robustness study, default 128"}),
+    ("report", "--accept", {"action": "store_true", "help": "write verdicts that changed, too"}),
+    ("score", "controller", {"nargs": "?", "help": "a Python file with one controller class, or a registered name"}),
+    ("score", "--seed", {"type": _whole(0, 2**31), "help": "a different random seed of noise, rails and cars"}),
+    ("score", "--describe", {"action": "store_true", "help": "only print what a law may use, with unit and meaning"}),
+    ("score", "--small", {"action": "store_true", "help": "only the quick runs of the published draw, no margins"}),
+]  # fmt: skip
+"""Command, name of an argument, options of `add_argument`."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -144,27 +151,6 @@ def parser() -> argparse.ArgumentParser:
     added = {name: commands.add_parser(name, help=words, description=words) for name, (_, words) in _CALLS.items()}
     for name, (call, _) in _CALLS.items():
         added[name].set_defaults(call=f"railrepro.{call}")
-    for name, metavar, words in (
-        ("figures", "NAME", "notebooks or figures, as fig06; default all"),
-        ("tune", "NAME", "settings and controllers; default all"),
-    ):
-        added[name].add_argument("names", nargs="*", metavar=metavar, help=words)
-    words = "paper, equal, loop; default all; or FILE.toml, a filled data/answers.toml"
-    added["probe"].add_argument("settings", nargs="*", metavar="SETTING", help=words)
-    added["drive"].add_argument("vehicle", type=Path, help="a file like data/vehicle.toml")
-    words = "a Python file with one controller class, or a registered name"
-    added["score"].add_argument("controller", nargs="?", help=words)
-    for name, option, low, high, words in (
-        ("figures", "--jobs", 1, 64, "notebooks at a time; default one per processor"),
-        ("calibrated", "--draws", 0, 1000, "perturbations of each size, default 20"),
-        ("robustness", "--samples", 1, 4096, "samples of the robustness study, default 128"),
-        ("score", "--seed", 0, 2**31, "a different random seed of noise, rails and cars"),
-    ):
-        added[name].add_argument(option, type=_whole(low, high), help=words)
-    for name, option, words in (
-        ("report", "--accept", "write verdicts that changed, too"),
-        ("score", "--describe", "only print what a law may use, with unit and meaning"),
-        ("score", "--small", "only the quick runs of the published draw, no margins"),
-    ):
-        added[name].add_argument(option, action="store_true", help=words)
+    for name, argument, options in _ARGUMENTS:
+        added[name].add_argument(argument, **options)
     return top

@@ -10,7 +10,7 @@ from railrepro.car.component import DERAILED, LARGEST_SPEED, LARGEST_STATE, LARG
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.export.fmu import Fmu, Parameter, constant, parameters, parameters_text
-from railrepro.track.route import CELL, COLUMNS, Route
+from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
 INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
@@ -47,20 +47,15 @@ def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
     """C source and description of a car; `road` writes the table of the route, see `constant`."""
     found = parameters(equations.CarParameters, car.parameters)
     found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
-    contacts, outputs = car.table.cells(), equations.car().outputs
-    numbers = {"N_STATE": len(equations.STATES), "N_INPUT": len(INPUTS), "N_OUTPUT": len(outputs)}
-    numbers |= {"N_CELL": len(COLUMNS), "N_CELLS": len(car.route.cells)}
-    numbers |= {"N_CONTACT": equations.CONTACT_COLUMNS, "N_CONTACTS": len(contacts)}
-    numbers |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
-    numbers |= {"FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}
-    exact = {"CELL_START": car.route.start, "CELL_STEP": CELL, "PERIOD": CONTROL_PERIOD}
-    exact |= {"CONTACT_START": car.table.start, "CONTACT_STEP": car.table.step}
-    exact |= {"LARGEST_STATE": LARGEST_STATE, "DERAILED": DERAILED}
+    outputs = equations.car().outputs
+    places = {"N_INPUT": len(INPUTS), "FRONT_Y": outputs.index("front.y"), "REAR_Y": outputs.index("rear.y")}
+    exact = {"PERIOD": CONTROL_PERIOD, "LARGEST_STATE": LARGEST_STATE, "DERAILED": DERAILED}
     said = {
         "INPUTS_TEXT": '"the four torques"',
         "INPUT_TEXT": f'"a torque must be a number of at most {LARGEST_TORQUE:g} N m"',
     }
-    text = component.c_text(equations.rest(car.table)) + codegen.defines(numbers | exact | said)
-    text += road("CELLS", car.route.cells) + constant("CONTACTS", contacts) + constant("START", car.state)
+    text = component.c_text(equations.rest(car.table)) + codegen.defines(places | exact | said)
+    text += f"static const car_t CAR = {codegen.initialiser(car.c)};\n" + road("CELLS", car.route.cells)
+    text += constant("CONTACTS", car.table.cells()) + constant("START", car.state)
     description, model = "Multibody car on independently rotating wheels", Path(__file__).with_name("car_fmu.c")
     return Fmu("car", description, outputs, INPUTS, LARGEST_TORQUE, found, text + parameters_text(found), model)

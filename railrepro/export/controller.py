@@ -8,29 +8,26 @@ and gives the four torques; a master that steps the controller before the car, e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
-
 from railrepro.car.component import DERAILED
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.control import interface, lateral, law
+from railrepro.control import cycle, interface, lateral, law
 from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
-from railrepro.control.problem import TUNING, torque_limit
+from railrepro.control.problem import TUNING
 from railrepro.control.solvers import riccati
 from railrepro.data import InputError, location, require, write
 from railrepro.estimation.sensors import Readings
 from railrepro.export.car import INPUTS
 from railrepro.export.fmu import Fmu, Parameter, constant, index_enum, parameters, parameters_text
-from railrepro.model.control_model import STATES
 from railrepro.model.forecast import NOMINAL
 from railrepro.model.parameters import PARAMETERS
-from railrepro.quantities import GEARS, indices, names
-from railrepro.track.route import CELL, COLUMNS, INDEX, Route, set_point
+from railrepro.quantities import GEARS, indices
+from railrepro.track.route import CELL, INDEX, Route, set_point
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TORQUES = INPUTS
@@ -102,33 +99,31 @@ class Export:
         if factory:
             planners += [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
         predictive = bool(planners) and isinstance(planners[0], PredictiveController)
-        functions, solver = [control.function, set_point()], _solver_functions(planners[0]) if predictive else []
+        functions = [control.function, set_point()]
+        if predictive:
+            functions += riccati.functions(planners[0].settings.variant, planners[0].settings.discretisation)
         found = parameters(control.signature.Gains, control.gains) + list(_LAID)
         if predictive:
             found += self._solver_parameters(planners)
-        text = codegen.source_text([*functions, *solver]) + codegen.PREAMBLE
-        text += codegen.defines(self._numbers(control.signature) | _work("LAW", functions))
+        text = codegen.source_text(functions) + codegen.PREAMBLE + codegen.defines(self._numbers())
         text += index_enum("MEASURED", interface.MEASURED) + index_enum("TORQUE", TORQUES)
         text += road("CELLS", self.route.cells) + parameters_text(found)
-        if planners:
-            text += codegen.defines(_plan_numbers(planners[0].period, control.signature))
+        text += codegen.defines({"PLAN_STEPS": round(planners[0].period / CONTROL_PERIOD) if planners else 0})
+        slower = cycle.SLOTS
         if predictive:
-            text += self._solver(planners[0], control.signature)
+            slower = _solver(planners, control.signature)
         elif planners:
-            text += planners[0].exported(planners, self.sensors.loop if self.sensors else None)
-        text += (_HERE / "controller.c").read_text()
+            slower = planners[0].exported(planners, self.sensors.loop if self.sensors else None)
+        text += cycle.c_text(control.signature, len(found), slower) + (_HERE / "controller.c").read_text()
         description = "Controller of two running gears with independently rotating wheels"
         named = "controller", description, TORQUES, interface.MEASURED, _LARGEST
         return Fmu(*named, found, text, _HERE / "controller_fmu.c")
 
-    def _numbers(self, signature: law.LawSignature) -> dict[str, float | int | str]:
-        """Sizes, grid of the road, and where a gear finds its own among what is measured."""
-        measured = indices(interface.Measured)
-        numbers: dict[str, float | int | str] = {"N_INPUT": len(interface.MEASURED), "N_OUTPUT": len(TORQUES)}
-        numbers |= {"N_MEMORY": len(signature.memory), "GEARS": len(GEARS), "N_CELLS": len(self.route.cells)}
-        numbers |= {"N_CELL_COLUMNS": len(COLUMNS), "CELL_START": self.route.start, "CELL_STEP": CELL}
+    def _numbers(self) -> dict[str, float | int | str]:
+        """Grid of the road, and what is said of inputs."""
+        numbers: dict[str, float | int | str] = {"N_CELLS": len(self.route.cells), "CELL_START": self.route.start}
+        numbers |= {"CELL_STEP": CELL, "PERIOD": CONTROL_PERIOD}
         numbers |= {f"AT_{name.upper()}": INDEX[name] for name in ("p", "y_ref", "force")}
-        numbers |= {"GEAR_MEASURED": measured.rear.p - measured.front.p, "PERIOD": CONTROL_PERIOD}
         said = f'"what is measured must be a number of at most {_LARGEST:g}"'
         return numbers | {"INPUTS_TEXT": '"what is measured"', "INPUT_TEXT": said}
 
@@ -146,31 +141,14 @@ class Export:
         found.append(Parameter("observer", first.settings.observer, "", 0.0, 1.0))
         return [replace(one, low=one.value, high=one.value) if one.name == "cost.period" else one for one in found]
 
-    def _solver(self, planner: PredictiveController, signature: law.LawSignature) -> str:
-        """The predictive controllers of both gears: solver, numbers and memory."""
-        s = planner.settings
-        sizes: dict[str, int | float] = {"STEPS": s.steps, "MOST_SETS": riccati.MOST_SETS, "MODE": planner.mode}
-        sizes |= {"YIELDING": int(s.yielding), "INFORMED": int(s.informed), "AFFINE": float(planner.horizon.c.affine)}
-        sizes |= {"N_NOMINAL": len(NOMINAL), "DRIVE": indices(signature.Gains).drive.torque_limit}
-        sizes |= _work("PLAN", _solver_functions(planner))
-        text = codegen.defines(sizes) + riccati.c_text(s.variant, s.discretisation)
-        return text + (_HERE / "planner_memory.c").read_text()
 
-
-def _solver_functions(planner: PredictiveController) -> list[ca.Function]:
-    settings = planner.settings
-    return [*riccati.functions(settings.variant, settings.discretisation), torque_limit()]
-
-
-def _plan_numbers(period: float, signature: law.LawSignature) -> dict[str, int | str]:
-    """How often slower controllers plan, and where they find states, readings and base torque of their gear."""
-    read, memory = names(interface.ReadGear), indices(signature.Memory)
-    numbers: dict[str, int | str] = {"PLAN_STEPS": round(period / CONTROL_PERIOD), "BASE": memory.front.u}
-    numbers |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read)}
-    numbers |= {"READ_OF_STATE": "{" + ", ".join(str(STATES.index(name)) for name in read) + "}"}
-    if not signature.sensed:
-        return numbers | {"ESTIMATED": 0, "READ": 0}
-    return numbers | {"ESTIMATED": memory.front.estimated.x, "READ": memory.front.read.y_TrAx}
+def _solver(planners: list[PredictiveController], signature: law.LawSignature) -> str:
+    """The predictive controllers of both gears: solver, numbers and memory."""
+    settings, drive = planners[0].settings, indices(signature.Gains).drive
+    text = codegen.defines({"STEPS": settings.steps, "N_NOMINAL": len(NOMINAL), "DRIVE": drive.torque_limit})
+    text += riccati.c_text(settings.variant, settings.discretisation)
+    gears = ", ".join(codegen.initialiser(planner.c) for planner in planners)
+    return text + f"static const horizon_t PLANNERS[] = {{{gears}}};\n" + (_HERE / "planner_memory.c").read_text()
 
 
 def _checked(planner: lateral.SlowController | lateral.CompiledController):
@@ -182,9 +160,3 @@ def _checked(planner: lateral.SlowController | lateral.CompiledController):
         f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or LqgPreview, "
         "which alone have C of their own"
     )
-
-
-def _work(name: str, functions: Sequence[ca.Function]) -> dict[str, int]:
-    """Sizes of the memory of generated functions."""
-    sizes = {"ARG": "sz_arg", "RES": "sz_res", "IW": "sz_iw", "W": "sz_w"}
-    return {f"{name}_{key}": max(getattr(f, size)() for f in functions) for key, size in sizes.items()}

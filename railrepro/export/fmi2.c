@@ -1,6 +1,6 @@
-/* A car or a controller as an FMU for co-simulation (FMI 2.0). Starts after its own C: fmu_t with `inputs`, outputs `y`,
-   `parameters` and `said`; connect, reset, begin, and advance, which returns a status. Value references: outputs, inputs,
-   parameters. Names, types and signatures are those of the standard's header files, (c) MODELISAR consortium and Modelica
+/* A car or a controller as an FMU for co-simulation (FMI 2.0). Starts after its own C: fmu_t with `said` and the
+   members FMU_INPUTS, FMU_OUTPUTS, FMU_PARAMETERS; reset, begin, and advance, which returns a status. Value references:
+   outputs, inputs, parameters. Names, types and signatures are those of the standard's header files, (c) MODELISAR consortium and Modelica
    Association Project "FMI", 2-clause BSD licence; the declarations are written anew. */
 
 #include <stdlib.h>
@@ -46,7 +46,7 @@ fmi2Component fmi2Instantiate(fmi2String name, int type, fmi2String guid, fmi2St
   if (!i) return NULL;
   if (callbacks) i->logger = callbacks->logger, i->environment = callbacks->environment;
   if (type == 1 && guid && !strcmp(guid, GUID)) {
-    connect(&i->fmu), reset(&i->fmu);
+    reset(&i->fmu);
     return i;
   }
   say(i, fmi2Error, type == 1 ? "the GUID is not that of this FMU" : "this FMU is for co-simulation only");
@@ -75,8 +75,8 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
   const instance_t *i = c;
   for (size_t k = 0; k < n; ++k) {
     if (r[k] >= END) return say(i, fmi2Error, "unknown value reference");
-    v[k] = r[k] < FIRST_INPUT ? i->fmu.y[r[k]]
-         : r[k] < FIRST_PARAMETER ? i->fmu.inputs[r[k] - FIRST_INPUT] : i->fmu.parameters[r[k] - FIRST_PARAMETER];
+    v[k] = r[k] < FIRST_INPUT ? i->fmu.FMU_OUTPUTS[r[k]]
+         : r[k] < FIRST_PARAMETER ? i->fmu.FMU_INPUTS[r[k] - FIRST_INPUT] : i->fmu.FMU_PARAMETERS[r[k] - FIRST_PARAMETER];
   }
   return fmi2OK;
 }
@@ -90,7 +90,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
     if (p >= 0 && i->begun) return say(i, fmi2Error, "a parameter is set before initialisation ends, not later");
     if (p >= 0 && !(LOWEST[p] <= v[k] && v[k] <= HIGHEST[p]))
       return say(i, fmi2Error, "a parameter is out of the range that modelDescription.xml states");
-    *(p < 0 ? i->fmu.inputs + (r[k] - FIRST_INPUT) : i->fmu.parameters + p) = v[k];
+    *(p < 0 ? i->fmu.FMU_INPUTS + (r[k] - FIRST_INPUT) : i->fmu.FMU_PARAMETERS + p) = v[k];
   }
   return fmi2OK;
 }

@@ -1,6 +1,6 @@
 """From C source text to an FMU (FMI 2.0) for co-simulation, for this platform.
 
-What an FMU does stands in its own C (`fmu_t`, connect, reset, begin, advance), which fmi2.c translates to the
+What an FMU does stands in its own C (`fmu_t`, reset, begin, advance), which fmi2.c translates to the
 standard. All run-time numbers of car and controllers are parameters of their FMUs.
 """
 
@@ -61,7 +61,7 @@ def parameters_text(of: Sequence[Parameter]) -> str:
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
     """C enumeration of the indices of named values, MEASURED_FRONT_P and so on."""
-    return f"enum {{ {', '.join(f'{prefix}_{name.replace(chr(46), chr(95)).upper()}' for name in of)} }};\n"
+    return codegen.enumeration(f"{prefix}_{name.replace('.', '_').upper()}" for name in of)
 
 
 def constant(name: str, values: np.ndarray) -> str:
@@ -85,7 +85,8 @@ class Fmu:
     """C source with call.h, generated functions and constants. It defines INPUTS_TEXT (names of the inputs, for error
     messages) and INPUT_TEXT (message for an input out of range)."""
     model: Path
-    """C source that follows: type fmu_t, functions connect, reset, begin and advance."""
+    """C source that follows: type fmu_t, its members FMU_INPUTS, FMU_OUTPUTS and FMU_PARAMETERS, functions reset, begin
+    and advance."""
 
     def write(self, path: Path | str) -> Path:
         """Compile and pack an .fmu file; InputError where it cannot be written."""

@@ -1,42 +1,27 @@
 /* A sample of the controller of lqg.py for one running gear, without allocation. Starts after call.h and the sizes, indices and
    constants that lqg.py defines. */
 
-enum { SIGNALS = 3, FILTERS = 2 };  /* the second filter believes in rough rails */
+/* A design at one speed, as lqg.py lays it out: the model, the regulator, what each filter makes of a reading, the smoother. */
+typedef struct {
+  double a[MODEL][MODEL], b[MODEL], e[MODEL][KNOWN], feedback[MODEL + SENT], ahead[TAPS][KNOWN + 1];
+  struct { double read[FREE][SIGNALS], inverse[SIGNALS][SIGNALS], size; } filter[FILTERS];
+  double smooth[LAGS][2][SIGNALS];
+} lqg_design_t;
 
 typedef struct lqg {
-  casadi_int speeds, design, sent, taps, late, cells, width, rows;
+  casadi_int speeds, cells, rows;
   double behind, torque_limit, acceleration, gravity, base, partner, memory, start;
-  const double *designs, *route;
-  /* offset and direction of the rails along the track that the gear in front found; torques sent, last first */
-  double *rails, *torques;
+  const lqg_design_t *designs;
+  const double *route;
+  /* offset and direction of the rails along the track that the gear in front found */
+  double *rails;
   struct lqg *follower;
+  /* torques sent, last first */
+  double torques[TORQUES];
+  /* of the filters, the second of which believes in rough rails */
   double state[FILTERS][FREE], weight[FILTERS], share[FILTERS], surprise[SIGNALS], known_until;
   casadi_int started, restarts;
 } lqg_t;
-
-/* A design at one speed, as lqg.py lays it out. */
-typedef struct {
-  const double *a, *b, *e, *feedback, *ahead, *read[FILTERS], *inverse[FILTERS], *smooth;
-  double size[FILTERS];
-} lqg_design_t;
-
-static lqg_design_t lqg_design_at(const lqg_t *g, double v) {
-  const double place = floor(log(v / LEAST_SPEED) / LOG_STEP + 0.5);
-  const double *at = g->designs + (casadi_int)fmin(place, (double)(g->speeds - 1)) * g->design;
-  lqg_design_t d = {0};
-  d.a = at, at += MODEL * MODEL;
-  d.b = at, at += MODEL;
-  d.e = at, at += MODEL * KNOWN;
-  d.feedback = at, at += MODEL + g->sent;
-  d.ahead = at, at += g->taps * (KNOWN + 1);
-  for (int f = 0; f < FILTERS; ++f) {
-    d.read[f] = at, at += FREE * SIGNALS;
-    d.inverse[f] = at, at += SIGNALS * SIGNALS;
-    d.size[f] = *at++;
-  }
-  d.smooth = at;
-  return d;
-}
 
 /* Offset and direction of the rails at p: those that the gear in front found, or none. */
 static void lqg_rails_at(const lqg_t *g, double p, double *rail) {
@@ -49,8 +34,8 @@ static void lqg_rails_at(const lqg_t *g, double p, double *rail) {
 
 /* Known inputs at a place that is passed at a speed; set point over the rails, and curvature of the track. */
 static double lqg_known_at(const lqg_t *g, double p, double v, double *known, double *curvature) {
-  const double *c = row_at(g->route, p, g->start, CELL, g->cells, g->width);
-  const double *o = row_at(g->route, p + g->partner, g->start, CELL, g->cells, g->width);
+  const double *c = row_at(g->route, p, g->start, CELL, g->cells, WIDTH);
+  const double *o = row_at(g->route, p + g->partner, g->start, CELL, g->cells, WIDTH);
   const double d = p - c[AT_p], od = p + g->partner - o[AT_p];
   const double kappa = c[AT_kappa] + c[AT_dkappa] * d, heading = c[AT_psi] + (c[AT_kappa] + c[AT_dkappa] * d / 2) * d;
   const double other = o[AT_psi] + (o[AT_kappa] + o[AT_dkappa] * od / 2) * od;
@@ -88,10 +73,10 @@ static void lqg_update(lqg_t *g, const lqg_design_t *d, const double *read, doub
     double surprise[SIGNALS];
     for (int i = 0; i < SIGNALS; ++i) g->surprise[i] = surprise[i] = read[i] - expected[i];
     for (int i = 0; i < SIGNALS; ++i)
-      for (int j = 0; j < SIGNALS; ++j) square += surprise[i] * d->inverse[f][i * SIGNALS + j] * surprise[j];
+      for (int j = 0; j < SIGNALS; ++j) square += surprise[i] * d->filter[f].inverse[i][j] * surprise[j];
     for (int i = 0; i < FREE; ++i)
-      for (int j = 0; j < SIGNALS; ++j) x[i] += d->read[f][i * SIGNALS + j] * surprise[j];
-    g->weight[f] += -PERIOD / g->memory * g->weight[f] - (square + d->size[f]) / 2;
+      for (int j = 0; j < SIGNALS; ++j) x[i] += d->filter[f].read[i][j] * surprise[j];
+    g->weight[f] += -PERIOD / g->memory * g->weight[f] - (square + d->filter[f].size) / 2;
     best = fmax(best, g->weight[f]);
   }
   for (int f = 0; f < FILTERS; ++f) total += g->share[f] = exp(g->weight[f] - best);
@@ -102,9 +87,9 @@ static void lqg_update(lqg_t *g, const lqg_design_t *d, const double *read, doub
 static double lqg_steered(const lqg_t *g, const lqg_design_t *d, const double *x, double place, double v, double a) {
   double change = 0, known[KNOWN], curvature;
   for (int i = 0; i < MODEL; ++i) change += d->feedback[i] * x[i];
-  for (casadi_int i = 0; i < g->sent; ++i) change += d->feedback[MODEL + i] * g->torques[i];
-  for (casadi_int k = 0; k < g->taps; ++k) {
-    const double t = (double)k * TAP, driven = a < 0 ? fmin(t, -v / a) : t, *gain = d->ahead + k * (KNOWN + 1);
+  for (int i = 0; i < SENT; ++i) change += d->feedback[MODEL + i] * g->torques[i];
+  for (int k = 0; k < TAPS; ++k) {
+    const double t = (double)k * TAP, driven = a < 0 ? fmin(t, -v / a) : t, *gain = d->ahead[k];
     change += gain[KNOWN] * lqg_known_at(g, place + (v + a / 2 * driven) * driven, v + a * driven, known, &curvature);
     for (int i = 0; i < KNOWN; ++i) change += gain[i] * known[i];
   }
@@ -116,9 +101,9 @@ static void lqg_predict(lqg_t *g, const lqg_design_t *d, const double *known) {
   for (int f = 0; f < FILTERS; ++f) {
     double next[MODEL];
     for (int i = 0; i < MODEL; ++i) {
-      next[i] = d->b[i] * g->torques[g->late];
-      for (int j = 0; j < MODEL; ++j) next[i] += d->a[i * MODEL + j] * g->state[f][j];
-      for (int j = 0; j < KNOWN; ++j) next[i] += d->e[i * KNOWN + j] * known[j];
+      next[i] = d->b[i] * g->torques[LATE];
+      for (int j = 0; j < MODEL; ++j) next[i] += d->a[i][j] * g->state[f][j];
+      for (int j = 0; j < KNOWN; ++j) next[i] += d->e[i][j] * known[j];
     }
     memcpy(g->state[f], next, sizeof next);
   }
@@ -137,9 +122,8 @@ static void lqg_pass_on(const lqg_t *g, const lqg_design_t *d, double place, dou
     const casadi_int lag = (casadi_int)((place - to->start - (double)(cell - i) * PITCH) / (v * LAG) + 0.5);
     if (lag >= LAGS) break;
     if (i == 0 && cell > before) continue;
-    const double *gain = d->smooth + lag * 2 * SIGNALS;
     for (int j = 0; j < 2; ++j)
-      for (int k = 0; k < SIGNALS; ++k) row[j] += share * gain[j * SIGNALS + k] * g->surprise[k];
+      for (int k = 0; k < SIGNALS; ++k) row[j] += share * d->smooth[lag][j][k] * g->surprise[k];
   }
   to->known_until = place;
 }
@@ -155,19 +139,20 @@ double lqg_sample(void *gear, const double *state, const double *readings, doubl
   double known[KNOWN], x[FREE] = {0}, curvature;
   lqg_known_at(g, place, v, known, &curvature);
   const double read[SIGNALS] = {readings[0] + known[K_RAIL_OFFSET], readings[1] + known[K_RAIL_RATE] / v, readings[2] - v * curvature};
-  const lqg_design_t d = lqg_design_at(g, v);
+  const casadi_int speed = (casadi_int)fmin(floor(log(v / LEAST_SPEED) / LOG_STEP + 0.5), (double)(g->speeds - 1));
+  const lqg_design_t *d = g->designs + speed;
   double off = -read[0];
   for (int f = 0; f < FILTERS; ++f) off += g->share[f] * g->state[f][0];
   if (g->started && !(fabs(off) < LOST)) g->started = 0, ++g->restarts;
   if (!g->started) lqg_begin(g, read, v);
-  lqg_update(g, &d, read, v);
+  lqg_update(g, d, read, v);
   for (int f = 0; f < FILTERS; ++f)
     for (int i = 0; i < FREE; ++i) x[i] += g->share[f] * g->state[f][i];
 
-  if (g->follower) lqg_pass_on(g, &d, place, v);
-  const double torque = lqg_steered(g, &d, x, place, v, a);
-  memmove(g->torques + 1, g->torques, (size_t)g->sent * sizeof(double));
+  if (g->follower) lqg_pass_on(g, d, place, v);
+  const double torque = lqg_steered(g, d, x, place, v, a);
+  memmove(g->torques + 1, g->torques, SENT * sizeof(double));
   g->torques[0] = torque;
-  lqg_predict(g, &d, known);
+  lqg_predict(g, d, known);
   return torque;
 }

@@ -24,7 +24,7 @@ import ctypes
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -36,7 +36,7 @@ from railrepro.data import between, check_fields, require
 from railrepro.estimation.sensors import Loop
 from railrepro.model.forecast import nominal_values
 from railrepro.own.gear_model import KNOWN, STATES, UNITS, UNKNOWN, lateral_model
-from railrepro.track.route import CELL, INDEX, Route
+from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = 1.5 * np.exp(0.1 * np.arange(46))
@@ -217,36 +217,30 @@ def designs(vehicle: Vehicle, settings: LqgSettings, loop: Loop | None) -> tuple
     return first, _DESIGNED[key]
 
 
-_SOURCE = Path(__file__).with_suffix(".c")
-_WHOLE = ("speeds", "design", "sent", "taps", "late", "cells", "width", "rows")
-_REAL = ("behind", "torque_limit", "acceleration", "gravity", "base", "partner", "memory", "start")
+_SOURCE = Path(__file__).with_suffix(".c").read_text()
 
 
-class _Gear(ctypes.Structure):
-    """`lqg_t` of lqg.c."""
-
-    _fields_ = [
-        *((name, ctypes.c_longlong) for name in _WHOLE),
-        *((name, ctypes.c_double) for name in _REAL),
-        *((name, ctypes.c_void_p) for name in ("designs", "route", "rails", "torques", "follower")),
-        *((name, n * ctypes.c_double) for name, n in (("state", 2 * _FREE), ("weight", 2), ("share", 2))),
-        *(("surprise", 3 * ctypes.c_double), ("known_until", ctypes.c_double)),
-        *((name, ctypes.c_longlong) for name in ("started", "restarts")),
-    ]
+def _sizes(settings: LqgSettings, first: Design) -> dict[str, int]:
+    """Sizes of a design in C, for its first speed or any other."""
+    sizes = {"MODEL": _MODEL, "FREE": _FREE, "RAIL": _RAIL, "BIAS": _MODEL, "KNOWN": len(KNOWN), "WIDTH": len(COLUMNS)}
+    sizes |= {"SIGNALS": 3, "FILTERS": 2, "LAGS": LAGS, "TAPS": round(settings.preview / TAP) + 1}
+    return sizes | {"LATE": first.late, "SENT": first.sent, "TORQUES": first.sent + 1}
 
 
-def source() -> str:
+def _source(sizes: dict[str, int]) -> str:
     """C source of a sample; starts after call.h."""
-    sizes = {"MODEL": _MODEL, "FREE": _FREE, "RAIL": _RAIL, "BIAS": _MODEL, "KNOWN": len(KNOWN), "LAGS": LAGS}
     columns = {f"AT_{name}": i for name, i in INDEX.items()} | {f"K_{name.upper()}": i for i, name in enumerate(KNOWN)}
     speeds = {"LEAST_SPEED": SPEEDS[0], "LOG_STEP": np.log(SPEEDS[1] / SPEEDS[0]), "PERIOD": CONTROL_PERIOD}
     defined = sizes | columns | speeds | {"TAP": TAP, "LAG": LAG, "LOST": _LOST, "PITCH": _PITCH, "CELL": CELL}
-    return codegen.defines(defined) + _SOURCE.read_text()
+    return codegen.defines(defined) + _SOURCE
 
 
 @lru_cache
-def _library() -> ctypes.CDLL:
-    return codegen.library((), codegen.PREAMBLE + source())
+def library(*sizes: tuple[str, int]) -> tuple[ctypes.CDLL, Any]:
+    """A sample with some sizes as a shared object, and `lqg_t` of lqg.c."""
+    loaded = codegen.library((), codegen.PREAMBLE + _source(dict(sizes)))
+    loaded.lqg_sample.restype = ctypes.c_double
+    return loaded, codegen.structure("lqg_t", _SOURCE, dict(sizes))
 
 
 class LqgGear:
@@ -257,37 +251,44 @@ class LqgGear:
     def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: LqgSettings):
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
-    def numbers(self, loop: Loop | None) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """Numbers of `lqg_t` by name, and its tables; rails and torques are memory."""
-        (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
-        acceleration, partner, _ = nominal_values(vehicle, self.gear)
-        taps, rows = round(self.settings.preview / TAP) + 1, round(len(cells) * CELL / _PITCH)
-        whole = len(table), table.shape[1], first.sent, taps, first.late, *cells.shape, rows
-        behind, limit = max(first.late - 1, 0) * CONTROL_PERIOD, vehicle.drive.torque_limit
-        ends = self.settings.memory, self.route.start
-        real = behind, limit, acceleration, vehicle.gravity, vehicle.gear.contact_base, partner
-        memory = {"rails": np.zeros((rows, 2)), "torques": np.zeros(first.sent + 1)}
-        tables = {"designs": table, "route": np.ascontiguousarray(cells)} | memory
-        return dict(zip(_WHOLE, whole, strict=True)) | dict(zip(_REAL, real + ends, strict=True)), tables
-
     def compiled(self, loop: Loop | None, leader: LqgGear | None = None) -> tuple[int, int]:
         """Addresses of the function and of its memory, for sensors or none; the leader is the gear in front."""
-        numbers, self.tables = self.numbers(loop)
-        self.memory = _Gear(**numbers, **{name: table.ctypes.data for name, table in self.tables.items()})
-        self.memory.known_until = self.route.start
+        (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
+        acceleration, partner, _ = nominal_values(vehicle, self.gear)
+        self.sizes, rows = _sizes(self.settings, first), round(len(cells) * CELL / _PITCH)
+        loaded, of_gear = library(*self.sizes.items())
+        self.tables = {"designs": table, "route": np.ascontiguousarray(cells), "rails": np.zeros((rows, 2))}
+        self.memory = of_gear(
+            speeds=len(table),
+            cells=len(cells),
+            rows=rows,
+            behind=max(first.late - 1, 0) * CONTROL_PERIOD,
+            torque_limit=vehicle.drive.torque_limit,
+            acceleration=acceleration,
+            gravity=vehicle.gravity,
+            base=vehicle.gear.contact_base,
+            partner=partner,
+            memory=self.settings.memory,
+            start=self.route.start,
+            known_until=self.route.start,
+            **{name: values.ctypes.data for name, values in self.tables.items()},
+        )
         if leader is not None:
             leader.memory.follower = ctypes.addressof(self.memory)
-        return ctypes.cast(_library().lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
+        return ctypes.cast(loaded.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: list[LqgGear], loop: Loop | None) -> str:
         """C source of the controllers of all gears for `railrepro.export.controller`."""
-        (numbers, tables), *_ = found = [gear.numbers(loop) for gear in gears]
-        rows = (", ".join(f"{value}" for value in of_gear.values()) for of_gear, _ in found)
-        text = source() + f"static const lqg_t LQG_GEARS[] = {{{', '.join(f'{{{row}}}' for row in rows)}}};\n"
+        for gear in gears:
+            gear.compiled(loop)
+        text, tables = _source(gears[0].sizes), gears[0].tables
+        text += (
+            f"static const lqg_t LQG_GEARS[] = {{{', '.join(codegen.initialiser(gear.memory) for gear in gears)}}};\n"
+        )
         values = ",".join(float(value).hex() for value in tables["designs"].ravel())
         text += f"static const double LQG_DESIGNS[] = {{{values}}};\n"
-        text += f"enum {{ LQG_ROWS = {numbers['rows']}, LQG_TORQUES = {tables['torques'].size} }};\n"
-        return text + _SOURCE.with_name("lqg_export.c").read_text()
+        text += codegen.enumeration([f"LQG_ROWS = {len(tables['rails'])}"])
+        return text + Path(__file__).with_name("lqg_export.c").read_text()
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,14 @@
 
 typedef struct {
   lqg_t gear;
-  double rails[2 * LQG_ROWS], torques[LQG_TORQUES];
+  double rails[2 * LQG_ROWS];
 } planner_memory_t;
 
 static void planner_reset(planner_memory_t *m, int gear, const double *parameters, const double *cells) {
   (void)parameters;  /* its designs are tables */
   memset(m, 0, sizeof *m);
   m->gear = LQG_GEARS[gear];
-  m->gear.designs = LQG_DESIGNS, m->gear.route = cells;
-  m->gear.rails = m->rails, m->gear.torques = m->torques, m->gear.known_until = m->gear.start;
+  m->gear.designs = (const lqg_design_t *)LQG_DESIGNS, m->gear.route = cells, m->gear.rails = m->rails;
   if (gear == 0) m->gear.follower = &m[1].gear;
 }
 

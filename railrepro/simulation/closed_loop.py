@@ -1,6 +1,6 @@
 """Car and control law coupled at 1 kHz: one call runs many control cycles.
 
-The loop of `loop.c` runs over the compiled car and the compiled law.
+The loop of `loop.c` runs over the compiled car and the control cycle of `railrepro.control.cycle`.
 """
 
 from __future__ import annotations
@@ -9,62 +9,34 @@ import ctypes
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from railrepro.car import equations
+from railrepro.car import component
 from railrepro.car.component import SteppedCar
+from railrepro.car.outputs import Outputs
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.control import interface, law
-from railrepro.model.control_model import STATES
-from railrepro.quantities import GEARS, indices, names, pack, unpack
+from railrepro.control import cycle, interface, law
+from railrepro.quantities import indices, names, pack, unpack
 
 _BLOCK = 10_000
 """Control cycles whose log is allocated at once."""
-_READ = [STATES.index(name) for name in names(interface.ReadGear)]
-"""States of a gear that sensors read."""
-SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 2, ctypes.c_double)
-"""Function of a slower controller, see `planner_slot_t` of loop.c: differential torque (N m) from the address of its
-memory, states of its gear (6,), readings of it (3,), see `interface.ReadGear`, and base torque (N m)."""
+_SOURCE = Path(__file__).with_name("loop.c").read_text()
+_MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
+"""Outputs of the car that the law measures."""
 
 
-class _Vector(ctypes.Structure):
-    _fields_ = [("values", ctypes.c_void_p), ("n", ctypes.c_longlong)]
-
-
-class _Copy(ctypes.Structure):
-    _fields_ = [("to", ctypes.c_void_p), ("from_", ctypes.c_void_p), ("n", ctypes.c_longlong)]
-
-
-class _Loop(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_void_p) for name in ("car", "measure", "advance")),
-        ("law", codegen.Call),
-        ("sensed", ctypes.c_void_p),
-        *((name, _Vector) for name in ("measured", "outputs", "record", "margins")),
-        ("carried", _Copy),
-        ("planners", ctypes.c_void_p),
-        *((name, ctypes.c_longlong) for name in ("n_planners", "every")),
-    ]
-
-
-class _Planner(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_void_p) for name in ("sample", "self", "held", "base", "seen")]
-
-
-@lru_cache(maxsize=1)
-def _library() -> ctypes.CDLL:
-    """The loop as a shared object."""
-    sizes = codegen.defines({"STATES": len(STATES), "READINGS": len(_READ)})
-    loaded = codegen.library((), codegen.PREAMBLE + sizes + Path(__file__).with_name("loop.c").read_text())
+@lru_cache
+def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
+    """The loop under a law as a shared object, and its `loop_t`."""
+    text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
+    text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + ", ".join(map(str, _MEASURED)) + "}"})
+    loaded = codegen.library((law.function(signature),), text + _SOURCE)
     loaded.loop_run.restype = ctypes.c_longlong
-    return loaded
-
-
-def _addresses(array: np.ndarray, places) -> np.ndarray:
-    """Addresses of entries of an array, in the shape of their indices."""
-    return array.ctypes.data + array.itemsize * np.asarray(places, dtype=np.int64)
+    _, controller = cycle.structures(signature)
+    return loaded, codegen.structure("loop_t", _SOURCE, {}, car_fn=ctypes.c_void_p, controller_t=controller)
 
 
 class ClosedLoop:
@@ -85,37 +57,21 @@ class ClosedLoop:
     """
 
     def __init__(self, car: SteppedCar, control: law.ControlLaw):
-        self.car, self.control, self.cycles, self.ended = car, control, 0, False
+        self.car, self.control, self.ended = car, control, False
         car.look_up()
-        signature, outputs = control.signature, car.model.outputs
-        self.state, self.held = car.state, np.zeros(len(GEARS))
-        self.columns = (*outputs, *signature.record)
-        measured, record, self._margins = (
-            np.zeros(len(entries)) for entries in (interface.MEASURED, signature.record, interface.MARGINS)
-        )
-        self.memory, following = np.zeros(len(signature.memory)), np.zeros(len(signature.memory))
-        first = equations.BODIES.index(GEARS[0])
-        cells = car.rows[first : first + len(GEARS)].reshape(-1)
-        self._law = codegen.CompiledFunction(
-            control.library(),
-            control.function,
-            [measured, cells, self.held, np.array(control.gains), self.memory],
-            [car.torque, following, record, self._margins],
-        )
-        sensed = [outputs.index(name) for name in interface.MEASURED]
-        exact, memory = unpack(interface.Measured, sensed), indices(signature.Memory)
-        states, self._of_gears = np.array([pack(exact.front), pack(exact.rear)]), (memory.front, memory.rear)
-        self._exact = np.hstack([states, states[:, _READ]])
-        self._seen = car.measured, self._exact
-        if signature.sensed:
-            self._seen = self.memory, np.array([pack(gear.estimated) + pack(gear.read) for gear in self._of_gears])
-        self._sensed = _addresses(car.measured, sensed)
-        vectors = (measured, car.measured, record, self._margins)
-        self._loop = _Loop(
-            ctypes.cast(car.pointer, ctypes.c_void_p), *car.c_functions(), self._law.call, self._sensed.ctypes.data,
-            *(_Vector(vector.ctypes.data, vector.size) for vector in vectors),
-            _Copy(self.memory.ctypes.data, following.ctypes.data, following.size),
-        )  # fmt: skip
+        signature, self.state = control.signature, car.state
+        self.columns = (*car.model.outputs, *signature.record)
+        self._library, of_loop = library(signature)
+        of_car = component.library()
+        functions = (ctypes.cast(function, ctypes.c_void_p) for function in (of_car.car_measure, of_car.car_advance))
+        buffers = car.torque.ctypes.data, car.measured.ctypes.data, car.measured.size
+        self._loop = of_loop(ctypes.addressof(car.c), *functions, *buffers)
+        self._c = self._loop.control
+        self._c.cells, self._c.n_cells = car.c.track, car.c.track_cells
+        self._c.cell_start, self._c.cell_step = car.c.track_start, car.c.track_step
+        found = codegen.arrays(self._c)
+        found["parameters"][:] = control.gains
+        self.held, self.memory, self._margins = found["held"], found["memory"], found["margins"]
 
     def run(self, n: int) -> np.ndarray:
         """Advance by up to n control cycles.
@@ -131,16 +87,11 @@ class ClosedLoop:
             One row per cycle, taken before its step. m = n, or the run ended early: the last row then shows where,
             `ended` is true and `state` is that of the last row.
         """
-        if not self.cycles:  # before anything is estimated
-            array, places = self._seen
-            array[places] = self.car.measure()[self._exact]
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
             rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
-            address = ctypes.c_void_p(rows.ctypes.data)
-            count, before = ctypes.c_longlong(len(rows)), ctypes.c_longlong(self.cycles)
-            done = _library().loop_run(ctypes.byref(self._loop), count, address, before)
-            self.cycles += done
+            count, address = ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data)
+            done = self._library.loop_run(ctypes.byref(self._loop), count, address)
             self.ended = done < len(rows)
             blocks.append(rows[: done + 1])
             if self.ended:
@@ -155,23 +106,18 @@ class ClosedLoop:
         Parameters
         ----------
         planners : sequence of (int, int)
-            Per gear the address of its function, see `SAMPLE`, and that of its memory.
+            Per gear the address of its function, see `cycle.SAMPLE`, and that of its memory.
         every : int
         """
-        seen = _addresses(*self._seen)
-        base = _addresses(self.memory, [gear.u for gear in self._of_gears])
-        held = _addresses(self.held, range(len(GEARS)))
-        slots = [
-            _Planner(*planner, int(held[g]), int(base[g]), seen[g].ctypes.data) for g, planner in enumerate(planners)
-        ]
-        self._connected = seen, (_Planner * len(slots))(*slots)  # the loop uses their memory
-        self._loop.planners, self._loop.n_planners = ctypes.addressof(self._connected[1]), len(slots)
-        self._loop.every = every
+        slot, _ = cycle.structures(self.control.signature)
+        self._c.every = every
+        for g, planner in enumerate(planners):
+            self._c.planner[g] = slot(*planner)
 
     @property
     def time(self) -> float:
         """Simulated time (s)."""
-        return self.cycles * CONTROL_PERIOD
+        return self._c.cycles * CONTROL_PERIOD
 
     @property
     def margins(self) -> dict[str, float]:
@@ -183,5 +129,9 @@ class ClosedLoop:
 
         With sensors, as the law saw them in the cycle before.
         """
-        array, places = self._seen if self.cycles else (self.car.measured, self._exact)
-        return array[places[:, : len(STATES)]]
+        signature = self.control.signature
+        if signature.sensed and self._c.cycles:
+            memory = indices(signature.Memory)
+            return self.memory[np.array([pack(gear.estimated) for gear in (memory.front, memory.rear)])]
+        measured = unpack(interface.Measured, _MEASURED)
+        return self.car.measured[np.array([pack(measured.front), pack(measured.rear)])]

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from railrepro import data, paths
 from railrepro.data import InputError, Number, above, between
-from railrepro.reads import Entries
+from railrepro.paths import Entries
 from railrepro.track import route
 from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle

@@ -18,15 +18,14 @@ import pandas as pd
 from railrepro.car import equations
 from railrepro.car.component import DERAILED, SteppedCar
 from railrepro.clock import CONTROL_PERIOD
-from railrepro.control import interface, lateral, law
+from railrepro.control import cycle, interface, lateral, law
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.law import GEARS
 from railrepro.data import InputError, above, is_number, require
 from railrepro.estimation.sensors import Loop, Readings
 from railrepro.model.control_model import STATES, X
-from railrepro.numerics import one_thread
 from railrepro.quantities import names
-from railrepro.simulation.closed_loop import SAMPLE, ClosedLoop
+from railrepro.simulation.closed_loop import ClosedLoop
 from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.route import Route
@@ -115,14 +114,13 @@ def run(
     scenario.check(body)
     route = scenario.route(irregularities, line)
     lateral_law, factory = lateral.split(guidance)
-    with one_thread():
-        controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
-        loop = start(
-            scenario, lateral_law, route, vehicle, body, substeps,
-            adhesion=adhesion, fixed_share=fixed_share, sensors=sensors,
-        )  # fmt: skip
-        longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
-        log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
+    controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
+    loop = start(
+        scenario, lateral_law, route, vehicle, body, substeps,
+        adhesion=adhesion, fixed_share=fixed_share, sensors=sensors,
+    )  # fmt: skip
+    longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
+    log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
     series = pd.DataFrame(log, columns=loop.columns)
     series.insert(0, "t_s", np.arange(len(series)) * CONTROL_PERIOD)
     ended, failed = _reason(loop, series)
@@ -175,7 +173,7 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
     front, rear = controllers
     faults: list[BaseException] = []
     compiled = [front.compiled(sensors), rear.compiled(sensors, front)] if hasattr(front, "compiled") else []
-    samples = [SAMPLE(_sample(*of_gear, sensors, faults)) for of_gear in zip(controllers, GEARS, strict=True)]
+    samples = [cycle.SAMPLE(_sample(*of_gear, sensors, faults)) for of_gear in zip(controllers, GEARS, strict=True)]
     python = [(ctypes.cast(sample, ctypes.c_void_p).value or 0, 0) for sample in samples]
     every = round(front.period / CONTROL_PERIOD)
     loop.connect([fast or slow for fast, slow in zip(compiled or python, python, strict=True)], every)

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from railrepro import data, paths
 from railrepro.data import InputError, Number, above, between
-from railrepro.reads import Entries
+from railrepro.paths import Entries
 
 GRAVITY = 9.81
 CANT_BASE = 1.5

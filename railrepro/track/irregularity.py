@@ -140,11 +140,7 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
 
     Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral representation by FFT).
     """
-    p = coordinates(p)
-    if np.diff(p).max(initial=0.0) > BAND[0] / 2:
-        raise InputError(
-            f"irregularities: p makes a step of {np.diff(p).max():g} m, up to {BAND[0] / 2:g} m is allowed"
-        )
+    p = _coordinates(p, BAND[0] / 2)
     columns = {"p_m": p}
     for i, (channel, column) in enumerate(CHANNELS.items()):
         generator = np.random.default_rng((seed, i))
@@ -169,34 +165,19 @@ def _realisation(p, spectrum: str, channel: str, generator) -> np.ndarray:
     return scipy.ndimage.map_coordinates(values, [p / step], order=5, mode="grid-wrap")
 
 
-def coordinates(p) -> np.ndarray:
-    """Track coordinates as an array, shape (n,); InputError when they are not finite and increasing numbers."""
-    try:
-        found = np.asarray(p, dtype=float)
-    except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.ndim != 1 or found.size == 0 or not np.isfinite(found).all() or (np.diff(found) <= 0).any():
-        raise InputError(
-            f"irregularities: p is {reprlib.repr(p)}, a list of finite and increasing track coordinates (m) is needed"
-        )
-    return found
-
-
-def check(frame: pd.DataFrame, where: str = "irregularities") -> None:
+def check(frame: pd.DataFrame) -> None:
     """Refuse what cannot be laid along a track: not a frame of irregularities, not finite, beyond the flangeway.
 
     Raises
     ------
     InputError
-        One sentence naming where they come from, channel and place.
+        One sentence naming channel and place.
     """
-    require(where, frame, pd.DataFrame)
+    require("irregularities", frame, pd.DataFrame)
     missing = sorted({"p_m", *CHANNELS.values()} - set(frame))
     if missing:
-        raise InputError(f"{where} lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
-    p = coordinates(frame["p_m"])
-    if p.size < 2:
-        raise InputError(f"{where} have {p.size} row, at least 2 are needed")
+        raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
+    p = _coordinates(frame["p_m"], math.inf)
     for column in CHANNELS.values():
         low, high = FLANGEWAY.get(column, (-LARGEST, LARGEST))
         values = pd.to_numeric(frame[column], errors="coerce").astype(float)
@@ -204,7 +185,20 @@ def check(frame: pd.DataFrame, where: str = "irregularities") -> None:
         if not inside.all():
             row = int(np.argmin(inside))
             found = f"{column} = {values.iloc[row]:g} at p = {p[row]:g} m"
-            raise InputError(f"{where}: {found}, {low:g} to {high:g} is allowed (unit?)")
+            raise InputError(f"irregularities: {found}, {low:g} to {high:g} is allowed (unit?)")
+
+
+def _coordinates(p, longest: float) -> np.ndarray:
+    """Track coordinates as an array, shape (n,); InputError when they do not increase by steps up to `longest` (m)."""
+    try:
+        found = np.asarray(p, dtype=float)
+    except (TypeError, ValueError):
+        found = np.array(np.nan)
+    steps = np.diff(found) if found.ndim == 1 else np.empty(0)
+    if steps.size == 0 or not ((steps > 0) & (steps <= longest) & (steps < math.inf)).all():
+        needed = "a list of two or more finite track coordinates (m) that increase"
+        raise InputError(f"irregularities: p is {reprlib.repr(p)}, {needed} by up to {longest:g} m is needed")
+    return found
 
 
 def smooth_step(r: np.ndarray) -> np.ndarray:
@@ -218,12 +212,3 @@ def faded(frame: pd.DataFrame) -> pd.DataFrame:
     p = frame["p_m"].to_numpy()
     fade = smooth_step(np.minimum(p - p[0], p[-1] - p) / _FADE)
     return frame.assign(**{column: fade * frame[column] for column in frame.columns.drop("p_m")})
-
-
-def sampling(frame: pd.DataFrame) -> float:
-    """Distance of the rows of a frame (m); InputError when they are not evenly spaced."""
-    require("irregularities", frame, pd.DataFrame)
-    steps = np.diff(frame.get("p_m", ()))
-    if steps.size == 0 or steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.max():
-        raise InputError("irregularities: p_m is not evenly spaced and increasing, resample the frame first")
-    return float(steps.mean())

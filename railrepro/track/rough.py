@@ -1,4 +1,4 @@
-"""Rough rails: random or measured irregularities with localised defects.
+"""Rough rails: random irregularities with localised defects.
 
 All of them are frames of irregularities, see `railrepro.track.irregularity`, at the same track coordinates, so they add
 up. Serves the paper's outlook (known lateral track irregularities).
@@ -6,30 +6,22 @@ up. Serves the paper's outlook (known lateral track irregularities).
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from railrepro import data, paths
+from railrepro import data
 from railrepro.data import InputError, Number, above, between
 from railrepro.track.irregularity import (
-    BAND,
     CHANNELS,
     HALF_BASE,
     LARGEST,
-    check,
-    coordinates,
-    faded,
     irregularities,
     smooth_step,
 )
-from railrepro.track.table import read_numbers, refuse
 
-_STEP = BAND[0] / 2
-"""Longest step of p_m in a file (m): half of the shortest wave."""
 _START = Annotated[Number, between(-1e6, 1e6, "m")]
 _LENGTH = Annotated[Number, above(0.0, 1e6, "m")]
 _HEIGHT = Annotated[Number, between(-LARGEST, LARGEST, "m")]
@@ -113,47 +105,11 @@ def _check_fit(defect: Dip | AlignmentFault | LateralOffset, p: np.ndarray, deta
 
 @data.table
 class Rough:
-    """Irregularities of a run: random ones (arguments of `irregularities`) or those of a file, and defects.
+    """Irregularities of a run: random ones (arguments of `irregularities`) and defects."""
 
-    A file holds what a recording car measured: a CSV with p_m, increasing by at most 1.5 m, which is `chainage` where
-    the run begins (m), and the columns of `irregularity.CHANNELS` with their signs; cross level is the height
-    difference of the rails over 1.5 m.
-    """
-
-    file: str | None = None
-    chainage: Annotated[Number, between(-1e7, 1e7, "m")] = 0.0
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"
     seed: Annotated[int, between(0, 2**63)] = 1
-
-    def __post_init__(self) -> None:
-        if self.file is not None and (self.spectrum, self.seed) != (Rough.spectrum, Rough.seed):
-            raise ValueError("has a file and what only random irregularities take (spectrum, seed)")
-        if self.file is None and self.chainage != 0.0:
-            raise ValueError(f"has the chainage {self.chainage!r}, but no file that has one")
-
-    def at(self, p) -> pd.DataFrame:
-        """Irregularities at track coordinates p (m), shape (n,)."""
-        p = coordinates(p)
-        if self.file is None:
-            total = irregularities(p, self.spectrum, self.seed)
-        else:
-            total = faded(self._measured(paths.source(self.file), p))
-        for defect in self.defects:
-            total = total + defect.at(p).assign(p_m=0.0)
-        check(total)
-        return total
-
-    def _measured(self, file: Path, p: np.ndarray) -> pd.DataFrame:
-        frame = read_numbers(file, [[column] for column in ("p_m", *CHANNELS.values())])
-        check(frame, file.name)
-        far = np.diff(frame["p_m"], prepend=frame["p_m"][0]) > _STEP
-        refuse(file.name, frame["p_m"], far, f"which is more than {_STEP:g} m after the row before")
-        at = frame["p_m"] - self.chainage
-        if at.iloc[0] > 0 or at.iloc[-1] < p[-1]:
-            found = f"p_m goes from {at.iloc[0]:g} to {at.iloc[-1]:g} m"
-            raise InputError(f"{file.name}: {found}, the run needs 0 to {p[-1]:g} m; `chainage` shifts it")
-        return pd.DataFrame({"p_m": p} | {c: np.interp(p, at, frame[c]) for c in CHANNELS.values()})
 
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
@@ -174,7 +130,10 @@ def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
     Raises
     ------
     InputError
-        An argument that is not known, missing, or not of this kind; a file with a wrong or missing number, a gap, or
-        shorter than the run; more than the flangeway takes.
+        An argument that is not known, missing, or not of this kind.
     """
-    return data.build(Rough, arguments, "irregular").at(p)
+    rough = data.build(Rough, arguments, "irregular")
+    total = irregularities(p, rough.spectrum, rough.seed)
+    for defect in rough.defects:
+        total = total + defect.at(total["p_m"].to_numpy()).assign(p_m=0.0)
+    return total

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -19,7 +18,7 @@ import pandas as pd
 
 from railrepro import data, paths
 from railrepro.data import InputError
-from railrepro.track.alignment import CANT_BASE, LONGEST, MAX_CANT, Alignment, Segment, alignments
+from railrepro.track.alignment import LONGEST, MAX_CANT, Alignment, Segment, alignments
 
 STEP = 0.5
 """Step of generated tables (m)."""
@@ -175,116 +174,49 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     table.to_csv(path, index=False, float_format="%.17g")
 
 
-_COLUMNS: dict[str, tuple[str, Callable]] = {
-    "p_m": ("p", lambda p: p - p[0]),
-    "chainage_m": ("p", lambda p: p - p[0]),
-    "dpsi_dp_1pm": ("curvature", np.asarray),
-    "curvature_1pm": ("curvature", np.asarray),
-    "radius_m": ("curvature", lambda radius: np.divide(1.0, radius, out=np.zeros_like(radius), where=radius != 0)),
-    "phi_rad": ("cant", np.asarray),
-    "cant_m": ("cant", lambda height: np.arcsin(np.clip(height / CANT_BASE, -1.0, 1.0))),
-    "cant_mm": ("cant", lambda height: np.arcsin(np.clip(height * 1e-3 / CANT_BASE, -1.0, 1.0))),
-    "eps_rad": ("gradient", np.asarray),
-    "gradient_permille": ("gradient", lambda rise: np.arctan(1e-3 * rise)),
-}
-"""Columns of a track file: the quantity that each gives, and what makes it SI."""
-_LARGEST = {"p": (LONGEST, "m"), "curvature": (0.02, "1/m"), "cant": (MAX_CANT, "rad"), "gradient": (0.2, "rad")}
-_SPIKE = {"p": math.inf, "curvature": 2e-3, "cant": 0.02, "gradient": 0.02}
-"""By how much a single row may lie above or below both neighbours."""
-
-
-def _spikes(values: np.ndarray, least: float) -> np.ndarray:
-    """Rows that lie above or below both neighbours by at least so much."""
-    rise = np.diff(values)
-    alone = (rise[:-1] * rise[1:] < 0) & (np.minimum(np.abs(rise[:-1]), np.abs(rise[1:])) >= least)
-    return np.concatenate([[False], alone, [False]])
+_LARGEST = {"p_m": (LONGEST, "m"), "dpsi_dp_1pm": (0.02, "1/m"), "phi_rad": (MAX_CANT, "rad"), "eps_rad": (0.2, "rad")}
+_LARGEST |= {"psi_rad": (1e3, "rad")}
+"""Columns of a track file that are read, and magnitudes beyond which the unit is wrong."""
 
 
 def read_table(path: Path | str) -> pd.DataFrame:
-    """Read a track from a CSV: curvature, cant and gradient at points, which change linearly in between.
+    """Read a track from a CSV: curvature, cant and inclination at points, which change linearly in between.
 
     The table has the rows of `build_table`. Heading and positions follow from these columns, of which there is one row
-    per point:
+    per point, and whose signs are those of `COLUMNS`; others are not looked at:
 
-    - p_m or chainage_m: distance along the line (m), increasing; the track begins at its first, with coordinate 0;
-    - dpsi_dp_1pm or curvature_1pm (1/m), or radius_m (m; 0, inf or empty on a straight): positive in right-hand curves;
-    - phi_rad (rad), cant_m (m) or cant_mm (mm), optional: the left rail above the right one is positive;
-    - eps_rad (rad) or gradient_permille, optional: a rise is positive;
+    - p_m: distance along the line (m), increasing; the track begins at its first, with coordinate 0;
+    - dpsi_dp_1pm (1/m);
+    - phi_rad and eps_rad (rad), 0 where they are missing;
     - psi_rad (rad), optional: only the first counts, the heading with which the track begins.
 
     Raises
     ------
     InputError
-        A quantity that is missing or there twice, anything but a finite number, points that do not increase, magnitudes
-        beyond what railways build (wrong unit), a single row that stands out.
+        A column that is missing, anything but a finite number, points that do not increase, magnitudes beyond what
+        railways build (wrong unit).
     """
     file = data.location(path)
-    choices = {quantity: [c for c, (of, _) in _COLUMNS.items() if of == quantity] for quantity in _LARGEST}
-    numbers = read_numbers(
-        file, [choices["p"], choices["curvature"]], [choices["cant"], choices["gradient"], ["psi_rad"]]
-    )
-    values = dict.fromkeys(_LARGEST, np.zeros(len(numbers)))
-    for column in numbers.columns.drop("psi_rad", errors="ignore"):
-        quantity, in_si = _COLUMNS[column]
-        values[quantity] = in_si(numbers[column].to_numpy())
-        largest, unit = _LARGEST[quantity]
-        beyond = np.abs(values[quantity]) > largest
-        refuse(file.name, numbers[column], beyond, f"up to {largest:g} {unit} of {quantity} is allowed (unit?)")
-        refuse(file.name, numbers[column], _spikes(values[quantity], _SPIKE[quantity]), "which stands out alone")
-    shape = (itertools.pairwise(values[quantity]) for quantity in ("curvature", "cant", "gradient"))
-    segments = tuple(map(Segment, np.diff(values["p"]), *shape))
-    heading = numbers["psi_rad"].iloc[0] if "psi_rad" in numbers else 0.0
-    return build_table(Alignment(file.stem, segments), heading=heading)
-
-
-def read_numbers(file: Path, needed: Iterable[Sequence[str]], optional: Iterable[Sequence[str]] = ()) -> pd.DataFrame:
-    """Finite numbers of a CSV along the track.
-
-    Parameters
-    ----------
-    file : Path
-        CSV whose rows follow the first needed column.
-    needed, optional : iterable of sequences of str
-        Columns, each with the names that it may have; others are ignored. A column radius_m may be empty or infinite.
-
-    Returns
-    -------
-    DataFrame
-        At least two rows; the columns that are there, in the order asked for, with their names in the file.
-
-    Raises
-    ------
-    InputError
-        A column that is missing or there twice, anything but a finite number, first column not increasing.
-    """
     try:
-        text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False)
+        text = pd.read_csv(file, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
         raise InputError(f"{file.name}: cannot be read as CSV ({str(error).strip()})") from error
-    head = text.iloc[0].tolist()
-    columns, must = [], list(needed)
-    for names in [*must, *optional]:
-        there = [name for name in head if name in names]
-        if len(there) > 1 or (not there and names in must):
-            raise InputError(f"{file.name}: has {there or 'none'} of {list(names)} among {head}, one of them is needed")
-        columns += there
-    if len(text) < 3:
-        raise InputError(f"{file.name}: {len(text) - 1} rows found, at least 2 are needed")
-    text = text.iloc[1:].set_axis(head, axis="columns").reset_index(drop=True)[columns]
-    numbers = text.apply(pd.to_numeric, errors="coerce").astype(float)
-    if "radius_m" in numbers:
-        straight = (text["radius_m"] == "") | np.isinf(numbers["radius_m"])
-        numbers["radius_m"] = numbers["radius_m"].mask(straight, 0.0)
-    for row, column in np.argwhere(~np.isfinite(numbers.to_numpy()))[:1]:
-        found = f"{columns[column]} is {text.iloc[row, column]!r}"
-        raise InputError(f"{file.name}: row {row + 2}, {found}, a finite number is needed")
-    along = numbers[columns[0]]
-    refuse(file.name, along, np.diff(along, prepend=-np.inf) <= 0, "which does not increase")
-    return numbers
-
-
-def refuse(where: str, values: pd.Series, wrong, allowed: str) -> None:
-    """Refuse a column of a CSV with the first of the rows that are wrong; InputError."""
-    if np.any(wrong):
-        row = int(np.argmax(wrong))
-        raise InputError(f"{where}: row {row + 2}, {values.name} = {values.iloc[row]:g}, {allowed}")
+    missing = [column for column in ("p_m", "dpsi_dp_1pm") if column not in text]
+    if missing:
+        raise InputError(f"{file.name}: the column {missing[0]} is missing among {list(text)}")
+    if len(text) < 2:
+        raise InputError(f"{file.name}: {len(text)} rows found, at least 2 are needed")
+    values = {}
+    for column, (largest, unit) in _LARGEST.items():
+        numbers = pd.to_numeric(text.get(column, pd.Series(0.0, text.index)), errors="coerce").to_numpy(dtype=float)
+        wrong = ~(np.abs(numbers) <= largest)
+        if column == "p_m":
+            wrong |= np.diff(numbers, prepend=-np.inf) <= 0
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            needed = f"a{'n increasing' * (column == 'p_m')} number up to {largest:g} {unit} is needed (unit?)"
+            raise InputError(f"{file.name}: row {row + 2}, {column} is {text[column].iloc[row]!r}, {needed}")
+        values[column] = numbers
+    p, *shape, heading = values.values()
+    segments = tuple(map(Segment, np.diff(p), *map(itertools.pairwise, shape)))
+    return build_table(Alignment(file.stem, segments), heading=heading[0])

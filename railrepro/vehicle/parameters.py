@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import pandas as pd
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 from pydantic_core import core_schema
 
 from railrepro import data, paths
@@ -63,12 +63,6 @@ def _above(low: float, high: float, unit: str) -> Parameter:
 
 def _from_zero(high: float, unit: str) -> Parameter:
     return Parameter(0.0, high, unit, closed=True)
-
-
-def _profile_name(name: str) -> str:
-    if name not in ("cone", "s1002") and not name.endswith(".csv"):
-        raise ValueError(f"is {name!r}, allowed are 'cone', 's1002' or the path of a CSV of points")
-    return name
 
 
 _PLAIN = Parameter(0.0, 0.0, "-")
@@ -177,7 +171,7 @@ class Drive:
 
 @data.table
 class WheelRail:
-    """Material and regularisation of the wheel-rail contact; `profile`: "cone", "s1002", a CSV (`contact.points`)."""
+    """Material and regularisation of the wheel-rail contact; `profile`: "cone" or "s1002"."""
 
     young: Annotated[float, _above(1e9, 1e12, "Pa")]
     poisson: Annotated[float, _from_zero(0.5, "-")]
@@ -186,7 +180,7 @@ class WheelRail:
     normal_stiffness: Annotated[float, _above(0.0, 1e13, "N/m^1.5")]
     normal_damping: Annotated[float, _from_zero(1e3, "s/m")]
     rest_speed: Annotated[float, _above(0.0, 1.0, "m/s")]
-    profile: Annotated[str, AfterValidator(_profile_name), _PLAIN]
+    profile: Annotated[str, Field(pattern="^(cone|s1002)$"), _PLAIN]
 
 
 @data.table

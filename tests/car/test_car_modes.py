@@ -19,17 +19,6 @@ TO_LINK = BODY.cg_height - V.wheel.radius
 """Depth of the traction link below the body's centre of gravity (m)."""
 
 
-def stiffness_and_damping(lever, own_stiffness, own_damping):
-    """Matrices of coordinates whose lateral deflection at the four springs is lever @ q, plus diagonal terms."""
-    square = 4 * np.outer(lever, lever)
-    return SPRING.k_y * square + np.diag(own_stiffness), SPRING.c_y * square + np.diag(own_damping)
-
-
-def roll_terms():
-    """Vertical springs and anti-roll bars of both gears, less the weight that stands on the springs."""
-    return 2 * SPRING.roll_stiffness - BODY.mass * V.gravity * BELOW, 2 * SPRING.roll_damping
-
-
 def modes(matrix):
     """Frequency (Hz) and damping ratio (-) of the oscillations of dx/dt = matrix x, ascending, shape (n, 2)."""
     poles = np.linalg.eigvals(matrix)
@@ -37,73 +26,40 @@ def modes(matrix):
     return np.array(sorted(zip(np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles), strict=True)))
 
 
-def hand_modes(inertia, stiffness, damping):
-    unit, inverse = np.eye(len(inertia)), np.diag(1 / np.array(inertia))
+def hand_modes(inertia, lever, stiffness, damping):
+    """Modes of coordinates whose lateral deflection at the four springs is lever @ q, with further springs, dampers."""
+    square, inverse, unit = 4 * np.outer(lever, lever), np.diag(1 / np.array(inertia)), np.eye(len(inertia))
+    stiffness, damping = SPRING.k_y * square + stiffness, SPRING.c_y * square + damping
     return modes(np.block([[0 * unit, unit], [-inverse @ stiffness, -inverse @ damping]]))
 
 
-def distance(found, expected):
-    """Largest relative distance of an expected mode from the nearest one that was found."""
-    return max(np.abs(found / mode - 1).max(axis=1).min() for mode in expected)
+def test_body_against_free_carriers_without_friction():
+    """Sway: body, its roll, both carriers alike. Yaw: body, carriers opposite to each other, their own yaw.
 
-
-@pytest.fixture(scope="module")
-def rolling():
-    """Linear model of the car in steady rolling at 50 m/s."""
-    car = SteppedCar("T5", 50.0, V)
-    car.step(steps=1000)
-    return car.linearise().a
-
-
-@pytest.fixture(scope="module")
-def sliding():
-    """Linear model of the car without friction on wheels that are all but cylinders: rails carry, but do not guide."""
+    The wheels are all but cylinders, so the rails carry, but do not guide.
+    """
     car = SteppedCar("T5", 50.0, load_vehicle(**{"contact.profile": "cone", "wheel.cone_angle": 1e-6}))
     for i, name in enumerate(equations.PARAMETERS):
         if name.endswith(".mu0"):
             car.parameters[i] = 1e-12
-    return car.linearise().a
-
-
-def test_sway_and_roll_of_the_body_on_held_carriers(rolling):
-    names = ["body.y", "body.phi", "body.vy", "body.wx"]
-    roll_stiffness, roll_damping = roll_terms()
-    matrices = stiffness_and_damping([1, -BELOW], [0, roll_stiffness], [0, roll_damping])
-    expected = hand_modes([BODY.mass, BODY.inertia_x], *matrices)
-    assert modes(rolling.loc[names, names].to_numpy()) == pytest.approx(expected, rel=1e-6)
-    # On its rolling carriers, which the creep forces steer, the car sways nearly as often, with another damping.
-    assert distance(modes(rolling.to_numpy())[:, :1], expected[:1, :1]) < 0.04
-    assert distance(modes(rolling.to_numpy()), expected[:1]) < 0.25
-
-
-def test_yaw_of_the_body_on_held_carriers(rolling):
-    names = ["body.psi", "body.wz"]
-    stiffness = SPRING.k_y * BODY.gear_spacing**2 + 2 * SPRING.yaw_stiffness
-    damping = SPRING.c_y * BODY.gear_spacing**2 + 2 * SPRING.yaw_damping
-    frequency = np.sqrt(stiffness / BODY.inertia_z)
-    expected = np.array([[frequency / (2 * np.pi), damping / (2 * frequency * BODY.inertia_z)]])
-    assert modes(rolling.loc[names, names].to_numpy()) == pytest.approx(expected, rel=1e-6)
-    assert distance(modes(rolling.to_numpy())[:, :1], expected[:1, :1]) < 0.04
-
-
-def test_body_against_free_carriers_without_friction(sliding):
-    """Sway: body, its roll, both carriers alike. Yaw: body, carriers opposite to each other, their own yaw."""
-    roll_stiffness, roll_damping = roll_terms()
-    matrices = stiffness_and_damping([1, -BELOW, -1], [0, roll_stiffness, 0], [0, roll_damping, 0])
-    sway = hand_modes([BODY.mass, BODY.inertia_x, 2 * GEAR.mass], *matrices)
-    stiffness, damping = stiffness_and_damping([BODY.gear_spacing / 2, -1, 0], [0, 0, 0], [0, 0, 0])
+    found = modes(car.linearise().a.to_numpy())
+    hung = BODY.mass * V.gravity * BELOW  # the weight stands on the springs
+    roll = np.diag([0, 2 * SPRING.roll_stiffness - hung, 0]), np.diag([0, 2 * SPRING.roll_damping, 0])
+    sway = hand_modes([BODY.mass, BODY.inertia_x, 2 * GEAR.mass], [1, -BELOW, -1], *roll)
     turn = 2 * np.outer([1, 0, -1], [1, 0, -1])
-    yaw = hand_modes(
-        [BODY.inertia_z, 2 * GEAR.mass, 2 * GEAR.inertia_z],
-        stiffness + SPRING.yaw_stiffness * turn,
-        damping + SPRING.yaw_damping * turn,
-    )
+    turned = SPRING.yaw_stiffness * turn, SPRING.yaw_damping * turn
+    inertia = [BODY.inertia_z, 2 * GEAR.mass, 2 * GEAR.inertia_z]
+    yaw = hand_modes(inertia, [BODY.gear_spacing / 2, -1, 0], *turned)
     assert len(sway) == 2 and len(yaw) == 2
-    assert distance(modes(sliding.to_numpy()), [*sway, *yaw]) < 5e-3
+    for mode in (*sway, *yaw):
+        assert np.abs(found / mode - 1).max(axis=1).min() < 5e-3
 
 
-def test_springs_and_link_act_at_their_heights(rolling):
+def test_springs_and_link_act_at_their_heights():
     """What a displacement of the front carrier turns: forces times height, and the preload that wanders."""
+    car = SteppedCar("T5", 50.0, V)
+    car.step(steps=1000)
+    rolling = car.linearise().a
     preload = BODY.mass * V.gravity / 2
     above_axle = SPRING.height - V.wheel.radius
     expected = {
@@ -193,21 +149,3 @@ def test_free_wheels_on_s1002_leave_the_middle_as_their_eigenvalue_says_because_
     cone = SteppedCar("T5", 160 / 3.6, load_vehicle(**{"contact.profile": "cone"}))  # spin alike on both sides
     cone.step(steps=100)
     assert np.linalg.eigvals(cone.linearise().a.to_numpy()).real.max() < 1e-3
-
-
-def test_free_wheels_on_s1002_hunt_from_some_390_kmh_on():
-    """The car stays within the flanges below the speed at which a mode of 4 Hz loses its damping, and not above."""
-    damped, hunting = (np.linalg.eigvals(beside_the_middle(kmh).linearise().a.to_numpy()) for kmh in (380, 440))
-    for values, grows in ((damped, False), (hunting, True)):
-        pair = values[(values.imag > 6 * np.pi) & (values.imag < 12 * np.pi)]
-        assert 3.5 < pair[pair.real.argmax()].imag / (2 * np.pi) < 5.5
-        assert (pair.real.max() > 0.3) == grows and abs(pair.real.max()) > 0.3
-    reached = []
-    for kmh in (360, 440):
-        car = beside_the_middle(kmh, 1e-4)
-        car.step(steps=8000)
-        reached.append(0.0)
-        for _ in range(100):
-            car.step(steps=10)
-            reached[-1] = max(reached[-1], abs(car.state[equations.INDEX["front.y"]]))
-    assert reached[0] < 3e-3 and 6e-3 < reached[1] < 7e-3

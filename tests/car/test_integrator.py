@@ -24,16 +24,6 @@ def test_factorisation_solves_sparse_systems(density):
     assert found == pytest.approx(np.linalg.solve(matrix, b), rel=1e-12, abs=1e-14)
 
 
-def test_a_pivot_that_many_rows_need_waits_for_them():
-    """Rows 2 to 21 need pivot 0, nothing needs them: taking 0 first would fill column 1 into each of them."""
-    n = 22
-    matrix = 5 * np.eye(n)
-    matrix[0, 1], matrix[1, 0], matrix[2:, 0] = 1.0, 1.0, 1.0
-    function = solver(matrix)
-    operations = function.n_instructions() - function.nnz_in() - function.nnz_out()
-    assert operations <= 4 * n
-
-
 def stepped(rate, x, parameters=()):
     """One step of a rate given as an expression of the symbol x, as a numeric function of state, parameters and h."""
     h = ca.SX.sym("h")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from railrepro.car.kinematics import COORDINATES, Body, Coordinates, Section, orientation
+from railrepro.car.kinematics import COORDINATES, Body, Coordinates, Section
 from railrepro.quantities import symbols
 from railrepro.track.route import COLUMNS
 
@@ -81,30 +81,9 @@ def test_the_track_frame_turns_as_it_passes():
     assert at(X)[4] == pytest.approx(turn, rel=1e-6)
 
 
-def test_a_section_lies_where_its_cell_says():
-    s, d = 20.3, 0.3
-    place, row = ca.SX.sym("s"), ca.SX.sym("row", len(ROW))
-    section = Section(place, row)
-    kinematics = ca.Function("section", [place, row], [section.rotation, section.turn_rate, section.position])
-    rotation, turn_rate, position = (np.array(value).squeeze() for value in kinematics(s, ROW))
-    angles = 0.4 + 6e-3 * d + 3e-4 * d**2 / 2, -0.05 + 2e-3 * d, 0.08 + 4e-3 * d
-    assert rotation == pytest.approx(Rotation.from_euler("ZYX", angles).as_matrix(), abs=1e-14)
-    fine = np.linspace(0, d, 2001)
-    psi, eps = 0.4 + 6e-3 * fine + 3e-4 * fine**2 / 2, -0.05 + 2e-3 * fine
-    tangent = np.array([np.cos(eps) * np.cos(psi), np.cos(eps) * np.sin(psi), -np.sin(eps)])
-    assert position - [100.0, -7.0, 3.0] == pytest.approx(np.trapezoid(tangent, fine, axis=1), abs=1e-8)
-    ahead = np.array(kinematics(s + H, ROW)[0])
-    assert turn_rate == pytest.approx(vector(rotation.T @ (ahead - rotation) / H), rel=1e-3)
-
-
 def test_irregularities_run_along_the_cell_and_rails_are_told_apart():
     s = ca.SX.sym("s")
     section = Section(s, ca.SX(ca.DM(ROW)))
     found = ca.Function("f", [s], [section.lateral, section.vertical, section.crosslevel])(20.3)
     assert [float(value) for value in found] == pytest.approx([2e-3 + 3e-4, -1e-3 + 9e-4, 1e-3 - 6e-4])
     assert {side: float(share) for side, share in section.poor.items()} == {"le": 0.3, "ri": 0.9}
-
-
-def test_orientation_turns_a_frame_by_yaw_then_pitch_then_roll():
-    turned = np.array(ca.evalf(orientation(0.5, -0.3, 0.7)))
-    assert turned == pytest.approx(Rotation.from_euler("ZYX", [0.5, -0.3, 0.7]).as_matrix(), abs=1e-15)

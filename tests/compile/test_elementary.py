@@ -15,6 +15,7 @@ from railrepro.compile.lanes import lanes_header
 from railrepro.control import law
 from railrepro.control.ndi import NDI
 from railrepro.control.solvers import riccati
+from railrepro.simulation import closed_loop
 from railrepro.vehicle.parameters import load_vehicle
 
 ONE = ("sin", "cos", "tan", "asin", "atan", "exp", "log")
@@ -130,9 +131,9 @@ def test_bits_do_not_depend_on_the_optimisation(options):
 def test_generated_code_does_without_the_system_s_functions():
     if shutil.which("nm") is None:
         pytest.skip("there is no nm")
-    loaded = [component.library(), riccati._library("corrected", "rk4")]
+    loaded = [component.library(), riccati._compiled("corrected", "rk4")[0]]
     limits = {"lateral_limit": 1.0, "track_end": 1.0, "stop_speed": 0.0}
-    loaded.append(law.control_law(load_vehicle(), NDI(), **limits).library())
+    loaded.append(closed_loop.library(law.control_law(load_vehicle(), NDI(), **limits).signature)[0])
     for library in loaded:
         done = subprocess.run(
             ["nm", "-D", "--undefined-only", library._name], capture_output=True, text=True, check=True

@@ -1,4 +1,4 @@
-"""Forces and moment of creep: published peaks, Kalker's limit, bounds, symmetry, half spaces, effect on the car."""
+"""Forces and moment of creep: published peaks, Kalker's limit, bounds, symmetry, half spaces."""
 
 from dataclasses import astuple
 from itertools import product
@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from rolling_contact import rolling
 
-from railrepro.car import equations
-from railrepro.car.component import SteppedCar
 from railrepro.contact import creep
 from railrepro.contact.fastsim import fastsim
 from railrepro.contact.table import cone_patch
@@ -132,22 +130,3 @@ def test_values_and_derivatives_stay_finite_at_rest_and_without_load():
     both = ca.Function("f", [symbols], [found, ca.jacobian(found, symbols)])
     for state in ([0, 0, 0, 0], [0, 0, 0, LOAD], [0.1, 0, 0, 0], [0, 0, 0.5, LOAD], [1e-3, 0, 0.1, 1e-3]):
         assert all(np.isfinite(np.array(value)).all() for value in both(state))
-
-
-def test_moment_turns_the_carrier():
-    """A gear that drifts sideways on cones without cone angle: only the moments of its wheels turn it."""
-    own = {"contact.profile": "cone", "wheel.cone_angle": 1e-6, "adhesion.dry.b_decay": 0.0}
-    vehicle = load_vehicle(**own)
-    car = SteppedCar("T5", 50.0, vehicle)
-    drift = 1e-5 * 50.0
-    for name in ("front.vy", "rear.vy", "body.vy"):
-        car.state[equations.INDEX[name]] = drift
-    rate = np.array(equations.car().rate(*car.inputs())).ravel()
-    out, table = car.outputs, car.table.frame.iloc[0]
-    area = table["semi_axis_x_m"] * table["semi_axis_y_m"]
-    adhesion = vehicle.adhesion["dry"]
-    reduced = (adhesion.k_a + adhesion.k_s) / 2
-    linear = reduced * vehicle.contact.shear_modulus * area**1.5 * table["c23"] * out["front_le.nu_y"]
-    turning = rate[equations.INDEX["front.wz"]] * vehicle.gear.inertia_z
-    assert out["front_le.nu_y"] == pytest.approx(1e-5, rel=1e-3)
-    assert turning == pytest.approx(2 * linear, rel=0.02)

@@ -1,7 +1,6 @@
 """All solver paths find the optimum of Ipopt on recorded problems of all scenarios, with and without active bounds."""
 
 import numpy as np
-import pytest
 
 from railrepro.control.registry import mpc_settings
 from railrepro.evidence.bench import speed
@@ -12,19 +11,10 @@ EACH = 3
 """Successive problems per scenario: Ipopt takes a second for one whose bounds are active."""
 
 
-@pytest.fixture(scope="module")
-def vehicle():
-    return load_vehicle()
-
-
-@pytest.fixture(scope="module")
-def recordings(vehicle):
-    settings = mpc_settings(tuning.load("nmpc", "equal")["parameters"])
+def test_same_optimum_as_ipopt_and_one_iteration_meets_the_bounds():
+    vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc", "equal")["parameters"])
     plain = [speed.record(name, settings, vehicle, EACH) for name in speed.SCENARIOS]
-    return [recording for one in plain for recording in (one, speed.tightened(one))]
-
-
-def test_same_optimum_as_ipopt_and_one_iteration_meets_the_bounds(vehicle, recordings):
+    recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
     active = []
     for recording in recordings:
         reference = speed.solve_all("ipopt", recording, vehicle)[0]

@@ -65,14 +65,12 @@ def test_the_curve_entry_is_the_papers_with_margin():
 
 
 @pytest.mark.slow
-def test_statements_hold_but_one_with_the_stop_of_the_paper_and_a_later_peak():
-    """The paper's run passes the adhesion peak at 240 m; with a poor rail on which that is so, C23 and C50 fall."""
+def test_statements_hold_but_one_with_the_stop_of_the_paper():
     setup = calibrated.paper_like()
     found = calibrated.judged(setup).set_index("statement")
     assert set(found.index[~found["holds"]]) == {"C46"} and len(found) == len(calibrated.MATCHED)
     stored = pd.read_csv(paths.source("data/results/paper_like.csv")).set_index("statement")
     assert np.allclose(found["value"], stored.loc[found.index, "value"], rtol=2e-3)
-    assert 240 < calibrated.peak_passed(setup) < 275
     for factor in (1.0, setup.r_second):
         tuned = with_r_times(setup.parameters["nmpc"], setup.r_brake * factor)
         assert setup.experiment(setup.braking(), "nmpc", tuned)()[0]["stopping_distance"] < 1000

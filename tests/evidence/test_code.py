@@ -8,13 +8,9 @@ import sys
 import pytest
 
 from railrepro import code, paths
-from railrepro.evidence.runs import store
 
 SNIPPETS = {
-    "x = 1\n": "x = 1",
     'def f(a):\n    """Sine."""\n\n    return -a  # sign\n': "def f(a):\n    return -a",
-    "def f(a):\n    return -a": "def f(a):\n    return -a",
-    "x = f'{d[\"a # b\"]!r:>{n}}'  # c\n": "x = f'{d[\"a # b\"]!r:>{n}}'",
     'x = f"{d["a"]}"  # nested quotes of 3.12\n': 'x = f"{d["a"]}"',
     'y = f"""{x}\n# text\n\n   """\n': 'y = f"""{x}\n# text\n\n   """',
     "@a  # b\n@c('#')\n\n\nclass D:\n    r'''Raw \\d.''' \n    e: int = 1\n    '''After.'''\n": (
@@ -30,35 +26,30 @@ def test_the_content_of_a_text_has_no_comment_docstring_or_empty_line():
     assert {text: code.content(text) for text in SNIPPETS} == SNIPPETS
 
 
-LED = {
-    "simulation/simulate.py": ("from railrepro import simulate", "import railrepro", "from railrepro import (\n *)"),
-    "control/mpc.py": (
-        "from railrepro.control import (\n    ndi,\n    mpc as n,\n)",
-        "from railrepro.control import (mpc, ndi)",
-        "import os, railrepro.control.mpc as n",
-        "if x:\n    from railrepro.control \\\n        import mpc",
-        "from railrepro.control.mpc import NMPC, STEPS",
-    ),
-    "control/__init__.py": ("import os, railrepro.control.mpc as n",),
-    "own/lqg.py": ("from railrepro.control.registry import guidance",),  # found by its name
-    **dict.fromkeys(
-        ("car/car.c", "control/solvers/riccati.c", "contact/creep.py", "compile/lanes.h", "code.py"),
-        ("from railrepro.evidence.runs import experiment",),
-    ),
-}
+RUNS = "from railrepro.evidence.runs import experiment"
+LED = [
+    ("simulation/simulate.py", "from railrepro import simulate"),
+    ("simulation/simulate.py", "import railrepro"),
+    ("simulation/simulate.py", "from railrepro import (\n *)"),
+    ("control/mpc.py", "from railrepro.control import (\n    ndi,\n    mpc as n,\n)"),
+    ("control/mpc.py", "import os, railrepro.control.mpc as n"),
+    ("control/mpc.py", "if x:\n    from railrepro.control \\\n        import mpc"),
+    ("control/mpc.py", "from railrepro.control.mpc import NMPC, STEPS"),
+    ("control/__init__.py", "import os, railrepro.control.mpc as n"),
+    ("own/lqg.py", "from railrepro.control.registry import guidance"),  # found by its name
+    *((home, RUNS) for home in ("car/car.c", "control/solvers/riccati.c", "compile/lanes.h", "code.py")),
+]
 
 
-@pytest.mark.parametrize("home", LED)
-def test_imports_are_followed_in_all_forms(home):
-    for text in LED[home]:
-        assert f"railrepro/{home}" in code.reached(text)
+@pytest.mark.parametrize(("home", "text"), LED)
+def test_imports_are_followed_in_all_forms(home, text):
+    assert f"railrepro/{home}" in code.reached(text)
 
 
 def test_imports_lead_no_further_than_they_must():
     assert "railrepro/simulation/simulate.py" not in code.reached("from railrepro import paths, InputError")
     assert code.reached('"""from railrepro.control import mpc"""\n# import railrepro\n') == {}
-    reached = code.reached("from railrepro.evidence.runs import experiment")
-    assert not [name for name in reached if "/report/" in name or "fmi" in name]
+    assert not [name for name in code.reached(RUNS) if "/report/" in name or "fmi" in name]
     assert not any(name.startswith("railrepro/own") for name in code.reached("from railrepro.car import equations"))
 
 
@@ -80,15 +71,12 @@ def copy(tmp_path):
     return tmp_path
 
 
-def environment(folder):
-    ours = {name: value for name, value in os.environ.items() if not name.startswith("RAILREPRO")}
-    return ours | {"PYTHONPATH": str(folder), "RAILREPRO_WORKERS": "1"}
-
-
 def python(folder, program, *arguments):
     """A process of the checkout."""
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("RAILREPRO")}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, "-c", program, *arguments], cwd=folder, env=environment(folder), **pipes)
+    around = {"cwd": folder, "env": ours | {"PYTHONPATH": str(folder)}}
+    return subprocess.Popen([sys.executable, "-c", program, *arguments], **around, **pipes)
 
 
 def fade(folder, before, after):
@@ -140,39 +128,3 @@ def test_a_process_whose_code_was_edited_leaves_nothing_to_the_next(copy, moment
     assert said == printed and told.count(EDITED) == 1
     fade(copy, "200.0", new)
     assert python(copy, PROGRAM, "").communicate(timeout=120) == (f"{new}\n{new} False\n", "")
-
-
-STUDY = """
-import sys
-from functools import partial
-from railrepro import InputError, code
-from railrepro.evidence.runs import store
-from railrepro.evidence.runs.executor import executor, ordered_map, work
-code.version()
-print("now", flush=True)
-sys.stdin.readline()
-try:
-    with executor() as pool:
-        print(len(ordered_map(pool, partial(work, store.digest), [1, 2], "x", quiet=True)))
-except InputError as error:
-    print(error)
-"""
-
-
-@pytest.mark.parametrize(("edited", "said"), [(False, "2\n"), (True, "a process of the study imported other code")])
-def test_workers_that_start_after_an_edit_are_refused(copy, edited, said):
-    client = python(copy, STUDY)
-    assert client.stdout.readline() == "now\n"
-    if edited:
-        fade(copy, "1.0", "200.0")
-    assert client.communicate("\n", timeout=120)[0].startswith(said)
-
-
-@pytest.mark.parametrize("name", ["RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"])
-def test_what_chooses_the_last_digits_is_in_the_key(name, monkeypatch):
-    keys = set()
-    monkeypatch.setattr(store, "machine", store.machine.__wrapped__)
-    for value in ("", "other"):
-        monkeypatch.setenv(name, value)
-        keys.add(store.key("railrepro.simulation.metrics", "x"))
-    assert len(keys) == 2

@@ -3,9 +3,8 @@
 import pandas as pd
 import pytest
 
-from railrepro.data import InputError
 from railrepro.evidence.chain import chain, compare
-from railrepro.evidence.report import figures
+from railrepro.evidence.report import figures, overview
 
 
 @pytest.mark.parametrize(("shift", "outcome"), [(0.0, "same"), (1e-6, "within tolerance"), (0.01, "different")])
@@ -31,13 +30,6 @@ def test_a_chapter_depends_on_the_looks_that_it_takes(tmp_path, monkeypatch):
     assert set((tmp_path / "log").read_text().splitlines()) == taken
 
 
-def test_a_colour_that_is_none_is_told(tmp_path):
-    file = tmp_path / "style.toml"
-    file.write_text('[ndi]\nlabel = "NDI"\ncolor = "redish"\nlinestyle = "-"\nmarker = ""\n')
-    with pytest.raises(InputError, match="style.toml: ndi has color = 'redish'"):
-        figures.load(file)
-
-
 def test_what_a_panel_cuts_off_is_written_on_it():
     _, (low, high) = figures.new_figure(2, 1)
     low.plot([0, 1], [0.0, 3.0])
@@ -47,3 +39,14 @@ def test_what_a_panel_cuts_off_is_written_on_it():
     assert [text.get_text() for text in low.texts] == []
     assert [text.get_text() for text in high.texts] == ["up to 40", "down to -7"]
     assert low.get_ylim() == high.get_ylim() == (-5.0, 5.0)
+
+
+def test_verdicts_stand_in_the_row_of_the_statement_and_the_column_of_the_setting():
+    rows = [("C03", "paper", "reproduced"), ("C03", "loop", "not reproduced"), ("C13", None, "partly")]
+    claims = pd.DataFrame([*rows, ("C12", "paper", "fragile")], columns=["id", "setting", "judged"])
+    axes = overview.verdicts(claims.assign(kind="statement")).axes[0]
+    drawn = {tuple(line.get_xydata()[0]): line.get_marker() for line in axes.lines}
+    assert drawn == {(0, 0): "o", (2, 0): "x", (3, 1): "o", (0, 2): "o"}
+    hollow = [line.get_ydata()[0] for line in axes.lines if line.get_markerfacecolor() == "white"]
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert hollow == [2] and names == list(overview.short_names()[["C03", "C13", "C12"]])

@@ -1,7 +1,8 @@
-"""The bound of the lateral error behind sensors: against a simulation of the same loop, and what makes it smaller."""
+"""The bound of the lateral error behind sensors: against the loop put together anew, and what makes it smaller."""
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.uncertainty import limit as bound
@@ -11,57 +12,44 @@ V, LOOP = load_vehicle(), load_loop()
 WALKS = (1000.0, 50.0)
 
 
-def drawn(of, gain, after, wanted, steps=2000, runs=400):
-    """Displacements (m) of many runs of the system under its own filter and feedback, shape (steps, runs)."""
-    generator, n = np.random.default_rng(5), of.torque
-    root_q = np.zeros_like(of.a)
-    root_q[:n, :n] = np.linalg.cholesky(of.q[:n, :n])
-    guess, truth = np.zeros((len(of.a), runs)), np.zeros((len(of.a), runs))
-    truth[:n] = np.linalg.cholesky(after[:n, :n] + 1e-15 * np.eye(n)) @ generator.normal(size=(n, runs))
-    y = []
-    for _ in range(steps):
-        change = -wanted @ guess
-        truth = of.a @ truth + np.outer(of.b, change) + root_q @ generator.normal(size=truth.shape)
-        guess = of.a @ guess + np.outer(of.b, change)
-        guess += gain @ (of.c @ (truth - guess) + generator.normal(size=(3, runs)))
-        y.append(of.units[of.y] * truth[of.y])
-    return np.array(y)
+def loop_of(of, wanted):
+    """Variance of the displacement, of its filter's error and of the change of torque under a feedback, in units.
 
-
-def test_a_simulated_loop_has_the_stated_error():
-    """Its filter comes from iterating the recursion, not from the library's equation solver."""
-    of, speed = bound.system(V, LOOP, 280 / 3.6, WALKS), 280 / 3.6
-    m, p = of.torque, np.zeros_like(of.a)
+    Guesses and their errors, of which the torques have none, are one linear system. The filter comes from iterating the
+    recursion, not from the library's equation solver.
+    """
+    n, m = len(of.a), of.torque
     slow = np.exp(-1e-3 / bound.MEMORY) == np.diag(of.a)
-    p[:m, :m] = np.diag(np.where(slow, np.diag(of.q) / (1 - np.exp(-2e-3 / bound.MEMORY)), 1.0)[:m])
+    p = np.diag(np.where(slow, np.diag(of.q) / (1 - np.exp(-2e-3 / bound.MEMORY)), 1.0) * (np.arange(n) < m))
     for _ in range(20_000):
-        gain = p @ of.c.T @ np.linalg.inv(of.c @ p @ of.c.T + of.r)
+        gain = p @ of.c.T @ np.linalg.inv(of.c @ p @ of.c.T + np.eye(3))
         after = p - gain @ of.c @ p
-        after = (after + after.T) / 2
-        p = of.a @ after @ of.a.T + of.q
+        p = of.a @ (after + after.T) / 2 @ of.a.T + of.q
         p[m:] = p[:, m:] = 0.0
-    stated = bound.limit(V, LOOP, speed, WALKS)
-    y = drawn(of, gain, after, bound.feedback(of, stated.weight))
-    assert y[1000:].std() == pytest.approx(stated.error, rel=0.04)
-    assert stated.known == pytest.approx(of.units[of.y] * np.sqrt(after[of.y, of.y]), rel=0.02)
+    seen = gain @ of.c
+    noise = np.vstack([seen[:, :m], (np.eye(n) - seen)[:m, :m]])
+    whole = np.hstack([np.zeros((n + m, n)), noise @ of.a[:m, :m]])
+    whole[:n, :n] = of.a - np.outer(of.b, wanted)
+    read = np.vstack([gain, -gain[:m]])
+    found = linalg.solve_discrete_lyapunov(whole, noise @ of.q[:m, :m] @ noise.T + read @ read.T)
+    y, error = bound.Y, n + bound.Y
+    return found[y, y] + found[error, error] + 2 * found[y, error], found[error, error], wanted @ found[:n, :n] @ wanted
+
+
+def test_a_loop_has_the_stated_error_and_no_other_feedback_is_better():
+    """The cost is the error squared plus the weighted change squared."""
+    of = bound.system(V, LOOP, 280 / 3.6, WALKS)
+    stated = bound.limit(V, LOOP, 280 / 3.6, WALKS)
+    wanted = bound.feedback(of, stated.weight)
+    error, known, _ = loop_of(of, wanted)
+    assert stated.error == pytest.approx(of.units[bound.Y] * np.sqrt(error), rel=1e-4)
+    assert stated.known == pytest.approx(of.units[bound.Y] * np.sqrt(known), rel=1e-4)
     assert 0.1e-3 < stated.error < 0.125e-3 and stated.activity == pytest.approx(bound.ACTIVITY, rel=1e-2)
-
-
-def test_no_other_feedback_is_better():
-    """Cost of the loop, error squared plus weighted change squared, under scaled feedback."""
-    of = bound.system(V, LOOP, 160 / 3.6, WALKS)
-    weight = bound.limit(V, LOOP, 160 / 3.6, WALKS).weight
-    wanted = bound.feedback(of, weight)
-
-    def cost(scale):
-        x, total = np.linalg.cholesky(of.q + 1e-12 * np.eye(len(of.a))), 0.0
-        closed = of.a - scale * np.outer(of.b, wanted)
-        for _ in range(20_000):
-            total += (x[of.y] ** 2).sum() + weight * ((scale * wanted @ x) ** 2).sum()
-            x = closed @ x
-        return total
-
-    assert min(cost(0.8), cost(1.25)) > cost(1.0)
+    costs = []
+    for factor in (0.98, 1.0, 1.02):
+        error, _, change = loop_of(of, factor * wanted)
+        costs.append(error + stated.weight * change)
+    assert costs[1] < min(costs[0], costs[2])
 
 
 def test_what_is_known_better_can_be_held_better():

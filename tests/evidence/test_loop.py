@@ -17,6 +17,7 @@ def test_seeds_and_held_out_kinds_are_none_of_tuning():
     for one in loop.experiments():
         known = (one.scenario.but(end_m=1.0), one.plant, one.irregular) in tuned
         assert one.label["kind"] != "held out" or not known or "gyro.dropout" in one.sensors
+        assert one.label["kind"] != "irregular" or one.irregular["seed"] == one.sensors["seed"]
 
 
 def test_errors_are_root_mean_squares_over_the_seeds(monkeypatch):
@@ -52,10 +53,3 @@ def test_sensors_alone_bound_the_loop_from_below():
     limits = [loop.limit_of(run) for run in loop.row("loop", "sine", "sine_tracking", {"end_m": 250.0})[:1]]
     assert 0.03 < limits[0]["limit_at_believed_place_mm"] < limits[0]["limit_mm"] < 0.2
     assert not loop.limit_of(loop.row("loop", "poor rail", "adhesion_loss", {})[0])
-
-
-def test_irregular_rows_draw_rails_with_the_seed():
-    one, other = [run for run in loop.experiments() if run.label["case"] == "B, 400 km/h" and run.controller == OURS][
-        :2
-    ]
-    assert one.irregular["seed"] != other.irregular["seed"] and one.irregular["spectrum"] == "en_B_300"

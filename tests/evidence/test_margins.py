@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import signal
 
 from railrepro.car.component import SteppedCar
 from railrepro.control.ndi import NDI
@@ -36,13 +36,10 @@ def linearised(gain):
     turn = {"le": 1.0, "ri": -1.0}
     b = np.stack([sum(turn[s] * model.b[f"{gear}_{s}"].to_numpy() for s in turn) for gear in ("front", "rear")], axis=1)
     c = model.c.loc[["front.psidot_Ax", "rear.psidot_Ax"]].to_numpy()
-    n = len(model.a)
-    both = linalg.expm(np.block([[model.a.to_numpy(), b], [np.zeros((2, n + 2))]]) * 1e-3)
-    a, b = both[:n, :n], both[:n, n:]
-    z = np.exp(2j * np.pi * np.array(FREQUENCIES) * 1e-3)
+    a, b, *_ = signal.cont2discrete((model.a.to_numpy(), b, c, np.zeros((2, 2))), 1e-3)
     found = []
-    for each in z:
-        plant = c @ np.linalg.solve(each * np.eye(n) - a, b)
+    for z in np.exp(2j * np.pi * np.array(FREQUENCIES) * 1e-3):
+        plant = c @ np.linalg.solve(z * np.eye(len(a)) - a, b)
         found.append(np.linalg.solve(np.eye(2) + gain * plant, np.ones(2))[0])
     return np.array(found)
 
@@ -59,17 +56,17 @@ def test_a_loop_that_is_unstable_has_none():
 
 
 def test_slow_controllers_are_disturbed_at_the_same_place():
-    slow = margins.probed(guidance("nmpc", NMPC, {"solver": "rti"}), 1.0)
-    assert callable(slow) and slow.memory == ("probe_ticks",)
-    found = margins.sensitivity(guidance("nmpc", NMPC, {"solver": "rti"}), SPEED)
+    settings = {
+        "q_psi_TrAx": 1.0,
+        "q_psidot_Ax": 1e-3,
+        "r": 1e-11,
+        "q_terminal": 10.0,
+        "period_ms": 10,
+        "horizon_s": 0.4,
+    }
+    found = margins.sensitivity(guidance("nmpc", settings, {"solver": "rti"}), SPEED)
     assert 1.0 < np.abs(found).max() < 4.0
     assert abs(found[0]) < 0.7  # slow disturbances are countered
-
-
-NMPC = {
-    **{"q_psi_TrAx": 1.0, "q_psidot_Ax": 1e-3, "r": 1e-11, "q_terminal": 10.0},
-    **{"period_ms": 10, "horizon_s": 0.4},
-}
 
 
 def test_margins_of_hand_made_curves():
@@ -89,12 +86,8 @@ def test_the_largest_value_that_is_survived_is_found(quantity, breaks_at, expect
 @pytest.mark.parametrize(("setting", "perfect"), [("equal", True), ("loop", False)])
 def test_what_is_worsened_reaches_the_run(setting, perfect, monkeypatch):
     driven = []
-
-    def measured(experiment, _):
-        driven.append(experiment)
-        return {"failed": True}, None
-
-    monkeypatch.setattr(margins.Experiment, "measured", measured)
+    lost = {"failed": True}, None
+    monkeypatch.setattr(margins.Experiment, "measured", lambda experiment, _: driven.append(experiment) or lost)
     for quantity in margins.QUANTITIES:
         margins.largest(setting, "ndi", "poor", quantity)
     assert [one.sensors.get("perfect", False) for one in driven] == [perfect] * 3

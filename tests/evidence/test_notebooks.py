@@ -1,4 +1,9 @@
-"""Every notebook of the chain runs with small parameters and writes what it declares; quick ones run in full."""
+"""Every notebook runs with small parameters, or in full, and writes what it declares; and it runs on when edited.
+
+Edits are parameters, a car, a track, a scenario, a friction of a reader's own; their runs are short.
+"""
+
+from typing import NamedTuple
 
 import pytest
 
@@ -20,9 +25,87 @@ def test_notebook(notebook, tmp_path):
             for old, new, entries in found
             if (entries["outcome"] == compare.DIFFERENT).any()
         ]
-        assert not different, "\n".join(["other products than the committed ones:", *different, LOOK])
+        assert not different, "\n".join(["other products than the committed ones, see CONTRIBUTING.md:", *different])
 
 
-LOOK = """
-Look at the difference before anything else: what moved, by how much, and which change of yours explains it.
-Only when the new ones are right and the reason stands in the commit message, let `make figures` write them."""
+class Edit(NamedTuple):
+    """A chapter (how its name begins) and what is changed: parameters; text of a file of data/.
+
+    One with `marks` must mark a sentence that no longer holds. Quick ones are run by `make test`, others by
+    `make test-slow`.
+    """
+
+    chapter: str
+    parameters: dict = {}
+    texts: dict = {}
+    marks: bool = False
+    quick: bool = False
+
+
+VEHICLE, TRACKS, SCENARIOS = ("data/vehicle.toml", "data/tracks.toml", "data/scenarios.toml")
+HEAVY = {VEHICLE: ("value = 26000.0", "value = 24000.0")}
+CONES = {VEHICLE: ('value = "s1002"', 'value = "cone"')}
+EDITS = [
+    Edit("00", {"setting": "equal"}, marks=True, quick=True),
+    Edit("00", {"setting": "loop"}),
+    Edit("00", {"scenario_name": "curve_entry_T4"}),
+    Edit("00", {"scenario_name": "sine_tracking", "end_m": 200.0}),
+    Edit("00", texts=CONES),
+    Edit("01", {"step_m": 5.0}, quick=True),
+    Edit("01", texts={TRACKS: ("radius_m = 4250", "radius_m = 3000")}, marks=True),
+    Edit("02", {"speeds_kmh": [5, 40]}),
+    Edit("02", {"wheel_load_kN": 110.0}, marks=True),
+    Edit("03", {"speed_kmh": 40}, marks=True, quick=True),
+    Edit("03", {"periods_ms": [1, 20, 100]}),
+    Edit("03", {"printed": ["D1"]}),
+    Edit("03", texts={VEHICLE: ("value = 0.025,", "value = 0.0125,")}),
+    Edit("04", {"closed_loop_m": 200.0}),
+    Edit("04", {"controllers": ["nmpc", "ndi"]}),
+    Edit("04", texts=HEAVY),
+    Edit("05", {"controllers": ["nmpc_observer", "ndi"]}),
+    Edit("05", {"check_controllers": ["ndi"], "tolerance": 1e-9}),
+    Edit("06", {"end_m": 100.0, "ndi_poles": [20, 40]}, marks=True),
+    Edit("06", {"end_m": 300.0, "ndi_poles": [30], "solver": "rti", "crest_mm": 2.0}),
+    Edit("06", {"end_m": 300.0, "ndi_poles": [30]}, CONES),
+    Edit("07", {"stiff_times": 3.0, "end_m": 300.0}),
+    Edit("07", {"speeds_kmh": [100], "end_m": 300.0}, marks=True),
+    Edit("07", {"end_m": 300.0}, {SCENARIOS: ("period_m = 150", "period_m = 75")}),
+    Edit("08", {"set_points": [0.05, 0.085]}, marks=True),
+    Edit("08", {"patch_kN": 8.0}),
+    Edit("08", texts={VEHICLE: ("value = 0.15,", "value = 0.12,")}),
+    Edit("09", {"larger": 10}),
+    Edit("09", {"r_factors": [1, 3, 10], "ndi_poles": [25], "reserves": [0.1]}),
+    Edit("10", {"sensed_kmh": [20]}),
+    Edit("10", {"sensed": "ndi_feedforward"}),
+    Edit("10", {"stress": {}}),
+    Edit("10", {"controllers": ["ndi", "ndi_integral"], "judged": ["curve_entry_T3", "sine_tracking"]}, marks=True),
+    Edit("11", {"noise_seed": 7, "rail_seed": 5}),
+    Edit("12", {"spectrum": "en_D_300"}, marks=True),
+    Edit("12", {"smooth_m": 10.0, "seeds": [5]}),
+    Edit("13", {"pole": 40.0}),
+    Edit("13", {"car_change": {"body.mass": 40000.0}}),
+    Edit("13", {"suite_of": ["curve_T3", "irregular"]}, marks=True),
+    Edit("14", {"speeds_kmh": {"T1": 20, "T3": 200}}, marks=True),
+    Edit("14", texts=CONES),
+    Edit("14", texts={VEHICLE: ('"k_x", value = 30000.0', '"k_x", value = 60000.0')}),
+    Edit("15", {"turns_rad": [-0.1, 0.0, 0.1]}, quick=True),
+    Edit("15", {"variants": ["corrected", "D2"], "scenario_names": ["curve_entry_T3", "sine_tracking"]}),
+]
+CASES = [
+    pytest.param(edit, id=f"{edit.chapter}-{number}", marks=[] if edit.quick else pytest.mark.slow)
+    for number, edit in enumerate(EDITS)
+]
+
+
+@pytest.mark.parametrize("edit", CASES)
+def test_an_edit_stops_no_chapter(edit, tmp_path):
+    name = next(name for name in chain.chain() if name.startswith(edit.chapter))
+    for file, (old, new) in edit.texts.items():
+        text = (paths.ROOT / file).read_text(encoding="utf-8")
+        assert old in text
+        (tmp_path / "data").mkdir()
+        (tmp_path / file).write_text(text.replace(old, new), encoding="utf-8")
+    notebook = chain.chain()[name]
+    parameters = notebook.parameters | notebook.test_parameters | edit.parameters
+    chain.run(notebook, parameters, tmp_path, tmp_path / "executed")
+    assert edit.marks <= bool(chain.false_sentences(tmp_path / "executed" / f"{name}.ipynb"))

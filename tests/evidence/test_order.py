@@ -47,15 +47,9 @@ def test_a_nominal_value_moves_nothing(axis, value):
     assert one.car() == load_vehicle() and not one.sensors and not one.vehicle and one.scenario == SCENARIO
 
 
-def test_stiffness_is_that_of_the_car_alone_and_profiles_too():
-    one = built("creep stiffness", 4.0)
-    assert one.car().contact.shear_modulus == 4 * load_vehicle().contact.shear_modulus and not one.vehicle
-    assert built("car", "cone").plant == {"contact.profile": "cone"}
-
-
-def test_delay_and_noise_begin_where_the_filter_ends():
+def test_delay_and_noise_begin_where_the_filter_ends_and_the_rest_is_that_of_the_car():
+    assert built("creep stiffness", 4.0).car().contact.shear_modulus == 4 * load_vehicle().contact.shear_modulus
     assert built("delay", 2.0).sensors == {"perfect": True, "inverter.delay": pytest.approx(2e-3)}
-    assert built("car", "S1002, filter").sensors == {"perfect": True}
     noise = order.experiments("noise", 2.0, "equal", "ndi")[1].sensors
     assert noise["seed"] == 102 and noise["gyro.noise"] == pytest.approx(2 * 0.004)
     silent = {key for key, value in noise.items() if value == 0.0}

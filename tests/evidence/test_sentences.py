@@ -20,22 +20,13 @@ with sentences() as says:
     says("One over it is positive.", 1 / value > 0)"""
 
 
-@pytest.mark.parametrize(
-    ("conditions", "true"),
-    [
-        ([True], True),
-        ([np.array([True, False])], False),
-        ([pd.Series([True, True]), pd.Series([False])], False),
-        ([pd.DataFrame({"a": [True, True]}), 1 < 2], True),
-        ([[]], False),
-        ([], False),
-        ([np.nan > 1], False),
-    ],
-)
-def test_a_sentence_needs_all_of_its_conditions_and_one_at_least(conditions, true):
-    said = sentences.Sentences()
-    said("It holds.", *conditions)
-    assert said == [("It holds.", true)]
+def test_a_sentence_needs_all_of_its_conditions_and_one_at_least():
+    table = pd.DataFrame({"a": [True, True]})
+    for conditions, true in [([True], True), ([np.array([True, False])], False), ([table, 1 < 2], True), ([[]], False)]:
+        said = sentences.Sentences()
+        said("It holds.", *conditions)
+        said("It does not.")
+        assert said == [("It holds.", true), ("It does not.", False)], conditions
 
 
 def said(capfd):
@@ -82,7 +73,5 @@ def test_an_edited_input_marks_and_an_edited_product_of_the_chain_does_not(tiny,
     (tiny / "data/in.txt").write_text("b")
     assert said(capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
     commit(tiny, "value = 2", reading)
-    assert chain.figures() == 0
-    chain.chain()["01_tiny"].stamp.unlink()
     with pytest.raises(InputError, match="1 sentence does not hold with the committed values"):
         chain.refresh(chain.chain()["01_tiny"])

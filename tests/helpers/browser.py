@@ -14,30 +14,6 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium on this machine")
 
 
-@contextlib.contextmanager
-def started(*command, **options):
-    """A process that ends with the block."""
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, **options)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(20)
-        process.kill()
-
-
-def waited(find, seconds=120.0):
-    """What `find` gives once it gives anything."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        with contextlib.suppress(OSError, StopIteration):
-            if found := find():
-                return found
-        time.sleep(0.2)
-    raise TimeoutError(f"{find.__name__} gave nothing in {seconds:.0f} s")
-
-
 class Page:
     """An open page."""
 
@@ -69,13 +45,18 @@ def opened(url, folder, size="1440,900"):
     browser = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"]
     browser += ["--remote-allow-origins=*", f"--user-data-dir={folder}", f"--window-size={size}", url]
 
-    def page():
-        with urlopen(f"http://127.0.0.1:{(folder / 'DevToolsActivePort').read_text().split()[0]}/json") as answer:
-            return next(one["webSocketDebuggerUrl"] for one in json.load(answer) if one["type"] == "page")
-
-    with started(*browser, stderr=subprocess.DEVNULL):
-        socket = websocket.create_connection(waited(page), timeout=400)
-        try:
-            yield Page(socket)
-        finally:
-            socket.close()
+    process, page = subprocess.Popen(browser, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL), ""
+    try:
+        for _ in range(600):
+            with contextlib.suppress(OSError, StopIteration):
+                port = (folder / "DevToolsActivePort").read_text().split()[0]
+                with urlopen(f"http://127.0.0.1:{port}/json") as answer:
+                    page = next(one["webSocketDebuggerUrl"] for one in json.load(answer) if one["type"] == "page")
+                break
+            time.sleep(0.2)
+        socket = websocket.create_connection(page, timeout=400)
+        yield Page(socket)
+        socket.close()
+    finally:
+        process.terminate()
+        process.wait(20)

@@ -22,25 +22,24 @@ CHOOSE = f"""(async () => {{
 DRIVING = "document.getElementById('scores').innerText.includes('driving')"
 
 
-def frames() -> list[Image.Image]:
+def frames(page) -> list[Image.Image]:
     """Pictures of a run, as many as the browser gives."""
-    url, found = (paths.BUILD / "live/index.html").as_uri(), []
-    with tempfile.TemporaryDirectory() as folder, opened(url, Path(folder), ",".join(map(str, SIZE))) as page:
-        page.evaluated(CHOOSE)
-        while not page.evaluated(DRIVING):
-            pass
-        running = True
-        while running:
-            running = page.evaluated(DRIVING)
-            shot = base64.b64decode(page.ask("Page.captureScreenshot", format="png")["data"])
-            picture = Image.open(io.BytesIO(shot)).convert("RGB")
-            found.append(picture.resize([round(SCALE * side) for side in picture.size], Image.Resampling.LANCZOS))
+    page.evaluated(CHOOSE)
+    while not page.evaluated(DRIVING):
+        pass
+    found = []
+    while page.evaluated(DRIVING):
+        shot = io.BytesIO(base64.b64decode(page.ask("Page.captureScreenshot", format="png")["data"]))
+        picture = Image.open(shot).convert("RGB")
+        found.append(picture.resize([round(SCALE * side) for side in picture.size], Image.Resampling.LANCZOS))
     return found
 
 
 if __name__ == "__main__":
-    taken = [picture.quantize(64, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE) for picture in frames()[::2]]
-    file = paths.ROOT / "figures/live.gif"
+    file, url = paths.ROOT / "figures/live.gif", (paths.BUILD / "live/index.html").as_uri()
+    with tempfile.TemporaryDirectory() as folder, opened(url, Path(folder), ",".join(map(str, SIZE))) as live:
+        pictures = frames(live)[::2]
+    taken = [picture.quantize(64, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE) for picture in pictures]
     times = [120] * (len(taken) - 1) + [4000]
     taken[0].save(file, save_all=True, append_images=taken[1:], duration=times, loop=0, optimize=True)
     print(f"{file.name}: {len(taken)} pictures, {file.stat().st_size / 1e3:.0f} kB")

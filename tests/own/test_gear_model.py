@@ -1,4 +1,4 @@
-"""Creep-aware lateral model: poles against the car, steady creep by hand, the control model as its stiff limit."""
+"""Creep-aware lateral model: poles against the car, steady creep by hand, the control model as its limit."""
 
 import casadi as ca
 import numpy as np
@@ -73,9 +73,6 @@ def test_steady_creep_in_an_arc_is_that_of_the_car_and_of_the_hand_formula():
     middle, _, steepening, _ = gear_model._profile(V)
     lateral_stiffness = -gear_model._creep(V, middle, steepening)[1][0, 1]
     assert psi == pytest.approx(side / lateral_stiffness, rel=0.01)
-    shifted = (last["front_le.N"] - last["front_ri.N"]) / 2  # leans the contact normals, which the model leaves out
-    creep_force = last["front_le.Fy"] + last["front_ri.Fy"]
-    assert side - 2 * np.tan(V.wheel.cone_angle) * shifted == pytest.approx(creep_force, rel=0.02)
     assert psi == pytest.approx(last["front.psi_TrAx"], rel=0.1)  # Polach's law softens by 7 % up to this creepage
     assert psi > 3e-4
 

@@ -167,8 +167,7 @@ def sampled():
     """A gear on T3 with perfect measurements, and its sample as a function of speed, displacement and base torque."""
     gear = LqgPreview()(V, T3.route(), 0)
     gear.compiled(None)
-    function = lqg._library().lqg_sample
-    function.restype = ctypes.c_double
+    function = lqg.library(*gear.sizes.items())[0].lqg_sample
 
     def sample(v, y=0.0, base=0.0):
         state, readings = np.array([100.0, 0.0, v, 0.0, y, 0.0]), np.array([y, 0.0, 0.0])
@@ -182,7 +181,7 @@ def test_torque_keeps_its_limit_and_the_filter_knows(sampled):
     gear, sample = sampled
     for y in 1e-3 * np.arange(1, 41):
         torque = sample(70.0, y)
-    assert abs(torque) == V.drive.torque_limit == abs(gear.tables["torques"][0])
+    assert abs(torque) == V.drive.torque_limit == abs(gear.memory.torques[0])
 
 
 def test_a_filter_that_is_lost_begins_anew_and_counts(sampled):
@@ -190,7 +189,7 @@ def test_a_filter_that_is_lost_begins_anew_and_counts(sampled):
     for y in (0.0, 1e-4, 8e-3):
         torque = sample(50.0, y)
     assert gear.memory.restarts == 1 and np.isfinite(torque)
-    gear.memory.state[0] = np.nan
+    gear.memory.state[0][0] = np.nan
     assert np.isfinite(sample(50.0, 8e-3)) and gear.memory.restarts == 2
 
 

@@ -94,22 +94,6 @@ def peak(vehicle, name, speed):
     return adhesion_maximum(vehicle.adhesion[name], speed, load, *middle_patch(vehicle), 8.2e10)[0]
 
 
-def test_adhesion_limit_is_the_peak_of_the_creep_law_between_the_sets():
-    vehicle = load_vehicle()
-    scenario = load_scenario("adhesion_loss").but(good="wet", poor="very_poor")
-    speed = np.array([10.0, 100.0, 100.0, 50.0])
-    found = metrics.adhesion_limit(speed, np.array([0.0, 1.0, 0.25, 0.0]), scenario, vehicle)
-    wet, very_poor = (peak(vehicle, name, 100.0) for name in ("wet", "very_poor"))
-    assert found[:3] == pytest.approx([peak(vehicle, "wet", 10.0), very_poor, 0.75 * wet + 0.25 * very_poor])
-    assert found[3] == pytest.approx(peak(vehicle, "wet", 50.0), rel=0.01)  # between the speeds of its grid
-
-
-def test_adhesion_limit_near_standstill_is_that_of_one_metre_per_second():
-    vehicle, scenario = load_vehicle(), load_scenario("adhesion_loss").but(good="dry")
-    found = metrics.adhesion_limit(np.array([0.0, 0.5, 1.0]), np.zeros(3), scenario, vehicle)
-    assert found == pytest.approx(peak(vehicle, "dry", 1.0), rel=1e-9)
-
-
 def braking(**columns):
     """Four rows of a run at 100 m/s and below."""
     still = {f"{wheel}.sx": 0.0 for wheel in WHEELS} | {f"front_{side}.adhesion": 0.0 for side in ("le", "ri")}

@@ -1,33 +1,23 @@
-"""Irregular rails in the cells of a route: as given, without kinks, fine enough."""
+"""Irregular rails in the cells of a route: as given, without kinks."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from railrepro.car import component
-from railrepro.control.ndi import NDI
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.simulation import ride, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS, irregularities
 from railrepro.track.table import load_track
-from railrepro.vehicle.parameters import load_vehicle
-
-PROFILES = ("cone", "s1002")
-
-
-@pytest.fixture(scope="module")
-def rough():
-    return irregularities(np.arange(0.0, 200.0, route.CELL), "en_B_300")
 
 
 def named(rows):
     return dict(zip(route.COLUMNS, rows.T, strict=True))
 
 
-def test_cells_meet_the_rows_and_have_no_kinks(rough):
+def test_cells_meet_the_rows_and_have_no_kinks():
+    rough = irregularities(np.arange(0.0, 200.0, route.CELL), "en_B_300")
     cells = route.lay(load_track("T5"), irregularities=rough).cells
     cell, following = named(cells[:-1]), named(cells[1:])
     inside = (cell["p"] >= 0) & (cell["p"] < 200)
@@ -51,31 +41,6 @@ def test_the_shortest_wave_is_that_of_the_formula_between_the_rows(rows, error):
     found = route.irregularity_in(named(way.rows_at(at)), "vertical", at)
     assert np.allclose(found[0] / 5e-3, np.sin(2 * np.pi * at / 3.0), rtol=0, atol=error)
     assert np.allclose(found[1] / 5e-3 * 3 / (2 * np.pi), np.cos(2 * np.pi * at / 3.0), rtol=0, atol=4 * error)
-
-
-def figures(rough, profile, substeps):
-    """Published figures of a run over irregular rails at 300 km/h: RMSE, rail forces, wear, comfort; loads."""
-    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300, end_m=200)
-    vehicle = load_vehicle(**{"contact.profile": profile})
-    series = simulate.run(scenario, NDI(), plant_vehicle=vehicle, irregularities=rough, substeps=substeps).series
-    summary = ride.ride_summary(series, vehicle)
-    names = ("sum_y_over_limit", "wheel_unloading", "y_over_q", "creep_work")
-    apart, sway = series["front.y"] - series["front.rail_y"], ride.weighted(series["floor_front.ay"], "Wd", 1e3)
-    return np.array([series["front_le.N"].std(), apart.std(), sway.std(), *(summary[name][0] for name in names)])
-
-
-@pytest.mark.parametrize("profile", PROFILES)
-def test_half_the_cells_and_half_the_steps_move_no_figure_by_a_percent(rough, profile, monkeypatch):
-    """Straight cells of half a metre rang the contact springs: six times the deviation of the wheel load."""
-    one, two, fine = (figures(rough, profile, substeps) for substeps in (1, 2, 4))
-    assert one == pytest.approx(fine, rel=0.02)
-    assert two == pytest.approx(fine, rel=0.002)
-    half = route.CELL / 2
-    monkeypatch.setattr(route, "CELL", half)
-    monkeypatch.setattr(component, "CELL", half)
-    monkeypatch.setattr(route, "_geometry", route._geometry.__wrapped__)
-    halved = figures(irregularities(np.arange(0.0, 199.75, half), "en_B_300"), profile, 4)
-    assert fine == pytest.approx(halved, rel=0.01)
 
 
 def test_ride_figures_on_irregular_rails_take_two_steps_a_millisecond():

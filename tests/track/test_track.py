@@ -1,6 +1,7 @@
 """Tracks: Table I, exact interpolation, frames, own tracks."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -65,28 +66,22 @@ def test_position_is_the_integral_of_the_tangent(hill):
     assert np.allclose((hill.position(p + h) - hill.position(p - h)) / (2 * h), tangent, atol=1e-8)
 
 
-def test_a_track_of_chainage_and_radius_is_that_of_its_segments(tmp_path):
-    """Against 10^5 steps of the integrals of curvature and heading, and the cant by its definition."""
-    text = (
-        "chainage_m,radius_m,cant_mm\n12000,,0\n12100,0,0\n12300,-1500,-120\n14800,-1500,-120\n15000,inf,0\n15100,,0\n"
-    )
-    (tmp_path / "mine.csv").write_text(text)
+def test_a_track_of_points_is_that_of_its_segments(tmp_path):
+    """Against 10^5 steps of the integrals of curvature and heading, which begin at the first coordinate."""
+    phi = -np.arcsin(0.08)
+    rows = [(0, 0, 0), (100, 0, 0), (300, -1 / 1500, phi), (2800, -1 / 1500, phi), (3000, 0, 0), (3100, 0, 0)]
+    frame = pd.DataFrame(rows, columns=["p_m", "dpsi_dp_1pm", "phi_rad"])
+    frame.assign(p_m=12000 + frame["p_m"], eps_rad=0.01).to_csv(tmp_path / "mine.csv", index=False)
     table = load_track(tmp_path / "mine.csv").table
     s = np.linspace(0.0, 3100.0, 100_001)
-    kappa = np.interp(s, [0, 100, 300, 2800, 3000, 3100], [0, 0, -1 / 1500, -1 / 1500, 0, 0])
+    kappa = np.interp(s, frame["p_m"], frame["dpsi_dp_1pm"])
     heading = np.concatenate([[0.0], np.cumsum((kappa[1:] + kappa[:-1]) / 2 * np.diff(s))])
-    ends = [np.trapezoid(np.cos(heading), s), np.trapezoid(np.sin(heading), s)]
+    ends = [np.cos(0.01) * np.trapezoid(turned, s) for turned in (np.cos(heading), np.sin(heading))]
     assert table["psi_rad"].iloc[-1] == pytest.approx(-2700 / 1500) == pytest.approx(heading[-1])
     assert table[["x_m", "y_m"]].iloc[-1].tolist() == pytest.approx(ends, abs=1e-5)
+    assert table["z_m"].iloc[-1] == pytest.approx(-3100 * np.sin(0.01), rel=1e-12)
     assert 1.5 * np.sin(table["phi_rad"].min()) == pytest.approx(-0.12)
     assert table["dphi_dp_1pm"].abs().max() == pytest.approx(np.arcsin(0.08) / 200)
-
-
-def test_a_line_diagram_begins_at_its_first_chainage_and_rises_where_it_says(tmp_path):
-    (tmp_path / "mine.csv").write_text("chainage_m,curvature_1pm,gradient_permille\n12000,0,10\n12100,0,10\n")
-    table = read_table(tmp_path / "mine.csv")
-    assert (table["p_m"].iloc[0], table["p_m"].iloc[-1]) == (0.0, 100.0)
-    assert table["z_m"].iloc[-1] == pytest.approx(-100 * np.sin(np.arctan(0.01)), rel=1e-12)
 
 
 def test_a_track_begins_with_the_heading_of_its_first_row(tmp_path):

@@ -3,7 +3,8 @@
 Nothing of `railrepro.contact` but the profiles is used. Where the core makes an ellipse of the patch and takes Kalker's
 coefficients from his table, here the condition that nothing slides is solved for the tractions of every square, so that
 lobes, their ends and the rolling radius across the patch are in the forces. With friction (`Rolling.load`) it judges
-creep law and table of the core. As a script this writes the table beside it (4 minutes), which the second car reads.
+the creep law of the core. As a script this writes the table beside it (4 minutes), which judges that of the core and
+which the second car reads.
 
 Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, chs. 3 and 4 (linear theory, half spaces);
 Johnson 1985, Contact Mechanics, section 3.6 (displacement under tangential load).

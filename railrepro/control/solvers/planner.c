@@ -8,146 +8,127 @@ enum { MOST_ITERATIONS = 30 };
 /* Converged when no torque moves by more than this (N m). */
 static const double TOLERANCE = 1e-4;
 
-typedef struct {
-  horizon_t *h;
-  /* torques (N m) of the plan */
-  double *plan;
-  /* torque limit of a motor over the speed, from the numbers of the drive */
-  call_t limit;
-  const double *drive;
-  double observer, torque_limit;
-  casadi_int yielding, informed, mode;
-  /* observed offset of the yaw angle, lateral position that is expected next */
-  double offset, expected_y;
-  /* whether the last sample was solved, so that the next one starts from it; its iterations; samples that were not */
-  casadi_int started, iterations, fallbacks;
-} planner_t;
-
 /* Torque within the bound of the sample. */
 static double bounded(const horizon_t *h, double torque) {
   return fmin(fmax(torque, -h->bound), h->bound);
 }
 
 /* Torque limit of a motor (N m) at a speed (m/s). */
-static double limit_at(const planner_t *p, double speed) {
-  double limit = 0;
-  const double *of[] = {&speed, p->h->par, p->drive};
+static double limit_at(const horizon_t *h, double speed) {
+  double limit;
+  const double *of[] = {&speed, h->par, h->drive};
   double *to[] = {&limit};
-  return call(&p->limit, of, 3, to, 1) ? 0 : limit;
+  torque_limit(of, to, 0, 0, 0);
+  return limit;
 }
 
-/* Put a state and a base torque into the horizon; the state may be one of its trajectory. */
-static void enter(const planner_t *p, const double *x, double u_d) {
-  memmove(p->h->x_hat, x, N * sizeof(double));
-  p->h->u_d = u_d;
-  p->h->bound = p->yielding ? p->torque_limit : fmax(p->torque_limit - fabs(u_d), 0);
+/* Put a state and a base torque into the horizon. */
+static void enter(horizon_t *h, const double *x, double u_d) {
+  memcpy(h->x_hat, x, sizeof h->x_hat);
+  h->u_d = u_d;
+  h->bound = h->yielding ? h->torque_limit : fmax(h->torque_limit - fabs(u_d), 0);
 }
 
 /* Centred riding along the forecast, about which the linear problem linearises. */
-static void ride(const horizon_t *h) {
-  memset(h->x, 0, (size_t)(h->steps + 1) * N * sizeof(double)), memset(h->u, 0, (size_t)h->steps * sizeof(double));
-  for (casadi_int k = 0; k <= h->steps; ++k) {
-    double *at = h->x + k * N;
-    const double *to = h->x_d + k * N, *track = h->theta + k * N_THETA;
-    at[STATE_x] = to[STATE_x], at[STATE_xdot] = to[STATE_xdot];
-    if (h->affine) at[STATE_psi_Ax] = track[THETA_psi_Tr], at[STATE_psidot_Ax] = track[THETA_dpsi_dp] * to[STATE_xdot];
+static void ride(horizon_t *h) {
+  for (stage_t *s = h->stage; s <= h->stage + h->steps; ++s) {
+    memset(s->x, 0, sizeof s->x), s->u = 0;
+    s->x[STATE_x] = s->x_d[STATE_x], s->x[STATE_xdot] = s->x_d[STATE_xdot];
+    if (h->affine) {
+      s->x[STATE_psi_Ax] = s->theta[THETA_psi_Tr];
+      s->x[STATE_psidot_Ax] = s->theta[THETA_dpsi_dp] * s->x_d[STATE_xdot];
+    }
   }
 }
 
 /* Torque of the plan before at stage k of this sample, one step later. */
-static double planned(const planner_t *p, casadi_int k) {
-  return bounded(p->h, p->plan[k + 1 < p->h->steps ? k + 1 : k]);
+static double planned(const horizon_t *h, casadi_int k) {
+  return bounded(h, h->stage[k + 1 < h->steps ? k + 1 : k].plan);
 }
 
 /* Trajectory and torques of the sample before one step later, its end on the desired state; the desired states at the
    start. */
-static void start_warm(const planner_t *p) {
-  const horizon_t *h = p->h;
-  if (p->started) {
-    memmove(h->x, h->x + N, (size_t)h->steps * N * sizeof(double));
-    memcpy(h->x + h->steps * N, h->x_d + h->steps * N, N * sizeof(double));
-  } else
-    memcpy(h->x, h->x_d, (size_t)(h->steps + 1) * N * sizeof(double));
-  memcpy(h->x, h->x_hat, N * sizeof(double));
-  for (casadi_int k = 0; k < h->steps; ++k) h->u[k] = planned(p, k);
+static void start_warm(horizon_t *h) {
+  for (casadi_int k = 0; k <= h->steps; ++k) {
+    stage_t *s = h->stage + k;
+    memcpy(s->x, h->started && k < h->steps ? s[1].x : s->x_d, sizeof s->x);
+    if (k < h->steps) s->u = planned(h, k);
+  }
+  memcpy(h->stage->x, h->x_hat, sizeof h->x_hat);
 }
 
 /* Forecast and trajectory of the sample whose state has been entered, linearised when that is done once only. */
-static void prepare(const planner_t *p) {
-  const horizon_t *h = p->h;
+static void prepare(horizon_t *h) {
   horizon_forecast(h);
-  if (p->mode == LINEAR)
+  if (h->mode == LINEAR)
     ride(h);
   else
-    start_warm(p);
-  if (p->mode != CONVERGED) horizon_linearise(h);
+    start_warm(h);
+  if (h->mode != CONVERGED) horizon_linearise(h);
 }
 
 /* Take in the measured state, corrected by the observed offset, and the base torque; do what is not prepared yet. */
-void planner_begin(planner_t *p, const double *measured, double base) {
-  const casadi_int prepared = p->mode == REAL_TIME && p->started;
+void planner_begin(horizon_t *h, const double *measured, double base) {
+  const casadi_int prepared = h->mode == REAL_TIME && h->started;
   double x[N];
   memcpy(x, measured, sizeof x);
-  p->torque_limit = limit_at(p, x[STATE_xdot]);
-  if (p->observer > 0) {
-    if (p->started && x[STATE_xdot] > 1)
-      p->offset += p->observer * (x[STATE_y_TrAx] - p->expected_y) / (x[STATE_xdot] * p->h->tuning[TUNING_period]);
-    x[STATE_psi_TrAx] += p->offset;
+  h->torque_limit = limit_at(h, x[STATE_xdot]);
+  if (h->observer > 0) {
+    if (h->started && x[STATE_xdot] > 1)
+      h->offset += h->observer * (x[STATE_y_TrAx] - h->expected_y) / (x[STATE_xdot] * h->tuning[TUNING_period]);
+    x[STATE_psi_TrAx] += h->offset;
   }
-  enter(p, x, p->informed ? base : 0);
-  if (!prepared) prepare(p);
-  for (casadi_int k = 0; k < p->h->steps; ++k) p->plan[k] = planned(p, k);  /* serves when the problem is not solved */
+  enter(h, x, h->informed ? base : 0);
+  if (!prepared) prepare(h);
+  for (casadi_int k = 0; k < h->steps; ++k) h->stage[k].plan = planned(h, k);  /* serves when the problem is not solved */
 }
 
 /* Torque (N m) from the problem, or when it was not solved from the plan of the sample before. */
-double planner_take(planner_t *p, int failed) {
-  const horizon_t *h = p->h;
-  if (failed) {
-    memset(h->fixed, 0, (size_t)h->steps * sizeof(double)), memset(h->side, 0, (size_t)(h->steps + 1) * sizeof(double));
-  } else {
-    if (p->mode == REAL_TIME) horizon_apply(h);
-    memcpy(p->plan, p->mode == LINEAR ? h->du : h->u, (size_t)h->steps * sizeof(double));
-    p->expected_y = h->x[N + STATE_y_TrAx] + (p->mode == LINEAR ? h->dx[N + STATE_y_TrAx] : 0);
+double planner_take(horizon_t *h, int failed) {
+  stage_t *end = h->stage + h->steps;
+  if (!failed && h->mode == REAL_TIME) horizon_apply(h);
+  if (!failed) h->expected_y = h->stage[1].x[STATE_y_TrAx] + (h->mode == LINEAR ? h->stage[1].dx[STATE_y_TrAx] : 0);
+  for (stage_t *s = h->stage; s < end; ++s) {
+    if (failed) s->fixed = s[1].side = 0;
+    s->plan = bounded(h, failed ? s->plan : h->mode == LINEAR ? s->du : s->u);
   }
-  for (casadi_int k = 0; k < h->steps; ++k) p->plan[k] = bounded(h, p->plan[k]);
-  p->started = !failed;
-  p->fallbacks += failed != 0;
-  return p->plan[0];
+  h->started = !failed;
+  h->fallbacks += failed != 0;
+  return h->stage->plan;
 }
 
 /* Newton iterations with full steps until no torque moves and the trajectory obeys the model; not 0 when they do not end. */
-static int converge(planner_t *p) {
-  const horizon_t *h = p->h;
-  for (; p->iterations <= MOST_ITERATIONS; ++p->iterations) {
+static int converge(horizon_t *h) {
+  for (; h->iterations <= MOST_ITERATIONS; ++h->iterations) {
     horizon_linearise(h);
     if (horizon_solve(h)) return 1;
     double moved = 0, gap = 0;
-    for (casadi_int k = 0; k < h->steps; ++k) {
-      moved = fmax(moved, fabs(h->du[k]));
-      for (int i = 0; i < N; ++i) gap = fmax(gap, fabs(h->x_next[k * N + i] - h->x[(k + 1) * N + i]));
+    for (const stage_t *s = h->stage; s < h->stage + h->steps; ++s) {
+      moved = fmax(moved, fabs(s->du));
+      for (int i = 0; i < N; ++i) gap = fmax(gap, fabs(s->x_next[i] - s[1].x[i]));
     }
     horizon_apply(h);
     if (moved < TOLERANCE && gap < 1e-9) return 0;
   }
-  p->iterations = MOST_ITERATIONS;
+  h->iterations = MOST_ITERATIONS;
   return 1;
 }
 
 /* Torque (N m) at a measured state and a base torque. */
-double planner_plan(planner_t *p, const double *measured, double base) {
-  planner_begin(p, measured, base);
-  p->iterations = 1;
-  return planner_take(p, p->mode == CONVERGED ? converge(p) : horizon_solve(p->h));
+double planner_plan(horizon_t *h, const double *measured, double base) {
+  planner_begin(h, measured, base);
+  h->iterations = 1;
+  return planner_take(h, h->mode == CONVERGED ? converge(h) : horizon_solve(h));
 }
 
 /* What of the next sample can be done before its state is measured: real-time iteration expects the planned one. */
-void planner_prepare(planner_t *p) {
-  if (p->mode != REAL_TIME || !p->started) return;
-  enter(p, p->h->x + N, p->h->u_d);
-  prepare(p);
+void planner_prepare(horizon_t *h) {
+  if (h->mode != REAL_TIME || !h->started) return;
+  enter(h, h->stage[1].x, h->u_d);
+  prepare(h);
 }
 
-/* A sample as the closed loop asks for it, see planner_slot_t of loop.c; readings are not needed, the states were made of
+/* A sample as the closed loop asks for it, see sample_t of slots.c; readings are not needed, the states were made of
    them. */
 double planner_sample(void *planner, const double *state, const double *readings, double base) {
   (void)readings;

@@ -12,9 +12,9 @@ Kunisch 2002 (primal-dual active sets).
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,44 +25,25 @@ from railrepro.control.problem import TUNING, MPCSettings, dynamics, torque_limi
 from railrepro.control.solvers.recursion import barrier, recursion
 from railrepro.model import forecast
 from railrepro.model.control_model import STATES, THETA
-from railrepro.track.route import CELL, COLUMNS, INDEX, Route
+from railrepro.track.route import CELL, COLUMNS, Route
 
 _N = len(STATES)
 _FAULTS = {1: "a value is not finite", 2: "no minimiser was found"}
 MOST_SETS = 8
 """Active sets tried per quadratic problem before the interior point method takes over."""
-_OF_BOUNDS = ("inner", "slack", "multiplier", "slack_step", "multiplier_step", "target")
-_FIELDS = (
-    *("x_d", "theta", "x", "u", "x_next", "a", "b", "cost_matrix", "cost_vector", "feedback", "feedforward", "dx"),
-    *("du", "slope", "fixed", "side", *_OF_BOUNDS, "barrier", "passes"),
-)
-_CALLS = (
-    *("position", "preview", "terminal", "backward", "forward"),
-    *("barrier_stiffness", "barrier_terminal", "barrier_backward", "barrier_again"),
-)
-
-
-class _Horizon(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_longlong) for name in ("steps", "n_cells", "most_sets")),
-        *((name, ctypes.c_double) for name in ("cell_start", "cell_step")),
-        ("cells", ctypes.c_void_p),
-        *((name, codegen.Call) for name in _CALLS),
-        *((name, ctypes.c_void_p) for name in ("x_hat", "nominal", "par", "tuning")),
-        *((name, ctypes.c_double) for name in ("u_d", "bound", "affine")),
-        *((name, ctypes.c_void_p) for name in _FIELDS),
-    ]
+_SOURCES = [Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c", "planner.c")]
 
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """The functions behind a horizon, in the order of `_CALLS`."""
-    return *forecast.functions(), *recursion(variant, discretisation), *barrier(variant, discretisation)
+    """The generated functions that riccati.c, interior.c and planner.c call."""
+    return *forecast.functions(), *recursion(variant, discretisation), *barrier(variant, discretisation), torque_limit()
 
 
-def _enum(names: Iterable[str]) -> str:
-    """C constants that count from 0."""
-    return f"enum {{ {', '.join(names)} }};\n"
+def _sizes(variant: str, discretisation: str) -> dict[str, int]:
+    """Numbers of states, track parameters, columns of a cell, entries of the matrix A, and bounds of a stage."""
+    entries = dynamics(variant, discretisation).nnz_out(1)
+    return {"N": _N, "N_THETA": len(THETA), "N_CELL": len(COLUMNS), "N_A": entries, "BOUNDS": 4}
 
 
 @codegen.stored
@@ -73,22 +54,21 @@ def _lanes(variant: str, discretisation: str) -> str:
 
 def c_text(variant: str, discretisation: str) -> str:
     """Hand-written C around the generated functions, to stand after `codegen.source_text` and call.h."""
-    model = dynamics(variant, discretisation)
     names = {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}
     extra = lanes_header()
-    extra += "".join(_enum(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
-    extra += f"enum {{ N = {_N}, N_THETA = {len(THETA)}, N_CELL = {len(COLUMNS)}, N_A = {model.nnz_out(1)} }};\n"
-    extra += _lanes(variant, discretisation)
-    written = "riccati.c", "interior.c", "planner.c"
-    return extra + "".join(Path(__file__).with_name(name).read_text() for name in written)
+    extra += "".join(codegen.enumeration(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
+    extra += codegen.enumeration(f"{name} = {size}" for name, size in _sizes(variant, discretisation).items())
+    extra += codegen.defines({"CELL_STEP": CELL})
+    return extra + _lanes(variant, discretisation) + "".join(_SOURCES)
 
 
 @lru_cache
-def _library(variant: str, discretisation: str) -> ctypes.CDLL:
-    extra = codegen.PREAMBLE + c_text(variant, discretisation)
-    loaded = codegen.library([*functions(variant, discretisation), torque_limit()], extra)
+def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]:
+    """The shared object, and `horizon_t` and `stage_t` of riccati.c."""
+    loaded = codegen.library(functions(variant, discretisation), codegen.PREAMBLE + c_text(variant, discretisation))
     loaded.planner_plan.restype = loaded.planner_take.restype = ctypes.c_double
-    return loaded
+    sizes = _sizes(variant, discretisation)
+    return loaded, *(codegen.structure(name, _SOURCES[0], sizes) for name in ("horizon_t", "stage_t"))
 
 
 class Horizon:
@@ -104,46 +84,38 @@ class Horizon:
         Trajectory; `x[0]` may differ from the measured state `x_hat`, where the solution starts.
     x_next, a, b : ndarray, shape (L, 6), (L, nonzeros of A), (L, 6)
         Model along the trajectory: next state, A without its zeros, B.
-    dx, du : ndarray
+    dx, du : ndarray, shape (L + 1, 6) and (L,)
         Steps of the last quadratic problem.
-    passes : ndarray, shape (1,)
-        Recursions that it took.
+    fixed, side : ndarray, shape (L,) and (L + 1,)
+        Bounds on which torques (1, -1, or 0 for none) and lateral positions are.
+    plan : ndarray, shape (L,)
+        Torques of the plan (N m).
     c : ctypes.Structure
-        `horizon_t` of riccati.c, which holds the base torque and the bound (N m), too.
+        `horizon_t` of riccati.c, which holds the base torque, the bound (N m), and the state of a controller, too.
+    pointer : ctypes pointer
+        For the functions of `library`.
     library : ctypes.CDLL
         The functions of riccati.c and planner.c.
     """
 
-    x_d: np.ndarray
-    theta: np.ndarray
-    x: np.ndarray
-    u: np.ndarray
-
     def __init__(self, settings: MPCSettings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
-        self.settings, steps, cells = settings, settings.steps, route.cells
-        self.library = _library(settings.variant, settings.discretisation)
-        self._calls = [
-            codegen.CompiledFunction(self.library, function)
-            for function in functions(settings.variant, settings.discretisation)
-        ]
-        n_a = dynamics(settings.variant, settings.discretisation).nnz_out(1)
-        shapes = {"x_d": (steps + 1, _N), "theta": (steps + 1, len(THETA)), "x": (steps + 1, _N), "u": (steps,)}
-        shapes |= {"x_next": (steps, _N), "a": (steps, n_a), "b": (steps, _N), "du": (steps,)}
-        shapes |= {"cost_matrix": (steps + 1, _N**2), "cost_vector": (steps + 1, _N)}
-        shapes |= {"feedback": (steps, _N), "feedforward": (steps,), "dx": (steps + 1, _N)}
-        shapes |= {"slope": (steps,), "fixed": (steps,), "side": (steps + 1,), "passes": (1,)}
-        shapes |= dict.fromkeys(_OF_BOUNDS, (4, steps)) | {"barrier": (steps + 1, 4)}
-        self.x_hat, self.cells = np.zeros(_N), np.ascontiguousarray(cells)
-        self._inputs = nominal.astype(float), parameters.astype(float), settings.tuning()
-        for name in _FIELDS:
-            setattr(self, name, np.zeros(shapes[name]))
-        self.c = _Horizon(
-            steps, len(cells), MOST_SETS,
-            cells[0, INDEX["p"]], CELL, self.cells.ctypes.data, *(function.call for function in self._calls),
-            self.x_hat.ctypes.data, *(array.ctypes.data for array in self._inputs), 0.0, 0.0, 1.0,
-            *(getattr(self, name).ctypes.data for name in _FIELDS),
+        self.settings, cells = settings, np.ascontiguousarray(route.cells)
+        self.library, of_horizon, of_stage = _compiled(settings.variant, settings.discretisation)
+        stages = np.zeros(settings.steps + 1, of_stage)
+        self.x_d, self.theta, self.x, self.dx, self.side = (
+            stages[name] for name in ("x_d", "theta", "x", "dx", "side")
+        )
+        self.u, self.du, self.fixed, self.plan = (stages[name][:-1] for name in ("u", "du", "fixed", "plan"))
+        self.x_next, self.a, self.b = (stages[name][:-1] for name in ("x_next", "a", "b"))
+        tables = {"nominal": nominal.astype(float), "par": parameters.astype(float), "tuning": settings.tuning()}
+        tables |= {"cells": cells, "stage": stages}
+        self._tables = tables  # C has their addresses
+        self.c = of_horizon(
+            steps=settings.steps, most_sets=MOST_SETS, n_cells=len(cells), cell_start=route.start, affine=1.0,
+            yielding=settings.yielding, informed=settings.informed, observer=settings.observer,
+            **{name: table.ctypes.data for name, table in tables.items()},
         )  # fmt: skip
-        self._pointer = ctypes.byref(self.c)
+        self.x_hat, self.pointer = codegen.arrays(self.c)["x_hat"], ctypes.byref(self.c)
 
     def sample(self, x_hat: np.ndarray, u_d: float, bound: float) -> None:
         """Take the measured state, the base torque and the bound of the differential torque (N m)."""
@@ -151,11 +123,11 @@ class Horizon:
 
     def forecast(self) -> None:
         """Fill `x_d` and `theta` from `x_hat` and the base torque."""
-        self.library.horizon_forecast(self._pointer)
+        self.library.horizon_forecast(self.pointer)
 
     def linearise(self) -> None:
         """Model and derivatives along `x`, `u`."""
-        self.library.horizon_linearise(self._pointer)
+        self.library.horizon_linearise(self.pointer)
 
     def solve(self) -> None:
         """Minimiser `dx`, `du` of the quadratic problem about the linearised trajectory.
@@ -165,5 +137,5 @@ class Horizon:
         ArithmeticError
             When a value is not finite or no minimiser is found.
         """
-        if code := self.library.horizon_solve(self._pointer):
+        if code := self.library.horizon_solve(self.pointer):
             raise ArithmeticError(f"horizon: {_FAULTS[code]}")

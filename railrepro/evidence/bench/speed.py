@@ -17,7 +17,9 @@ import pandas as pd
 from tqdm import tqdm
 
 from railrepro import paths
+from railrepro.car import component
 from railrepro.car.component import SteppedCar
+from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, Problem
@@ -155,10 +157,13 @@ def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
     """Time of the functions of the car, one gear after the other and both side by side, the least of some drives."""
     car, rows = SteppedCar("T3", 70.0), []
     car.step(steps=400)
-    for name, together in car.functions.items():
-        alone = codegen.compiled(getattr(car.model, name))
-        for argument, value in zip(alone.arguments, together.arguments, strict=True):
-            argument[:] = value
+    given = dict(zip(("x", "u", "rows", "contacts", "par"), car.inputs(), strict=True)) | {"h": CONTROL_PERIOD}
+    for name in ("coordinates", "output", "step"):
+        function = getattr(car.model, name)
+        alone, together = codegen.compiled(function), codegen.CompiledFunction(component.library(), function)
+        for bound in (alone, together):
+            for argument, of in zip(bound.arguments, function.name_in(), strict=True):
+                argument[:] = np.ravel(given[of], order="F")
         least = [1e6 * min(timeit.repeat(bound, number=calls, repeat=drives)) / calls for bound in (alone, together)]
         forms = zip(("one after the other", "side by side"), least, strict=True)
         rows += [{"function": name, "gears": form, "us": time, "ratio": time / least[0]} for form, time in forms]

@@ -9,13 +9,9 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pandas as pd
-
 from railrepro import paths
 from railrepro.data import InputError, write
 from railrepro.evidence.chain.chain import Notebook, chain, figures, why_stale
-from railrepro.evidence.claims import statements
-from railrepro.evidence.runs.tuning import SETTINGS
 
 _DISPLAY = re.compile(r"^\$\$\n?(.*?)\n?\$\$$", re.DOTALL | re.MULTILINE)
 _CHAPTER = re.compile(r"`(\d\d_\w+)`")
@@ -60,16 +56,13 @@ def _source(folder: Path) -> Path:
     """Write the source of the book; returns its folder."""
     notebooks = chain()
     contents = {name: executed(notebook) for name, notebook in notebooks.items()}
-    homes = {identity: statement.notebook for identity, statement in statements.load().items()}
-    claims = pd.read_csv(paths.source("data/results/claims.csv"), dtype=str, keep_default_na=False)
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(paths.NOTEBOOKS / "book", folder, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("data", "figures", "railrepro"):
         (folder / name).symlink_to(paths.ROOT / name)
     (folder / "source").symlink_to(paths.NOTEBOOKS)
     for name, content in contents.items():
-        page = chapter(notebooks[name], content, claims[claims["id"].map(homes) == name])
-        write(folder / "notebooks" / f"{name}.ipynb", json.dumps(page))
+        write(folder / "notebooks" / f"{name}.ipynb", json.dumps(chapter(notebooks[name], content)))
     write(folder / "REPLICATION.md", report((paths.ROOT / "REPLICATION.md").read_text(encoding="utf-8")))
     return folder
 
@@ -85,22 +78,8 @@ def executed(notebook: Notebook) -> dict:
     return content
 
 
-def chapter(notebook: Notebook, content: dict, claims: pd.DataFrame) -> dict:
-    """A notebook as a page: chapters linked, figures with captions, source, data and claims at its end.
-
-    Parameters
-    ----------
-    notebook : Notebook
-    content : dict
-        See `executed`.
-    claims : DataFrame
-        Rows of data/results/claims.csv that rest on it.
-
-    Returns
-    -------
-    dict
-        The notebook with changed cells.
-    """
+def chapter(notebook: Notebook, content: dict) -> dict:
+    """A notebook (see `executed`) as a page: chapters linked, figures with captions, source and tables at its end."""
     cells: list[dict] = []
     for i, cell in enumerate(content["cells"]):
         if cell["cell_type"] == "markdown":
@@ -109,7 +88,10 @@ def chapter(notebook: Notebook, content: dict, claims: pd.DataFrame) -> dict:
             continue
         cells.append(_markdown(f"({notebook.name}-{cell['id']})=", f"target-{i}"))
         cells += _with_figures(cell)
-    cells.append(_markdown(_around(notebook, claims), "around"))
+    files = [f"source/{notebook.name}.ipynb", *notebook.writes]
+    cells.append(
+        _markdown(f"## Source and tables\n\n{', '.join(map(_download, files))}; data of figures above.", "files")
+    )
     return content | {"cells": cells}
 
 
@@ -157,30 +139,6 @@ def _download(path: str) -> str:
     return f"{{download}}`{Path(path).name} <../{path}>`"
 
 
-def _around(notebook: Notebook, claims: pd.DataFrame) -> str:
-    """Where a chapter comes from and what rests on it."""
-    lines = ["## Source, data, claims", "", f"Notebook: {_download(f'source/{notebook.name}.ipynb')}.", ""]
-    if notebook.writes:
-        lines += [f"Writes: {', '.join(map(_download, notebook.writes))}; figures above.", ""]
-    if claims.empty:
-        return "\n".join([*lines, "No statement of the paper rests on this chapter."])
-    lines += ["Statements of the paper that rest on this chapter:", ""]
-    lines += _head("", "statement", *(f"`{setting}`" for setting in SETTINGS))
-    for (identity, statement), own in claims.groupby(["id", "statement"], sort=False):
-        known = dict(zip(own["setting"], own["verdict"], strict=True))
-        verdicts = [
-            str(known.get(setting, known.get("", ""))) for setting in SETTINGS
-        ]  # without a setting: one for all
-        link = f'<a href="../REPLICATION.html#{identity}">{identity}</a>'
-        lines.append(f"| {link} | {statement} | {' | '.join(verdicts)} |")
-    return "\n".join(lines)
-
-
-def _head(*names: str) -> list[str]:
-    return [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
-
-
 def report(text: str) -> str:
-    """REPLICATION.md with links to chapters of the book and a target for each claim."""
-    text = re.sub(r"\(notebooks/(\w+)\.ipynb#cell-id=(\w+)\)", r"(#\1-\2)", text)
-    return re.sub(r"^\| (C\d\d) \|", r'| <span id="\1"></span>\1 |', text, flags=re.MULTILINE)
+    """REPLICATION.md with links to cells of the book."""
+    return re.sub(r"\(notebooks/(\w+)\.ipynb#cell-id=(\w+)\)", r"(#\1-\2)", text)

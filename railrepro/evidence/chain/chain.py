@@ -1,6 +1,6 @@
 """The chain of notebooks: which are stale and why, how they run, and where each product comes from.
 
-notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.reads`). Staleness
+notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.paths`). Staleness
 is decided by content, never by time. No notebook reads what another one writes, so they run in any order. Each has a
 kernel of its own and a temporary folder: its products are put in place when all is well.
 """
@@ -28,7 +28,7 @@ from typing import Annotated, Any
 import pandas as pd
 import psutil
 
-from railrepro import code, data, numerics, paths, reads
+from railrepro import code, data, numerics, paths
 from railrepro.data import InputError, Number, above, alone, between, write
 from railrepro.evidence.chain import compare
 from railrepro.evidence.report.sentences import false_in
@@ -37,7 +37,7 @@ from railrepro.vehicle.parameters import load_vehicle
 
 SUFFIXES = ("png", "csv")
 Reads = dict[str, list[str]]
-"""Files that a notebook read, and which of their entries; `reads.ALL` for a whole file."""
+"""Files that a notebook read, and which of their entries; `paths.ALL` for a whole file."""
 Inputs = dict[str, str]
 """What the products of a notebook depend on by its name, and the hash of each."""
 EDITED = "an input was edited while it ran"
@@ -80,10 +80,6 @@ class Notebook:
         return paths.BUILD / "stamps" / f"{self.name}.json"
 
 
-Task = Callable[[Notebook, int], object]
-"""What is done with a notebook and a number of processors."""
-
-
 @data.table
 class Stamp:
     """What the last successful run of a notebook here read, depended on and made, and how long it took (s)."""
@@ -103,14 +99,14 @@ class _File:
     verify: compare.Tolerance = compare.Tolerance()
 
 
-def _file(file: Path | None) -> _File:
+def _file(file: Path | None = None) -> _File:
     file = file or paths.NOTEBOOKS / "chain.toml"
     return data.build(_File, data.read(file), file.name)
 
 
 def tolerance() -> compare.Tolerance:
     """Tolerances of a comparison of two runs."""
-    return _file(None).verify
+    return _file().verify
 
 
 def chain(file: Path | None = None) -> dict[str, Notebook]:
@@ -124,6 +120,11 @@ def chain(file: Path | None = None) -> dict[str, Notebook]:
             maker[written] = one.name
         found[one.name] = one
     return found
+
+
+def _makers(notebooks: dict[str, Notebook]) -> dict[str, str]:
+    """Name of the notebook that writes each product."""
+    return {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
 
 
 def cells(notebook: Notebook) -> list[dict]:
@@ -163,8 +164,8 @@ def _parts(file: str, content: bytes, entries: list[str]) -> Inputs:
         table = None
     if table is None:
         return {file: _hash(content)}
-    found = {} if reads.ALL not in entries else {f"{file}, names of entries": _hash(repr(list(table)).encode())}
-    names = table if reads.ALL in entries else entries
+    found = {} if paths.ALL not in entries else {f"{file}, names of entries": _hash(repr(list(table)).encode())}
+    names = table if paths.ALL in entries else entries
     return found | {f"{file} [{name}]": _hash(repr(table.get(name)).encode()) for name in names}
 
 
@@ -196,37 +197,38 @@ def why_stale(notebook: Notebook) -> str:
     return "" if code.unchanged() else EDITED
 
 
-def minutes(notebook: Notebook) -> float:
-    """How long its last run here took, else what chain.toml says (minutes)."""
-    last = last_run(notebook)
-    return last.seconds / 60 if last else notebook.minutes
-
-
-def _environment(staging: Path, workers: int) -> dict[str, str]:
+def _environment(staging: Path) -> dict[str, str]:
     """Environment of a kernel: nothing of the user's own settings, products go to staging."""
     own = {"IPYTHONDIR": str(paths.BUILD / "ipython"), "MPLCONFIGDIR": str(paths.BUILD / "matplotlib")}
     own |= {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     own |= {"PYTHONHASHSEED": "0", "PYDEVD_DISABLE_FILE_VALIDATION": "1"} | numerics.variables()
-    own |= {reads.LOG: str(staging / "reads"), "RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT)}
-    share = {"RAILREPRO_WORKERS": str(workers)} if workers else {}
-    return share | os.environ | own
+    own |= {paths.READS: str(staging / "reads"), "RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT)}
+    return os.environ | own
 
 
-def _kernel(started: dict):
+def _kernel(staging: Path, started: dict) -> type:
     """A kernel of this Python for papermill, started with an environment, a folder and a stderr of its own."""
     from jupyter_client import AsyncKernelManager
     from jupyter_client.kernelspec import KernelSpecManager
 
+    own = {"connection_file": str(staging / "kernel.json"), "kernel_spec_manager": KernelSpecManager(kernel_dirs=[])}
+    # kernels side by side may be given one TCP port, so that sockets are files, where their names are not too long
+    if len(str(staging)) < 90:
+        own |= {"transport": "ipc", "ip": str(staging / "k")}
+
     class Kernel(AsyncKernelManager):
+        def __init__(self, **options):
+            super().__init__(**options | own)
+
         def start_kernel(self, **options):
             if _ENDING.is_set():
                 raise RuntimeError("the chain was interrupted")
             return super().start_kernel(**options, **started)
 
-    return Kernel(kernel_spec_manager=KernelSpecManager(kernel_dirs=[]))
+    return Kernel
 
 
-def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bool, workers: int) -> tuple[Any, str]:
+def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bool) -> tuple[Any, str]:
     """Run a notebook with papermill; its content, and what failed or ""."""
     import nbformat
     import papermill
@@ -236,15 +238,12 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bo
     logging.getLogger("papermill").setLevel(logging.CRITICAL)  # what fails is said in one sentence
     output, failure = staging / "executed.ipynb", ""
     with tempfile.TemporaryFile() as beside:  # what it writes beside its cells, as a traceback while it is stopped
-        kernel = _kernel({"env": _environment(staging, workers), "cwd": str(paths.ROOT), "stderr": beside})
-        kernel.connection_file = str(staging / "kernel.json")
-        # kernels side by side may be given one TCP port, so that sockets are files, where their names are not too long
-        if len(str(staging)) < 90:
-            kernel.transport, kernel.ip = "ipc", str(staging / "k")
+        kernel = _kernel(staging, {"env": _environment(staging), "cwd": str(paths.ROOT), "stderr": beside})
         try:
             # a busy machine may let a kernel wait: without these nbclient gives up after 4 s and loses outputs
             papermill.execute_notebook(
-                notebook.path, output, parameters, kernel_name="python3", km=kernel, progress_bar=False,
+                notebook.path, output, parameters, kernel_name="python3", kernel_manager_class=kernel,
+                progress_bar=False,
                 start_timeout=300, iopub_timeout=300, allow_errors=keep_going, extra_arguments=["--log-level=50"],
             )  # fmt: skip
         except papermill.PapermillExecutionError as error:
@@ -275,10 +274,8 @@ def _make_deterministic(content: Any) -> None:
             cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
 
 
-def run(
-    notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False, workers: int = 0
-) -> Reads:
-    """Execute a notebook and move its products below `root`.
+def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Reads:
+    """Execute a notebook and move its products below `root`; returns what it read below data/ and figures/.
 
     Parameters
     ----------
@@ -292,13 +289,6 @@ def run(
         Folder of the executed notebook; a failed one is kept there as NAME.failed.ipynb.
     keep_going : bool
         A failing cell does not stop the rest; the products that there are land below `root` before the error is raised.
-    workers : int
-        Processes of its studies where the caller's environment says nothing; 0 for one per processor.
-
-    Returns
-    -------
-    dict
-        What it read below data/ and figures/.
 
     Raises
     ------
@@ -308,14 +298,14 @@ def run(
     """
     import nbformat
 
-    maker = {product: one.name for one in chain().values() for product in one.products}
+    maker = _makers(chain())
     with tempfile.TemporaryDirectory(prefix="railrepro-") as folder:
         staging = Path(folder)
         if root != paths.ROOT:
             (staging / "data").mkdir()
             for file in (root / "data").glob("*.toml"):
                 shutil.copy2(file, staging / "data")
-        content, failure = _execute(notebook, parameters, staging, keep_going, workers)
+        content, failure = _execute(notebook, parameters, staging, keep_going)
         taken = _taken(staging / "reads", notebook)
         made = {product: staging / product for product in notebook.products if (staging / product).exists()}
         missing = [product for product in notebook.products if product not in made]
@@ -371,14 +361,14 @@ def _taken(log: Path, notebook: Notebook) -> Reads:
     for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
         file, _, entry = line.partition("\t")
         found.setdefault(file, set()).add(entry)
-    known = {file: sorted(entries - {""}) or [reads.ALL] for file, entries in sorted(found.items())}
+    known = {file: sorted(entries - {""}) or [paths.ALL] for file, entries in sorted(found.items())}
     return {file: entries for file, entries in known.items() if file not in notebook.products}
 
 
-def refresh(notebook: Notebook, workers: int = 0) -> None:
+def refresh(notebook: Notebook) -> None:
     """Run a notebook and stamp it: as stale where an input was edited meanwhile."""
     begin, own = time.time(), inputs(notebook, {})
-    taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks", workers=workers)
+    taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
     found = inputs(chain()[notebook.name], taken)
     files = [paths.ROOT / file for file in taken]
     edited = any(file.is_file() and file.stat().st_mtime > begin for file in files) or not own.items() <= found.items()
@@ -388,19 +378,10 @@ def refresh(notebook: Notebook, workers: int = 0) -> None:
 
 
 def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
-    """Run what is stale of some notebooks, several at a time.
+    """Run what is stale of some notebooks, `jobs` at a time, by default one per processor, at most four.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of notebooks or figures, or how these begin, as "fig06"; empty takes all.
-    jobs : int, optional
-        How many at a time; by default one per processor, at most four.
-
-    Returns
-    -------
-    int
-        1 when one of them failed, else 0.
+    `names` are those of notebooks or figures, or how these begin, as "fig06"; empty takes all. Returns 1 when one of
+    them failed, else 0.
     """
     notebooks = chain()
     wanted = set() if names else set(notebooks)
@@ -417,8 +398,8 @@ def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
             _say(f"{name} is stale: {why}")
         fresh = wanted - stale.keys()
 
-        def renew(notebook: Notebook, workers: int) -> None:
-            refresh(notebook, workers)
+        def renew(notebook: Notebook) -> None:
+            refresh(notebook)
             fresh.add(notebook.name)
 
         try:
@@ -431,19 +412,22 @@ def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
     return int(bool(failed))
 
 
-def _run_all(notebooks: Sequence[Notebook], task: Task, jobs: int | None = None) -> dict[str, str]:
-    """Call `task` with notebooks and the processors of each, side by side; returns why some failed, by name.
+def _run_all(notebooks: Sequence[Notebook], task: Callable[[Notebook], object], jobs: int | None = None) -> list[str]:
+    """Call `task` with notebooks, side by side; returns a line for each that failed.
 
-    It says which run, how many are left and for about how long. One that fails does not stop the others.
+    It says which run, how many are left and for about how long (minutes): as long as the last run here, else what
+    chain.toml says. One that fails does not stop the others.
     """
-    left = {notebook.name: minutes(notebook) for notebook in notebooks}
-    jobs = min(jobs or min(os.cpu_count() or 1, 4), max(1, len(left)))
-    workers = max(1, (os.cpu_count() or 1) // jobs)
-    failed: dict[str, str] = {}
+    known = [(notebook, last_run(notebook)) for notebook in notebooks]
+    left = {notebook.name: last.seconds / 60 if last else notebook.minutes for notebook, last in known}
+    processors = os.cpu_count() or 1
+    jobs = min(jobs or min(processors, 4), max(1, len(left)))
+    os.environ.setdefault("RAILREPRO_WORKERS", str(max(1, processors // jobs)))  # of the studies of each
+    failed: list[str] = []
 
     def one(notebook: Notebook) -> None:
         _say(f"{notebook.name}: running, about {left[notebook.name]:.1f} min")
-        task(notebook, workers)
+        task(notebook)
 
     pool = ThreadPoolExecutor(jobs)
     _ENDING.clear()
@@ -456,8 +440,8 @@ def _run_all(notebooks: Sequence[Notebook], task: Task, jobs: int | None = None)
             try:
                 future.result()
             except Exception as error:  # whatever it is, the other notebooks go on
-                failed[name] = str(error) if isinstance(error, InputError) else f"{name}: {error!r}"
-                _say(f"error: {failed[name]}")
+                failed.append(str(error) if isinstance(error, InputError) else f"{name}: {error!r}")
+                _say(f"error: {failed[-1]}")
                 continue
             rest = max([0.0, *left.values(), sum(left.values()) / jobs])
             _say(f"{name}: done; {len(left)} left" + (f", about {max(1, round(rest))} min" if left else ""))
@@ -477,7 +461,7 @@ def _say(words: str) -> None:
 
 def _write_manifests(notebooks: dict[str, Notebook], names: set[str]) -> None:
     """Enter the products of some fresh notebooks into data/MANIFEST.csv and figures/MANIFEST.csv; other rows stay."""
-    maker = {product: notebook.name for notebook in notebooks.values() for product in notebook.products}
+    maker = _makers(notebooks)
     made: dict[str, list[str]] = {}
     for notebook in [notebooks[name] for name in names]:
         last = last_run(notebook)
@@ -496,17 +480,10 @@ def _write_manifests(notebooks: dict[str, Notebook], names: set[str]) -> None:
 
 
 def drive(vehicle: Path) -> int:
-    """Run the chapters 00 to 09 with a car of one's own, in build/tried/NAME; what is committed stays as it is.
+    """Run the chapters 00 to 09 with a car of one's own (a file like data/vehicle.toml), in build/tried/NAME.
 
-    Parameters
-    ----------
-    vehicle : Path
-        File like data/vehicle.toml.
-
-    Returns
-    -------
-    int
-        1 when a chapter was stopped, else 0; the sentences that do not hold on this car are printed.
+    What is committed stays as it is. Prints the sentences that do not hold on this car; returns 1 when a chapter was
+    stopped, else 0.
     """
     load_vehicle(vehicle)
     root = paths.BUILD / "tried" / vehicle.stem
@@ -523,25 +500,22 @@ def drive(vehicle: Path) -> int:
 def rerun(names: Sequence[str], root: Path) -> list[str]:
     """Run notebooks below another folder, all of them whatever fails; returns a line for each that failed."""
 
-    def again(notebook: Notebook, workers: int) -> None:
-        run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True, workers=workers)
+    def again(notebook: Notebook) -> None:
+        run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
 
-    return list(_run_all([chain()[name] for name in names], again).values())
+    return _run_all([chain()[name] for name in names], again)
 
 
 def verify() -> int:
     """Run all notebooks in build/verify and print what differs from the committed products.
 
-    Returns
-    -------
-    int
-        1 when a notebook fails or a product is beyond its tolerance, else 0.
+    Returns 1 when a notebook fails or a product is beyond its tolerance, else 0.
     """
     os.environ[store.FOLDER] = "off"  # a rerun computes
     root, all_entries = paths.BUILD / "verify", []
     shutil.rmtree(root, ignore_errors=True)
     findings = rerun(list(chain()), root)
-    for product in [product for notebook in chain().values() for product in notebook.products]:
+    for product in _makers(chain()):
         entries = compare.compare(paths.ROOT / product, root / product, tolerance())
         said = f"{product}: {compare.summary(entries)}"
         print(said)

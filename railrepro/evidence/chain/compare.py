@@ -40,19 +40,10 @@ class Tolerance:
 
 
 def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
-    """Compare two tables (csv) or two images (png), entry by entry.
+    """Compare two tables (csv) or two images (png), a row per entry of a table, one for an image.
 
-    Parameters
-    ----------
-    committed, rerun : Path
-    tolerance : Tolerance
-
-    Returns
-    -------
-    DataFrame
-        A row per entry of a table, one for an image: `name` (its column and metric, or what else differs), `apart`
-        (difference relative to the largest of that name, of an image the root mean square relative to white (-)) and
-        `outcome` (one of `OUTCOMES`).
+    `name` is its column and metric, or what else differs; `apart` the difference relative to the largest of that name,
+    of an image the root mean square relative to white (-); `outcome` one of `OUTCOMES`.
     """
     for path in (committed, rerun):
         if not path.exists():

@@ -21,32 +21,19 @@ import pandas as pd
 from pydantic import Field
 
 from railrepro import data, paths
-from railrepro.control.registry import with_r_times
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.probe import probe
 from railrepro.evidence.claims.setup import ProbeSetup, setup
-from railrepro.evidence.claims.statements import LOSS, REPRODUCED, Evidence
+from railrepro.evidence.claims.statements import REPRODUCED, Evidence
 from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.simulation.scenarios import load_scenario
 
 PARTS = ("curve", "sine", "loss", "brake")
 """What Figs. 6 to 9 show, see `probe.PARTS`."""
 SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
-CONFLICTS = {
-    "shortest wave of Fig. 9 (m)": (
-        "brake_sweep:period_end_m",
-        "brake",
-        (10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0),
-    ),
-    "friction of the poor rail (-)": (
-        "adhesion.poor.mu0",
-        "loss",
-        (0.100, 0.104, 0.108, 0.110, 0.112, 0.114, 0.116, 0.118, 0.120, 0.122),
-    ),
-}
-"""Choices that one statement wants large and another small: name (see `setup`), part of the probe, and levels."""
+WAVE, WAVES = "brake_sweep:period_end_m", (10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0)
+"""A choice that some statements on Fig. 9 want small and another large, the shortest wave (m), and its levels."""
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
@@ -126,10 +113,10 @@ MATCHED = (
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """What the statements find on a car.
+    """Judge a car by the statements `MATCHED`: one row per statement for which these parts of the probe suffice.
 
-    Columns statement, value, above, below, margin (distance to the nearer limit as a share of it, positive inside),
-    holds.
+    Columns statement, value, above, below, margin (to the nearer limit over that limit, to a limit of zero itself;
+    positive inside), holds.
     """
     evidence = Evidence({(s, c, m): v for s, c, m, v in probe(world, parts)})
     rows, found = [], statements.findings(evidence)
@@ -138,7 +125,7 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
             continue
         finding = found[identity]
         margins = [
-            sign * (finding.value / limit - 1)
+            sign * (finding.value / limit - 1 if limit else finding.value)
             for sign, limit in ((1, rule.above), (-1, rule.below))
             if limit is not None
         ]
@@ -154,22 +141,9 @@ def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]
     return [(name, back, values | {name: back}) for name, back in put_back.items() if back != values[name]]
 
 
-def conflict(choice: str, level: float) -> pd.DataFrame:
-    """What the statements of one of `CONFLICTS` find at a level of its choice.
-
-    Columns of `judged`, choice, level, peak_m (where Fig. 8 first passes the adhesion peak, nan for Fig. 9).
-    """
-    name, part, _ = CONFLICTS[choice]
-    world = paper_like(**{name: level})
-    peak = peak_passed(world) if part == "loss" else np.nan
-    return judged(world, [part]).assign(choice=choice, level=level, peak_m=peak)
-
-
-def peak_passed(world: ProbeSetup) -> float:
-    """Where a wheel first passes the adhesion peak in Fig. 8 (m)."""
-    nmpc = with_r_times(world.parameters["nmpc"], world.r_loss)
-    _, series = world.experiment(load_scenario(LOSS).but(end_m=400.0), "nmpc", nmpc, stride=1)()
-    return float("nan") if series is None else float(series.loc[series["segment"] == 3, "p_m"].min())
+def conflict(wave: float) -> pd.DataFrame:
+    """Judge the calibrated car in Fig. 9 with another shortest wave (m): columns of `judged`, and wave_m."""
+    return judged(paper_like(**{WAVE: wave}), ["brake"]).assign(wave_m=wave)
 
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
@@ -190,10 +164,9 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
     moves = [(size, draw) for size in SIZES for draw in range(draws)]
     cases = [values, *(case for *_, case in one_back), *(perturbed(choices, size, draw) for size, draw in moves)]
-    points = [(choice, level) for choice, (*_, levels) in CONFLICTS.items() for level in levels]
     with executor() as pool:
         whole, *rest = ordered_map(pool, lambda case: judged(setup(case)), cases, "calibrated car", quiet)
-        conflicts = ordered_map(pool, lambda point: conflict(*point), points, "conflicts", quiet)
+        conflicts = ordered_map(pool, conflict, WAVES, "conflicts", quiet)
     kept = set(whole.loc[whole["holds"], "statement"])
     held = [set(found.loc[found["holds"], "statement"]) for found in rest]
     ends = [(len(each), " ".join(sorted(kept - each))) for each in held]

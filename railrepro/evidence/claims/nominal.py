@@ -28,12 +28,12 @@ def result(name: str) -> pd.DataFrame | None:
 
 
 class Nominal:
-    """The nominal case in all settings.
+    """Metrics of the nominal car from the tables of data/results, by setting of comparison.
 
     Parameters
     ----------
     results : callable, optional
-        Where tables come from, each once: name -> DataFrame, or None before it is made.
+        Reads a table of data/results: name without ending -> DataFrame, or None if there is no such file.
     """
 
     def __init__(self, results: Callable[[str], pd.DataFrame | None] = result):
@@ -44,12 +44,12 @@ class Nominal:
         self._table_of: dict[tuple[str, Key], str] = {}
 
     def settings(self) -> list[str]:
-        """Settings in which there is evidence."""
+        """Settings of comparison for which the tables have metrics, in the order of `tuning.SETTINGS`."""
         known = {setting for table in self._shared.values() for setting in table["setting"]}
         return [setting for setting in tuning.SETTINGS if setting in known]
 
     def evidence(self, setting: str) -> Evidence:
-        """Collect the evidence in a setting; without a setting only tables that no controller enters."""
+        """Metrics and tables of a setting; "" gives only the tables that do not depend on a controller."""
         if setting not in self._known:
             metrics: dict[Key, float] = {}
             spread: dict[Key, float] = {}
@@ -63,13 +63,13 @@ class Nominal:
         return self._known[setting]
 
     def table_of(self, setting: str, scenario: str, controller: str, metric: str) -> str:
-        """Name the table that a metric comes from; of a run that failed the one that says so."""
+        """Name of the table of data/results that has a metric; for a failed run the table that has its failure."""
         self.evidence(setting)
         failed = self._table_of.get((setting, (scenario, controller, "failed")), "")
         return self._table_of.get((setting, (scenario, controller, metric)), failed)
 
     def on_calibrated_car(self) -> dict[str, str]:
-        """Tell whether each statement holds on the calibrated car, by id; empty before paper_like.csv is made."""
+        """Statement id -> "yes" or "no", whether it holds on the calibrated car; empty without paper_like.csv."""
         found = self.results("paper_like")
         return {} if found is None else {row.statement: "yes" if row.holds else "no" for row in found.itertuples()}
 
@@ -82,7 +82,10 @@ def _normal(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def best_swarms(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
-    """Take the metrics of each controller's best swarm, mean over the seeds of the noise; one failed run fails all."""
+    """Metrics by (scenario, controller, metric) of each controller's best swarm, averaged over the seeds of the noise.
+
+    `failed` is 1 where a run of any seed failed.
+    """
     found: dict[Key, float] = {}
     for name, own in rows.groupby("controller", sort=False):
         swarms = list(own["swarm"].unique())
@@ -94,13 +97,16 @@ def best_swarms(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
 
 
 def best_seed(controller: str, setting: str, seeds: Sequence) -> int:
-    """Look up the seed of the best swarm of a tuned set; the first of those given when it is none of them."""
+    """Seed of the swarm with the lowest cost of a tuned set; `seeds[0]` when `seeds` does not contain it."""
     swarms = sorted(tuning.load(controller, setting).get("swarms", []), key=lambda swarm: swarm["cost"])
     return next((swarm["seed"] for swarm in swarms[:1] if swarm["seed"] in seeds), int(seeds[0]))
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
-    """Take the logarithm of largest over smallest size of each metric among swarms and seeds; inf if one failed."""
+    """Spread between seeds: log(largest / smallest absolute value) of RMSE and stopping distance over swarms and noise.
+
+    By (scenario, controller, metric); infinite where a run failed.
+    """
     found: dict[Key, float] = {}
     lost = {(r.scenario, r.controller) for r in rows.itertuples() if r.metric == "failed" and r.value > 0}
     sized = rows[rows["metric"].isin(["rmse_y", "stopping_distance"])]

@@ -10,6 +10,7 @@ Serves the paper's section Multi-Body Simulation Results.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import astuple
 from itertools import pairwise
 
 import casadi as ca
@@ -17,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.contact.creep import adhesion_maximum
+from railrepro.contact.creep import adhesion_maximum, polach
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import EMPHASIS, PAPER_TRIO, with_r_times
@@ -47,19 +48,24 @@ NEIGHBOURS = (0.9, 1.0, 1.1)
 SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 """Fixed shares of the torque that are tried from below; too large a share lengthens the way and with it the error."""
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
-"""Fig. 8: the climb of the law is over, the demand exceeds the maximum, the maximum is reached (m)."""
+"""Fig. 8: the climb of the law is over (1.8 kN m by 2 N m per ms), the demand exceeds the maximum, the maximum is
+reached (m)."""
 STIFF = 12.0
 """Factor on the shear modulus of a contact in which wheels nearly roll."""
-PATCH, SUDDEN_KMH, SUDDEN_KN = (300.0, 500.0), 280.0, 17.0
-"""Sudden loss: where the rail is very poor (m), speed, force per gear, in traction and in braking."""
+PATCH, SUDDEN_KMH, SUDDEN_KN, CHECKED = (300.0, 500.0), 280.0, 17.0, 100.0
+"""Sudden loss: where the rail is very poor (m), speed, force per gear, in traction and in braking, and the way before
+it on which operation must be regular: the steps of the law have climbed to the set point by 160 m."""
 ROUGH_SEEDS, ROUGH_KMH, ROUGH_END, LINE = (1, 2, 3), 300.0, 1000.0, {"share": 1.0, "smoothing_m": 3.0}
 """Irregular straight: realisations, speed, length (m), and the line that is planned with exact preview."""
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
-RECOVERY = 0.3
-"""Time within which a wheel must be back from macro slip (s): a fifth of the way between step and maximum in Fig. 8."""
+RECOVERY = 0.135
+"""Time within which a wheel must be back from macro slip (s): a tenth of a wave of the set point of Fig. 8."""
+APPROACH, FALL = 0.9, 0.1
+"""Share of the adhesion peak below which it is not approached, and that is lost when slip is excessive; share of the
+torque that must fall in macro slip."""
 UNITS = {
-    **dict.fromkeys(("rmse_y", "largest_error", "delay", "mean_error_last_third", "shortest_wave"), "m"),
-    **dict.fromkeys(("torque_later", "stopping_distance", "rail_rmse_y"), "m"),
+    **dict.fromkeys(("rmse_y", "largest_error", "delay", "mean_error_last_third", "shortest_wave", "shortfall"), "m"),
+    **dict.fromkeys(("ndi_later", "stopping_distance", "rail_rmse_y"), "m"),
     "effort_du": "N m",
 }
 
@@ -71,7 +77,10 @@ Measured = Iterator[tuple[str, str, dict[str, float]]]
 
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
-    """Drive a world and measure it: rows in SI; a failed run has only `failed`."""
+    """Run the named parts of the probe on a car and its controllers.
+
+    Returns rows (scenario, controller, metric, value in SI units); a failed run has the metric `failed` alone.
+    """
     rows: Rows = []
     for part in parts:
         for scenario, controller, values in _DRIVE[part](world):
@@ -80,7 +89,7 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """What y = 0 gives: root mean square and largest value of the set point, and its shortest wavelength (m)."""
+    """Metrics of a running gear that stays at y = 0: RMSE, largest error, shortest wave of the set point (m)."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
@@ -89,49 +98,67 @@ def nothing(scenario: Scenario) -> dict[str, float]:
 
 
 def following(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Metrics of how well a run follows its set point."""
+    """Store entry of a run: the metrics of `lateral`, and no series."""
     return lateral(run), None
 
 
 def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """The same with what Fig. 6 shows, and every tenth row."""
+    """Store entry of a run of Fig. 6, with every tenth row of the series.
+
+    Metrics of `lateral`, delay and shortfall (m), torque step (N m), path error (-).
+    """
     values = lateral(run)
     if run.failed:
         return values, None
     series = tidy(run.series, 10)
-    values |= {"delay": metrics.delay(run.series), "error_at_crests": error_at_crests(series)}
+    values |= {"delay": metrics.delay(run.series), "shortfall": shortfall(series)}
     return values | {"torque_step": torque_step(series), "path_error": path_error(series)}, series
 
 
 def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """The same with what Fig. 8 shows; the share of the maximum from where it is reached."""
+    """Store entry of a run of Fig. 8: metrics of `lateral`, slip, adhesion utilisation and macro slips, and no series.
+
+    Utilisation and macro slips count from `REACHED` on.
+    """
     values, series = lateral(run), tidy(run.series, 10)
     if not run.failed:
+        scenario, car = experiment.scenario, experiment.car()
         whole, late = (
-            metrics.longitudinal(rows, experiment.scenario, experiment.car())
+            metrics.longitudinal(rows, scenario, car)
             for rows in (run.series, run.series[run.series["front.p"] >= REACHED])
         )
         values |= {"largest_slip": whole["largest_slip"][0], "utilisation_late": late["utilisation"][0]}
-        values |= {"recovered_share": recovered_share(series)} | oscillation(series)
+        values |= macro_slips(series, *adhesion_peak(scenario, car)[:2]) | oscillation(series)
         values["flange"] = float(metrics.reaches_flange(run.series))
-    return values | {"regular_end_deviation": regular_end_deviation(series)}, None
+    return values | {"regular_deviation": deviation(series, REGULAR_END, DEMANDED)}, None
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Largest slip of a run."""
-    slip = metrics.longitudinal(run.series, experiment.scenario, experiment.car())["largest_slip"][0]
-    return {"largest_slip": slip, "failed": float(run.failed)}, None
+    """Store entry of a sudden loss: largest slip (-), share of its adhesion peak that the left wheel uses on the patch,
+    deviation of the adhesion from its set point before it (-), and no series.
+    """
+    scenario, car, series = experiment.scenario, experiment.car(), tidy(run.series, 10)
+    patch = series[series["p_m"].between(*PATCH)]
+    values = {
+        "largest_slip": metrics.longitudinal(run.series, scenario, car)["largest_slip"][0],
+        "utilisation": float((np.sign(patch["f_star"]) * patch["fx_le"]).mean()) / adhesion_peak(scenario, car)[0],
+        "regular_deviation": deviation(series, PATCH[0] - CHECKED, PATCH[0] - 1),
+    }
+    return values | {"failed": float(run.failed)}, None
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Error against irregular rails, largest track shifting force over its limit, and comfort."""
+    """Store entry of a run on irregular rails, without series.
+
+    Error against the rails (m), track shifting force over its limit (-), comfort index above the front gear (-).
+    """
     row = experiment.values(run)
     names = () if run.failed else ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")
     return {name: row[name] for name in names} | {"failed": float(run.failed)}, None
 
 
 def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Error and distance of a run to standstill; infinite when it does not come to that."""
+    """Store entry of a braking run, without series: RMSE of y and stopping distance (m), inf without a stop."""
     stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
     if not stopped:
         return {"rmse_y": float("inf"), "stopping_distance": float("inf")}, None
@@ -139,7 +166,10 @@ def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
 
 
 def lateral(run: simulate.Run) -> dict[str, float]:
-    """Metrics of how well a run follows its set point."""
+    """Lateral metrics of a run: RMSE, largest and mean error (m), RMS differential torque (N m), and `failed`.
+
+    A failed run has `failed` = 1 alone.
+    """
     if run.failed:
         return {"failed": 1.0}
     error = metrics.lateral_error(run.series)
@@ -160,9 +190,13 @@ def _follow(world: ProbeSetup, scenario: Scenario, label: str) -> Measured:
 
 
 def _curves(world: ProbeSetup) -> Measured:
-    """Curve entries on the other tracks."""
-    for name, length in {"curve_entry_T1": 80.0, "curve_entry_T2": 400.0, "curve_entry_T4": 700.0}.items():
-        yield from _follow(world, load_scenario(name).but(good=world.good, end_m=length), name)
+    """Curve entries on the other tracks, and on all four in the middle of the track."""
+    for name, length in {"curve_entry_T1": 80.0, "curve_entry_T2": 400.0, T3: 600.0, "curve_entry_T4": 700.0}.items():
+        scenario = load_scenario(name).but(good=world.good, end_m=length)
+        if name != T3:
+            yield from _follow(world, scenario, name)
+        middle = scenario.but(set_point={"kind": "none"})
+        yield name, statements.CENTRED, world.experiment(middle, "nmpc").measured(following)[0]
 
 
 def _sine(world: ProbeSetup) -> Measured:
@@ -184,14 +218,15 @@ def _curve(world: ProbeSetup) -> Measured:
             series[name] = table
             values |= {"gyroscopic_share": values.pop("torque_step") / expected}
         yield T3, name, values
-    if {"nmpc", NDI} <= set(series):
-        yield T3, NDI, torque_shift(series["nmpc"], series[NDI])
+    for name in statements.MPC:
+        if {name, NDI} <= set(series):
+            yield T3, name, torque_shift(series[name], series[NDI])
 
 
 def _loss(world: ProbeSetup) -> Measured:
     """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED` and once without slip control; NDI."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
-    yield LOSS, NOTHING, nothing(scenario) | {"slip_at_maximum": slip_at_maximum(scenario, car)}
+    yield LOSS, NOTHING, nothing(scenario) | {"excessive_slip": adhesion_peak(scenario, car)[2]}
     tuned = {"nmpc": with_r_times(world.parameters["nmpc"], world.r_loss)}
     tuned[SOFT] = with_r_times(tuned["nmpc"], EMPHASIS)
     cases = {
@@ -202,37 +237,41 @@ def _loss(world: ProbeSetup) -> Measured:
     for label, nmpc in tuned.items():
         cases[statements.NO_LAW[label]] = [world.experiment(scenario, "nmpc", nmpc, adhesion=NO_SLIP_CONTROL)]
     for label, runs in cases.items():
-        values = _mean([run.measured(losing)[0] for run in runs])
-        regular = {"regular_end_deviation": values.pop("regular_end_deviation")}
+        each = [run.measured(losing)[0] for run in runs]
+        values = _mean(each)
+        if not values["failed"]:
+            values["set_point_gain"] = max((run["set_point_gain"] for run in each), key=lambda gain: abs(gain - 1))
+            values |= {name: max(run[name] for run in each) for name in ("error_growth", "largest_slip")}
+        regular = {"regular_deviation": values.pop("regular_deviation")}
         yield LOSS, label, values
         if label in statements.REGULAR:
             yield LOSS, statements.REGULAR[label], regular
 
 
 def _causes(world: ProbeSetup) -> Measured:
-    """NMPC in the curve (as it is: `_curve`) and on sines, on cones, and in the curve nearly without creep."""
+    """NMPC in the curve (as it is: `_curve`) and on sines, on cones, nearly without creep, in the curve with both."""
     sine, curve = load_scenario("sine_tracking"), load_scenario(T3)
     driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
     cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": STIFF * world.car().contact.shear_modulus}
     for case, scenario in zip(statements.CASES, driven, strict=True):
-        plants = {statements.CONES: cones} | ({statements.NO_CREEP: stiff} if case == T3 else {"nmpc": {}})
+        plants = {statements.CONES: cones, statements.NO_CREEP: stiff}
+        plants |= {statements.AS_MODELLED: cones | stiff} if case == T3 else {"nmpc": {}}
         for label, plant in plants.items():
             yield case, label, world.experiment(scenario, "nmpc", plant=plant).measured(following)[0]
 
 
 def _sudden(world: ProbeSetup) -> Measured:
-    """NMPC with R x 10 over a patch of very poor rail, with and without slip control."""
+    """NMPC as tuned over a patch of very poor rail, with and without slip control."""
     begin, end = PATCH
     points = ((0.0, 0.0), (begin - 0.5, 0.0), (begin + 0.5, 1.0), (end - 0.5, 1.0), (end + 0.5, 0.0))
     base = load_scenario(LOSS).but(speed_kmh=SUDDEN_KMH, end_m=end + 300, poor="very_poor", poor_share=())
-    soft = with_r_times(world.parameters["nmpc"], EMPHASIS)
     for case in statements.SUDDEN:
         place, _, drive = case.partition(", ")
         share = {"poor_share" if place == "both rails" else "poor_share_left": points}
         force = SUDDEN_KN if drive == "traction" else -SUDDEN_KN
         scenario = base.but(force_kN=((0.0, force),), **share)
-        for label, law in ((SOFT, None), (statements.NO_LAW[SOFT], NO_SLIP_CONTROL)):
-            yield case, label, world.experiment(scenario, "nmpc", soft, adhesion=law).measured(slipping)[0]
+        for label, law in (("nmpc", None), (statements.NO_LAW["nmpc"], NO_SLIP_CONTROL)):
+            yield case, label, world.experiment(scenario, "nmpc", adhesion=law).measured(slipping)[0]
 
 
 def _rails(world: ProbeSetup) -> Measured:
@@ -330,29 +369,37 @@ def gyroscopic_torque(vehicle: Vehicle, speed: float, track: Track) -> float:
 
 
 def torque_step(series: pd.DataFrame) -> float:
-    """Mean differential torque on the clothoid of T3 less that before it (N m), from columns p_m, du_Nm."""
-    on, before = series["p_m"].between(60, 300), series["p_m"] < 20
-    return float(series.loc[on, "du_Nm"].mean() - series.loc[before, "du_Nm"].mean())
+    """Mean differential torque over the first wave of the set point less that before it (N m).
+
+    Columns y_ref_m, du_Nm of Fig. 6, where clothoid and set point begin together. Not a number without a whole wave.
+    """
+    reference = series["y_ref_m"].to_numpy()
+    begin = int(np.argmax(reference != 0))
+    first_half = reference * reference[begin] > 0
+    middle = begin + int(np.argmin(first_half[begin:]))
+    end = middle + int(np.argmax(first_half[middle:]))
+    torque = series["du_Nm"]
+    return float(torque[begin:end].mean() - torque[:begin].mean())
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """By how much the torque of a second run comes later (m), and the correlation when it is shifted back (-)."""
+    """By how much the torque of a second run, NDI, comes later (m), and the correlation when it is shifted back."""
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["p_m"], rows["du_Nm"]) for rows in (first, second))
     shifts = np.arange(-60, 161)
     alike = np.array([np.corrcoef(other[60 + k : 60 + k + 1800], one[60:1860])[0, 1] for k in shifts])
     best = int(np.argmax(alike))
-    return {"torque_later": 0.25 * float(shifts[best]), "torque_alike": float(alike[best])}
+    return {"ndi_later": 0.25 * float(shifts[best]), "ndi_alike": float(alike[best])}
 
 
-def error_at_crests(series: pd.DataFrame) -> float:
-    """Root mean squared error at the crests of the set point over that below the crests.
+def shortfall(series: pd.DataFrame) -> float:
+    """By how much y falls short of the crests of the set point, mean of the side where it does more (m).
 
-    A crest exceeds 5/6 of the amplitude (2.5 of 3 mm). Rows at rest do not count.
+    A crest exceeds 5/6 of the amplitude (2.5 of 3 mm).
     """
-    error, reference = series["y_m"] - series["y_ref_m"], series["y_ref_m"].abs()
-    crest, below = reference > reference.max() * 5 / 6, reference.between(reference.max() / 30, reference.max() * 5 / 6)
-    return float(np.sqrt((error[crest] ** 2).mean() / (error[below] ** 2).mean()))
+    reference = series["y_ref_m"]
+    short, crest = reference - series["y_m"], reference.abs().max() * 5 / 6
+    return float(max(short[reference > crest].mean(), -short[reference < -crest].mean()))
 
 
 def path_error(series: pd.DataFrame) -> float:
@@ -377,33 +424,69 @@ def oscillation(series: pd.DataFrame) -> dict[str, float]:
     return {"set_point_gain": float(gain), "error_growth": float(growth)}
 
 
-def regular_end_deviation(series: pd.DataFrame) -> float:
-    """Mean deviation of the adhesion from its set point, over the latter, where the climb of the law is over.
+def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
+    """Mean absolute deviation of the adhesion from its set point, over the latter, between two coordinates (m).
 
-    Columns p_m, fx_ri, fx_le, f_star of Fig. 8. Infinite for a run that ended before.
+    Columns p_m, fx_ri, fx_le, f_star. Infinite for a run that ended before.
     """
-    rows = series[series["p_m"].between(REGULAR_END, DEMANDED, inclusive="left")]
+    rows = series[series["p_m"].between(begin, end, inclusive="left")]
     if rows.empty:
         return float("inf")
     f = (rows["fx_ri"] + rows["fx_le"]) / 2
     return float(((f - rows["f_star"]).abs() / rows["f_star"].abs()).mean())
 
 
-def recovered_share(series: pd.DataFrame) -> float:
-    """Share of the entries into segment III from which it is back within `RECOVERY`; columns t_s, segment."""
-    time, third = series["t_s"].to_numpy(), (series["segment"] == 3).to_numpy()
-    entries = np.flatnonzero(third[1:] & ~third[:-1]) + 1
-    left = np.flatnonzero(~third)
-    next_left = np.append(time[left], np.inf)[np.searchsorted(left, entries)]  # infinite where it never is
-    until = next_left - time[entries]
-    judged = time[-1] - time[entries] > RECOVERY
-    return float(np.mean(until[judged] < RECOVERY)) if judged.any() else 0.0
+def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
+    """Count macro slips and approaches to the adhesion peak from where it is reached in the paper.
+
+    Parameters
+    ----------
+    series : DataFrame
+        Columns p_m, t_s, u_d_Nm, fx_ri, fx_le, sx_ri, sx_le of Fig. 8.
+    peak, slip : float
+        Adhesion of the peak, and its slip; a macro slip begins where that of a wheel is larger.
+
+    Returns
+    -------
+    dict
+        macro_slips, with time left to recover; recovered, in which the torque falls by `FALL` and the slip is back
+        within `RECOVERY`; approaches, before each macro slip and after the last; approached, those that come to
+        `APPROACH` of the peak. A last one that is shorter than the first climb in the paper counts only when it does.
+    """
+    rows = series[series["p_m"] >= REACHED]
+    time, torque = rows["t_s"].to_numpy(), rows["u_d_Nm"].to_numpy()
+    beyond = (rows[["sx_ri", "sx_le"]].abs() > slip).any(axis=1).to_numpy()
+    near = ((rows["fx_ri"] + rows["fx_le"]) / 2 >= APPROACH * peak).to_numpy()
+    entries = np.flatnonzero(np.diff(beyond.astype(int), prepend=0) > 0)
+    judged = recovered = 0
+    for entry in entries[time[-1] - time[entries] > RECOVERY]:
+        soon = slice(entry, np.searchsorted(time, time[entry] + RECOVERY))
+        judged += 1
+        recovered += not beyond[soon].all() and torque[soon].min() < (1 - FALL) * torque[entry]
+    bounds = [0, *entries, time.size]
+    approaches = [bool((near & ~beyond)[begin:end].any()) for begin, end in pairwise(bounds) if end > begin]
+    last = rows["p_m"].iloc[-1] - rows["p_m"].iloc[bounds[-2]]
+    if not approaches[-1] and len(approaches) > 1 and last < REACHED - DEMANDED:
+        approaches.pop()
+    return {
+        "macro_slips": float(judged),
+        "recovered": float(recovered),
+        "approaches": float(len(approaches)),
+        "approached": float(sum(approaches)),
+    }
 
 
-def slip_at_maximum(scenario: Scenario, car: Vehicle) -> float:
-    """Slip of the adhesion maximum of a scenario's poor rail at nominal load."""
-    patch = (car.wheel_load, *middle_patch(car), car.contact.shear_modulus)
-    return float(adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)[1])
+def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float, float]:
+    """Adhesion peak of a scenario's poor rail at nominal load, its slip, and the slip beyond it where
+    `APPROACH` of the peak is left.
+    """
+    law, (a, b, kalker), shear = car.adhesion[scenario.poor], middle_patch(car), car.contact.shear_modulus
+    peak, best = adhesion_maximum(law, scenario.speed, car.wheel_load, a, b, kalker, shear)
+    slips = np.geomspace(best, 1.0, 2000)
+    contact = car.wheel_load, a, b, *kalker, shear, *astuple(law)
+    force, _ = polach(-slips, 0.0, 0.0, *contact, slip_speed=slips * scenario.speed)
+    left = force / car.wheel_load > APPROACH * peak
+    return peak, best, float(slips[left].max())
 
 
 SEEDS = (101, 102, 103)

@@ -74,7 +74,10 @@ class ProbeSetup:
     ltv: str = "ltv_mpc_printed"
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
-        """A run of one of the controllers, with its own parameters unless others are given."""
+        """One run of a controller on this car, with the tuning parameters of this setup unless others are given.
+
+        `more` are further fields of `Experiment`.
+        """
         predictive = CONTROLLERS[controller].settings is mpc_settings
         changes = ({"variant": self.variant} if predictive else {}) | more.pop("changes", {})
         driver = self.ltv if controller == "ltv_mpc_printed" else controller
@@ -86,7 +89,7 @@ class ProbeSetup:
         )  # fmt: skip
 
     def car(self) -> Vehicle:
-        """The car that is driven."""
+        """Vehicle parameters of the car that is driven."""
         return load_vehicle(**self.vehicle, **self._plant())
 
     def _plant(self) -> dict[str, str]:
@@ -98,13 +101,13 @@ class ProbeSetup:
         return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=base.set_point | self.brake_sweep)
 
     def curve(self) -> Scenario:
-        """Curve entry on T3 with the sweep of this world; its track may be `stretched`."""
+        """Scenario of the curve entry on T3 with the set point of this setup; see `stretched` for its track."""
         base = load_scenario(T3)
         sweep = {name: getattr(self, name) for name in ("amplitude_mm", "period_start_m", "period_end_m")}
         return base.but(good=self.good, set_point=base.set_point | sweep)
 
     def stretched(self) -> Alignment | None:
-        """T3 with the clothoid of this world; None where that is ours."""
+        """Alignment of T3 with its clothoid `clothoid_factor` times as long; None when the factor is 1."""
         if self.clothoid_factor == 1.0:
             return None
         original = alignments()["T3"]

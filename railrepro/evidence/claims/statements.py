@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
+from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import EMPHASIS, PAPER_TRIO
 from railrepro.data import InputError
 
@@ -44,8 +45,10 @@ RAILS, PREVIEW = "irregular straight", "nmpc, preview"
 MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
 T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
 CASES = (T3, f"{T3} on T5", "sine of 1000 m 160", "sine of 1000 m 400")
-CONES, NO_CREEP = "nmpc on cones", "nmpc, nearly rolling"
+CONES, NO_CREEP, AS_MODELLED = "nmpc on cones", "nmpc, nearly rolling", "nmpc on cones, nearly rolling"
 """Runs that show the effect of cones and of creep, and names of NMPC on such a car."""
+CENTRED = "nmpc, y* = 0"
+"""NMPC in the curve entries, in the middle of the track."""
 CURVES = tuple(f"curve_entry_T{i}" for i in (1, 2, 3, 4))
 DRIFT = "mean_error_last_third"
 _WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "largest_slip")
@@ -231,8 +234,8 @@ def _table_one(e: Evidence) -> float:
 
 
 def _effort_on_t1(e: Evidence) -> float:
-    others = max(e(f"curve_entry_T{i}", "nmpc", "effort_du") for i in (2, 3, 4))
-    return e("curve_entry_T1", "nmpc", "effort_du") / others
+    others = max(e(f"curve_entry_T{i}", CENTRED, "effort_du") for i in (2, 3, 4))
+    return e("curve_entry_T1", CENTRED, "effort_du") / others
 
 
 def _all_follow(e: Evidence) -> float:
@@ -241,10 +244,32 @@ def _all_follow(e: Evidence) -> float:
     return max(point, *(e(T3, name, "path_error") for name in PAPER_TRIO))
 
 
-def _same_torque_later(e: Evidence) -> float:
-    if not np.isfinite([e(T3, name, "rmse_y") for name in ("nmpc", NDI)]).all():
+def _least(values: list[float]) -> Finding:
+    """The smallest of what is compared, not a number where one of them is none; weaker is the largest."""
+    return Finding(float(np.min(values)), float(np.fmax.reduce(values)))
+
+
+def _same_torque_later(e: Evidence, name: str) -> float:
+    """Shift of the torque of NDI against that of another controller over the shortest wave; nan when shapes differ."""
+    if not np.isfinite([e(T3, each, "rmse_y") for each in (name, NDI)]).all():
         return float("nan")
-    return e(T3, NDI, "torque_later") if e(T3, NDI, "torque_alike") > 0.8 else float("nan")
+    later = e(T3, name, "ndi_later") / e(T3, NOTHING, "shortest_wave")
+    return later if e(T3, name, "ndi_alike") > 0.71 else float("nan")
+
+
+def _less_delay(e: Evidence) -> float:
+    """Delay of NDI less the larger of both MPC over the shortest wave."""
+    own, rival = (max(abs(e(T3, name, "delay")) for name in names) for names in (MPC, [NDI]))
+    return (rival - own) / e(T3, NOTHING, "shortest_wave") if np.isfinite(rival) else float("nan")
+
+
+def _drift_from_model(e: Evidence) -> Finding:
+    """Drift on a car as modelled over that on the real one, weaker with cones or rolling alone; nan without a drift."""
+    drift = {name: abs(e(T3, name, DRIFT)) for name in ("nmpc", AS_MODELLED, CONES, NO_CREEP)}
+    if not drift["nmpc"] > 0.1 * e(T3, NOTHING, "largest_error"):
+        return Finding(float("nan"))
+    whole, *parts = (drift[name] / drift["nmpc"] for name in (AS_MODELLED, CONES, NO_CREEP))
+    return Finding(whole, min(parts))
 
 
 def _gyroscope(e: Evidence) -> float:
@@ -258,9 +283,13 @@ def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
 
+SAMPLING_MS = 5.0
+"""Sampling time of the predictive controllers (ms)."""
+
+
 def _feasible(e: Evidence) -> Finding:
     worst = e.table("solve_times").query("solver == 'ltv_mpc'")["max_ms"].max()
-    return Finding(worst, usual_times(e, "ltv_mpc", "max_ms").max())
+    return Finding(worst / SAMPLING_MS, usual_times(e, "ltv_mpc", "max_ms").max() / SAMPLING_MS)
 
 
 def _ranked(e: Evidence, scenario: str) -> bool:
@@ -296,39 +325,74 @@ def _ndi_grows_most(e: Evidence) -> Finding:
     return Finding(ratio if np.isfinite(slopes[:2]).all() else float("nan"), tie=e.tie(_sines(e)[-1], PAPER_TRIO))
 
 
-def _due_to_the_law(e: Evidence, metric: str, smaller: bool) -> Finding:
-    """A metric of NMPC in Fig. 8 as tuned, weaker with R x 10; nan unless it is worse by a tenth without the law."""
+def _regular(e: Evidence) -> Finding:
+    """Deviation in regular operation of NMPC as tuned; weaker is the smaller one of that with R x 10 and it."""
+    found = [e(LOSS, name, "regular_deviation") for name in REGULAR.values()]
+    return Finding(found[0], min(found))
+
+
+def _no_excessive_slip(e: Evidence) -> Finding:
+    """Largest slip of NMPC in Fig. 8 over what is excessive, weaker with R x 10; nan unless the law halves it."""
 
     def counts(name: str) -> float:
-        own, without = e(LOSS, name, metric), e(LOSS, NO_LAW[name], metric)
-        worse = not np.isfinite(without) or (own < 0.9 * without if smaller else without < 0.9 * own)
-        return own if worse else float("nan")
+        own, without = (e(LOSS, each, "largest_slip") for each in (name, NO_LAW[name]))
+        return own / e(LOSS, NOTHING, "excessive_slip") if own < 0.5 * without else float("nan")
 
     return Finding(*map(counts, NO_LAW))
 
 
-def _no_macro_slip(e: Evidence) -> Finding:
-    found, limit = _due_to_the_law(e, "largest_slip", True), e(LOSS, NOTHING, "slip_at_maximum")
-    return Finding(found.value / limit, found.weaker / limit)
+def _share_due_to_the_law(e: Evidence, part: str, whole: str) -> Finding:
+    """A count of NMPC in Fig. 8 over another, weaker with R x 10.
+
+    Not a number where there is nothing to count, or the share is not smaller by a tenth without the law.
+    """
+
+    def share(name: str) -> float:
+        found = e(LOSS, name, whole)
+        return e(LOSS, name, part) / found if found > 0 else float("nan")
+
+    def counts(name: str) -> float:
+        own, without = share(name), share(NO_LAW[name])
+        return own if not np.isfinite(without) or without < 0.9 * own else float("nan")
+
+    return Finding(*map(counts, NO_LAW))
 
 
-def _both_directions(e: Evidence) -> float:
-    slips = [[e(case, name, "largest_slip") for name in (SOFT, NO_LAW[SOFT])] for case in SUDDEN]
-    return _fraction(with_law < 0.5 * without for with_law, without in slips)
+REGULAR_DEVIATION = 0.1
+"""Deviation of the adhesion from its set point up to which operation is regular (-)."""
+
+
+def _one_law(e: Evidence) -> float:
+    """Share of the sudden losses before which operation is regular, and in which the law halves slip and loss."""
+
+    def holds(case: str) -> bool:
+        (slip, used), (free_slip, free_used) = (
+            [e(case, name, metric) for metric in ("largest_slip", "utilisation")] for name in ("nmpc", NO_LAW["nmpc"])
+        )
+        regular = e(case, "nmpc", "regular_deviation") < REGULAR_DEVIATION
+        return regular and slip < 0.5 * free_slip and 1 - used < 0.5 * (1 - free_used)
+
+    return _fraction(holds(case) for case in SUDDEN)
+
+
+def _without_knowledge(e: Evidence) -> float:
+    """Share of the fields of the map in which the law halves the loss of utilisation."""
+    table = e.table("adhesion_map").set_index(["map", "x", "y"])["utilisation"]
+    return float((1 - table["friction"] < 0.5 * (1 - table["no slip control"])).mean())
 
 
 def _step_bound(e: Evidence) -> float:
-    """Smallest step over its bound with which the adhesion follows the set point."""
-    table = e.table("adhesion_law").sort_values("p2_over_bound", kind="stable")
-    follows = table["rms_error"] < 1.5 * table["rms_error"].min()
-    return float(table.loc[follows, "p2_over_bound"].min())
+    """Share of the steps above the bound of the proof with which the deviation stays within the law's corridor."""
+    above = e.table("adhesion_law").query("p2_over_bound > 1")
+    return _fraction(above["rms_error"] < AdhesionSettings().corridor)
 
 
 def _stable_on_poor_rail(e: Evidence) -> Finding:
-    """Slope of y over the set point where the oscillation does not grow; else not a number."""
+    """Slope of y over the set point where the oscillation does not grow and follows; else not a number."""
 
     def bounded(name: str) -> float:
-        return e(LOSS, name, "set_point_gain") if e(LOSS, name, "error_growth") < BOUNDED else float("nan")
+        stable = e(LOSS, name, "error_growth") < BOUNDED and e.ratio(LOSS, name, NOTHING) < 1
+        return e(LOSS, name, "set_point_gain") if stable else float("nan")
 
     return Finding(bounded("nmpc"), bounded(SOFT))
 
@@ -340,12 +404,12 @@ BOUNDED = 1.5
 def _poor_is_harder(e: Evidence) -> Finding:
     """Error as a share of that of y = 0, on poor rail over dry rail, at 400 km/h, the least of NMPC and NDI.
 
-    A controller that reaches the flanges on poor rail is left out: these hold the car, whatever the rail is.
+    That of a controller that reaches the flanges on poor rail is infinite: these hold the car, whatever the rail is.
     """
     dry = "sine_tracking 400"
     free = [name for name in ("nmpc", NDI) if e(LOSS, name, "flange") == 0]
     ratios = [e.ratio(LOSS, name, NOTHING) / e.ratio(dry, name, NOTHING) for name in free]
-    return Finding(min(ratios, default=float("nan")), tie=max(e.tie(dry, free), e.tie(LOSS, free)) if free else 0.0)
+    return Finding(min(ratios, default=float("inf")), tie=max(e.tie(dry, free), e.tie(LOSS, free)) if free else 0.0)
 
 
 def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
@@ -358,31 +422,39 @@ def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
     return [tuple(e(BRAKE, kind, f"{name} {f:g}") for name in ("stopping_distance", "rmse_y")) for f in factors]
 
 
-def _saved(runs: list[tuple[float, float]]) -> float:
-    """Share of the stopping distance that the last of three rising R saves against the first.
+def _saved(e: Evidence, runs: list[tuple[float, float]]) -> float:
+    """Share of the stopping distance that the last of three rising R saves against the first, beyond the scatter of R.
 
-    Not a number where a run failed, the error does not rise by a hundredth, or the one between does not lie between.
+    Not a number where a run failed, the error rises by less than its scatter, or the one between is not between.
     """
     (way, error), between, (last, largest) = runs
-    ordered = last < between[0] < way and error < between[1] < largest
-    return 1 - last / way if ordered and np.isfinite([way, largest]).all() and largest > 1.01 * error else float("nan")
+    scatter = [e(BRAKE, "nmpc", f"{metric}_spread") for metric in ("stopping_distance", "rmse_y")]
+    smooth = last < between[0] < way and error < between[1] < largest and largest > error * np.exp(scatter[1])
+    return 1 - last / way - scatter[0] if smooth and np.isfinite([way, largest]).all() else float("nan")
 
 
 def _trade_off(e: Evidence) -> Finding:
-    """What the second setting of R saves beyond the scatter of neighbouring R.
-
-    Weaker is the most that any pair of the sweep within a factor of ten saves.
-    """
+    """What the second setting of R saves; weaker is the most that any pair of the sweep within a factor of ten does."""
     pair = [(e(BRAKE, n, "stopping_distance"), e(BRAKE, n, "rmse_y")) for n in ("nmpc", BETWEEN, SOFTEST)]
-    sweep, scatter = _front(e, "sweep of R"), e(BRAKE, "nmpc", "stopping_distance_spread")
-    others = [_saved(sweep[i : i + 3]) - scatter for i in range(len(sweep) - 2)]
-    return Finding(_saved(pair) - scatter, max((o for o in others if np.isfinite(o)), default=None))
+    sweep = _front(e, "sweep of R")
+    others = [_saved(e, sweep[i : i + 3]) for i in range(len(sweep) - 2)]
+    return Finding(_saved(e, pair), max((o for o in others if np.isfinite(o)), default=None))
 
 
-def _traded(runs: list[tuple[float, float]]) -> float:
-    """Share of the steps of a sweep at which the distance falls and the error rises, begun at its more accurate end."""
-    ordered = runs if runs[0][1] <= runs[-1][1] else runs[::-1]
-    return float(np.mean([after[0] < before[0] and after[1] > before[1] for before, after in pairwise(ordered)]))
+def _more_smoothly(e: Evidence) -> float:
+    """Share of the steps of R that trade error for distance, less that of the poles of NDI, where errors overlap.
+
+    A step counts when the distance falls by half a percent and the error rises by a hundredth at least.
+    """
+    sweeps = [_front(e, kind) for kind in ("sweep of R", "sweep of poles")]
+    errors = [[error for _, error in sweep] for sweep in sweeps]
+    low, high = max(map(min, errors)), min(map(max, errors))
+    shares = []
+    for sweep in sweeps:
+        ordered = sweep if sweep[0][1] <= sweep[-1][1] else sweep[::-1]
+        steps = [(a, b) for a, b in pairwise(ordered) if max(a[1], b[1]) >= low and min(a[1], b[1]) <= high]
+        shares.append(np.mean([b[0] < 0.995 * a[0] and b[1] > 1.01 * a[1] for a, b in steps]) if steps else np.nan)
+    return float(shares[0] - shares[1])
 
 
 def _against_ndi(e: Evidence, metric: str) -> Finding:
@@ -398,13 +470,9 @@ def _variable_allocation(e: Evidence) -> float:
     return 1 - e(BRAKE, "nmpc", "stopping_distance") / fixed if np.isfinite(fixed) else float("nan")
 
 
-def _cones(e: Evidence) -> Finding:
-    """Largest change of the error from cones to S1002, over the acceptable one: a fifth, a tenth of the amplitude."""
-    found = []
-    for case in CASES:
-        own, cones = (e(case, name, "rmse_y") for name in ("nmpc", CONES))
-        change = abs(own - cones)
-        found.append(min(change / cones / 0.2, change / (0.1 * AMPLITUDE)))
+def _acceptable(e: Evidence, without: str) -> Finding:
+    """Largest change of the error when a simplification becomes true, over a tenth of the amplitude."""
+    found = [abs(e(case, "nmpc", "rmse_y") - e(case, without, "rmse_y")) / (0.1 * AMPLITUDE) for case in CASES]
     return Finding(max(found), found[CASES.index(T3)])
 
 
@@ -412,16 +480,14 @@ AMPLITUDE = 3e-3
 """Amplitude of the set points of Figs. 6 and 7 (m)."""
 
 
-def _rolling(e: Evidence) -> float:
-    """Largest error of NMPC over that of y = 0, in the curve entries and on the sines."""
-    scenarios = [*CURVES, *_sines(e)]
-    return max(e(scenario, "nmpc", "rmse_y") / e(scenario, NOTHING, "rmse_y") for scenario in scenarios)
-
-
 def _similar_times(e: Evidence) -> float:
-    times = usual_times(e, "ipopt", "median_ms")
-    tracks = times[times.index.str.startswith(("curve", "sine"))]
-    return tracks.max() / tracks.min()
+    """Longest over shortest median time of a problem on the tracks, the larger ratio of NMPC and LTV-MPC."""
+    ratios = []
+    for solver in ("gauss_newton", "ltv_mpc"):
+        times = usual_times(e, solver, "median_ms")
+        tracks = times[times.index.str.startswith(("curve", "sine"))]
+        ratios.append(tracks.max() / tracks.min())
+    return max(ratios)
 
 
 VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
@@ -433,43 +499,42 @@ VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     "C07": lambda e: Finding(e(T3, MPC[1], "rmse_y") / e(T3, "nmpc", "rmse_y"), tie=e.tie(T3, MPC)),
     # delay as a share of the shortest wavelength
     "C08": lambda e: _worst([abs(e(T3, name, "delay")) / e(T3, NOTHING, "shortest_wave") for name in MPC]),
-    "C09": _same_torque_later,
+    "C09": lambda e: _least([_same_torque_later(e, name) for name in MPC]),
     "C10": _gyroscope,
-    "C11": lambda e: abs(e(T3, "nmpc", DRIFT)) / e(T3, NOTHING, "largest_error"),
-    "C12": lambda e: e(T3, "nmpc", "error_at_crests"),
-    "C13": lambda e: abs(e(T3, NO_CREEP, DRIFT) / e(T3, "nmpc", DRIFT)),
+    "C11": lambda e: _least([abs(e(T3, name, DRIFT)) / e(T3, NOTHING, "largest_error") for name in MPC]),
+    "C12": lambda e: _least([e(T3, name, "shortfall") / e(T3, NOTHING, "largest_error") for name in MPC]),
+    "C13": _drift_from_model,
     "C14": lambda e: (
         usual_times(e, "gauss_newton", "median_ms").median() / usual_times(e, "ltv_mpc", "median_ms").median()
     ),
     "C15": _feasible,
     "C16": lambda e: _fraction(_ranked(e, curve) for curve in CURVES),
-    "C17": lambda e: Finding(_fraction(_ranked(e, scenario) for scenario in _sines(e)), _nmpc_leads(e)),
+    "C17": lambda e: _fraction(_ranked(e, scenario) for scenario in _sines(e)),
     "C18": _slower_is_better,
     "C19": _ndi_grows_most,
     "C20": lambda e: Finding(_fraction(_both_lead(e, scenario) for scenario in _sines(e)), _nmpc_leads(e)),
-    "C21": lambda e: Finding(*(e(LOSS, name, "regular_end_deviation") for name in REGULAR.values())),
-    "C23": _no_macro_slip,
-    "C24": lambda e: _due_to_the_law(e, "recovered_share", False),
-    "C50": lambda e: _due_to_the_law(e, "utilisation_late", False),
-    "C25": _both_directions,
-    "C26": lambda e: _fraction(e.table("adhesion_map").query("map == 'friction'")["utilisation"] > 0.75),
+    "C21": _regular,
+    "C23": _no_excessive_slip,
+    "C24": lambda e: _share_due_to_the_law(e, "recovered", "macro_slips"),
+    "C50": lambda e: _share_due_to_the_law(e, "approached", "approaches"),
+    "C25": _one_law,
+    "C26": _without_knowledge,
     "C27": _step_bound,
     "C28": _stable_on_poor_rail,
     "C49": _poor_is_harder,
     "C30": _trade_off,
-    # of the steps of a sweep the share that trades accuracy for distance, of NMPC's R less that of NDI's poles
-    "C46": lambda e: _traded(_front(e, "sweep of R")) - _traded(_front(e, "sweep of poles")),
+    "C46": _more_smoothly,
     "C31": lambda e: _against_ndi(e, "rmse_y"),
     "C32": lambda e: _against_ndi(e, "stopping_distance"),
     "C34": _variable_allocation,
-    "C35": _cones,
-    "C36": _rolling,
-    "C37": lambda e: e(BRAKE, UNINFORMED, "rmse_y") / e(BRAKE, "nmpc", "rmse_y"),
+    "C35": lambda e: _acceptable(e, CONES),
+    "C36": lambda e: _acceptable(e, NO_CREEP),
+    "C37": lambda e: Finding(e.ratio(BRAKE, UNINFORMED, "nmpc"), tie=e(BRAKE, "nmpc", "rmse_y_spread")),
     "C39": lambda e: e.ratio(RAILS, PREVIEW, "nmpc", "rail_rmse_y"),
     "C41": lambda e: _worst(
         [e.ratio(RAILS, PREVIEW, "nmpc", metric) for metric in ("sum_y_over_limit", "n_mv_floor_front")]
     ),
-    "C42": lambda e: _worst([abs(e.ratio(T3, name, NDI, "delay")) for name in MPC]),
+    "C42": _less_delay,
     "C44": _similar_times,
 }
 """Predicates by id."""

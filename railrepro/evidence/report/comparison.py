@@ -34,7 +34,6 @@ QUANTITIES = {
 PANELS = {
     "y": ("$y$ (mm)", ["y_m"], 1e3, "y_ref_m"),
     "error": ("error (mm)", ["error_m"], 1e3, ""),
-    "yaw": ("yaw angle (mrad)", ["psi_ax_rad"], 1e3, ""),
     "creep": ("creep angle (mrad)", ["creep_rad"], 1e3, ""),
     "du": (r"$\Delta u$ (N m)", ["du_Nm"], 1.0, ""),
     "torque": ("right torque (N m)", ["tau_ri_Nm"], 1.0, ""),
@@ -48,24 +47,16 @@ PANELS = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs side by side.
-
-    Attributes
-    ----------
-    rows : DataFrame
-        One row per run: its labels and metrics (SI), whether it failed, warnings.
-    series : DataFrame
-        Kept rows of all runs with their labels.
-    labels : tuple of str
-        Columns by which the runs differ.
-    headings : mapping
-        Value of a label -> what a figure says above its column, where that is more than the value.
-    """
+    """Runs side by side."""
 
     rows: pd.DataFrame
+    """One row per run: its labels and metrics (SI), whether it failed, warnings."""
     series: pd.DataFrame
+    """Kept rows of all runs with their labels."""
     labels: tuple[str, ...]
+    """Columns by which the runs differ."""
     headings: Mapping[str, str] = field(default_factory=dict)
+    """Value of a label -> what a figure says above its column, where that is more than the value."""
 
     def __getitem__(self, quantity: str) -> pd.Series:
         """One number per run, by labels; see `QUANTITIES`."""
@@ -92,7 +83,7 @@ class Comparison:
     def plot(
         self, *panels: str, columns: str = "", height: float = 1.3, limits: Mapping | None = None, more: int = 0
     ) -> tuple[Figure, np.ndarray]:
-        """Draw quantities over the track coordinate, one row of panels each.
+        """Draw quantities over the track coordinate, one row of panels each; figure and axes, shape (rows, columns).
 
         Parameters
         ----------
@@ -106,11 +97,6 @@ class Comparison:
             Panel -> range of its axis; curves that go beyond are marked.
         more : int
             Empty rows below, with an abscissa of their own.
-
-        Returns
-        -------
-        figure : Figure
-        axes : ndarray of Axes, shape (panels and `more`, columns)
         """
         shown = self.rows[columns].unique() if columns else [""]
         width = figures.WIDTH if len(shown) == 1 else figures.HALF

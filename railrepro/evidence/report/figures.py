@@ -21,7 +21,7 @@ from PIL import Image
 from railrepro import data as files
 from railrepro import paths
 from railrepro.data import Number, above
-from railrepro.reads import Entries
+from railrepro.paths import Entries
 
 WIDTH = 3.5
 """Width of a figure (in)."""
@@ -161,13 +161,13 @@ def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
                 axis.annotate(name, (x, 0.0), (2, 3), **place, **look)
 
 
-def draw_map(axis: Axes, table: pd.DataFrame, number: str = "{:.0f}", factor: float = 1.0, **options) -> None:
+def draw_map(axis: Axes, table: pd.DataFrame, factor: float = 1.0, **options) -> None:
     """Draw a table as a map with a number in each field, a cross where it has none; `options` are those of `imshow`."""
     values = factor * table.to_numpy(float)
     image = axis.imshow(values, origin="lower", aspect="auto", **{"cmap": "viridis"} | options)
     for (row, column), value in np.ndenumerate(values):
         dark = np.isfinite(value) and image.norm(value) < 0.5
-        text = number.format(value) if np.isfinite(value) else "×"
+        text = f"{value:.0f}" if np.isfinite(value) else "×"
         axis.text(column, row, text, ha="center", va="center", fontsize=7, color="white" if dark else BLACK)
     for ticks, names in ((axis.set_xticks, table.columns), (axis.set_yticks, table.index)):
         ticks(range(len(names)), [name if isinstance(name, str) else f"{name:g}" for name in names])

@@ -63,11 +63,8 @@ def theses() -> dict[str, Thesis]:
 def main(accept: bool = False) -> int:
     """Judge the statements, write claims.csv, REPLICATION.md, figures/README.md and the results in README.md.
 
-    Returns
-    -------
-    int
-        1 when a sentence is not true, or a verdict differs from that in claims.csv: then nothing is written without
-        `accept`. Else 0.
+    Returns 1 when a sentence is not true, or a verdict differs from that in claims.csv: then nothing is written without
+    `accept`. Else 0.
     """
     nominal = Nominal()
     judged = claims.evaluate(nominal)
@@ -87,15 +84,7 @@ def main(accept: bool = False) -> int:
 
 
 class Page:
-    """What the templates show.
-
-    Parameters
-    ----------
-    judged : DataFrame
-        Verdicts, a table of `claims.evaluate`.
-    nominal : Nominal
-        The nominal case in all settings.
-    """
+    """What the templates show of some verdicts, a table of `claims.evaluate`, and the nominal case in all settings."""
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
         self.judged, self.nominal = judged, nominal

@@ -111,11 +111,13 @@ def _lowest_in_tenths(values: pd.Series, cost: pd.Series, log: bool) -> tuple[np
 
 def _evaluated(cases: Sequence[tuple[str, str, dict]], tasks: Mapping[str, swarm.Task], name: str) -> list[float]:
     """Costs of (setting, controller, parameters)."""
+
+    def cost(case: tuple[str, str, dict]) -> float:
+        setting, controller, parameters = case
+        return swarm.evaluate(controller, tasks[setting], parameters)[0]
+
     with executor() as pool:
-        return [
-            ordered_map(pool, swarm.Evaluation(controller, tasks[setting]), [values], name, quiet=True)[0][0]
-            for setting, controller, values in cases
-        ]
+        return ordered_map(pool, cost, cases, name, quiet=True)
 
 
 def beyond_bounds(sets: Sets, tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:

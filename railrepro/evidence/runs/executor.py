@@ -2,30 +2,27 @@
 
 `ordered_map` calls a function of each argument in a thread of its own. What such a function hands to `work` is computed
 by a process, and only then do others of these threads run: CasADi's objects must not be used by two threads at a time.
-Results are looked up and stored by the caller (`store`), so that a worker needs neither disk nor folder.
-Set `RAILREPRO_DASK=tcp://host:port` to use a running Dask scheduler; without it, one process per core is used
-(`RAILREPRO_WORKERS` changes the number). Results never depend on the choice, because seeds belong to the task.
+Results are looked up and stored by the caller (`store`), so that what is stored starts no process. There is one process
+per core, or `RAILREPRO_WORKERS` of them; `RAILREPRO_DASK=tcp://host:port` takes those of a running Dask scheduler.
+Results never depend on the choice, because seeds belong to the task.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import re
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
     BrokenExecutor,
     CancelledError,
     Executor,
-    Future,
     ProcessPoolExecutor,
     ThreadPoolExecutor,
-    wait,
+    as_completed,
 )
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache
 
 from tqdm import tqdm
@@ -33,58 +30,34 @@ from tqdm import tqdm
 from railrepro import code
 from railrepro.data import InputError
 
-PATIENCE = 15.0
-"""Time without scheduler or worker after which a cluster is lost (s)."""
-_LOOK = 1.0
-"""Time between two looks at the cluster (s)."""
 _ENDED = (
     "a process of the study was killed, by the system when memory ran out or by a user: run again to resume; or the "
     'script that starts the study, which its processes read, calls the library outside of if __name__ == "__main__":'
 )
-_LOST = "the Dask scheduler, or all its workers, are lost; start them and run again to resume"
+_LOST = "the Dask cluster was lost; start it and run again to resume"
 _OTHER_CODE = (
-    "a process of the study imported other code of railrepro than the one that sends the runs: it was edited "
-    "meanwhile, or another machine has another version; restart both (in Jupyter the kernel) and run again to resume"
+    "a process of the study imported other code of railrepro than the one that sends the runs, because it was edited "
+    "meanwhile or another machine has another version; restart (in Jupyter the kernel) and run again to resume"
 )
 
 
-class _Around(threading.local):
-    """What a thread of `ordered_map` works for."""
-
-    pool: Executor | None = None
-    ended: threading.Event
-
-
-_around = _Around()
+_around = threading.local()
+"""In a thread of `ordered_map`: its `pool`."""
 _turn = threading.Lock()
 """Held by the thread of `ordered_map` that runs: reference counts of CasADi's objects are not atomic."""
 
 
 @contextmanager
-def _waiting() -> Iterator[None]:
-    """Let other threads run while this one waits."""
-    held = _around.pool is not None
-    if held:
-        _turn.release()
-    try:
-        yield
-    finally:
-        if held:
-            _turn.acquire()
-
-
-@contextmanager
 def executor() -> Iterator[Executor]:
-    """The configured executor. Local processes stay for the next block, as starting them takes seconds; a block that
-    ends with an exception (also Ctrl-C) ends them.
+    """Pool of processes. Local ones stay for the next block, as starting them takes seconds; a block that ends with an
+    exception (also Ctrl-C) ends them.
 
     Raises
     ------
     InputError
-        When the settings are wrong, no Dask scheduler answers, or it is lost with all its workers.
+        When the number of processes is none, or no Dask scheduler answers.
     """
-    address = os.environ.get("RAILREPRO_DASK")
-    if address:
+    if address := os.environ.get("RAILREPRO_DASK"):
         with _cluster(address) as pool:
             yield pool
         return
@@ -105,26 +78,14 @@ def executor() -> Iterator[Executor]:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    import logging
-
     try:
         from distributed import Client
-    except ImportError as error:
-        raise InputError("RAILREPRO_DASK is set, but the package distributed is not installed") from error
-    # what goes wrong is reported by `ordered_map`, in one sentence
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    logging.getLogger("tornado").setLevel(logging.CRITICAL)
-    if not re.fullmatch(r"[a-z]+://[^/:\s]+:\d{1,5}/?", address):
-        raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address}, tcp://host:port is needed")
-    try:
+
         client = Client(address, timeout=10, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address} ({error})") from error
-    try:
+    except (ImportError, OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at RAILREPRO_DASK={address}: {error}") from error
+    with client:
         yield client.get_executor(pure=False, retries=0)
-    finally:
-        with suppress(Exception):  # a lost scheduler cannot be left in order
-            client.close(timeout=2)
 
 
 @lru_cache
@@ -147,94 +108,44 @@ def _follow_the_parent() -> None:
 
 
 def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
-    """Call `task` with each argument, side by side, with a progress bar.
+    """Results of a task for each argument, in order, computed side by side, with a progress bar unless `quiet`.
 
-    Parameters
-    ----------
-    pool : Executor
-    task : callable
-        Function of one argument; what it hands to `work` is computed by the processes of the pool.
-    arguments : sequence
-    title : str
-        Text of the progress bar.
-    quiet : bool
-        No progress bar.
-
-    Returns
-    -------
-    list
-        Results in the order of the arguments.
-
-    Raises
-    ------
-    InputError
-        When a local process ended or runs other code, or the Dask scheduler or all its workers are lost for `PATIENCE`.
+    What the task hands to `work` is computed by the processes of the pool; it maps nothing itself. InputError when one
+    of the processes ended or runs other code.
     """
-    ended = threading.Event()
-    threads = ThreadPoolExecutor(2 * max(_workers(pool), 1))  # so that each process finds its next run waiting
+    assert not hasattr(_around, "pool"), "a task would wait for itself"
+
+    def called(argument):
+        with _turn:
+            return task(argument)
+
+    local = isinstance(pool, ProcessPoolExecutor)
+    cluster = getattr(pool, "_client", None)
+    workers = max(len(cluster.ncores()), 1) if cluster else getattr(pool, "_max_workers", 1)
+    count = 2 * workers  # so that each process finds its next run waiting
+    threads = ThreadPoolExecutor(count, initializer=setattr, initargs=(_around, "pool", pool))
     try:
-        futures = [threads.submit(_called, pool, ended, task, argument) for argument in arguments]
-        with _waiting(), tqdm(total=len(futures), desc=title, disable=quiet, leave=False) as bar:
-            _follow(pool, futures, bar)
+        futures = [threads.submit(called, argument) for argument in arguments]
+        for done in tqdm(as_completed(futures), title, len(futures), leave=False, disable=quiet):
+            done.result()
         return [future.result() for future in futures]
     except (BrokenExecutor, CancelledError) as error:
-        raise InputError(_ENDED if isinstance(pool, ProcessPoolExecutor) else _LOST) from error
-    except Exception as error:
-        if type(error).__module__.partition(".")[0] == "distributed":
-            raise InputError(f"{_LOST} ({type(error).__name__})") from error
-        raise
+        raise InputError(_ENDED if local else _LOST) from error
     finally:
-        ended.set()
         threads.shutdown(wait=False, cancel_futures=True)
-
-
-def _follow(pool: Executor, futures: list[Future], bar: tqdm) -> None:
-    """Show how many are done until all are; raise what the first that fails raises."""
-    waiting, seen = set(futures), time.monotonic()
-    while waiting:
-        done, waiting = wait(waiting, _LOOK, "FIRST_COMPLETED")
-        for future in done:
-            future.result()
-        bar.update(len(done))
-        if done or _workers(pool):
-            seen = time.monotonic()
-        elif time.monotonic() - seen > PATIENCE:
-            raise InputError(_LOST)
-
-
-def _workers(pool: Executor) -> int:
-    """Number of the workers of a pool; 0 where a scheduler reports none or does not answer."""
-    client = getattr(pool, "_client", None)
-    if client is None:
-        return getattr(pool, "_max_workers", 1)
-    try:
-        return len(client.sync(client.scheduler.identity, n_workers=-1, callback_timeout=5)["workers"])
-    except TimeoutError:  # a scheduler that loads the modules of a task answers late; a lost one has no connection
-        return int(client.status == "running")
-    except Exception:  # any other error counts as no answer; time decides
-        return 0
-
-
-def _called(pool: Executor, ended: threading.Event, task: Callable, argument):
-    """Result of a task, in a thread."""
-    with _turn:
-        _around.pool, _around.ended = pool, ended
-        try:
-            return task(argument)
-        finally:
-            _around.pool = None
 
 
 def work(function: Callable, *arguments):
     """Result of a function of a module, from a process of the pool within `ordered_map`, else computed here."""
-    if _around.pool is None:
+    pool = getattr(_around, "pool", None)
+    if pool is None:
         return function(*arguments)
-    future = _around.pool.submit(_checked, _code(function), function, *arguments)
-    with _waiting():
-        while not wait([future], _LOOK).done:
-            if _around.ended.is_set():  # whoever waits for this has gone; a lost cluster never answers
-                raise CancelledError
-    return future.result()
+    future = pool.submit(_checked, _code(function), function, *arguments)
+    _turn.release()  # others run while this one waits
+    try:
+        return future.result()
+    finally:
+        _turn.acquire()
 
 
 def _code(function: Callable) -> tuple[str | None, dict[str, str] | None]:

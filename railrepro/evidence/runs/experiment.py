@@ -18,8 +18,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro import paths
-from railrepro.contact.points import read_pair
 from railrepro.control import registry
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.data import InputError, require
@@ -43,60 +41,42 @@ _WHEEL = {"tau": "tau_{}_Nm", "adhesion": "fx_{}", "sx": "sx_{}"}
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run to be made.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    controller : str
-        Key of `registry.CONTROLLERS`.
-    label : dict
-        Further columns of the row.
-    parameters : dict or None
-        Tuning parameters; None takes the tuned ones.
-    options, changes : dict
-        See `registry.guidance`.
-    vehicle, plant : dict
-        Vehicle parameters changed for car and controllers, and for the car alone (`parameters.load_vehicle`).
-    adhesion, fixed_share
-        See `simulate.run`.
-    alignment : Alignment, optional
-        Track in place of that of the scenario.
-    irregular : dict
-        Arguments of `rough_track` besides the coordinates; empty is an ideal track.
-    preview : dict
-        What the controller knows of the irregularities, and the line that it plans with it: arguments of
-        `preview.plan` besides the frame; empty is nothing.
-    sensors : dict
-        Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers.
-    setting : str
-        Which tuned parameters are taken, see `registry.parameters`.
-    substeps : int, optional
-        See `simulate.run`; default 2 for ride figures on irregular rails, whose wheel loads need it, else 1.
-    ride : bool
-        Whether the row also has the figures of `ride.ride_summary`.
-    stride : int
-        Every n-th control cycle of the front gear is kept as a series; 0 keeps none.
-    """
+    """One run to be made."""
 
     scenario: Scenario
     controller: str
+    """Key of `registry.CONTROLLERS`."""
     label: dict = field(default_factory=dict)
+    """Further columns of the row."""
     parameters: dict | None = None
+    """Tuning parameters; None takes the tuned ones."""
     options: dict = field(default_factory=dict)
+    """See `registry.guidance`, as `changes`."""
     changes: dict = field(default_factory=dict)
     vehicle: dict = field(default_factory=dict)
+    """Vehicle parameters changed for car and controllers (`parameters.load_vehicle`)."""
     plant: dict = field(default_factory=dict)
+    """The same for the car alone."""
     adhesion: AdhesionSettings | None = None
+    """See `simulate.run`, as `fixed_share`."""
     fixed_share: float = 0.0
     alignment: Alignment | None = None
+    """Track in place of that of the scenario."""
     irregular: dict = field(default_factory=dict)
+    """Arguments of `rough_track` besides the coordinates; empty is an ideal track."""
     preview: dict = field(default_factory=dict)
+    """What the controller knows of the irregularities, and the line that it plans with it: arguments of `preview.plan`
+    besides the frame; empty is nothing."""
     sensors: dict = field(default_factory=dict)
+    """Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers."""
     setting: str = registry.PAPER
+    """Which tuned parameters are taken, see `registry.parameters`."""
     substeps: int | None = None
+    """See `simulate.run`; default 2 for ride figures on irregular rails, whose wheel loads need it, else 1."""
     ride: bool = False
+    """Whether the row also has the figures of `ride.ride_summary`."""
     stride: int = 0
+    """Every n-th control cycle of the front gear is kept as a series; 0 keeps none."""
 
     def __post_init__(self) -> None:
         require("experiment: scenario", self.scenario, Scenario)
@@ -155,21 +135,20 @@ class Experiment:
     def key(self, measure: Measure) -> str | None:
         """Key of what a function measures of this run (`store.key`); None when it cannot be stored.
 
-        It holds the resolved values, not the names of vehicle, wheel profile, parameters, track and sensors, and the
-        code that the run and the function can reach.
+        It holds the resolved values, not the names of vehicle, parameters, track and sensors, and the code that the run
+        and the function can reach.
         """
         if not _is_ours(self.controller):
             return None  # of a user's file
         scenario = {name: value for name, value in vars(self.scenario).items() if name not in ("name", "track")}
         track = None if self.alignment else load_track(self.scenario.track_file())
         believed, car = load_vehicle(**self.vehicle), self.car()
-        files = [name for each in (believed, car) if (name := each.contact.profile).endswith(".csv")]
         read = vars(self) | {
             "scenario": (scenario, track and (track.table.to_numpy(), track.design_speed)),
             "label": {},
             "parameters": self.tuned(),
             "vehicle": believed,
-            "plant": (car, [read_pair(paths.source(name)).digest for name in files]),
+            "plant": car,
             "irregular": self.rails(),
             "sensors": (self.sensors, sensors.load_loop()) if self.sensors else None,
         }
@@ -178,11 +157,8 @@ class Experiment:
     def measured(self, measure: Measure) -> store.Entry:
         """What a function measures of this run: from the store where it is there, else by a worker (`executor.work`).
 
-        Parameters
-        ----------
-        measure : callable
-            (Run, Experiment) -> row of plain values and table of numbers or None; a function of a module, which uses
-            of the experiment what `key` holds.
+        `measure` is a function of a module, (Run, Experiment) -> row of plain values and table of numbers or None,
+        which uses of the experiment what `key` holds.
         """
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
@@ -250,15 +226,7 @@ def _measured(experiment: Experiment, measure: Measure) -> store.Entry:
 def run_all(
     experiments: Sequence[Experiment], title: str, quiet: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame | None]:
-    """Run experiments on the executor.
-
-    Parameters
-    ----------
-    experiments : sequence of Experiment
-    title : str
-        Text of the progress bar.
-    quiet : bool
-        No progress bar.
+    """Run experiments on the executor, with a progress bar unless `quiet`.
 
     Returns
     -------

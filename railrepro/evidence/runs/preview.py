@@ -11,25 +11,13 @@ import pandas as pd
 import scipy
 
 from railrepro.data import InputError, above, between, require
-from railrepro.track.irregularity import sampling
 
 
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
-    """Irregularities as a controller believes them.
+    """Irregularities (evenly spaced p_m, any channels) as a controller believes them: the same p_m and channels.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        The true irregularities; evenly spaced p_m and any channels.
-    amplitude_error : float
-        Relative: 0.1 believes them ten per cent too large.
-    localisation_error_m : float
-        Believed minus true place of a feature (m). What would come from beyond the frame is zero.
-
-    Returns
-    -------
-    DataFrame
-        Same p_m and channels.
+    `amplitude_error` is relative: 0.1 believes them ten per cent too large. `localisation_error_m` is the believed less
+    the true place of a feature (m); what would come from beyond the frame is zero.
     """
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     place = p - localisation_error_m
@@ -79,7 +67,7 @@ def planned_line(frame: pd.DataFrame, share: float, smoothing_m: float, limit: f
     require("planned line: share", share, between(0.0, 1.0))
     require("planned line: smoothing_m", smoothing_m, between(0.0, 1e5, "m"))
     require("planned line: limit", limit, above(0.0, 1.0, "m"))
-    step, lateral = sampling(frame), frame["lateral_m"].to_numpy()
+    step, lateral = float(np.diff(frame["p_m"]).mean()), frame["lateral_m"].to_numpy()
     play = limit + frame["gauge_m"].to_numpy() / 2
     if play.min() <= 0:
         place = frame["p_m"].iloc[int(np.argmin(play))]

@@ -19,21 +19,13 @@ CONSTRICTION, ATTRACTION = 0.7298, 2.05
 
 @dataclass(frozen=True)
 class Dimension:
-    """One searched parameter.
-
-    Attributes
-    ----------
-    name : str
-    low, high : float
-        Bounds, inclusive.
-    scale : str
-        "linear", "log" (the swarm moves in log10) or "integer" (values are rounded).
-    """
+    """One searched parameter, with its bounds."""
 
     name: str
     low: float
     high: float
     scale: str = "linear"
+    """One of "linear", "log" (the swarm moves in log10) or "integer" (values are rounded)."""
 
     def __post_init__(self):
         bounds = self.low, self.high
@@ -153,8 +145,6 @@ def minimise(
     evaluate : callable
         (parameter sets, limits) -> costs, in order; a cost that is not finite counts as worst. Of a set that costs more
         than its limit any number above the limit will do.
-    dimensions : list of Dimension
-    particles, iterations, seed : int
     patience : int
         Iterations without improvement before it stops.
     start : dict, optional

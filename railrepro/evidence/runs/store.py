@@ -56,13 +56,9 @@ def _plain(value) -> object:
 def key(module: str, *parts) -> str | None:
     """Key of a computation on this machine; None when it cannot be stored.
 
-    Parameters
-    ----------
-    module : str
-        Where the computation stands; of another place than this package nothing is stored.
-    parts : optional
-        Its name and all that it reads: numbers, text, arrays, dataclasses, and lists and dictionaries of these. What
-        has another form, as a function of a user's file, cannot be stored.
+    `module` is where the computation stands: of another place than this package nothing is stored. `parts` are its name
+    and all that it reads: numbers, text, arrays, dataclasses, and lists and dictionaries of these. What has another
+    form, as a function of a user's file, cannot be stored.
     """
     made_by = code.version(), code.reached(f"from {module} import {module}")
     if not module.startswith("railrepro.") or None in made_by or not code.unchanged():

@@ -6,7 +6,8 @@ goes on where it was. Serves the paper's section Multi-Body Simulation Results (
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -25,12 +26,9 @@ from railrepro.vehicle.parameters import load_vehicle
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """What the cost of a run needs.
 
-    Returns
-    -------
-    dict
-        Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the distance done
-        without a flange; whether the run failed or touched one. Sensors see the displacement against the rails where
-        they lie, so with them the error is counted from there.
+    Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the distance done without
+    a flange (-); whether the run failed or touched one. Sensors see the displacement against the rails where they lie,
+    so with them the error is counted from there.
     """
     sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
@@ -56,67 +54,49 @@ def run_cost(parts: dict, cost: dict) -> float:
     return value + cost["activity_weight"] * beyond
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """Cost of parameter sets of one controller; its runs go to the executor around."""
+def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
+    """Mean cost of parameters over the runs of a task, and the parts per run; its runs go to the executor around.
 
-    controller: str
-    task: Task
-
-    def __call__(self, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
-        """Mean cost over the runs, and the parts per run.
-
-        The last run, the hardest, comes first. Once the sum is beyond `limit`, the rest is left out and counts nothing:
-        the cost is then a lower bound.
-        """
-        quick, number = CONTROLLERS[self.controller].quick, len(self.task.runs)
-        costs, parts = [], []
-        for name, run in reversed(self.task.runs.items()):
-            asked = replace(run, controller=self.controller, parameters=parameters, options=quick)
-            try:
-                part, _ = asked.measured(driven)
-                cost = run_cost(part, self.task.cost)
-                part.pop("failed")
-            except (ArithmeticError, np.linalg.LinAlgError):
-                cost, part = 2 * self.task.cost["failure"], {"done": 0.0}
-            costs.append(cost)
-            parts.append({"run": name, "cost": cost, **part})
-            if sum(costs) > limit * number:
-                break
-        return sum(costs) / number, parts
+    The last run, the hardest, comes first. Once the sum is beyond `limit`, the rest is left out and counts nothing: the
+    cost is then a lower bound.
+    """
+    quick, number = CONTROLLERS[controller].quick, len(task.runs)
+    costs, parts = [], []
+    for name, run in reversed(task.runs.items()):
+        asked = replace(run, controller=controller, parameters=parameters, options=quick)
+        try:
+            part, _ = asked.measured(driven)
+            cost = run_cost(part, task.cost)
+            part.pop("failed")
+        except (ArithmeticError, np.linalg.LinAlgError):
+            cost, part = 2 * task.cost["failure"], {"done": 0.0}
+        costs.append(cost)
+        parts.append({"run": name, "cost": cost, **part})
+        if sum(costs) > limit * number:
+            break
+    return sum(costs) / number, parts
 
 
 def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
     """Tune one controller with a swarm per seed; runs of an interrupted tuning are in the store.
 
-    Parameters
-    ----------
-    controller : str
-    task : Task
-    pool : concurrent.futures.Executor
-    quiet : bool
-        No progress bar.
-
-    Returns
-    -------
-    dict
-        The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm
-        found (`swarms`), `origin`, and under `history` the table of all evaluated particles.
+    The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm found
+    (`swarms`), `origin`, and under `history` the table of all evaluated particles.
     """
-    budget, evaluation, found = task.budget, Evaluation(controller, task), {}
+    budget, evaluated, found = task.budget, partial(evaluate, controller, task), {}
 
-    def evaluate(particles: list[dict], limits: list[float]) -> list[float]:
+    def costs(particles: list[dict], limits: list[float]) -> list[float]:
         limited = list(zip(particles, limits, strict=True))
-        return ordered_map(pool, lambda particle: evaluation(*particle)[0], limited, controller, quiet=True)
+        return ordered_map(pool, lambda particle: evaluated(*particle)[0], limited, controller, quiet=True)
 
     for seed in budget["seeds"]:
         title = "" if quiet else f"{task.setting} {controller} {seed}"
         found[seed] = pso.minimise(
-            evaluate, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
+            costs, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
             budget["patience"], task.start.get(controller), title,
         )  # fmt: skip
     best = min(found.values(), key=lambda swarm: swarm.cost)
-    cost, parts = ordered_map(pool, evaluation, [best.best], controller, quiet=True)[0]
+    cost, parts = ordered_map(pool, evaluated, [best.best], controller, quiet=True)[0]
     return {
         "controller": controller,
         "setting": task.setting,

@@ -14,7 +14,7 @@ import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import pandas as pd
 from pydantic import AfterValidator
@@ -29,7 +29,7 @@ from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import pso, store
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation.scenarios import Scenario, load_scenarios
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
+from railrepro.vehicle.parameters import Vehicle
 
 COUNT = Annotated[int, between(1, 10**6)]
 SEED = Annotated[int, between(0, 2**63)]
@@ -37,32 +37,21 @@ SEED = Annotated[int, between(0, 2**63)]
 
 @dataclass(frozen=True)
 class Task:
-    """What swarms are asked to minimise in some setting; see data/tuning.toml.
-
-    Attributes
-    ----------
-    setting : str
-    budget, cost : dict
-    runs : dict
-        Name -> run of the cost without controller (`Experiment`), the hardest last.
-    dimensions : dict
-        Controller -> list of `pso.Dimension`.
-    designed : dict
-        Controller -> parameters that are given.
-    start : dict
-        Controller -> parameters at which the first particle of each swarm begins.
-    searched_too : tuple of str
-        Designed controllers that a swarm tunes for comparison.
-    """
+    """What swarms are asked to minimise in some setting; see data/tuning.toml."""
 
     setting: str
     budget: dict
     cost: dict
     runs: dict[str, Experiment]
+    """Runs of the cost by name, without controller, the hardest last."""
     dimensions: dict[str, list[pso.Dimension]]
+    """Searched parameters by controller, as the following."""
     designed: dict[str, dict] = field(default_factory=dict)
+    """Parameters that are given."""
     start: dict[str, dict] = field(default_factory=dict)
+    """Parameters at which the first particle of each swarm begins."""
     searched_too: tuple[str, ...] = ()
+    """Designed controllers that a swarm tunes for comparison."""
 
     @property
     def searched(self) -> list[str]:
@@ -116,14 +105,12 @@ class SettingEntry:
     start: dict[str, dict[str, Plain]] = field(default_factory=dict)
 
 
-def _dimensions(bounds: dict) -> str | list[pso.Dimension]:
-    """Dimensions of a table of [low, high, scale], or the name of the controller that has the same."""
-    if set(bounds) == {"same_as"}:
-        return str(bounds["same_as"])
-    for name, bound in bounds.items():
-        if not (isinstance(bound, list) and len(bound) in (2, 3) and all(map(data.is_number, bound[:2]))):
-            raise ValueError(f"has {name} = {reprlib.repr(bound)}, [low, high, scale] is needed")
+def _dimensions(bounds: dict[str, tuple[Number, Number, str]]) -> list[pso.Dimension]:
     return [pso.Dimension(name, *bound) for name, bound in bounds.items()]
+
+
+_SCALE = Literal["linear", "log", "integer"]
+_BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, AfterValidator(_dimensions)]
 
 
 @data.table
@@ -134,7 +121,7 @@ class TaskFile:
     cost: Annotated[Cost, AS_GIVEN]
     run: Annotated[dict[str, RunEntry], NOT_EMPTY]
     setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], NOT_EMPTY]
-    controller: Annotated[dict[str, Annotated[dict[str, Any], AfterValidator(_dimensions)]], NOT_EMPTY]
+    controller: Annotated[dict[str, _BOUNDS], NOT_EMPTY]
 
 
 def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
@@ -153,11 +140,7 @@ def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
     _known(entry.runs, content.run, f"{where} has the run")
     runs = {name: _run(content.run[name], entry.sensors, f"{file.name}: [run.{name}]") for name in entry.runs}
     _known(content.controller, CONTROLLERS, f"{file.name}: [controller] has")
-    dimensions = {}
-    for name, bounds in content.controller.items():
-        dimensions[name] = content.controller.get(bounds) if isinstance(bounds, str) else bounds
-        if not isinstance(dimensions[name], list) or not dimensions[name]:
-            raise InputError(f"{file.name}: [controller.{name}] has no bounds, nor has a controller that it is same_as")
+    dimensions = content.controller
     _known([*entry.designed, *entry.start], dimensions, f"{where} has")
     _known(entry.searched_too, entry.designed, f"{where} designs, and has searched_too")
     try:
@@ -191,7 +174,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
 
     These are scenarios, tracks, rails, vehicle, sensors, cost, budget and own bounds. Names and remarks do not
     count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
-    same; `is_current` says so, and 05_tuning recomputes its cost.
+    same; 05_tuning recomputes its cost.
     """
     tracks, rails = (data.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
     sets = sorted({name for run in task.runs.values() for name in (run.scenario.good, run.scenario.poor)})
@@ -204,12 +187,6 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
     loop = load_loop() if any(run.sensors for run in task.runs.values()) else None
     search = task.dimensions[controller], task.start.get(controller)
     return store.digest(runs, car, loop, task.budget, task.cost, *search)[:16]
-
-
-def is_current(controller: str, setting: str) -> bool:
-    """Whether a tuned set was searched with the numbers that stand in data/ today; designed sets are."""
-    found = load(controller, setting).get("origin")
-    return found is None or found["data"] == origin(controller, load_task(setting=setting), load_vehicle())
 
 
 def save(found: dict, folder: Path) -> None:

@@ -44,70 +44,43 @@ _QUIET = 1e-9
 
 @dataclass(frozen=True)
 class Limit:
-    """Bound of a gear.
-
-    Attributes
-    ----------
-    error : float
-        Standard deviation of the displacement from the set point at the believed place (m), see `with_place`.
-    known : float
-        Part of it that no torque removes: the error of the filtered displacement (m).
-    activity : float
-        Standard deviation of the differential torque above 5 Hz (N m).
-    weight : float
-        Of a change of torque per period at which that is so, against the square of the displacement, in units of both
-        (`System.units`, N m).
-    """
+    """Bound of a gear."""
 
     error: float
+    """Standard deviation of the displacement from the set point at the believed place (m), see `with_place`."""
     known: float
+    """Part of it that no torque removes: the error of the filtered displacement (m)."""
     activity: float
+    """Standard deviation of the differential torque above 5 Hz (N m)."""
     weight: float
+    """Of a change of torque per period at which that is so, against the square of the displacement, in units of both
+    (`System.units`, N m)."""
 
 
 @dataclass(frozen=True)
 class System:
-    """Linear system in units of the states; see the head of the module.
-
-    Attributes
-    ----------
-    a, q : ndarray, shape (n, n)
-        Transition and covariance of the noise.
-    b : ndarray, shape (n,)
-        Effect of a change of torque.
-    c, r : ndarray, shapes (3, n), (3, 3)
-        Readings and covariance of their noise, in units of it.
-    y, torque : int
-        Places of displacement and newest torque.
-    units : ndarray, shape (n,)
-    """
+    """Linear system in units of the states; see the head of the module."""
 
     a: np.ndarray
+    """Transition, shape (n, n)."""
     b: np.ndarray
+    """Effect of a change of torque, shape (n,)."""
     c: np.ndarray
+    """Readings in units of their noise, shape (3, n)."""
     q: np.ndarray
-    r: np.ndarray
-    y: int
+    """Covariance of the noise of the states, shape (n, n); that of the readings is one."""
     torque: int
+    """Place of the newest torque."""
     units: np.ndarray
+    """Of the states, shape (n,)."""
+
+
+Y = STATES.index("y")
+"""Place of the displacement."""
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
-    """The system of a gear.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    loop : Loop
-    speed : float
-        (m/s)
-    walks : tuple of float
-        How fast lateral force and yaw moment wander (N/s^0.5, N m/s^0.5).
-
-    Returns
-    -------
-    System
-    """
+    """The system of a gear at a speed (m/s) whose lateral force and yaw moment wander (N/s^0.5, N m/s^0.5)."""
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
     inputs = np.column_stack([du, unknown])
@@ -132,8 +105,7 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
     q[:n, :n] += held[:, 1:] @ np.diag(walked[: len(UNKNOWN)]) @ held[:, 1:].T / 3  # of the walk within the period
     scale = units / units[:, None]
     return System(
-        a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), np.eye(len(noise)),
-        STATES.index("y"), n + slow, units,
+        a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), n + slow, units
     )  # fmt: skip
 
 
@@ -141,8 +113,8 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
     """Bound of the lateral error at an activity of the torque (N m); other parameters as of `system`."""
     of = system(vehicle, loop, speed, walks)
     p, m = np.zeros_like(of.a), of.torque  # the torques are known
-    p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], of.r)
-    innovation = of.c @ p @ of.c.T + of.r
+    p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(len(of.c)))
+    innovation = of.c @ p @ of.c.T + np.eye(len(of.c))
     gain = p @ of.c.T @ np.linalg.inv(innovation)
     after, driven = p - gain @ of.c @ p, gain @ innovation @ gain.T
 
@@ -150,8 +122,8 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
         weight = 10.0**log_weight
         closed = of.a - np.outer(of.b, feedback(of, weight))
         filtered = solve_discrete_lyapunov(closed, (driven + driven.T) / 2)
-        known, whole = after[of.y, of.y], filtered[of.y, of.y] + after[of.y, of.y]
-        unit = of.units[of.y]
+        known, whole = after[Y, Y], filtered[Y, Y] + after[Y, Y]
+        unit = of.units[Y]
         torque = of.units[of.torque] * _above(closed, gain @ np.linalg.cholesky(innovation), of.torque)
         return Limit(float(unit * np.sqrt(whole)), float(unit * np.sqrt(known)), float(torque), weight)
 
@@ -161,7 +133,7 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 def feedback(of: System, weight: float) -> np.ndarray:
     """Gain of the change of torque (N m) on the states, for the cost y^2 + weight du^2, see `Limit.weight`; (n,)."""
     cost, unit = np.zeros_like(of.a), of.units[of.torque]
-    cost[of.y, of.y] = 1.0
+    cost[Y, Y] = 1.0
     b = of.b[:, None] * unit  # in units of the torque the equation is well scaled
     p = solve_discrete_are(of.a, b, cost, np.array([[weight * unit**2]]))
     return unit * (b.T @ p @ of.a)[0] / float(weight * unit**2 + (b.T @ p @ b)[0, 0])

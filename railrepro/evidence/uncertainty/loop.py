@@ -131,19 +131,11 @@ def table(runs: Sequence[Experiment], pool) -> pd.DataFrame:
 
 
 def standing(measured: pd.DataFrame) -> pd.DataFrame:
-    """Ours beside the best other, one row per kind and case, those that are not led first.
+    """Ours beside the best other in data/results/loop_table.csv, one row per kind and case, those not led first.
 
-    Parameters
-    ----------
-    measured : DataFrame
-        data/results/loop_table.csv.
-
-    Returns
-    -------
-    DataFrame
-        ours_mm, other_mm, other, spread_mm (larger standard deviation of both), limit_mm, over_limit
-        (-), lost (runs of ours that reached the flanges), other_lost, and standing: `behind`, `tied` within the spread,
-        or `ahead`. Who loses fewer runs is ahead; the best other is the one that loses fewest.
+    Columns ours_mm, other_mm, other, spread_mm (larger standard deviation of both), limit_mm, over_limit (-), lost
+    (runs of ours that reached the flanges), other_lost, and standing: `behind`, `tied` within the spread, or `ahead`.
+    Who loses fewer runs is ahead; the best other is the one that loses fewest.
     """
     ours = measured["controller"] == OURS
     own = measured[ours].set_index(_ROW)

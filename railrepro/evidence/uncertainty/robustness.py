@@ -136,9 +136,10 @@ def ties(settings: Iterable[str]) -> dict[str, Mapping]:
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
-    """Whether each statement holds in each sample, by the rule of the report; a failed run is no missing one.
+    """Whether each sample reproduces each statement, by the rule of the report.
 
-    `LABELS`, and a column of True and False per statement that the samples can answer.
+    One row per sample: `LABELS`, and a boolean column per statement for which the samples have the metrics. A run that
+    failed counts as evidence, by the rule of its statement.
     """
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     spread = ties(table["setting"].unique())
@@ -182,8 +183,17 @@ def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
 
 
 def confirmed(found: pd.DataFrame, setting: str, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
-    """Keep of the `candidates` those with which a statement turns when they alone go from one end of their range to the
-    other, everything else nominal; `run` makes rows of samples as `evaluate` does.
+    """Replace the column `candidates` by `decided_by`, the parameters that turn the verdict alone.
+
+    Each candidate is set to both ends of its range while everything else stays nominal.
+
+    Parameters
+    ----------
+    found : DataFrame
+        See `candidates`.
+    setting : str
+    run : callable
+        List of samples -> list of rows, as `evaluate` makes them.
     """
     ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
     names = list(dict.fromkeys(name for each in found["candidates"] for name in each))

@@ -1,0 +1,52 @@
+"""The control cycle of both gears in C: the law, and before it slower controllers; one text for runs and for export.
+
+Serves the paper's Fig. 4.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from railrepro.compile import codegen
+from railrepro.control import interface, law
+from railrepro.model.control_model import STATES
+from railrepro.quantities import GEARS, WHEELS, indices, names
+from railrepro.track.route import COLUMNS
+
+SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 2, ctypes.c_double)
+"""Function of a slower controller, `sample_t` of slots.c: differential torque (N m) from the address of its memory,
+states of its gear (6,), readings of it (3,), see `interface.ReadGear`, and base torque (N m)."""
+SLOTS = Path(__file__).with_name("slots.c").read_text()
+"""Slower controllers of a run, see `SAMPLE`."""
+_SOURCE = Path(__file__).with_suffix(".c").read_text()
+
+
+def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
+    sizes = {"N_INPUT": len(interface.MEASURED), "N_OUTPUT": len(WHEELS), "N_PARAMETER": parameters}
+    sizes |= {"N_MEMORY": len(signature.memory), "N_RECORD": len(signature.record), "N_MARGIN": len(interface.MARGINS)}
+    return sizes | {"GEARS": len(GEARS), "N_CELL_COLUMNS": len(COLUMNS)}
+
+
+def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
+    """C of the cycle of a law with so many parameters, to stand after call.h and the generated law.
+
+    `planners` is C of the slower controllers: planner_memory_t, planner_reset and planner_sample.
+    """
+    measured, memory, read = indices(interface.Measured), indices(signature.Memory), names(interface.ReadGear)
+    places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
+    places |= {"GEAR_MEMORY": memory.rear.u - memory.front.u, "N_READINGS": len(read), "ESTIMATED": 0, "READ": 0}
+    places |= {"READ_OF_STATE": "{" + ", ".join(str(STATES.index(name)) for name in read) + "}"}
+    if signature.sensed:
+        places |= {"ESTIMATED": memory.front.estimated.x, "READ": memory.front.read.y_TrAx}
+    return codegen.defines(_sizes(signature, parameters) | places) + planners + _SOURCE
+
+
+@lru_cache
+def structures(signature: law.LawSignature) -> tuple[Any, Any]:
+    """`planner_memory_t` and `controller_t` of a run under a law."""
+    slot = codegen.structure("planner_memory_t", SLOTS, {}, sample_t=ctypes.c_void_p)
+    sizes = _sizes(signature, len(names(signature.Gains)))
+    return slot, codegen.structure("controller_t", _SOURCE, sizes, planner_memory_t=slot)

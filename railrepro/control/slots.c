@@ -1,0 +1,11 @@
+/* Slower controllers that are functions somewhere: differential torque (N m) from their memory, states of their gear, readings
+   of it and base torque. */
+
+typedef double (*sample_t)(void *, const double *, const double *, double);
+typedef struct { sample_t sample; void *self; } planner_memory_t;
+
+static void planner_reset(planner_memory_t *m, int gear, const double *parameters, const double *cells) {}
+
+static double planner_sample(const planner_memory_t *m, const double *state, const double *readings, double base) {
+  return m->sample(m->self, state, readings, base);
+}
