@@ -1,19 +1,19 @@
 """Model predictive control of railway running gears with driven independently rotating wheels, replicated.
 
-What a first program needs, straight from here (`from railrepro import simulate, tuned`); a name is loaded when it is
-used first, so that the import costs nothing:
+What a first program needs (`from railrepro import simulate, tuned`); a name is loaded when it is used first, so that
+the import costs nothing:
 
-- `simulate`: drive the car through a scenario, see `railrepro.simulation.simulate.run`
+- `simulate`: simulate the car in a scenario, see `railrepro.simulation.simulate.run`
 - `load_scenario`, `Scenario`: data/scenarios.toml
 - `load_vehicle`, `Vehicle`: data/vehicle.toml
 - `load_track`, `lay`: data/tracks.toml, and a track as a route with set point and rails
 - `tuned`: a controller with its tuned parameters, data/tuned
 - `NDI`, `NMPC`, `LTVMPC`, `LqgPreview`: the controllers with parameters of one's own
-- `load_loop`, `Readings`: data/sensors.toml, and one draw of their noise
+- `load_loop`, `Readings`: data/sensors.toml, and sensors of a run with the noise of one seed
 - `SteppedCar`, `export_fmu`: the car alone, as an object and as a unit of FMI
-- `Export`: a controller to take away, as C or as a unit of FMI
+- `Export`: a controller as C source or as a unit of FMI
 - `metrics`: error, effort and more of a run
-- `InputError`: what is raised for wrong input, one sentence
+- `InputError`: exception for wrong input, its message one sentence
 """
 
 import importlib
@@ -48,7 +48,7 @@ FACADE = {
     "metrics": "railrepro.simulation.metrics",
     "InputError": "railrepro.data.InputError",
 }
-"""Names of the package and where they live."""
+"""Names that `railrepro` offers, each with the module, or the name in a module, that it stands for."""
 __all__ = ["FACADE", "__version__", *FACADE]
 
 

@@ -18,10 +18,10 @@ from functools import cache
 from pathlib import Path
 
 PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow")
-"""Packages whose version may change a number or a figure; the others of the environment check, start or show."""
+"""Packages whose version may change a number or a figure; others only check, start or show the computations."""
 _FOLDER = str(Path(__file__).parent)
 _ABOVE = "railrepro/evidence/"
-"""Above the library, which cannot reach it."""
+"""Folder of modules that import the library and are not imported by it."""
 _LONG = r'"""[^"\\]*(?:(?:\\.|"(?!""))[^"\\]*)*"""' + r"|'{3}[^'\\]*(?:(?:\\.|'(?!''))[^'\\]*)*'{3}"
 _TOKEN = re.compile(
     rf"(?P<statement>(?<!\\\n)^[ \t]*[rR]?(?:{_LONG})[ \t]*(?=$|\#))"
@@ -57,9 +57,9 @@ _edited = False
 
 
 def unchanged() -> bool:
-    """Whether the files are those that this process imported; once they are not, it says so and stays with it.
+    """Whether no source file changed in size or time since the package was imported; a first change is told on stderr.
 
-    A file that was edited and put back counts as edited, whatever it holds: a module may have been imported in between.
+    Once False it stays so, also when a file is put back: a module may have been imported in between.
     """
     global _edited
     if not _edited and any(_signature(file) != signature for file, signature in _IMPORTED.items()):
@@ -83,7 +83,7 @@ def _bytes() -> dict[str, bytes] | None:
 def content(text: str) -> str:
     """Text of Python without comments, docstrings (all long strings that are statements), trailing blanks, empty lines.
 
-    Strings stay as they are.
+    Other strings stay as they are.
     """
     text = text.replace("\r\n", "\n")
     parts, code, depth, end = [], "", 0, 0
@@ -100,7 +100,7 @@ def content(text: str) -> str:
 
 
 def imports(content: str) -> set[str]:
-    """Modules and names of this package that some Python imports or names, whatever it does with them."""
+    """Dotted names of this package (modules, or names in them) that a text of `content` imports or mentions."""
     from railrepro import FACADE  # the package imports this module first
 
     joined = content.replace("\\\n", " ")
@@ -145,7 +145,10 @@ def _hash(data: bytes) -> str:
 
 
 def reached(*texts: str) -> dict[str, str] | None:
-    """Sources of this package that some Python can reach, with their hashes; None when they are not known any more."""
+    """Sources of this package that Python texts reach through imports: SHA-256 by name such as "railrepro/clock.py".
+
+    None when the files were edited before this process had read them.
+    """
     if _bytes() is None:
         return None
     found: dict[str, str] = {}
@@ -160,9 +163,10 @@ def reached(*texts: str) -> dict[str, str] | None:
 
 @cache
 def version() -> str | None:
-    """Hash of the library that this process imported, the same on all machines; None when it is not known any more.
+    """SHA-256 over all sources of the library that this process imported, the same on all machines.
 
-    What stands above the library does not count. Call `unchanged` before reading or storing under this key.
+    None when the files were edited before this process had read them. `railrepro.evidence` does not count. Call
+    `unchanged` before reading from a cache or storing in one under this key.
     """
     if _bytes() is None:
         return None
@@ -172,7 +176,7 @@ def version() -> str | None:
 
 @cache
 def packages() -> dict[str, str]:
-    """Installed versions of `PACKAGES`; empty for one that is not there."""
+    """Installed versions of `PACKAGES` by name; "" for a package that is not installed."""
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed
 

@@ -33,14 +33,14 @@ Number = int | float
 
 
 class InputError(ValueError):
-    """Input that is refused; the message names file, row or key, what was found and what is allowed, in one line."""
+    """Exception for input that is refused: file, row or key, what was found and what is allowed, in one line."""
 
     def __init__(self, message: str):
         super().__init__(" ".join(message.splitlines()))
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite real number; truth values are none."""
+    """Whether a value is a finite real number; a bool is not."""
     real = isinstance(value, numbers.Real) and not isinstance(value, bool)
     return real and abs(value) <= sys.float_info.max
 
@@ -52,7 +52,7 @@ class Quantity:
     Attributes
     ----------
     low, high : float
-        Range; `high` is inclusive, `low` when `closed`.
+        Range in the unit; `high` belongs to it, `low` when `closed`.
     unit : str
     closed : bool
     signed : bool
@@ -73,7 +73,7 @@ class Quantity:
         return core_schema.no_info_plain_validator_function(checked)
 
     def check(self, value: Any, whole: bool = False) -> None:
-        """Refuse what is no (whole) number in the range with a ValueError."""
+        """Raise ValueError unless a value is a number, or for `whole` an integer, within the range."""
         real = isinstance(value, numbers.Integral if whole else numbers.Real) and not isinstance(value, bool)
         too_long = isinstance(value, int) and not is_number(value)
         size: Any = abs(value) if real and self.signed else value
@@ -87,17 +87,20 @@ class Quantity:
 
 
 def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
-    """Numbers above `low` and up to `high`."""
+    """`Quantity` of numbers above `low` and up to `high`; with `signed` of numbers whose magnitude is."""
     return Quantity(low, high, unit, signed=signed)
 
 
 def between(low: float, high: float, unit: str = "") -> Quantity:
-    """Numbers from `low` to `high`."""
+    """`Quantity` of numbers from `low` to `high`, both included."""
     return Quantity(low, high, unit, closed=True)
 
 
 def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole: bool = False) -> None:
-    """Refuse (InputError) what is no (whole) number in a range, or no instance of a class; `what` names it."""
+    """Raise InputError unless a value is a number (`whole`: an integer) in a range, or an instance of a class.
+
+    `what` names the value in the message.
+    """
     if isinstance(allowed, Quantity):
         try:
             allowed.check(value, whole)
@@ -109,7 +112,7 @@ def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole
 
 
 def check_fields(settings: Any) -> None:
-    """Refuse (InputError) a dataclass with a number beyond its annotated range, or a flag or text that is none."""
+    """Raise InputError if a field of a dataclass is beyond its annotated `Quantity`, or not of its type bool or str."""
     kind: Any = type(settings)
     for name, hint in _hints(kind).items():
         base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
@@ -124,13 +127,13 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 
 Plain = Annotated[Number, between(-1e12, 1e12)]
-"""A number without unit."""
+"""Annotation of a number without unit, within +-1e12."""
 NOT_EMPTY = pydantic.Field(min_length=1)
-"""Lists and tables with at least one entry."""
+"""Annotation of a list or table with at least one entry."""
 Flag = Annotated[bool, pydantic.Strict()]
-"""True or false, nothing that stands for it."""
+"""Annotation of a bool; numbers and strings that may stand for one are refused."""
 AS_GIVEN = pydantic.WrapValidator(lambda value, validate: (validate(value), value)[1])
-"""Checked against the annotated class, but kept as the table that it is."""
+"""Annotation of a table that is checked against the annotated class, but kept as a dict."""
 
 
 def _distinct(values):
@@ -141,7 +144,7 @@ def _distinct(values):
 
 
 DISTINCT = pydantic.AfterValidator(_distinct)
-"""Lists without repetitions."""
+"""Annotation of a list without repetitions."""
 
 
 def _finite(value):
@@ -153,7 +156,7 @@ def _finite(value):
 
 
 Free = Annotated[Any, pydantic.AfterValidator(_finite)]
-"""Any value without numbers that are not finite."""
+"""Annotation of any value that contains neither nan nor infinity."""
 
 
 def _increasing(points):
@@ -164,7 +167,7 @@ def _increasing(points):
 
 
 INCREASING = pydantic.AfterValidator(_increasing)
-"""Lists of points whose first entries increase."""
+"""Annotation of a list of points whose first entries increase."""
 
 
 def _known_keys(cls: type, value):
@@ -178,13 +181,13 @@ def _known_keys(cls: type, value):
 
 @typing.dataclass_transform(frozen_default=True)
 def table(cls: type) -> type:
-    """Make a frozen dataclass that a table of a file is read into; unknown and missing keys are refused."""
+    """Class decorator: frozen dataclass into which `build` reads a table; unknown and missing keys are refused."""
     cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
     return dataclass(frozen=True)(cls)
 
 
 def location(path: Path | str | None, default: Path | None = None) -> Path:
-    """A file by its path, or the default for None; InputError for anything but a path."""
+    """Path of a file, or the default for None; InputError for anything that is neither str nor Path."""
     if path is None and default is not None:
         return default
     if not isinstance(path, str | Path):
@@ -193,7 +196,7 @@ def location(path: Path | str | None, default: Path | None = None) -> Path:
 
 
 def read(path: Path) -> Any:
-    """Content of a TOML or (by its suffix) JSON file; InputError when it cannot be read or is empty."""
+    """Content of a TOML or (by its suffix) JSON file, dicts and lists; InputError if it is unreadable or empty."""
     kind = "JSON" if path.suffix == ".json" else "TOML"
     try:
         content = pickle.loads(_parsed(path.read_text(encoding="utf-8"), kind))
@@ -216,16 +219,16 @@ def _adapter(kind: type) -> pydantic.TypeAdapter:
 
 
 def build(kind: type, content: Any, where: str) -> Any:
-    """Check content of a file and make it into a class.
+    """Check the content of a file and make an instance of a class from it.
 
     Parameters
     ----------
     kind : type
         Class marked with `table`, or `dict[str, such a class]` for a file of named tables.
     content : Any
-        What `read` gave, or changes of it.
+        Returned by `read`, possibly changed.
     where : str
-        File that the sentence names.
+        Name of the file for the message.
 
     Raises
     ------
@@ -260,12 +263,12 @@ def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all.
+    """Write a file whole or not at all, with its folders.
 
     Raises
     ------
     InputError
-        When it cannot be written; what was there is intact.
+        When it cannot be written; an older file of that name is intact.
     """
     scratch = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:
@@ -281,7 +284,7 @@ def write(path: Path, content: str | bytes) -> None:
 
 @contextmanager
 def alone(lock: Path) -> Iterator[None]:
-    """Hold a lock file against other processes; a process that dies lets it go. The file stays."""
+    """Context manager that waits for the exclusive lock on a file and holds it; released also when the process dies."""
     with open(lock, "a") as guard:
         fcntl.flock(guard, fcntl.LOCK_EX)
         yield

@@ -21,29 +21,30 @@ from typing import TypeVar
 _PACKAGE = Path(__file__).resolve().parent
 _GIVEN = os.environ.get("RAILREPRO_ROOT")
 INSTALLED = not _GIVEN and (_PACKAGE / "data").is_dir()
-"""Whether there is no checkout, only a package with its copy of the inputs."""
+"""Whether the package is installed with its copy of the inputs, so that there is no checkout."""
 ROOT = Path.cwd() if INSTALLED else Path(_GIVEN or _PACKAGE.parent)
-"""The checkout, or the working folder where there is none."""
+"""Folder of the checkout, or the working folder where there is none."""
 DATA, FIGURES, NOTEBOOKS, BUILD = (ROOT / name for name in ("data", "figures", "notebooks", "build"))
 READS = "RAILREPRO_READS"
-"""Environment variable with the file in which a process and those that it starts note what they read."""
+"""Environment variable: path of a log to which this process and its children append the name of each file they read."""
 ALL = "*"
-"""Stands for all entries of a file."""
+"""Entry in the log of `READS` that stands for all entries of a file."""
 _noted: set[tuple[str, str, str]] = set()
 Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
-    """Path to write a product such as "data/results/fig06.csv"; its folder exists afterwards."""
+    """Path to write a product to, such as "data/results/fig06.csv", in the checkout or redirected; makes its folder."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def source(relative: str) -> Path:
-    """Path to read an input or product from: where products are redirected if it is there, else in the checkout.
+    """Path to read an input or product from, by its path in the checkout, such as "data/vehicle.toml".
 
-    Without a checkout inputs are those of the package: a folder `data` where one works changes nothing.
+    Redirected products come first, then the copy of an installed package, then the checkout; a folder `data` where one
+    works changes nothing for an installed package.
     """
     redirected = _redirected()
     places = [*([redirected] if redirected else []), *([_PACKAGE] if INSTALLED else [])]
@@ -89,7 +90,10 @@ if os.environ.get(READS):
 
 
 class Entries(UserDict[str, Value]):
-    """Entries of a data file by name that note which of them are taken; going through them takes all."""
+    """Entries of a data file by name; the log of `READS` gets "file, name" at a look-up, "file, *" at an iteration.
+
+    `file` is its name in the log, such as "data/scenarios.toml".
+    """
 
     def __init__(self, entries: dict[str, Value], file: str):
         super().__init__(entries)

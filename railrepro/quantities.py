@@ -17,25 +17,26 @@ import casadi as ca
 GEARS = ("front", "rear")
 SIDES = ("le", "ri")
 GEAR_AND_SIDE = dict(zip(("front_le", "front_ri", "rear_le", "rear_ri"), product(GEARS, SIDES), strict=True))
-"""Running gear and side of each wheel."""
+"""Running gear and side of each wheel: "front_le" is ("front", "le"), le left, ri right."""
 WHEELS = tuple(GEAR_AND_SIDE)
 Group = TypeVar("Group")
 
 
 def listed(labels: Iterable) -> Any:
-    """Type of an entry that is a list, one element for each label."""
+    """Type of a member of `group` that is a list with one element for each label."""
     return Annotated[list, tuple(map(str, labels))]
 
 
 def group(name: str, *members: str | Mapping[str, Any]) -> Any:
-    """A dataclass of quantities.
+    """Make a frozen dataclass of quantities.
 
     Parameters
     ----------
     name : str
+        Of the class.
     members : str or mapping
-        Names with units, as "y m, psi rad", or by name a unit, a `listed(…)`, a dataclass, or, where the entries of a
-        group are shown below another name than its own, `Annotated[dataclass, shown]`.
+        A string of names with units, as "y m, psi rad"; or a mapping from names to a unit, a `listed(…)`, or the
+        dataclass of a group within it; `Annotated[dataclass, shown]` has `shown` for its name in `names`.
     """
     types: dict[str, Any] = {}
     for some in members:
@@ -59,7 +60,7 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, st
 
 
 def names(of: type) -> tuple[str, ...]:
-    """Names of the entries of a dataclass, in the order of the vector."""
+    """Names of all entries of a dataclass of `group` in the order of definition, as "front.y" or "tau.front_le"."""
     found: list[str] = []
     for _, inner, labels, shown in _members(of):
         below = names(inner) if inner else labels
@@ -68,7 +69,7 @@ def names(of: type) -> tuple[str, ...]:
 
 
 def notes(of: type) -> tuple:
-    """What each entry is annotated with, a unit or a range with its unit, in the order of `names`; None for lists."""
+    """Annotation of each entry in the order of `names`: its unit (str) or `Quantity`; None for elements of lists."""
     hints = get_type_hints(of, include_extras=True)
     found: list = []
     for name, inner, labels, _ in _members(of):
@@ -78,7 +79,7 @@ def notes(of: type) -> tuple:
 
 
 def pack(values: Any) -> list:
-    """Entries of an instance, in the order of `names`."""
+    """Entries of an instance as a flat list, in the order of `names`."""
     found: list = []
     for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
@@ -87,7 +88,7 @@ def pack(values: Any) -> list:
 
 
 def unpack(of: type[Group], entries: Iterable) -> Group:
-    """An instance with entries in the order of `names`; they are not checked, so that they may be expressions."""
+    """Instance of the class `of` from its entries (numbers or expressions) in the order of `names`, unchecked."""
     source = iter(entries)
     made = object.__new__(of)
     for name, inner, labels, _ in _members(of):  # type: ignore[arg-type]
@@ -99,16 +100,16 @@ def unpack(of: type[Group], entries: Iterable) -> Group:
 
 
 def indices(of: type[Group]) -> Group:
-    """The index of each entry in the vector, as an instance."""
+    """Instance of the class `of` with the index of each entry in the flat list of `pack` in place of the entry."""
     return unpack(of, range(len(names(of))))
 
 
 def symbols(of: type[Group], name: str) -> tuple[ca.SX, Group]:
-    """A vector of symbols, and its entries as an instance."""
+    """CasADi SX symbols `name`, shape (len(names(of)), 1), and an instance of the class `of` whose entries they are."""
     vector = ca.SX.sym(name, len(names(of)))
     return vector, unpack(of, ca.vertsplit(vector))
 
 
 def named(columns: Iterable[str], vector: ca.SX) -> dict[str, ca.SX]:
-    """Entries of a symbolic vector by name."""
+    """Dict of the n entries of an SX vector, shape (n, 1), by n column names."""
     return dict(zip(columns, ca.vertsplit(vector), strict=True))

@@ -31,15 +31,16 @@ from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 LARGEST_TORQUE = 1e5
-"""Largest torque command that a car takes (N m), the largest limit that a vehicle file may state."""
+"""Largest magnitude of a torque command of `SteppedCar.step` (N m), the largest limit that a vehicle file may state."""
 LARGEST_SPEED = 125.0
-"""Largest initial speed (m/s)."""
+"""Largest initial speed of a `SteppedCar` (m/s)."""
 DERAILED = 0.030
-"""Lateral displacement at which a gear derails (m)."""
+"""Lateral displacement of a running gear from the track centre, to either side, at which it derails (m)."""
 LARGEST_STATE = 1e7
-"""No state of a car that moves grows beyond this (SI)."""
+"""Magnitude of a state (SI) from which on `SteppedCar.step` raises an ArithmeticError."""
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
+"""Keys of `SteppedCar.energies`: mechanical energy (J), power of the motors, losses in dampers and by creep (W)."""
 
 
 _SOURCE = Path(__file__).with_name("car.c").read_text()
@@ -58,13 +59,13 @@ def _pairs() -> str:
 
 
 def c_text(*more: ca.Function) -> str:
-    """C of the car between its tables, and of more functions."""
+    """C source of CasADi functions `more`, then of the car: its generated functions and car.c, which calls them."""
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
-    """The car as a shared object."""
+    """Shared object of `c_text()`, compiled or from the cache, with the functions of car.c such as `car_run`."""
     loaded = ctypes.CDLL(str(cache.build(c_text())))
     loaded.car_run.restype = ctypes.c_longlong
     return loaded
@@ -72,12 +73,12 @@ def library() -> ctypes.CDLL:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """dx = A x + B u, y = C x + D u about an operating point, with named rows and columns.
+    """Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point, SI units.
 
     Attributes
     ----------
     a, b, c, d : DataFrame
-        States and outputs as in `SteppedCar.model`, inputs the motor torque commands of `equations.WHEELS` (SI).
+        States and outputs as in `SteppedCar.model`, inputs the motor torque commands of `equations.WHEELS` (N m).
     """
 
     a: pd.DataFrame
@@ -92,34 +93,34 @@ class SteppedCar:
     Parameters
     ----------
     route : Route or str
-        Or the name of a track.
+        Or the name of a track in data/tracks.toml, which is laid without set point and irregularities.
     speed : float
         Initial speed (m/s).
     vehicle : Vehicle, optional
         Default: data/vehicle.toml.
     good, poor : str
-        Adhesion sets of the rail and of its slippery places.
+        Names in `vehicle.adhesion` for the rail and for its slippery places.
     table : ContactTable, optional
         Wheel-rail contact of all wheels; default that of the vehicle's profile. Its semi-axes hold at the vehicle's
         `contact.nominal_load`.
     substeps : int
-        Steps in a control cycle of a `ClosedLoop`. One is enough for the motion and for ideal rails. On irregular rails
-        it overestimates the largest unloading of a wheel below 20 Hz by up to 1.3 %, two steps by 0.1 %.
+        Integration steps per control cycle (1 ms) in a `ClosedLoop`. One is enough for the motion and for ideal rails.
+        On irregular rails it overestimates the largest unloading of a wheel below 20 Hz by up to 1.3 %, two by 0.1 %.
 
     Attributes
     ----------
     model : Car
         The equations, with the names of states and outputs.
     state, next_state : ndarray, shape (len(model.states),)
-        Present state, writable, and where a step puts the next one.
+        Present state (SI), writable, and the buffer for the next one.
     torque : ndarray, shape (4,)
         Motor torque commands in the order of `equations.WHEELS`, traction-positive (N m); writable.
-    parameters : ndarray
+    parameters : ndarray, shape (len(equations.PARAMETERS),)
         See `equations.parameter_vector`; writable.
     rows, contacts : ndarray, shapes (3, len(route.COLUMNS)) and (4, len(CELL_COLUMNS))
         Track cells of `equations.BODIES` and contact cells of `equations.WHEELS`, as last looked up.
-    measured : ndarray
-        Values of `model.outputs` as last measured.
+    measured : ndarray, shape (len(model.outputs),)
+        Values of `model.outputs` as last measured (SI).
     c : ctypes.Structure
         `car_t` of car.c, which holds these arrays.
     time : float
@@ -175,17 +176,20 @@ class SteppedCar:
         self.look_up()
 
     def look_up(self) -> None:
-        """Cells of track and contacts at a state that was set; the contacts need the irregularities of the track."""
+        """Renew `rows` and `contacts` after the caller has set `state`.
+
+        The look-up is done twice, since the contact cells depend on the irregularities in the track cells.
+        """
         for _ in range(2):
             self._library.car_look_up(self._pointer)
 
     def measure(self) -> np.ndarray:
-        """Outputs at the present state, in the order of `model.outputs`."""
+        """Evaluate `model.outputs` at the present state (SI); returns `measured`, which the next call overwrites."""
         self._library.car_measure(self._pointer)
         return self.measured
 
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
-        """Advance by some steps with the torques held; one warning when a gear derails.
+        """Integrate the car over some steps with constant torque commands; warns once when a gear derails.
 
         Parameters
         ----------
@@ -193,14 +197,14 @@ class SteppedCar:
             Motor torque commands (N m), at most `LARGEST_TORQUE`; default the last ones.
         steps : int
         period : float
-            Length of a step, up to 10 control cycles (s).
+            Length of a step (s), up to 10 control cycles of 1 ms.
 
         Raises
         ------
         InputError
-            An argument that is not of this kind or beyond its range.
+            For an argument of a wrong kind or beyond its range.
         ArithmeticError
-            One sentence with time, state and track coordinate when a state is no longer finite or absurdly large;
+            One sentence with time, state and track coordinate when a state is not finite or reaches `LARGEST_STATE`;
             `state` is that of the last good step.
         """
         require("steps", steps, between(0, math.inf), whole=True)
@@ -226,21 +230,21 @@ class SteppedCar:
 
     @property
     def outputs(self) -> dict[str, float]:
-        """Positions, wheel loads, creepages, contact forces by name (`model.outputs`, SI)."""
+        """Positions, wheel loads, creepages, contact forces at the present state by name (`model.outputs`, SI)."""
         return dict(zip(self.model.outputs, self.measure().tolist(), strict=True))
 
     @property
     def energies(self) -> dict[str, float]:
-        """Mechanical energy (J), motor power and losses (W), see `ENERGIES`."""
+        """Mechanical energy (J), motor power, damping and creep loss (W) at the present state, by `ENERGIES`."""
         return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Copies of the arguments x, u, rows, contacts, par of the functions of `model` at the present state."""
+        """Copies of x, u, rows, contacts, par at the present state, as the functions of `equations.Car` take them."""
         self._library.car_look_up(self._pointer)
         return tuple(a.copy() for a in (self.state, self.torque, self.rows.T, self.contacts.T, self.parameters))
 
     def linearise(self) -> Linearisation:
-        """Linear model about the present state and torques, track and contact cells held."""
+        """Linearise the car about the present state and torque commands, with track and contact cells held."""
         car, inputs = self.model, self.inputs()
         x, u = ca.SX.sym("x", len(car.states)), ca.SX.sym("u", len(equations.WHEELS))
         rate, output = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])

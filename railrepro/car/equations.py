@@ -42,13 +42,15 @@ CarState = group(
     dict.fromkeys(BODIES, Coordinates),
     {"w": listed(WHEELS), "tau": listed(WHEELS)},
 )
-"""State of the car: bodies, wheel speeds (rad/s) and motor torques (N m), traction-positive."""
+"""State of the car: coordinates of `body`, `front` and `rear`, wheel speeds `w` (rad/s) and motor torques `tau` (N m),
+traction-positive."""
 STATES = names(CarState)
 INDEX = {name: i for i, name in enumerate(STATES)}
-"""Index of each state in the state vector."""
+"""Index of each state in the state vector by name."""
 FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
-"""Points of the car body floor and their positions along the body over the distance of the gears."""
+"""Points of the car body floor: distance ahead of the body's centre of gravity over the distance of the gears (-)."""
 CONTACT_COLUMNS = len(CELL_COLUMNS)
+"""Number of columns of a contact cell."""
 
 
 CarParameters = group(
@@ -57,16 +59,20 @@ CarParameters = group(
     {"adhesion": group("Rails", {"good": AdhesionSet, "poor": AdhesionSet})},
     "gravity m/s2",
 )
-"""Run-time parameters of the car, numbers or symbols: `par` in the functions of this package."""
+"""Run-time parameters of the car (SI), numbers or symbols: `par` in the functions of this package."""
 PARAMETERS = names(CarParameters)
 SLIP_FLOOR = 1.0
-"""Speed below which the slip estimate is scaled by this value instead of the speed (m/s)."""
+"""Smallest speed by which the output `sx` divides the sliding speed (m/s)."""
 HOLDING_SPEED = 0.2
-"""Circumferential wheel speed below which a braking torque follows its wheel, to hold it at rest (m/s)."""
+"""Circumferential wheel speed below which the lag of a braking torque slows down, to hold the wheel at rest (m/s)."""
 
 
 def mirrored() -> dict[str, list[int]]:
-    """The entries of the other running gear in the inputs of the functions of `Car`, see `compile.lanes`."""
+    """Permutations that exchange front and rear running gear, for the inputs "x", "u", "rows", "contacts" of `Car`.
+
+    For each entry (matrices column by column) the index of its counterpart, its own on the car body; see
+    `compile.lanes`.
+    """
     other = {"front": "rear", "rear": "front"}
     entries: dict[str, list[str]] = {"x": list(STATES), "u": list(WHEELS)}
     entries["rows"] = [f"{body} {column}" for body in BODIES for column in route.COLUMNS]
@@ -79,12 +85,14 @@ def mirrored() -> dict[str, list[int]]:
 
 
 def indices(*names: str) -> list[int]:
-    """Indices of the named states in the state vector."""
+    """Indices in the state vector of states by their names in `STATES`."""
     return [INDEX[name] for name in names]
 
 
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
-    """Run-time parameters of the plant in the order of `PARAMETERS` (SI), shape (len(PARAMETERS),).
+    """Run-time parameters of the car in the order of `PARAMETERS` (SI), shape (len(PARAMETERS),).
+
+    `good` and `poor` are names in `vehicle.adhesion`, of the rail and of its slippery places.
 
     Raises
     ------
@@ -101,21 +109,25 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
 
 @dataclass(frozen=True)
 class Car:
-    """CasADi functions of the car; all share the inputs rows (3 track cells), contacts (4 table rows), parameters.
+    """CasADi functions of the car, in SI units.
+
+    Arguments: state x by `states`; u, motor torque commands of the 4 `WHEELS` (N m); rows, track cells of the 3
+    `BODIES`, shape (len(route.COLUMNS), 3); contacts, contact cells of the wheels, shape (len(CELL_COLUMNS), 4); par by
+    `PARAMETERS`.
 
     Attributes
     ----------
     states : tuple of str
         `STATES`.
     rate : Function
-        (x, u[4], rows[ncol, 3], contacts[ncell, 4], par) -> dx/dt.
+        (x, u, rows, contacts, par) -> dx/dt.
     step : Function
         (x, u, rows, contacts, par, h) -> state after h (s) and embedded error estimate, Rodas3.
     coordinates : Function
         (x, rows, par) -> look-up coordinates: s of 3 bodies, then shift of 4 wheels (m); of the rows only the
         irregularities count, so those of the previous cycle serve.
     output : Function
-        (x, u, rows, contacts, par) -> values named in `outputs`.
+        (x, u, rows, contacts, par) -> values of `outputs`.
     energy : Function
         (x, u, rows, contacts, par) -> [mechanical energy (J), motor power, damping loss, creep loss (W)].
     outputs : tuple of str
@@ -159,7 +171,7 @@ def _elements(state: Any, rows: ca.SX, contacts: ca.SX, par: Any, stages: Stages
 
 @stored
 def car() -> Car:
-    """The equations of motion of the car as CasADi functions; derived once (about a second), then stored."""
+    """`Car` with the equations of motion as CasADi functions; derived once (about a second), then stored."""
     (x, state), u = symbols(CarState, "x"), ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
@@ -312,9 +324,9 @@ def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
 
 
 def rest_state(vehicle: Vehicle, table: ContactTable, speed: float) -> np.ndarray:
-    """State of steady rolling at a speed (m/s) on straight level track with the front gear at 0, SI.
+    """State of steady rolling at a speed (m/s) on straight level track with the front gear at s = 0, by `STATES` (SI).
 
-    All four wheels have the contact of the table. By `STATES`.
+    All four wheels have the contact of the table at no shift.
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
@@ -322,7 +334,7 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float) -> np.ndarra
 
 
 def rest(table: ContactTable) -> ca.Function:
-    """`rest_state` as a function: (par, speed) -> state."""
+    """`rest_state` as a CasADi function: (parameters by `PARAMETERS`, speed (m/s)) -> state."""
     (par, vehicle), speed = symbols(CarParameters, "par"), ca.SX.sym("speed")
     return ca.Function("car_rest", [par, speed], [ca.vertcat(*pack(_rest(vehicle, table, speed)))])
 

@@ -23,7 +23,7 @@ class Stages:
         self._definitions: list[ca.SX] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Replace expressions (of the state and earlier stages) by symbols of the same shapes."""
+        """Keep expressions of the state and of earlier symbols; returns symbols of the same shapes in their place."""
         definition = ca.vertcat(*(ca.vec(expression) for expression in expressions))
         symbols = ca.SX.sym(f"stage{len(self._symbols)}", definition.numel())
         self._symbols.append(symbols)
@@ -33,13 +33,13 @@ class Stages:
         return [ca.reshape(part, *expression.shape) for part, expression in zip(parts, expressions, strict=True)]
 
     def resolve(self, expression: ca.SX) -> ca.SX:
-        """The expression with all held symbols replaced by what they stand for."""
+        """The expression with all held symbols replaced by the expressions that they stand for."""
         for symbols, definition in zip(reversed(self._symbols), reversed(self._definitions), strict=True):
             expression = ca.substitute(expression, symbols, definition)
         return expression
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
-        """Total derivative of an expression with respect to x, resolved."""
+        """Total derivative (n, m) of an expression (n, 1) with respect to x (m, 1), held symbols resolved."""
         totals: list[ca.SX] = []
         for k, definition in enumerate((*self._definitions, expression)):
             total = ca.jacobian(definition, x)
@@ -84,9 +84,10 @@ def _others(f: ca.SX, x: ca.SX) -> list[ca.SX]:
 
 
 def factorise(matrix: ca.SX):
-    """Unpivoted sparse LU of an (n, n) matrix in minimum-degree order, unrolled: right-hand sides (n, 1) to solutions.
+    """Unpivoted sparse LU of an (n, n) matrix in minimum-degree order, unrolled.
 
-    Diagonal pivots suffice because the matrices are 2/h I - J with small h (diagonally dominant blocks).
+    Returns a function from right-hand side to solution, SX (n, 1). Diagonal pivots suffice because the matrices are
+    2/h I - J with small h (diagonally dominant blocks).
 
     Source: Markowitz 1957 (order of the pivots).
     """

@@ -17,13 +17,16 @@ Coordinates = group(
     "Coordinates",
     "s m, y m, z m, psi rad, pitch rad, phi rad, vx m/s, vy m/s, vz m/s, wx rad/s, wy rad/s, wz rad/s",
 )
-"""State of a body: position in its own track section; yaw, pitch and roll against the track frame; absolute velocity in
-track-frame components; absolute angular velocity in body axes."""
+"""State of a body: position s, y, z in its own track section (m); yaw, pitch and roll psi, pitch, phi against the track
+frame (rad); absolute velocity in track-frame components (m/s); absolute angular velocity in body axes (rad/s)."""
 COORDINATES = names(Coordinates)
 
 
 def rotation(axis: str, angle: ca.SX) -> ca.SX:
-    """Elementary rotation matrix about one axis, shape (3, 3); maps components of the turned frame to the old one."""
+    """Rotation matrix about the axis "x", "y" or "z" by an angle (rad), shape (3, 3).
+
+    It maps components in the turned frame to those in the frame before the turn.
+    """
     c, s = ca.cos(angle), ca.sin(angle)
     entries: Any = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
@@ -34,7 +37,7 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
-    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3).
+    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3).
 
     Source: eq. (1).
     """
@@ -42,7 +45,12 @@ def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
 
 
 class Section:
-    """Track section at a body: angles, rates per metre, position, irregularities as expressions of s.
+    """Track at a coordinate s (m) in a track cell `row` of `route.COLUMNS`, as SX expressions of s.
+
+    Angles psi, phi, eps (rad) and their slopes kappa, dphi, deps (rad/m); `rotation` of the track frame to the inertial
+    one, `position` of its origin (m, shape (3, 1)), `turn_rate` per metre in its own axes (rad/m, (3, 1)).
+    Irregularities lateral, vertical, gauge (m), crosslevel (rad), with slopes in `irregularity_rates`; `poor`: share of
+    poor adhesion by side (-).
 
     Source: eq. (3), with the rotation of eq. (1).
     """
@@ -78,7 +86,11 @@ class Section:
 
 
 class Body(Coordinates):  # type: ignore[valid-type, misc]
-    """Kinematics and dynamics of one rigid body in its own track section.
+    """Kinematics and dynamics of one rigid body, SX expressions of its state (`Coordinates`) in its track cell `row`.
+
+    `section` of the track; `rotation` of body axes to the track frame, `attitude` to the inertial frame; `v` in the
+    track frame (m/s), `w` in body axes, `turn` of the track frame in its own axes (rad/s); `position` in the inertial
+    frame (m); `sdot` (m/s); `rates`: time derivatives of position (m/s) and angles (rad/s) by name.
 
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rates of the angles, rotating frame).
     """
@@ -106,7 +118,7 @@ class Body(Coordinates):  # type: ignore[valid-type, misc]
         self.position = self.section.position + self.section.rotation @ ca.vertcat(0, self.y, self.z)
 
     def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
-        """Rates of change of `COORDINATES` after Newton and Euler, shape (12, 1).
+        """Time derivatives of `COORDINATES` by the equations of Newton and Euler, SI, shape (12, 1).
 
         Parameters
         ----------

@@ -25,7 +25,9 @@ class Suspension:
     """Springs, dampers, traction link, torsion bars and stops between car body and one carrier, in axes of the carrier.
 
     Attachment points coincide at rest, and both bodies feel a force at the point of the body, so that no angular
-    momentum leaks. The moment on the body is collected in axes of the carrier about the body's centre of gravity.
+    momentum leaks. `force_on_lower` (N) and `moment_on_lower` (N m, about the centre of gravity) act on the carrier,
+    shape (3, 1); potential `energy` (J), `dissipation` (W); sine of the carrier's yaw against the body `yaw_sine` (-),
+    lateral deflection `sway` (m).
 
     `end` is +1 for the front carrier, -1 for the rear one. The pitch reaction of a carrier to its motors is carried by
     rods whose lever stands on the car body: they act about z_body x x_carrier, so that with relative roll they also
@@ -64,12 +66,12 @@ class Suspension:
 
     @property
     def force_on_upper(self) -> ca.SX:
-        """In axes of the lower body (N), shape (3, 1)."""
+        """Force on the car body in axes of the carrier (N), shape (3, 1)."""
         return -self.force_on_lower
 
     @property
     def moment_on_upper(self) -> ca.SX:
-        """About its centre of gravity, in its own axes (N m), shape (3, 1)."""
+        """Moment on the car body about its centre of gravity, in its own axes (N m), shape (3, 1)."""
         return -self._relative.T @ self._on_upper
 
     def _deflection(self, on_upper: ca.SX, on_lower: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

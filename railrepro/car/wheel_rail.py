@@ -20,7 +20,7 @@ _SIGN = {"le": -1, "ri": 1}
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
-    """Shift of a wheel towards its flange against the rail (m), abscissa of the contact table."""
+    """Shift of a wheel ("le" or "ri") on its rail towards its flange (m), the abscissa of the contact table."""
     sign = _SIGN[side]
     return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
 
@@ -41,9 +41,13 @@ def _rail_slopes(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
 
 
 class Contact:
-    """One wheel on its rail: normal force with damping and lift-off, creepages, tangential force.
+    """One wheel on its rail: normal force with damping and lift-off, creepages, tangential force, as SX expressions.
 
-    Creepages are sliding speeds of the wheel over the running speed, along and across the rail and about its normal.
+    Made from the carrier, the side ("le", "ri"), the wheel speed (rad/s, traction-positive) and a row of
+    `CELL_COLUMNS`. Creepages are sliding speeds of the wheel over the running speed, along and across the rail (-), and
+    about its normal (1/m). `force` on the wheel in the track frame (N) and `moment` about the carrier's centre of
+    gravity in axes of the carrier (N m), shape (3, 1); `normal` and `tangential` forces (N), `spin_moment` (N m),
+    contact `angle` (rad), elastic `energy` (J), losses `dissipation` and `friction_loss` (W).
 
     Source: eq. (4); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
     """

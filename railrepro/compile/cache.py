@@ -32,21 +32,21 @@ _SLOW = 200_000
 """Length from which the compiler takes seconds: cars and predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 PACKAGED = "ziglang"
-"""The compiler of a Python package, the extra `compiler`; `CC=ziglang` chooses it."""
+"""Name of the C compiler in a Python package (extra `compiler`); the environment variable `CC` may be set to this."""
 WEBASSEMBLY = (
     *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic", "-msimd128", "-O2"),
     *("-ffp-contract=off", "-fno-math-errno", "-w"),
 )
-"""How the packaged compiler makes modules for browsers; their bits are those of objects."""
+"""Flags of the packaged compiler for modules of WebAssembly, which give the same bits as shared objects."""
 
 
 class CompilerError(InputError):
-    """A compiler that is missing or does not do its work."""
+    """The C compiler is missing, or fails, or its objects cannot be stored."""
 
 
 @lru_cache(maxsize=1)
 def compiler() -> str:
-    """Path of a C compiler, or the name of the packaged one: `CC`, else the first of cc, gcc and `PACKAGED`.
+    """Path of the C compiler, or `PACKAGED`: the one that `CC` names, else the first found of cc, gcc and `PACKAGED`.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def compiler() -> str:
 
 
 def found(name: str) -> str | None:
-    """Path of a compiler, or the name of the packaged one; None when there is none."""
+    """Path of the compiler of some name on PATH, or `PACKAGED` for itself; None when it is not installed."""
     if name == PACKAGED:
         return name if importlib.util.find_spec(name) else None
     return shutil.which(name)
@@ -90,9 +90,9 @@ def _processor() -> str:
 
 
 def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
-    """Flags of the compiler for a source of some length: `RAILREPRO_CFLAGS` or the default, and what an object needs.
+    """Flags of the compiler for a source of `length` characters: `RAILREPRO_CFLAGS` or the default, and the fixed ones.
 
-    `portable` code runs on any processor of this kind, unless `RAILREPRO_CFLAGS` asks for more.
+    `portable` code runs on any processor of the architecture, unless `RAILREPRO_CFLAGS` asks for more.
     """
     wide = not portable and platform.machine() in ("x86_64", "AMD64") and "avx2" in _processor().split()
     default = f"{'-O2' if length < _LONG else '-Og'} -ffp-contract=off" + (" -mavx2" if wide else "")
@@ -110,8 +110,9 @@ def _version(command: str) -> str:
 
 
 def identity(command: str, options: tuple[str, ...] | None = None) -> str:
-    """What the objects of a compiler depend on besides their source: version, flags, the processor where they are
-    native to it."""
+    """Text of all that the objects of a compiler depend on besides their source: its version, the flags `options`, the
+    architecture, and the processor where a flag is native to it.
+    """
     options = flags() if options is None else options
     cpu = _processor() if any("native" in flag for flag in options) else ""
     return "\n".join((_version(command), " ".join(options), platform.machine(), cpu))
@@ -142,14 +143,16 @@ def cache_folder() -> Path:
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
-    """Compile C source text to a shared object, or to a module of WebAssembly, or find it in the cache.
+    """Path of the shared object, or module of WebAssembly, of a C source text: from the cache, or compiled into it.
 
     Parameters
     ----------
     text : str
         Complete C source.
     portable : bool
-        See `flags`.
+        For any processor of the architecture, see `flags`.
+    webassembly : bool
+        A module of WebAssembly, by the packaged compiler with the flags `WEBASSEMBLY`.
 
     Raises
     ------

@@ -27,23 +27,23 @@ from railrepro.data import InputError, write
 
 Built = TypeVar("Built")
 ELEMENTARY = Path(__file__).with_name("elementary.c").read_text()
-"""C of elementary functions that takes the place of the system's, see its head."""
+"""C source of elementary functions (sin, exp, …) that replace the system's and give the same bits on all machines."""
 PREAMBLE = Path(__file__).with_name("call.h").read_text()
-"""C that stands before all hand-written C."""
+"""C source that stands before all hand-written C."""
 
 
 def defines(values: dict) -> str:
-    """C macros by name."""
+    """C lines `#define NAME VALUE` of a dict from names to values."""
     return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def enumeration(names: Iterable[str]) -> str:
-    """C constants that count from 0, or have the values that stand with them."""
+    """C enum of constants that count from 0; an entry "NAME = value" sets its own value."""
     return f"enum {{ {', '.join(names)} }};\n"
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """C source of CasADi functions on `ELEMENTARY`, with their work-size and sparsity companions."""
+    """C source of CasADi functions on `ELEMENTARY`, with CasADi's functions for their work sizes and sparsity."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
@@ -51,12 +51,12 @@ def source_text(functions: Sequence[ca.Function]) -> str:
 
 
 def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
-    """Load CasADi functions and extra C source as one shared object."""
+    """Shared object, compiled or from the cache, of CasADi functions and of `extra` C source that may call them."""
     return ctypes.CDLL(str(cache.build(source_text(functions) + extra)))
 
 
 def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
-    """The ctypes class of a struct of hand-written C.
+    """Make the ctypes class of a struct that hand-written C defines.
 
     Parameters
     ----------
@@ -64,8 +64,9 @@ def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> A
         That of `typedef struct { … } name;` in `text`. Its members are double, casadi_int, one of `kinds`, pointers, or
         arrays of these.
     text : str
+        C source.
     sizes : mapping
-        Constants in the lengths of arrays.
+        Values of the constants in the lengths of arrays.
     kinds : type
         Further types of members by name.
     """
@@ -84,13 +85,13 @@ def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> A
 
 
 def initialiser(of: ctypes.Structure) -> str:
-    """The numbers in a struct as a value in C, without its arrays and pointers."""
+    """C initialiser `{.name = value, …}` of the double and casadi_int members of a struct, no arrays or pointers."""
     scalars = [name for name, kind, *_ in of._fields_ if kind in (ctypes.c_double, ctypes.c_longlong)]
     return f"{{{', '.join(f'.{name} = {getattr(of, name)!r}' for name in scalars)}}}"
 
 
 def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
-    """The arrays of numbers in a struct by name, on its memory."""
+    """NumPy views of the array members of a struct by name; they share its memory."""
     kinds = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
     listed = [name for name, kind in kinds.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
     return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
@@ -99,8 +100,8 @@ def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
 class CompiledFunction:
     """A function of a shared object with its work memory, evaluated on NumPy buffers without copies.
 
-    `arguments` and `results` are contiguous float64 arrays in CasADi's column-major order; fill the first, call, read
-    the second.
+    `arguments` and `results` are lists with one float64 array for each input and output of the CasADi function: its
+    nonzeros in column-major order. Fill the first, call, read the second.
     """
 
     def __init__(self, library: ctypes.CDLL, function: ca.Function):
@@ -121,7 +122,7 @@ class CompiledFunction:
         )
 
     def __call__(self) -> list[np.ndarray]:
-        """Evaluate `arguments` into `results` (returned as the same arrays)."""
+        """Evaluate `arguments` into `results`, which is returned; ArithmeticError when the function fails."""
         if self._symbol(*self._memory, 0):
             raise ArithmeticError(f"compiled function {self.name} reported a failure")
         return self.results
@@ -133,27 +134,26 @@ def _pointers(arrays: Sequence[np.ndarray], length: int) -> ctypes.Array:
 
 
 def compiled(function: ca.Function) -> CompiledFunction:
-    """One CasADi function as compiled code, with buffers of its own."""
+    """Compile a CasADi function (or find it in the cache) and load it, with buffers of its own."""
     return CompiledFunction(library([function]), function)
 
 
 def stored(build: Callable[..., Built]) -> Callable[..., Built]:
-    """Have a function look for what it built before, in this process (as `functools.cache`) and on disk.
+    """Decorator that keeps what a function returns, in this process (as `functools.cache`) and on disk.
 
-    What is stored belongs to the code that built it: its key is the version of the library (`code.version`; `evidence`
-    is above it and cannot reach a graph), those of Python and of the packages that compute, and the arguments. What has
-    another key or is broken is built again.
+    The key on disk is the version of the library (`code.version`), those of Python and of the packages that compute,
+    and the arguments. What has another key or cannot be read is built again.
 
     Parameters
     ----------
     build : callable
-        Of arguments whose `repr` distinguishes them, and of nothing else but code; it gives CasADi functions and
-        anything else that can be pickled.
+        Function of the library outside `railrepro.evidence`, of positional arguments whose `repr` distinguishes them;
+        its result depends on these and on code only, and can be pickled (CasADi functions can).
 
     Raises
     ------
     ValueError
-        For a function of any other place than the library: the key would not know its code.
+        For a function from elsewhere: the key would not know its code.
     """
     name = f"{build.__module__}.{build.__qualname__}"
     if not name.startswith("railrepro.") or name.startswith("railrepro.evidence"):

@@ -36,20 +36,26 @@ _OPERATIONS = {
 
 
 class Statements:
-    """Statements of C, each an operation of CasADi on numbers or on lanes; `lines` so far."""
+    """C statements under construction, one or two for a CasADi operation on doubles or vector registers (`lanes_t`).
+
+    `lines` are the statements so far.
+    """
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         self._turned: dict[str, str] = {}
 
     def name(self, text: str, wide: bool) -> str:
-        """Name of a new number or of new lanes with some value."""
+        """Append a constant with the C value `text`, lanes_t if `wide` and else double; returns its name."""
         found = f"t{len(self.lines)}"
         self.lines.append(f"const {'lanes_t' if wide else 'double'} {found} = {text};")
         return found
 
     def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Name of what an operation gives; ValueError for one that is not translated here."""
+        """Append an operation `kind` (`ca.OP_…`) on named operands, lanes_t if `wide`; returns the name of its result.
+
+        ValueError for an operation that has no translation to C in `_OPERATIONS`.
+        """
         own = "lanes_" if wide else "own_"
         if kind in (ca.OP_SIN, ca.OP_COS):
             (angle,) = values
@@ -64,7 +70,7 @@ class Statements:
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """C that functions of `lanes_text` (4 lanes) and `pairs_text` (2) need, to stand after `source_text`."""
+    """C source that functions of `lanes_text` (4 lanes) or `pairs_text` (2) need, to stand after `source_text`."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text()}{ELEMENTARY}"
 
 
@@ -119,15 +125,17 @@ _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
 
 
 def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
-    """C source of a function by twins, to be called like what CasADi generates.
+    """C source of a CasADi function that computes an operation and its mirror image together in one vector register.
+
+    It is called like the C that CasADi generates, and each result rounds as there. See the head of this module.
 
     Parameters
     ----------
     function : casadi.Function
         Of scalar operations (SX).
     mirrored : mapping
-        For inputs with pairs by name: the index of each entry's partner, its own where it has none. Constants of
-        opposite sign count as partners, too.
+        By name of an input with mirrored entries: for each entry the index of its partner, its own where it has none.
+        Constants of opposite sign count as partners, too.
 
     Raises
     ------

@@ -12,7 +12,7 @@ import casadi as ca
 
 
 def share_reciprocals(function: ca.Function) -> ca.Function:
-    """The function of scalar operations (SX) with one reciprocal for each denominator that occurs more than once.
+    """Rewrite a function of scalar operations (SX) with one reciprocal for each denominator that occurs more than once.
 
     Name, inputs and outputs stay; values are equal up to rounding.
     """

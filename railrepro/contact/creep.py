@@ -60,7 +60,7 @@ _PLAIN = 0.4, 2.0
 
 
 def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact.
+    """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact, each of the shape of `ratio`.
 
     The semi-axis ratio a/b (a along, b across the rail) is clipped to 0.1 to 10, Poisson's ratio is 0 to 0.5. c33 is
     that of the moment which spin makes about the contact normal.
@@ -85,25 +85,25 @@ def _strips_and_ends() -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def strip_coefficients(half_length: np.ndarray, position: np.ndarray):
-    """Ellipse and creep coefficients of a patch of any shape, given by its strips along the rail.
+    """Equivalent ellipse and creep coefficients of a contact patch of any shape, given by its strips along the rail.
 
-    Kalker's linear forces are nearly sums of two parts: c11 a b and c22 a b of one with a b and one with a^2, and
-    c23 (a b)^1.5 of one with a^2 b and one with a^3. The first is one of strips, each by itself, and sums up over them.
-    The second comes from the ends across the rail, where no neighbour yields with a strip: each lobe of a patch has its
-    own, so it is half the way that the power of the half-length goes up and down over the strips. In the moment of spin
-    the strips count by the square of their distance from the middle. An ellipse has the coefficients of Kalker's table.
+    For ellipses c11 a b and c22 a b of Kalker's table are nearly of the form A a b + B a^2, and c23 (a b)^1.5 of the
+    form A a^2 b + B a^3. The first term is that of strips without neighbours and is summed over the strips. The second
+    is that of the lateral ends of the patch: half the total variation of the squared (for c23 cubed) half-length across
+    the strips, so that each lobe of a patch has ends. In c33 strips count by their squared distance from the middle. An
+    elliptic patch gets the coefficients of Kalker's table.
 
     Parameters
     ----------
     half_length, position : ndarray, shape (n,)
-        Of strips of equal width, along and across the rail (m); without contact the half-length is 0.
+        Half-length (0 without contact) and lateral position of strips of equal width (m), 0 at the centre of pressure.
 
     Returns
     -------
     a, b : float
-        Half the longest strip and the semi-axis that gives the ellipse the area of the patch (m).
+        Half the longest strip, and the lateral semi-axis that gives the ellipse the area of the patch (m).
     coefficients : tuple of float
-        c11, c22, c23, c33 (-).
+        c11, c22, c23, c33 that go with this ellipse (-).
     """
     width = position[1] - position[0]
     a = half_length.max()
@@ -159,9 +159,9 @@ def spin_moment(
     """Moment of the creep forces on a wheel about the contact normal (N m), normal pointing into the rail.
 
     Kalker's linear moment f23 nu_y - f33 spin, reduced as `polach` reduces the linear force. A contact that slides as a
-    whole has the same traction ahead of its centre as behind, so the part of the lateral creepage fades, besides, with
-    the friction that is still unused: as 1 - used + 2 used^2 (1 - used)^2, fitted to half spaces in steady rolling.
-    Parameters as in `polach`.
+    whole has the same traction ahead of its centre as behind, so the term of the lateral creepage is also multiplied by
+    1 - used + 2 used^2 (1 - used)^2, where `used` is the share of the friction in use: fitted to half spaces in steady
+    rolling. Parameters as in `polach`.
 
     Source: Kalker 1990 (linear moment), Polach 2005, eqs. (2) and (3) (reduction).
     """
@@ -174,7 +174,10 @@ def spin_moment(
 
 
 def falling_friction(m, mu0, a_ratio, b_decay, slip_speed):
-    """Coefficient of friction that falls with the slip speed (-)."""
+    """Coefficient of friction (-) that falls exponentially with the slip speed (m/s) from mu0 to a_ratio mu0.
+
+    `b_decay` is the decay (s/m), `m` the module that `elementary` gives.
+    """
     return mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio)
 
 
@@ -194,14 +197,15 @@ def _resultant(m, along, across, turning, rolled, load, stiffness, k_a, k_s, fri
 
 
 def elementary(*values):
-    """Elementary functions for the kind of the values: CasADi's for symbols, NumPy's for numbers."""
+    """Module with sqrt, exp, fmin and so on for some values: casadi if any of them is SX or MX, else numpy."""
     return ca if any(isinstance(value, ca.SX | ca.MX) for value in values) else np
 
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
-    """Largest longitudinal adhesion f_x of pure traction and its slip (-), both counted positive.
+    """Largest force over normal force in pure traction, and the longitudinal creepage where it occurs; positive (-).
 
-    Speed in m/s, normal force in N, semi-axes in m, coefficients c11, c22, c23, shear modulus in Pa.
+    `adhesion` is an `AdhesionSet`, `speed` in m/s, `load` the normal force (N), a, b semi-axes (m), `coefficients` c11,
+    c22, c23, c33 (-), `shear_modulus` in Pa. Creepages of 1e-5 to 0.5 are searched.
     """
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = astuple(adhesion)

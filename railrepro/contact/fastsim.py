@@ -26,10 +26,10 @@ def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus,
 
     Parameters
     ----------
-    nu_x, nu_y, spin, load, a, b, friction : array_like, broadcast to shape (n,)
-        As in `polach`, with a coefficient of friction (-).
+    nu_x, nu_y, spin, load, a, b, friction : array_like, broadcast to one shape
+        Creepages (-, -, 1/m), normal force (N), semi-axes along and across the rail (m), coefficient of friction (-).
     coefficients : tuple of array_like
-        c11, c22, c23, each as the others.
+        Kalker's c11, c22, c23 (-), broadcast to the same shape.
     shear_modulus : float
         G (Pa).
     cells : tuple of int
@@ -37,8 +37,8 @@ def fastsim(nu_x, nu_y, spin, load, a, b, friction, coefficients, shear_modulus,
 
     Returns
     -------
-    F_x, F_y : ndarray, shape (n,)
-        Force on the wheel (N).
+    F_x, F_y : ndarray
+        Force on the wheel (N), in the shape of the broadcast arguments.
 
     Source: Kalker 1982.
     """
@@ -83,10 +83,10 @@ def _slide(p_x, p_y, bound, flexible_x, flexible_y):
 
 
 def rigid_contact(shifts, radius: float) -> pd.DataFrame:
-    """Point contact of rigid profiles, S1002 on 60E1 at 1:40, the envelope of the wheel over the rail.
+    """Point contact of a rigid S1002 wheel on rigid 60E1 at 1:40, at lateral shifts of the wheel to its flange (m).
 
-    At shifts towards the flange (m), shape (n,), for a nominal rolling radius (m): columns shift_m, position_m (from
-    the track centre), tan_angle (-), rolling_radius_m.
+    `shifts` has the shape (n,), `radius` is the nominal rolling radius (m). Returns n rows with the columns shift_m,
+    position_m (from the track centre), tan_angle (-), rolling_radius_m.
     """
     rows = []
     for shift in shifts:
@@ -97,12 +97,12 @@ def rigid_contact(shifts, radius: float) -> pd.DataFrame:
 
 
 def centring_forces(shift: float, vehicle: Vehicle, load: float, friction: float) -> tuple[float, float]:
-    """Lateral forces on a gear of two free wheels that stands beside the middle, both towards it (N).
+    """Lateral forces on a running gear with independent wheels that stands off the middle of the track (N).
 
     Parameters
     ----------
     shift : float
-        From the middle of the track (m).
+        Displacement to the right (m).
     vehicle : Vehicle
         For its wheel radius and material; wheels and rails are S1002 on 60E1 at 1:40.
     load, friction : float
@@ -111,7 +111,8 @@ def centring_forces(shift: float, vehicle: Vehicle, load: float, friction: float
     Returns
     -------
     weight, spin : float
-        Of the normal forces, which the contact angles incline, and of the spin, which pushes the gear on: negative.
+        To the left (N), so positive towards the middle at a positive shift: of the normal forces, which the contact
+        angles incline, and of the spin creepage, which has the opposite sign.
     """
     material, weight, pushed = vehicle.contact, 0.0, 0.0
     modulus, radius = contact_modulus(material.young, material.poisson), vehicle.wheel.radius
@@ -126,15 +127,18 @@ def centring_forces(shift: float, vehicle: Vehicle, load: float, friction: float
 
 
 def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
-    """Conicity (-) of the cone on which a wheelset would oscillate with the same wavelength at an amplitude (m).
+    """Equivalent conicity (-): that of the cone on which a wheelset would oscillate with the same wavelength.
 
     The wheelset follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll: both wheels shift by y. From the
-    energy integral comes the time of a quarter of a wave. 0 where the radii do not bring the wheelset back.
+    energy integral comes the length of a quarter of a wave. 0 where the radii do not bring the wheelset back.
 
     Parameters
     ----------
     frame : DataFrame
-        With shift_m, of both signs of the amplitude, and rolling_radius_m, as of `rigid_contact` or a `ContactTable`.
+        Columns shift_m, at least from -amplitude to +amplitude, and rolling_radius_m, as of `rigid_contact` or
+        `ContactTable.frame`.
+    amplitude : float
+        Of the oscillation (m).
 
     Source: EN 15302, by integration of the equation of motion.
     """

@@ -22,7 +22,7 @@ _TURNS, _TURNED = 4, 0.05
 
 
 def contact_modulus(young: float, poisson: float) -> float:
-    """Modulus E* = E / (2 (1 - nu^2)) of two bodies of the same material (Pa).
+    """Modulus E* = E / (2 (1 - nu^2)) of two bodies of the same material with Young's modulus E, in the unit of E (Pa).
 
     Source: Johnson 1985, Contact Mechanics, section 4.2.
     """
@@ -62,20 +62,21 @@ def hertz(curvature_x, curvature_y, load, modulus) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True)
 class Patch:
-    """Patch of a wheel on a rail: means over the pressure, and the strips of which it consists.
+    """Contact patch of a wheel on a rail: means over the patch, and its strips along the rail.
 
     Attributes
     ----------
     position, slope : float
-        Lateral position (m), slope of the wheel profile (-), which is that of the resultant force.
+        Means over the pressure: distance from the track centre (m), and slope of the wheel profile (-), which is the
+        tangent of the angle of the resultant force.
     height : float
-        Height of the wheel profile (m) at which the wheel rolls without longitudinal force. Creep stiffness grows with
-        the area of contact, the power 2/3 of the load, and so does the weight of a strip along the rail.
+        Rolling radius at which the patch rolls without longitudinal force, less the nominal one (m): mean height of the
+        wheel profile with each strip weighted by the power 2/3 of its load, as its creep stiffness is.
     approach : float
         Elastic approach along the contact normal (m).
     strips, half_lengths : ndarray, shape (n,)
-        Distance of strips along the rail from the mean of the pressure, in the plane of the contact, and half their
-        lengths (m); see `creep.strip_coefficients`.
+        Lateral distance of each strip from the centre of pressure, in the plane of the contact, and half its length
+        along the rail (m); arguments of `creep.strip_coefficients`.
     """
 
     position: float
@@ -89,13 +90,14 @@ class Patch:
 def elastic_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
     """Elastic contact of a wheel profile on a rail profile: half spaces in the plane of the mean contact angle.
 
-    A coarse grid finds where they touch, starting where the undeformed profiles are closer than their approach. The
-    fine one lies just around that, so that it has the same number of cells whatever the size of the patch.
+    A coarse grid finds where the bodies touch, starting where the undeformed profiles are close. A fine grid covers
+    just that area, so that it has the same number of cells whatever the size of the patch.
 
     Parameters
     ----------
     position, height, slope, rail_depth : ndarray, shape (n,)
-        Uniform lateral grid (m), wheel profile and its slope on it (m, -), depth of the rail (m).
+        Uniform lateral grid (m); on it height of the wheel profile, radius less the nominal one (m), its slope (-), and
+        depth of the rail below its top (m).
     radius, load, modulus : float
         Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
 

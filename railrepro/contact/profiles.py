@@ -16,6 +16,7 @@ TAPE_CIRCLE = 0.75
 GAUGE = 1.435
 """Track gauge (m), measured `GAUGE_DEPTH` below the top of the rails."""
 GAUGE_DEPTH = 0.014
+"""Depth below the top of the rails at which the gauge is measured (m)."""
 INCLINATION = np.arctan(1 / 40)
 """Inclination of the rail towards the track centre (rad)."""
 FLANGE_ANGLE = np.arctan(2.747477419)

@@ -38,10 +38,11 @@ CELL_COLUMNS = (
     *("shift", "width", "effective_radius", "radius_slope", "radius_square", "radius_cube"),
     *(column for name in _LINEAR for column in (name, f"d{name}")),
 )
-"""A cell of the table: shift at its start, its width, coefficients of the effective radius as a cubic in the offset
-from the start, value and slope of the other quantities (SI)."""
+"""Entries of a cell of the table (SI): shift at its start, its width, the coefficients of the effective radius as a
+cubic in the offset from the start, and of each other quantity the value at the start and its slope (d…) over the
+shift."""
 SHIFTS = np.arange(-150, 121) * 1e-4
-"""Shifts of the table of S1002 on 60E1 (m)."""
+"""Shifts towards the flange of the table of S1002 on 60E1 (m)."""
 _BEYOND = 1e-12
 """How far a cell goes on beyond its ends (m): at a node, also a rounded one, derivatives are those of the cell."""
 _PATCH = ("semi_axis_x_m", "semi_axis_y_m", "c11", "c22", "c23", "c33")
@@ -51,30 +52,32 @@ _LATERAL_STEP = 2e-5
 
 @dataclass(frozen=True)
 class ContactTable:
-    """Contact quantities over the shift of a wheel towards its flange.
+    """Contact quantities over the lateral shift of a wheel towards its flange.
 
     Attributes
     ----------
     frame : DataFrame
-        Uniform grid `shift_m` with effective_radius_m, angle_rad, rolling_radius_m, rail_contact_m (lateral position
-        on the rail, from half the contact base, positive to the field side), semi_axis_x_m, semi_axis_y_m (at nominal
-        load), c11, c22, c23, c33, normal_stiffness (N/m^1.5).
+        Uniform grid `shift_m` with effective_radius_m, angle_rad (contact angle), rolling_radius_m, rail_contact_m
+        (lateral position on the rail, from half the contact base, positive to the field side), semi_axis_x_m,
+        semi_axis_y_m (at nominal load), Kalker's c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
     """
 
     frame: pd.DataFrame
 
     @property
     def start(self) -> float:
-        """First shift (m)."""
+        """Smallest shift of the grid (m)."""
         return float(self.frame["shift_m"].iloc[0])
 
     @property
     def step(self) -> float:
-        """Grid step (m)."""
+        """Step of the grid of shifts (m)."""
         return float(self.frame["shift_m"].iloc[1] - self.start)
 
     def cells(self) -> np.ndarray:
-        """Cells for the compiled plant, shape (n, len(CELL_COLUMNS)); value and slope of the radius are continuous.
+        """Cells between the n grid points for the compiled car, by `CELL_COLUMNS` (SI), (n - 1, len(CELL_COLUMNS)).
+
+        Effective radius and its slope are continuous from cell to cell.
 
         Source: cubic Hermite interpolation, de Boor, A Practical Guide to Splines, ch. IV.
         """
@@ -120,7 +123,7 @@ def in_cell(cell: dict, offset) -> dict:
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
-    """Contact table of a profile pair ("cone" or "s1002") for a vehicle; see `ContactTable`."""
+    """`ContactTable` of a vehicle for the profile "cone" or "s1002"; InputError for another name."""
     if profile == "cone":
         return _cone(vehicle)
     if profile != "s1002":
@@ -131,7 +134,7 @@ def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
 
 
 def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the cone at nominal load: semi-axes a, b along and across the rail (m), (c11, c22, c23, c33).
+    """Contact ellipse of the cone at nominal load: semi-axes a along and b across the rail (m), c11, c22, c23, c33 (-).
 
     A cone of 1:40 stands upright on a rail that is inclined 1:40 and touches its crown; its generating line is
     straight, so the crown alone curves the contact across the rail.
@@ -145,7 +148,7 @@ def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
 
 
 def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the car's own wheels in the middle of the track, as `cone_patch` gives that of the cone."""
+    """Contact ellipse of the car's wheels in the middle of the track: a, b (m), c11 to c33 (-) as in `cone_patch`."""
     frame = contact_table(vehicle.contact.profile, vehicle).frame
     middle = frame.iloc[frame["shift_m"].abs().argmin()]
     a, b, *coefficients = (float(middle[name]) for name in _PATCH)
@@ -180,8 +183,8 @@ def _rail() -> tuple[np.ndarray, np.ndarray]:
 def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Cross-section of an S1002 wheel on 60E1 at 1:40, shifted towards its flange by `shift` (m).
 
-    Distance from the track centre (m), height of the wheel profile (m) and its slope (-), depth of the rail (m), each
-    of shape (n,).
+    Returns distance from the track centre (m), height of the wheel profile, radius less the nominal one (m), its slope
+    (-) and depth of the rail below its top (m), each of shape (n,).
     """
     position, depth = _rail()
     height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
@@ -189,13 +192,16 @@ def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def elastic_patch(shift: float, radius: float, load: float, modulus: float) -> normal.Patch:
-    """Contact of a wheel at a shift (m), see `normal.elastic_contact` and `pair_table`."""
+    """Elastic contact of an S1002 wheel on 60E1 at 1:40, shifted towards its flange by `shift` (m).
+
+    Nominal rolling radius (m), normal force (N), contact modulus E* (Pa); see `normal.elastic_contact`.
+    """
     return normal.elastic_contact(*section(shift), radius, load, modulus)
 
 
 @stored
 def pair_table(radius: float, load: float, modulus: float, stiffness: float) -> ContactTable:
-    """S1002 on 60E1 at 1:40, averaged over the elastic patch.
+    """Contact table of S1002 on 60E1 at 1:40 over `SHIFTS`, averaged over the elastic patch.
 
     The effective radius is the integral of the mean slope, so that at nominal load the normal forces of the patch have
     the resultant that the table gives. The Hertz stiffness is the same at every shift: one that changed with the shift

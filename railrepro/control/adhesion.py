@@ -20,7 +20,7 @@ from railrepro.quantities import SIDES, group, listed
 
 _STEP = Annotated[float, between(0.0, 1e9, "N m per ms")]
 SLOWEST = 1.0
-"""Speed below which the dead zone grows no more (m/s)."""
+"""Speed (m/s) below which the dead zone grows no more as the speed falls."""
 
 
 AdhesionInputs = group(
@@ -28,40 +28,42 @@ AdhesionInputs = group(
     {"f": listed(SIDES), "s": listed(SIDES)},
     "f_star -, v m/s, u N m, nominal_load N, tau_max N m, r_0 m",
 )
-"""What the law is given: adhesion (traction-positive) and slip s = (v - w r)/v of both wheels, adhesion set point
-(traction-positive), speed, base torque of the cycle before; wheel load, torque limit, wheel radius."""
+"""Inputs of the law for one gear: adhesion f (traction-positive) and slip s = (v - w r)/v of left and right wheel (-),
+adhesion set point (traction-positive), speed, base torque of the cycle before; wheel load, torque limit, radius."""
 
 
 AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)})
-"""Estimated adhesion and slip of both wheels, low-pass filtered."""
+"""States of the law for one gear: adhesion and slip of left and right wheel (-), low-pass filtered."""
 
 
 @dataclass(frozen=True)
 class AdhesionSettings:
-    """Parameters of the law; InputError for a value of another kind or beyond its range."""
+    """Parameters of the adhesion law; InputError for a value of another type or beyond its range."""
 
     raise_step: _STEP = 2.0
-    """Step up in segment I, the paper's p1."""
+    """Increase of the base torque while adhesion is below the corridor, segment I (N m per ms), the paper's p1."""
     lower_step: _STEP = 5.0
-    """Step down above the corridor, the paper's p2."""
+    """Decrease of the base torque while adhesion is above the corridor (N m per ms), the paper's p2."""
     drop_step: _STEP = 100.0
-    """Step down in segment III past the maximum."""
+    """Decrease of the base torque when a wheel is past its adhesion maximum, segment III (N m per ms)."""
     corridor: Annotated[float, between(0.0, 1.0)] = 0.003
-    """Half width of the tolerance corridor around the set point (-)."""
+    """Half width of the tolerance corridor around the set point of adhesion (-)."""
     filter_time: Annotated[float, between(0.0, 10.0, "s")] = 5e-3
-    """Time constant of the derivative filters."""
+    """Time constant of the low-pass filters of adhesion and slip, from which their rates are taken (s)."""
     dead_zone: Annotated[float, between(0.0, 1e9, "1/s")] = 2e-3
-    """Slip rate below which the switching function is ignored."""
+    """Slip rate (1/s) below which no wheel counts as past its adhesion maximum."""
     noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
-    """Speed below which the dead zone grows as 1/v, as the noise of a slip made of speeds does; 0: constant."""
+    """Speed (m/s) below which the dead zone grows as 1/v, as the noise of a slip computed from speeds; 0: constant."""
     active: bool = True
-    """False gives the baseline without slip control: the torque follows the demand with `raise_step`."""
+    """False: no slip control; the base torque follows the demanded torque by at most `raise_step` per ms."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     def base_torque(self, q: Any, memory: Any) -> tuple:
-        """Next base torque per wheel (N m), memory and segment (1, 2 or 3) from `AdhesionInputs` and `AdhesionMemory`.
+        """Next base torque per wheel (N m), next memory, segment (1 raise, 2 hold, 3 lower) for one gear.
+
+        `q` is `AdhesionInputs`, `memory` `AdhesionMemory`; numbers or CasADi symbols.
 
         Source: eqs. (21), (22), (23), (25); with s as printed, the stable branch in
         traction has f' s' < 0, so the law works with slip counted in the direction of the demand.

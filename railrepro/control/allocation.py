@@ -28,7 +28,7 @@ def allocate(u_d, du, tau_max, fixed_share=0.0):
     Returns
     -------
     tau_le, tau_ri, tau_long, du : SX
-        Commands of left and right motor, longitudinal part and limited differential torque (N m).
+        Commands of left and right motor, their common longitudinal part, limited differential torque (N m).
 
     Source: eqs. (41), (42) of the paper.
     """

@@ -1,4 +1,4 @@
-"""The control cycle of both gears in C: the law, and before it slower controllers; one text for runs and for export.
+"""The control cycle of both gears in C, for runs and export: slower controllers where they are due, then the 1 kHz law.
 
 Serves the paper's Fig. 4.
 """
@@ -17,10 +17,10 @@ from railrepro.quantities import GEARS, WHEELS, indices, names
 from railrepro.track.route import COLUMNS
 
 SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 2, ctypes.c_double)
-"""Function of a slower controller, `sample_t` of slots.c: differential torque (N m) from the address of its memory,
-states of its gear (6,), readings of it (3,), see `interface.ReadGear`, and base torque (N m)."""
+"""C function of a slower controller, `sample_t` of slots.c: (address of its memory, states (6,) of its gear as
+`control_model.STATES`, readings (3,) as `interface.ReadGear`, base torque (N m)) -> differential torque (N m)."""
 SLOTS = Path(__file__).with_name("slots.c").read_text()
-"""Slower controllers of a run, see `SAMPLE`."""
+"""C by which a run calls its slower controllers through pointers to functions, see `SAMPLE`."""
 _SOURCE = Path(__file__).with_suffix(".c").read_text()
 
 
@@ -31,9 +31,10 @@ def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
 
 
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
-    """C of the cycle of a law with so many parameters, to stand after call.h and the generated law.
+    """C text of the control cycle of both gears, to stand after call.h and the C generated from `law.function`.
 
-    `planners` is C of the slower controllers: planner_memory_t, planner_reset and planner_sample.
+    `parameters` is the number of run-time parameters, gains of the law included; `planners` is C of the slower
+    controllers, which defines planner_memory_t, planner_reset and planner_sample.
     """
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), names(interface.ReadGear)
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
@@ -46,7 +47,7 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
 
 @lru_cache
 def structures(signature: law.LawSignature) -> tuple[Any, Any]:
-    """`planner_memory_t` and `controller_t` of a run under a law."""
+    """ctypes classes of the C structs `planner_memory_t` and `controller_t` of a run under a law of this signature."""
     slot = codegen.structure("planner_memory_t", SLOTS, {}, sample_t=ctypes.c_void_p)
     sizes = _sizes(signature, len(names(signature.Gains)))
     return slot, codegen.structure("controller_t", _SOURCE, sizes, planner_memory_t=slot)

@@ -12,21 +12,21 @@ from railrepro.quantities import WHEELS, group, names
 
 MeasuredWheel = group("MeasuredWheel", "adhesion -, sx -, w rad/s")
 Measured = group("Measured", {"front": GearStates, "rear": GearStates}, dict.fromkeys(WHEELS, MeasuredWheel))
-"""Outputs of the car that the law measures: states of both gears; adhesion, slip and speed of the wheels."""
+"""Outputs of the car that the law measures: states of both gears; adhesion, slip and angular speed of the wheels."""
 GearMargin = group("GearMargin", "lateral m, torque -")
 Margins = group("Margins", {"front": GearMargin, "rear": GearMargin}, "track_end m, stop_speed m/s")
 """Distances to the limits of a run, which goes on while all are positive: displacements, end of the track, speed. That
 of a torque is 1, or 0 where the lateral law gives no finite number, which the torque limit would hide."""
 Limits = group("Limits", "lateral m, track_end m, stop_speed m/s")
-"""Where a run ends: displacement of a gear, coordinate of the front gear, its speed."""
+"""Where a run ends: largest displacement of a gear, largest track coordinate and lowest speed of the front gear."""
 ReadGear = group("ReadGear", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s")
 """Displacement, yaw angle and yaw rate of a gear as sensors read them."""
 Record = group("Record", "u_d N m, du N m, tau_long N m, f_star -, segment -, y_ref m")
-"""Log of a gear's law: base, differential and longitudinal torque, adhesion set point, segment of the adhesion law, and
-the set point at the true position of the gear, from which errors are counted."""
+"""Log of one gear: base, differential and longitudinal torque, adhesion set point, segment of the adhesion law, and the
+lateral set point at the true position of the gear, from which errors are counted."""
 EstimatedRecord = group("EstimatedRecord", STATE_UNITS, "f_le -, f_ri -, s_le -, s_ri -, y_ref m")
-"""The same behind sensors: estimated states, adhesion, slip, and the set point at the estimated position."""
+"""Further log of one gear with sensors: estimated states, adhesion and slip; set point at the estimated position."""
 Model = group("Model", {name: unit for name, (unit, _) in lateral.MODEL.items() if name != "tau_max"})
-"""Numbers of `lateral.MODEL`, but for the torque limit, which may depend on the speed."""
+"""Nominal vehicle, `lateral.MODEL` without the torque limit, which may depend on the speed."""
 Track = group("Track", {name: unit for name, (unit, _) in lateral.ROAD.items()})
 MEASURED, MARGINS = names(Measured), names(Margins)

@@ -1,4 +1,4 @@
-"""What guides a running gear: laws at 1 kHz, and slower controllers whose torque is held between their samples.
+"""Lateral guidance of a running gear: laws at 1 kHz, and slower controllers, whose torque is held between samples.
 
 A 1 kHz law is written in CasADi expressions and becomes part of the compiled loop; its gains are run-time numbers, so
 that one compiled object serves all tunings of a law. Examples are NDI, and `ZeroOrderHold`, which applies the last
@@ -30,7 +30,7 @@ GEAR = {
     "xddot": ("m/s2", "acceleration by the base torque"),
     "held": ("N m", "torque that a slower controller gave last"),
 }
-"""What a 1 kHz law knows of its running gear: unit and meaning by name; first the states of the control model."""
+"""Inputs of a 1 kHz law about its running gear, first the states of the control model: unit and meaning by name."""
 ROAD = {
     "psi_Tr": ("rad", "heading of the track"),
     "dpsi_dp": ("1/m", "curvature of the track"),
@@ -46,7 +46,7 @@ ROAD = {
     "ddy_ref": ("1/m", "its second derivative"),
     "dddy_ref": ("1/m2", "its third derivative"),
 }
-"""What it knows of track and set point where the gear is."""
+"""Inputs of a 1 kHz law about track and set point at the position of the gear: unit and meaning by name."""
 MODEL = {
     "J_eff": ("kg m2", "effective yaw inertia of a running gear"),
     "k_sz": ("N m/rad", "yaw stiffness of the suspension"),
@@ -59,20 +59,20 @@ MODEL = {
     "m_x_eff": ("kg", "effective longitudinal mass"),
     "tau_max": ("N m", "torque limit"),
 }
-"""What it knows of the nominal vehicle."""
+"""Inputs of a 1 kHz law about the nominal vehicle: unit and meaning by name."""
 
 
 class LateralLaw(Protocol):
     """A guidance law at 1 kHz: an object with `torque(q)`.
 
-    Where it needs them it also has `memory`, names of its own states (per gear, 0 at the start), and `gains()`, its
-    run-time numbers by name.
+    Optional: `memory`, a tuple of the names of its own states (separate for each gear, 0 at the start), and `gains()`,
+    a dict of its run-time numbers by name.
     """
 
     def torque(self, q: SimpleNamespace) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
         """Differential torque (N m, positive steers right); with memory also the next value of each state by name.
 
-        `q` has the quantities of `GEAR`, `ROAD` and `MODEL`, the law's memory and its gains as attributes, all of them
+        `q` has the quantities of `GEAR`, `ROAD` and `MODEL`, the states in `memory` and the gains as attributes: scalar
         CasADi symbols in SI units.
         """
 
@@ -80,29 +80,32 @@ class LateralLaw(Protocol):
 class SlowController(Protocol):
     """A guidance law of one running gear that runs slower than 1 kHz.
 
-    One that has a filter of its own has `read(readings, delay)`: with sensors it is called before `plan` with the
-    displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as they were read, and the time from the
-    reading to the moment when a torque acts (s).
+    A controller with a filter of its own also has `read(readings, delay)`. With sensors it is called before `plan`:
+    `readings` are displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as read, `delay` is the time
+    from the reading to the moment when a torque acts (s).
     """
 
     period: float
-    """Sampling time, a multiple of 1 ms (s)."""
+    """Sampling time (s), a multiple of 1 ms."""
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Differential torque (N m) from the measured states (6,) and the base torque per wheel (N m)."""
+        """Differential torque (N m) from measured states (6,) and base torque per wheel (N m).
+
+        States: track coordinate (m), heading (rad), speed (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle
+        against the track (rad).
+        """
 
 
 class CompiledController(Protocol):
-    """A slower controller of one running gear whose samples are compiled code, which the loop calls by itself."""
+    """A slower controller of one running gear whose samples are compiled C, called by the loop without Python."""
 
     period: float
 
     def compiled(self, loop: Loop | None, leader: CompiledController | None = None) -> tuple[int, int] | None:
-        """Addresses of its function, see `sample_t` of slots.c, and of the memory that this needs.
+        """Address of the C function of a sample, see `cycle.SAMPLE`, and address of the memory of that function.
 
-        None where `plan` shall be called instead.
-
-        Called once, before the run, with the sensors or none, and for the rear gear with the front gear's controller.
+        None where `plan` shall be called instead. Called once before the run: `loop` has the sensors, None without;
+        `leader` is the front gear's controller when this one is the rear gear's, None otherwise.
         """
 
 
@@ -115,17 +118,19 @@ class ZeroOrderHold:
     """Hold the last differential torque of a slower controller."""
 
     def torque(self, q: SimpleNamespace) -> ca.SX:
-        """See `LateralLaw.torque`."""
+        """Differential torque that the slower controller gave last (N m)."""
         return q.held
 
 
 def split(guidance) -> tuple[LateralLaw, Factory | None]:
-    """The 1 kHz law of a `Guidance` and the factory of its slower controllers; an object may be both.
+    """Split a `Guidance` into its 1 kHz law and the factory of its slower controllers (None without).
+
+    An object with `torque` that can also be called is both; a factory without `torque` goes with `ZeroOrderHold`.
 
     Raises
     ------
     InputError
-        When it is neither.
+        When `guidance` neither has `torque` nor can be called, or is a class with `torque` instead of an object.
     """
     if isinstance(guidance, type) and hasattr(guidance, "torque"):
         name = guidance.__name__
@@ -143,17 +148,22 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
 
 @dataclass(frozen=True)
 class Signature:
-    """A 1 kHz law without its numbers: laws of one signature share one compiled object."""
+    """Equations of a 1 kHz law with the names of its gains, without their values.
+
+    Laws with equal signatures share one compiled object.
+    """
 
     text: str
-    """Serialised function (gear, track, memory, gains, model) -> du, next memory; vectors in the order of the names."""
+    """Serialised CasADi function (gear, track, memory, gains, model) -> du (N m), next memory: vectors in the order of
+    `GEAR`, `ROAD`, `memory`, `gains` and `MODEL` (SI)."""
     gains: tuple[str, ...]
+    """Names of the gains."""
     memory: tuple[str, ...]
-    """Names of its gains and states."""
+    """Names of the states."""
 
 
 def gains_of(law: LateralLaw) -> dict[str, float]:
-    """Run-time numbers of a law by name; InputError when they are no finite numbers."""
+    """Values of the gains of a law by name, empty without gains; InputError when one is no finite number."""
     gains = getattr(law, "gains", dict)
     gains = gains() if callable(gains) else gains
     for name, value in gains.items():
@@ -163,13 +173,13 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 
 
 def signature(law: LateralLaw) -> Signature:
-    """The signature of a 1 kHz law.
+    """Evaluate a 1 kHz law on CasADi symbols and return its equations and names.
 
     Raises
     ------
     InputError
-        When its gains are not finite, its torque or memory is not a scalar expression, or it uses what it did not
-        declare or is not given.
+        When a gain is no finite number, a name is taken, torque or a state is no scalar expression, the states returned
+        are not those declared in `memory`, or the law uses a quantity or symbol that it is not given.
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
@@ -196,7 +206,10 @@ def _owner(law: LateralLaw) -> str:
 
 
 def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
-    """Torque and next memory of a law from what it is given, see `LateralLaw.torque`."""
+    """Differential torque (N m) and next states by name (empty without memory): `law.torque(q)` with clear errors.
+
+    InputError when the law asks for an attribute that `q` lacks, or uses an expression as a truth value.
+    """
     try:
         result = law.torque(q)
     except AttributeError as error:

@@ -1,6 +1,6 @@
 """The control law of the 1 kHz control cycle as one function: measurement, adhesion law, lateral law, integration rule.
 
-Without sensors the controllers get the car's own states; with them, what `railrepro.estimation` makes of readings.
+Without sensors the controllers get the car's true states; with sensors, the estimates of `railrepro.estimation`.
 
 The lateral law is a `railrepro.control.lateral.LateralLaw`. All gains are run-time inputs, so one compiled object
 serves every scenario and tuning particle of one signature.
@@ -31,12 +31,15 @@ from railrepro.track.route import COLUMNS, irregularity_in, reference_in, track_
 from railrepro.vehicle.parameters import Drive, Vehicle
 
 GUIDANCE_FADE = 1.0
-"""Speed below which the differential torque fades (m/s): a wheel that stands cannot steer."""
+"""Speed (m/s) below which the differential torque fades in proportion to the speed, to 0 at standstill."""
 
 
 @dataclass(frozen=True)
 class LawSignature:
-    """A 1 kHz law without its numbers: laws of one signature share one compiled object."""
+    """Structure of the 1 kHz law of both gears, without the values of its gains.
+
+    Laws with equal signatures share one compiled object. `lateral` is the signature of the lateral law.
+    """
 
     lateral: lateral.Signature
     sensed: bool = False
@@ -44,7 +47,7 @@ class LawSignature:
 
     @cached_property
     def Gains(self) -> Any:
-        """Dataclass of the run-time gains."""
+        """Dataclass of the gains (SI): lateral and adhesion law, vehicle, limits of a run; sensors and filter."""
         laws = {"lateral": listed(self.lateral.gains), "adhesion": AdhesionSettings}
         car = {"model": interface.Model, "drive": Drive, "limit": interface.Limits}
         sensed = {"front": SensorGains, "rear": SensorGains, "filter": observers.FilterGains} if self.sensed else {}
@@ -52,9 +55,9 @@ class LawSignature:
 
     @cached_property
     def Memory(self) -> Any:
-        """Dataclass of the states of the law, base torque `u` of each gear (N m) among them.
+        """Dataclass of the states: cycles since the start; by gear base torque `u` (N m), adhesion and lateral law.
 
-        With sensors also delay lines, filter, and what the controllers got last: estimated states and readings.
+        With sensors, by gear also delay lines, filter states, and the last estimated states and readings.
         """
         laws = {"adhesion": AdhesionMemory, "lateral": listed(self.lateral.memory)}
         sensed = {
@@ -68,31 +71,31 @@ class LawSignature:
 
     @cached_property
     def Records(self) -> Any:
-        """Dataclass of what the log keeps."""
+        """Dataclass of the log of a cycle: `interface.Record` by gear, with sensors also `EstimatedRecord`."""
         shown = {f"{gear}_estimated": Annotated[interface.EstimatedRecord, f"{gear}.estimated"] for gear in GEARS}
         return group("Records", dict.fromkeys(GEARS, interface.Record), shown if self.sensed else {})
 
     @property
     def memory(self) -> tuple[str, ...]:
-        """Names of the states of the law, such as `front.u`."""
+        """Names of the states of the law in the order of `Memory`, such as `front.u`."""
         return names(self.Memory)
 
     @property
     def record(self) -> tuple[str, ...]:
-        """Names of what the log keeps, such as `front.du`; with sensors also `front.estimated.y_TrAx`."""
+        """Names of the columns of the log, such as `front.du`; with sensors also `front.estimated.y_TrAx`."""
         return names(self.Records)
 
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law with its numbers: `gains` in the order of `signature.Gains`, SI."""
+    """The 1 kHz law of both gears with the values of its gains, a vector in the order of `signature.Gains` (SI)."""
 
     signature: LawSignature
     gains: np.ndarray
 
     @property
     def function(self) -> ca.Function:
-        """The law as a CasADi function, see `function`."""
+        """The law as a CasADi function, which takes the gains as an input; see `railrepro.control.law.function`."""
         return function(self.signature)
 
 
@@ -107,27 +110,28 @@ def control_law(
     track_end: float,
     stop_speed: float,
 ) -> ControlLaw:
-    """The 1 kHz law for a vehicle.
+    """The 1 kHz law of both gears for a vehicle.
 
     Parameters
     ----------
     vehicle : Vehicle
         Nominal vehicle of the controllers.
     guidance : LateralLaw, optional
-        Default: the held torque of a slower controller guides.
+        Lateral law; default `ZeroOrderHold`, the last torque of a slower controller.
     adhesion : AdhesionSettings, optional
-        Parameters of the adhesion law; default its own, or those that the sensors need.
+        Parameters of the adhesion law; default `AdhesionSettings()`, with sensors those of `sensors.loop.adhesion`.
     fixed_share : float
-        See `allocate` (-).
+        Share of the torque limit reserved for differential torque, 0 for variable allocation (-); see `allocate`.
     sensors : Readings, optional
-        What stands between the car and its controllers; default nothing.
+        Sensors and latencies between car and controllers; default none.
     lateral_limit, track_end, stop_speed : float
-        Where a run ends (m, m, m/s).
+        A run ends beyond this |lateral displacement| of a gear (m), or when the front gear passes this coordinate (m)
+        or falls below this speed (m/s).
 
     Raises
     ------
     InputError
-        When an argument is of another kind or beyond its range, or the lateral law is not well formed, see
+        When an argument is of another type or beyond its range, or the lateral law is not well formed, see
         `lateral.signature`.
     """
     require("fixed_share", fixed_share, between(0.0, 1.0))
@@ -175,7 +179,7 @@ def _model(vehicle: Vehicle) -> Any:
 
 
 class MeasuredGear:
-    """One gear whose controllers get its true states, adhesion and slip."""
+    """Symbols of one gear without sensors: its controllers get true states, adhesion and slip."""
 
     def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
         self.cell, self.gain = cell, gain
@@ -184,16 +188,16 @@ class MeasuredGear:
         self.memory, self.ticks, self.position = getattr(memory, GEARS[g]), memory.ticks, self.truth.x
 
     def look(self, track: Any) -> tuple[Any, list, list]:
-        """States, and adhesion and slip of the wheels."""
+        """`States` of the gear (SI), adhesion and slip (-) of [left, right] wheel, as the controllers get them."""
         return self.truth, [wheel.adhesion for wheel in self.wheels], [wheel.sx for wheel in self.wheels]
 
     def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
-        """Torques that reach the motors in this cycle (N m), and what the memory keeps of sensors and filter."""
+        """Torques [left, right] at the motors (N m), equal to the commands, and an empty dict of sensor states."""
         return torques, {}
 
 
 class SensedGear(MeasuredGear):
-    """The same through sensors and filter; torques arrive late."""
+    """Symbols of one gear with sensors: its controllers get estimates, and commands reach the motors late."""
 
     def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
         super().__init__(g, measured, cell, gain, memory)
@@ -207,7 +211,7 @@ class SensedGear(MeasuredGear):
         self.position = self._readings.p + CONTROL_PERIOD * self._sensor.command * self._readings.v
 
     def look(self, track: Any) -> tuple[Any, list, list]:
-        """See `MeasuredGear.look`."""
+        """Estimated `States` when a torque will act (SI), estimated adhesion and slip (-) of [left, right] wheel."""
         sensor, lines, readings, gain = self._sensor, self.memory.sensor, self._readings, self.gain
         before = lines.tau_le[:-1], lines.tau_ri[:-1]
         found, self._filter = observers.observe(readings, before, track, self.ticks, sensor, gain, self.memory.filter)
@@ -219,7 +223,7 @@ class SensedGear(MeasuredGear):
         return state, found.f, found.s
 
     def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
-        """See `MeasuredGear.send`."""
+        """Delayed torques [left, right] at the motors (N m), and dict of next states of sensors and filter."""
         before = self.memory.sensor.tau_le, self.memory.sensor.tau_ri
         lines = [[torque, *line[:-1]] for torque, line in zip(torques, before, strict=True)]
         following = observers.advance(self._filter, lines, track, self._sensor, self.gain)
@@ -230,12 +234,15 @@ class SensedGear(MeasuredGear):
 
 @codegen.stored
 def function(signature: LawSignature) -> ca.Function:
-    """The 1 kHz law as a function.
+    """The 1 kHz law of both gears as a CasADi function.
 
     Returns
     -------
     casadi.Function
-        (measured, cells of both gears, held[2], gains, memory) -> command[4] (N m), memory, record, margins.
+        (y, rows, held, gains, memory) -> command, memory_next, record, margins; all SI. y: `interface.Measured`; rows:
+        route cells at both gears, shape (len(COLUMNS), 2); held: torques of slower controllers (N m), shape (2,);
+        gains, memory, record: in the order of the signature; command: motor torques (N m) as `WHEELS`, shape (4,);
+        margins: `interface.Margins`.
     """
     y, measured = symbols(interface.Measured, "y")
     gains, gain = symbols(signature.Gains, "gains")

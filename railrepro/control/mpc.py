@@ -26,22 +26,23 @@ from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
 LINEAR, REAL_TIME, CONVERGED = range(3)
-"""How a problem is solved, as in planner.c."""
+"""Modes of planner.c: one linear time-variant QP, one real-time iteration, Newton iterations until convergence."""
 SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
 
 
 class Solve(NamedTuple):
-    """Record of one sample that was asked of `PredictiveController.plan`.
+    """Record of one call of `PredictiveController.plan`.
 
     Attributes
     ----------
     seconds : float
-        Time of the processor from measured state to torque, forecast included (s): others on the machine do not count.
+        Processor time of this thread from measured state to torque, forecast included (s).
     iterations : int
+        Iterations of the solver.
     fallback : bool
-        Whether the plan of the sample before had to serve.
+        Whether the problem was not solved and the torque comes from the plan of the sample before.
     preparation : float
-        The same after the torque was out, for the next sample (s).
+        Processor time after the torque, spent on preparing the next sample (s).
     """
 
     seconds: float
@@ -52,23 +53,24 @@ class Solve(NamedTuple):
 
 @dataclass
 class PredictiveController:
-    """What both controllers share: the horizon, its samples in compiled code, and their record.
+    """Common base of `NMPC` and `LTVMPC`, a `lateral.SlowController`; `gear` is 0 front, 1 rear.
 
     A sample whose problem is not solved falls back on the plan of the sample before, one step later, and is counted.
 
     Attributes
     ----------
     stats : list of Solve
-        One record per sample that `plan` was asked for.
+        One record per call of `plan`.
     plan_du : ndarray, shape (L,)
         Differential torques of the last plan (N m).
     horizon : Horizon
-    parameters, nominal : ndarray
-        Of the control model and of its forecast, see `forecast.NOMINAL`.
+        Problem, trajectory and solver in compiled code.
+    parameters, nominal : ndarray, shape (14,) and (3,)
+        Of the control model, see `PARAMETERS`, and of its forecast, see `forecast.NOMINAL` (SI).
     mode : int
-        How a problem is solved, see `LINEAR`.
+        `LINEAR`, `REAL_TIME` or `CONVERGED`.
     drive : ndarray
-        Numbers of the drive, from which the torque limit follows.
+        Fields of `Drive` (SI), from which the torque limit follows.
     """
 
     mode = CONVERGED  # not an argument, so without annotation
@@ -103,11 +105,11 @@ class PredictiveController:
 
     @property
     def fallbacks(self) -> int:
-        """Samples so far whose problem was not solved."""
+        """Number of samples so far whose problem was not solved."""
         return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
-        """The optimal control problem at a measured state (6,) and base torque (N m)."""
+        """The optimal control problem at a measured state (6,) and base torque (N m); without the observed offset."""
         h, u_d = self.horizon, u_d if self.settings.informed else 0.0
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         h.sample(x_hat, u_d, self.settings.torque_bound(u_d, limit))
@@ -116,7 +118,7 @@ class PredictiveController:
         return Problem(self.settings, h.x_hat.copy(), u_d, ahead, self.parameters, limit)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Differential torque (N m) for now from a measured state (6,) and the base torque (N m)."""
+        """Solve one sample: differential torque (N m) from a measured state (6,) and base torque per wheel (N m)."""
         begin = time.thread_time()
         self._measured[:] = x_hat
         torque = self._torque(ctypes.c_double(u_d))
@@ -127,7 +129,10 @@ class PredictiveController:
         return torque
 
     def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
-        """See `lateral.CompiledController`; None for a class of one's own, which may change what a sample is."""
+        """Address of `planner_sample` and of its memory, see `lateral.CompiledController`.
+
+        None for a subclass other than `NMPC` and `LTVMPC`, whose `plan` is called, as it may be overridden.
+        """
         if type(self) not in (NMPC, LTVMPC):
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
@@ -154,7 +159,7 @@ class NMPC(PredictiveController):
         super().__post_init__()
 
     def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int] | None:
-        """See `lateral.CompiledController`; None with Ipopt."""
+        """Addresses as of `PredictiveController.compiled`; None with Ipopt, which is called from Python."""
         return None if self.solver == "ipopt" else super().compiled(loop, leader)
 
     def _torque(self, u_d: ctypes.c_double) -> float:
@@ -175,8 +180,8 @@ class NMPC(PredictiveController):
 class LTVMPC(PredictiveController):
     """Linear time-variant MPC of one running gear: the model linearised along the forecast, one QP per sample.
 
-    It is linearised in centred riding along the track and keeps its affine term; `printed` linearises about a yaw angle
-    of zero and drops it (D6).
+    The model is linearised in centred riding along the track and keeps its affine term; `printed` linearises it about
+    a yaw angle of zero and drops the affine term (D6).
     """
 
     printed: bool = False

@@ -21,27 +21,27 @@ from railrepro.data import above, between, check_fields
 
 @dataclass(frozen=True)
 class NDI:
-    """The inversion and the error dynamics it gives, a `railrepro.control.lateral.LateralLaw`."""
+    """Dynamic inversion with third-order dynamics of the lateral error; a `railrepro.control.lateral.LateralLaw`."""
 
     pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
-    """Real pole, the integrator's and the fastest of the chain."""
+    """Magnitude of the real pole of the error dynamics (rad/s)."""
     frequency: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
-    """Natural frequency of the complex pair of the chain."""
+    """Natural frequency of the complex pole pair of the error dynamics (rad/s)."""
     damping: Annotated[float, above(0.0, 1e4)] = 1.0
-    """Damping ratio of the complex pair (-)."""
+    """Damping ratio of the complex pole pair (-)."""
     integral: Annotated[float, between(0.0, 1e4)] = 0.0
-    """Gain of the position integral relative to `pole` (-); 0 switches integral action off."""
+    """Integral gain ki over `pole` k0 (-), see `gains`; 0 switches integral action off."""
     derivatives: Annotated[int, between(0, 3)] = 0
-    """How many derivatives of the set point are fed forward, 0 (reading of the paper) to 3."""
+    """Number of derivatives of the set point that are fed forward, 0 (as the paper is read) to 3."""
 
     memory = ("integral",)
-    """Integral of y* - y (m s)."""
+    """Names of the states: integral of the lateral error y* - y (m s)."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     def gains(self) -> dict[str, float]:
-        """Coefficients k0, k1, k2 (1/s^3, 1/s^2, 1/s), integral gain (1/s^4) and feed-forward switches."""
+        """Gains by name: k0, k1, k2 (1/s^3, 1/s^2, 1/s), integral gain ki (1/s^4), feed-forward switches ff1 to ff3."""
         w, z, a = self.frequency, self.damping, self.pole
         k0 = a * w**2
         return {
@@ -55,9 +55,9 @@ class NDI:
         }
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Differential torque that gives the lateral error its wanted third-order dynamics; see `LateralLaw.torque`.
+        """Differential torque (N m) for the set error dynamics, and {"integral": next value (m s)}.
 
-        The integral rests while the torque is beyond its limit.
+        `q` as in `LateralLaw.torque`. The integral is held while the torque is beyond its limit.
         """
         du = inverse(wanted_jerk(q), q)
         free = ca.fabs(du) < q.tau_max
@@ -65,7 +65,7 @@ class NDI:
 
 
 def wanted_jerk(q: SimpleNamespace) -> ca.SX:
-    """Third derivative of y (m/s^3) that the error dynamics ask for; `q` as in `LateralLaw.torque`."""
+    """Third derivative of y (m/s^3) that the error dynamics of `NDI` require; `q` as in `LateralLaw.torque`."""
     psidot_r = q.yaw_rate - q.v * q.dpsi_dp
     ydot = q.v * q.psi
     yddot = q.v * psidot_r + q.xddot * q.psi
@@ -82,9 +82,9 @@ def wanted_jerk(q: SimpleNamespace) -> ca.SX:
 
 
 def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
-    """Differential torque (N m) under which y has a third derivative (m/s^3); q as in `LateralLaw.torque`.
+    """Differential torque (N m) that gives y the third derivative `jerk` (m/s^3); `q` as in `LateralLaw.torque`.
 
-    The weight's yaw stiffness, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
+    The yaw stiffness by gravity, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
     radii are left out.
 
     Source: corrected yaw equation to first order (`railrepro.model.derivation.yaw_equation`).

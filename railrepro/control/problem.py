@@ -40,11 +40,11 @@ from railrepro.vehicle.parameters import Drive
 
 _WEIGHTS = ("q_x", "q_psi_Ax", "q_xdot", "q_psidot_Ax", "q_y_TrAx", "q_psi_TrAx")
 TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
-"""Entries of a tuning vector: what the statement takes from `MPCSettings`, for solvers of any kind."""
+"""Names of the entries of a tuning vector, the numbers of `MPCSettings` that costs and bounds contain."""
 
 
 class Tuning(NamedTuple):
-    """A tuning vector by name, numbers or expressions; see `MPCSettings` for meaning and units."""
+    """A tuning vector by name, numbers or CasADi expressions; `q` has 6 entries; meaning and units as `MPCSettings`."""
 
     q: Any
     r: Any
@@ -55,38 +55,38 @@ class Tuning(NamedTuple):
 
     @classmethod
     def of(cls, vector) -> Tuning:
-        """The entries of a vector in the order of `TUNING`."""
+        """Name the entries of a vector in the order of `TUNING`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 
 
 def stage_cost(x, x_d, slack, t: Tuning):
-    """Cost of a state on the way, and of the slack of its lateral bound. Source: eq. (31)."""
+    """Cost (s) of a state x[6] before the last, desired x_d[6], and of its slack (m). Source: eq. (31)."""
     return ca.dot(t.q * t.period, (x - x_d) ** 2) + slack_cost(slack, t)
 
 
 def terminal_cost(x, x_d, slack, t: Tuning):
-    """Cost of the last state, which weighs lateral position and yaw only. Source: eq. (32)."""
+    """Cost (s) of the last state x[6], desired x_d[6], in y and psi_TrAx, and of its slack (m). Source: eq. (32)."""
     weighed = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
     return sum(weighed) + slack_cost(slack, t)
 
 
 def effort_cost(du, t: Tuning):
-    """Cost of a differential torque. Source: eq. (31)."""
+    """Cost (s) of a differential torque (N m) over one step. Source: eq. (31)."""
     return t.r * t.period * du**2
 
 
 def slack_cost(slack, t: Tuning):
-    """Cost of the slack (m) of the lateral bound in one state."""
+    """Cost (s) of the slack (m) of the lateral bound at one state."""
     return t.bound_weight * t.q[Y] * t.period * slack**2
 
 
 def lateral_excess(x, t: Tuning) -> tuple:
-    """How far y lies beyond its upper and its lower bound (m); slack is needed for what is positive."""
+    """Excess of the lateral position of x[6] over its upper and its lower bound (m); slack is needed where positive."""
     return x[Y] - t.lateral_bound, -x[Y] - t.lateral_bound
 
 
 def slack_on(side, x, t: Tuning):
-    """Slack (m) of a state that is known to lie beyond the bound on a side, 1 or -1, or on none, 0."""
+    """Slack (m) of a state x[6] beyond its upper bound (`side` 1), its lower bound (-1) or none (0: no slack)."""
     return side * (x[Y] - side * t.lateral_bound)
 
 
@@ -97,8 +97,8 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
     Returns
     -------
     casadi.Function
-        (x[6], du, u_d, theta[9], par, T, affine) -> x_next[6], A (sparse), B[6]. With affine = 0, x_next is the printed
-        linear model A x + B u, which drops the affine term (D6).
+        (x[6], du, u_d, theta[9], par[14], T, affine) -> x_next[6], A (6, 6) sparse, B[6] by du; SI. With affine = 0,
+        x_next is the printed linear model A x + B u, which drops the affine term (D6).
     """
     step = sensitivities(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
@@ -116,7 +116,7 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
 
 @stored
 def torque_limit() -> ca.Function:
-    """(speed (m/s), par, numbers of the drive) -> torque limit of a motor (N m), see `Drive.limit`."""
+    """CasADi function (speed (m/s), par[14], fields of `Drive`) -> torque limit of a motor (N m), see `Drive.limit`."""
     speed, par = ca.SX.sym("speed"), ca.SX.sym("par", len(PARAMETERS))
     numbers, drive = symbols(Drive, "drive")
     limit = drive.limit(speed / par[PARAMETERS.index("r_0")])
@@ -139,35 +139,34 @@ def _costs() -> tuple[ca.Function, ca.Function, ca.Function]:
 
 @dataclass(frozen=True)
 class MPCSettings:
-    """Tuning of a predictive controller."""
+    """Settings of a predictive controller: weights, horizon, prediction model and bounds."""
 
     q_diag: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-    """Diagonal of Q in the order of the states (1/m^2, 1/rad^2, …), 6 numbers."""
+    """Diagonal of Q, 6 numbers in the order of the states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
     r: Annotated[float, above(0.0, 1e9, "1/(N m)^2")] = 1e-11
-    """Weight R on du^2."""
+    """Weight R of du^2 (1/(N m)^2)."""
     q_terminal: Annotated[float, between(0.0, 1e9)] = 1.0
     """Factor q of the terminal cost (-)."""
     period: Annotated[float, above(0.0, 1.0, "s")] = 0.010
-    """Time step T = sampling time, a whole number of ms."""
+    """Time step T and sampling time (s), a whole number of ms."""
     steps: Annotated[int, between(2, 1000)] = 30
-    """Horizon length L."""
+    """Horizon length L, number of time steps."""
     discretisation: str = "rk4"
-    """See `railrepro.model.control_model.discretise`."""
+    """Integration method: "euler", "midpoint" or "rk4", see `railrepro.model.control_model.discretise`."""
     variant: str = "corrected"
-    """Prediction model and forecast, see `railrepro.model.control_model.control_model`."""
+    """Variant of prediction model and forecast, see `railrepro.model.control_model.control_model`."""
     lateral_bound: Annotated[float, above(0.0, 1.0, "m")] = 8e-3
-    """Bound of |y_TrAx|."""
+    """Soft bound of |y_TrAx| (m)."""
     bound_weight: Annotated[float, between(0.0, 1e9)] = 100.0
-    """Weight of its violation relative to the weight of y (-)."""
+    """Weight of the squared slack of the lateral bound over the weight of y (-)."""
     yielding: bool = True
-    """The differential torque may use the whole motor torque and the base torque yields, as the integration rule has
-    it. False bounds it by what the base torque leaves, as printed, which is nothing when the base torque is at its
-    limit (D10)."""
+    """True: |du| is bounded by the whole motor torque, and the base torque yields, as in `allocate`. False: bounded by
+    the remainder above the base torque, as printed, which is zero when the base torque is at its limit (D10)."""
     informed: bool = True
-    """The base torque is known to the forecast and the model; False leaves it out."""
+    """Whether forecast and prediction model contain the base torque; False sets it to 0 in them."""
     observer: Annotated[float, between(0.0, 1.0)] = 0.0
-    """Share of the prediction error of y per sample that is taken for a constant angle between where the axle points
-    and where it goes (creep); 0 is the paper's controller, which drifts."""
+    """Observer gain (-): share of the one-step prediction error of y that corrects an estimated constant angle between
+    axle and direction of motion (creep); 0 is the paper's controller, which drifts."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -180,18 +179,22 @@ class MPCSettings:
             raise InputError(f"MPCSettings: q_diag is {q!r}, {needed}")
 
     def tuning(self) -> np.ndarray:
-        """What the statement weighs with, shape (len(TUNING),)."""
+        """The tuning vector, shape (len(TUNING),), in the order of `TUNING` and in the units of these settings."""
         rest = (getattr(self, name) for name in TUNING[len(STATES) :])
         return np.array([*self.q_diag, *rest], dtype=float)
 
     def torque_bound(self, u_d: float, tau_max: float) -> float:
-        """Largest |du| (N m) at a base torque and a torque limit (N m), see `yielding`. Source: eq. (31)."""
+        """Largest |du| (N m) at base torque and motor torque limit (N m), see `yielding`. Source: eq. (31)."""
         return tau_max if self.yielding else max(tau_max - abs(u_d), 0.0)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One optimal control problem, self-contained so that it can be recorded and solved again by another solver."""
+    """One optimal control problem with all its numbers, so that any solver can solve it again.
+
+    Measured state `x_hat` (6,), base torque `u_d` (N m), forecast `ahead`, model `parameters` (14,), torque limit of a
+    motor `tau_max` (N m).
+    """
 
     settings: MPCSettings
     x_hat: np.ndarray
@@ -206,7 +209,7 @@ class Problem:
         return self.settings.torque_bound(self.u_d, self.tau_max)
 
     def cost(self, states: np.ndarray, du: np.ndarray) -> float:
-        """Cost of predicted states (L + 1, 6) and torques (L,), without the constant stage 0."""
+        """Cost (s) of predicted states (L + 1, 6) and differential torques (L,) (N m), without that of state 0."""
         stage, terminal, effort = _costs()
         tuning, x_d = self.settings.tuning()[:, None], self.ahead.x_d
         on_the_way = stage(states[1:-1].T, x_d[1:-1].T, np.tile(tuning, len(du) - 1))
@@ -214,7 +217,7 @@ class Problem:
         return float(ca.sum2(on_the_way) + terminal(states[-1], x_d[-1], tuning) + ca.sum2(torques))
 
     def roll_out(self, du: np.ndarray) -> np.ndarray:
-        """Predicted states under torques (L,) from the measured state, shape (L + 1, 6)."""
+        """Predicted states (L + 1, 6), SI, from the measured state on under differential torques (L,) (N m)."""
         s = self.settings
         step, states = dynamics(s.variant, s.discretisation), [self.x_hat]
         for torque, theta in zip(du, self.ahead.theta[:-1], strict=True):

@@ -33,22 +33,26 @@ MOST_STEPS, LEAST_STEPS = 100, 5
 
 @dataclass(frozen=True)
 class Controller:
-    """How to build a lateral controller."""
+    """Entry of `CONTROLLERS`: how to build a lateral controller from its tuning parameters."""
 
     build: Callable
-    """Settings -> guidance for `simulate.run`."""
+    """Function: settings -> guidance for `simulate.run`, a 1 kHz law or a factory of slower controllers."""
     settings: Callable
-    """Tuning parameters by name -> settings."""
+    """Function: dict of tuning parameters -> settings, such as `MPCSettings` or `NDI`."""
     preview: bool
-    """Whether it sees the set point and the track ahead."""
+    """Whether the controller knows set point and track ahead."""
     information: str
-    """What it is given, one phrase."""
+    """Inputs of the controller in one phrase, for tables."""
     quick: dict = field(default_factory=dict)
-    """Options of `guidance` for many runs: a faster way to nearly the same torques."""
+    """`options` of `guidance` for many runs: a faster solver, nearly the same torques."""
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
-    """MPC settings from tuning parameters q_psi_TrAx, q_psidot_Ax, r, q_terminal, period_ms, horizon_s, observer."""
+    """MPC settings from tuning parameters by name.
+
+    These are q_psi_TrAx, q_psidot_Ax (see `MPCSettings.q_diag`; weight of y_TrAx is 1), period_ms, horizon_s, and
+    fields of `MPCSettings` such as r, q_terminal and observer.
+    """
     p = dict(parameters)
     period = 1e-3 * p.pop("period_ms")
     require("MPC: horizon_s", p["horizon_s"], above(0.0, 100.0, "s"))
@@ -59,7 +63,7 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Factory of a predictive controller per gear; picklable."""
+    """Factory of predictive controllers, called with (vehicle, route, gear); `options` are (name, value) pairs."""
 
     controller: type
     settings: MPCSettings
@@ -84,9 +88,9 @@ def _inversion(information: str, **fixed) -> Controller:
 
 
 NOTHING = "nothing"
-"""No guidance, beside which others are scored; it has no parameters."""
+"""Name of the controller without differential torque, the baseline of scores; no parameters."""
 OURS = "lqg_preview"
-"""The controller that is not the paper's: shown under its own name, and no claim is judged with it."""
+"""Name of the controller of this project, which the paper does not have; no claim is judged with it."""
 CONTROLLERS = {
     "nmpc": _predictive(NMPC, {"solver": "rti"}),
     "nmpc_observer": _predictive(NMPC, {"solver": "rti"}),
@@ -119,12 +123,12 @@ EMPHASIS = 10.0
 
 
 def with_r_times(parameters: dict, factor: float) -> dict:
-    """Tuning parameters or changes with R times a factor."""
+    """Copy of a dict of tuning parameters or changes with the weight `r` times a factor."""
     return parameters | {"r": factor * parameters["r"]}
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
-    """A guidance law for `simulate.run`.
+    """Build a guidance law for `simulate.run`.
 
     Parameters
     ----------
@@ -135,12 +139,17 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     options : dict, optional
         Further arguments of a predictive controller, for example {"solver": "rti"}.
     changes : optional
-        Fields of the settings to change afterwards (`MPCSettings`, `NDI`).
+        Fields of the settings to replace afterwards (`MPCSettings`, `NDI`).
 
     Returns
     -------
     LateralLaw or callable
-        See `simulate.run`.
+        Object with `torque(q)`, or factory (vehicle, route, gear) -> slower controller.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or parameters, options or changes that this controller does not take.
     """
     if name not in tuple(CONTROLLERS):
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
@@ -156,12 +165,12 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
 
 
 def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
-    """Tuned set of a controller in some setting, as its file has it.
+    """Read the file of a tuned set from data/tuned or `folder`: dict with "controller", "setting", "parameters", ….
 
     Raises
     ------
     InputError
-        When there is none, or when the file does not hold a tuned set of this controller in this setting.
+        When there is no file, or when the file holds no tuned set of this controller in this setting.
     """
     name = f"{controller}.json"
     file = (folder or paths.source(f"{TUNED}/{setting}")) / name
@@ -183,7 +192,7 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
-    """Tuned set of a controller in some setting, or the parameters that a designer gave it in data/tuning.toml.
+    """Tuned set (see `read`) of a controller in a setting of `SETTINGS`, or a designer's from data/tuning.toml.
 
     Raises
     ------
@@ -200,10 +209,10 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
 
 
 def parameters(controller: str, setting: str = PAPER) -> dict:
-    """Tuned parameters of a controller in some setting, see `tuned_set`."""
+    """Dict of the tuning parameters of a controller in a setting of `SETTINGS`, see `tuned_set`."""
     return tuned_set(controller, setting)["parameters"]
 
 
 def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
-    """Guidance of a controller with its tuned parameters; `options` and `changes` as in `guidance`."""
+    """Build the guidance law of a controller with its tuned parameters; `options`, `changes` as in `guidance`."""
     return guidance(controller, parameters(controller, setting), options, **changes)

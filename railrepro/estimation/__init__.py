@@ -1,1 +1,1 @@
-"""What a controller gets to see: sensors with noise, bias and latency, and the filter that makes states of them."""
+"""Measurement for the controllers: sensors with noise, bias and latency, and the filter that estimates states."""

@@ -41,23 +41,26 @@ LATERAL = ("y", "psi", "r", "bias", "beta")
 """States of the lateral filter: displacement, yaw against the track, absolute yaw rate, gyro bias, creep angle."""
 _READ = ("y", "psi", "r")
 WheelState = group("WheelState", "tau N m, w rad/s, force N")
-"""Filter of a wheel: motor torque, speed, longitudinal creep force."""
+"""States of the filter of a wheel: motor torque, angular speed, longitudinal creep force."""
 _WHEELS = {"le": WheelState, "ri": WheelState}
 FilterState = group("FilterState", "y m, psi rad, r rad/s, bias rad/s, beta rad", _WHEELS, "v m/s, creep rad")
-"""Filter of a gear: `LATERAL`, both wheels, speed and creep angle low-pass filtered."""
+"""States of the filter of a gear: `LATERAL`, left and right wheel, low-pass filtered speed and creep angle."""
 _LateralGain = group("LateralGain", dict.fromkeys(_READ, listed(range(len(SPEEDS)))))
 _LateralGains = group("LateralGains", dict.fromkeys(LATERAL, _LateralGain))
 _REST = "wheel_w -, wheel_force N s, prediction s, creep_pole -, speed_pole -, J_z kg m2"
 FilterGains = group("FilterGains", {"lateral": _LateralGains}, _REST)
-"""Run-time numbers of the filter: Kalman gains (of the lateral filter at `SPEEDS`), time to predict, poles of low-pass
-filters, yaw inertia."""
+"""Run-time numbers of the filter: Kalman gains (of the lateral filter at `SPEEDS`), prediction time, gains per cycle of
+the low-pass filters, yaw inertia."""
 _SIDES = {"f": listed(SIDES), "s": listed(SIDES)}
 Estimates = group("Estimates", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s, xdot m/s", _SIDES)
-"""What the filter finds: states when a torque will arrive, creep force over nominal load and slip of the wheels."""
+"""Estimates of a gear: states when a torque will arrive; adhesion f (force over nominal load) and slip s (-)."""
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Continuous system matrix (5, 5) of the lateral filter at a speed (m/s), and how its readings follow (3, 5)."""
+    """Continuous system matrix (5, 5) and output matrix (3, 5) of the lateral filter at a speed (m/s), SI.
+
+    States: lateral displacement, yaw angle, yaw rate, gyro bias, creep angle; outputs: readings of the first three.
+    """
     index = {name: i for i, name in enumerate(LATERAL)}
     a, c = np.zeros((5, 5)), np.zeros((3, 5))
     inertia = vehicle.gear.inertia_z
@@ -93,7 +96,7 @@ def _solved(n: int, *matrices: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stationary gain (5, 3) of the lateral filter at a speed (m/s), and covariance (5, 5) of its states (SI)."""
+    """Stationary Kalman gain (5, 3) and covariance (5, 5) of the states of `lateral_matrices` at a speed (m/s), SI."""
     rates = loop.filter
     y = max(loop.lateral.noise / np.sqrt(2), _LEAST)
     readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST) ** 2])
@@ -102,7 +105,7 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
 
 
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
-    """Run-time numbers of the filter of one gear; the vehicle is what the filter believes."""
+    """`FilterGains` of one gear for sensors `loop`, with the vehicle as the model of the filter."""
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
     at_speeds = np.array([lateral_filter(vehicle, loop, speed)[0] for speed in SPEEDS])
@@ -129,23 +132,25 @@ def observe(
     Parameters
     ----------
     readings : Signals of SX
-        As late as they are.
-    commands : two lists
-        Torques that were sent to left and right wheel (N m), newest first; that of this cycle is not among them.
+        Delayed readings.
+    commands : two lists of SX
+        Torques sent to left and right wheel before this cycle (N m), newest first.
     track : object with dpsi_dp, dphi_dp, psi_Tr, psi_CB, dpsi_dp_CB
-        Where the gear is, see `railrepro.control.lateral.ROAD`.
+        Track at the gear, see `railrepro.control.lateral.ROAD`.
     ticks : SX
-        Control cycles since the start; the filter begins with the first readings.
+        Control cycles since the start; at 0 the filter takes its states from the readings.
     sensor : SensorGains of SX
+        Run-time numbers of the sensors of this gear.
     gain : Gains of SX
-        Those of the law with `filter`, `model`, `drive` and `nominal_load`, see `railrepro.control.law`.
+        Gains of the law, see `LawSignature.Gains`: `filter`, `model`, `drive` and `nominal_load` are used.
     memory : FilterState of SX
+        States of the filter, predicted to the time of the readings.
 
     Returns
     -------
     estimates : Estimates of SX
     state : FilterState of SX
-        At the time of the readings; `advance` carries it on.
+        Corrected states at the time of the readings, for `advance`.
     """
     planes = readings.y_ahead, readings.y_behind
     read = {"y": sum(planes) / 2, "psi": (planes[0] - planes[1]) / sensor.base, "r": readings.psidot_Ax}
@@ -175,7 +180,7 @@ def observe(
 
 
 def advance(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> Any:
-    """Propagate the filter by one cycle. `commands` include the torques of this cycle; the rest is as in `observe`."""
+    """Propagate `FilterState` x by one cycle; `commands` include those of this cycle, the rest as in `observe`."""
     h, model = CONTROL_PERIOD, gain.model
 
     def wheel(state: Any, line: list) -> Any:

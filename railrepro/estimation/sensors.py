@@ -1,6 +1,6 @@
-"""Sensors of a running gear: readings with noise, bias, resolution, period, dropouts and age, and the way of a command.
+"""Sensors of a running gear: noise, bias, resolution, period, dropouts and age of readings; latency of commands.
 
-Noise is counter-based: a function of run, signal and millisecond, so it is the same on every executor and processor.
+Noise is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor.
 The paper names lateral position and yaw difficult or costly to measure; its own loop measures them exactly.
 """
 
@@ -22,7 +22,8 @@ from railrepro.vehicle.parameters import Parameter, loaded
 LONGEST = 20
 """Longest latency that the delay lines hold (control cycles)."""
 Signals = group("Signals", "y_ahead m, y_behind m, psidot_Ax rad/s, w_le rad/s, w_ri rad/s, v m/s, p m")
-"""Readings of a gear: displacement against the rails in two planes, yaw rate, wheel speeds, speed and position."""
+"""Readings of a gear: displacement against the rails in planes ahead of and behind the axle, yaw rate, angular speeds
+of left and right wheel, speed and position along the track."""
 SIGNALS = names(Signals)
 _GROUP = dict(
     zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
@@ -33,7 +34,8 @@ SensorGains = group(
     dict.fromkeys(SIGNALS, group("Quality", dict.fromkeys(_QUALITY, Any))),
     "measurement ms, command ms, unknown_delay ms, torque_gain -, seed -, base m",
 )
-"""Run-time numbers of a gear's sensors: quality of each signal, delays, gain of the inverter, base of the planes."""
+"""Run-time numbers of a gear's sensors: for each signal noise, bias, resolution (its unit), period (s), dropout (-);
+delays, gain of the inverter, seed, distance of the two planes."""
 _LINE = listed(range(LONGEST + 1))
 SensorMemory = group(
     "SensorMemory", dict.fromkeys(SIGNALS, _LINE) | {"p": Any}, dict.fromkeys(("tau_le", "tau_ri"), _LINE)
@@ -53,7 +55,12 @@ _DROPOUT = Annotated[float, _upto(0.9, "-")]
 
 @data.table
 class Lateral:
-    """Displacement of the axle against the rails in planes `base` apart."""
+    """Displacement of the axle against the rails in two planes, `base` (m) apart.
+
+    noise: standard deviation of a reading (m); bias: largest constant offset of a run (m), drawn uniformly between
+    both signs; resolution: step of rounding (m), 0 none; period: time between readings (s), a whole number of ms;
+    dropout: share of readings that are lost (-), whose predecessor holds.
+    """
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
     noise: Annotated[float, _upto(0.01, "m")]
@@ -65,9 +72,10 @@ class Lateral:
 
 @data.table
 class Rate:
-    """Angular velocity: the gyroscope of the carrier, or the speed of a wheel.
+    """Angular velocity: yaw rate by the gyroscope of the running gear, or angular speed of a wheel.
 
-    Its range refuses numbers in degrees per second.
+    noise: standard deviation of a reading, bias: largest offset, resolution (rad/s; not a density, not degrees);
+    period (s), dropout (-); all as in `Lateral`.
     """
 
     noise: Annotated[float, _upto(0.1, "rad/s")]
@@ -79,7 +87,7 @@ class Rate:
 
 @data.table
 class Speed:
-    """Speed along the track."""
+    """Speed along the track: noise, bias and resolution (m/s), period (s), dropout (-), as in `Lateral`."""
 
     noise: Annotated[float, _upto(1.0, "m/s")]
     bias: Annotated[float, _upto(1.0, "m/s")]
@@ -90,7 +98,7 @@ class Speed:
 
 @data.table
 class Position:
-    """Position along the track, reported for the present moment."""
+    """Position along the track, read without delay: noise, bias, resolution (m), period (s), dropout (-)."""
 
     noise: Annotated[float, _upto(1.0, "m")]
     bias: Annotated[float, _upto(20.0, "m")]
@@ -101,7 +109,7 @@ class Position:
 
 @data.table
 class Latency:
-    """Age of the readings and time from a command to the inverter."""
+    """`measurement`: age of all readings but the position (s); `command`: time from a command to the inverter (s)."""
 
     measurement: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
     command: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
@@ -109,7 +117,7 @@ class Latency:
 
 @data.table
 class Inverter:
-    """What becomes of a command that arrived, unknown to controllers and filter: a further delay, and a gain."""
+    """Errors unknown to controllers and filter: further `delay` of commands (s); `gain`, torque over command (-)."""
 
     delay: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
     gain: Annotated[float, Parameter(0.0, 10.0, "-")]
@@ -117,7 +125,11 @@ class Inverter:
 
 @data.table
 class Filter:
-    """Process noise of the filter as spectral densities, and lags of what it hands on, see `observers`."""
+    """Process noise of the filter in `observers`, as square roots of spectral densities, and its low-pass filters.
+
+    Noise of the rates of creep force (N/s^0.5), creep angle (rad/s^0.5), yaw rate (rad/s^1.5) and gyro bias
+    (rad/s^1.5); time constants (s) of the estimated creep angle and speed.
+    """
 
     force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
     creep_rate: Annotated[float, _upto(1.0, "rad/s^0.5")]
@@ -129,7 +141,7 @@ class Filter:
 
 @data.table
 class Adhesion:
-    """What the adhesion law needs behind noise, see `railrepro.control.adhesion.AdhesionSettings`."""
+    """Fields of `railrepro.control.adhesion.AdhesionSettings` that suit noisy estimates (s, 1/s, m/s)."""
 
     filter_time: Annotated[float, _upto(1.0, "s")]
     dead_zone: Annotated[float, _upto(10.0, "1/s")]
@@ -138,7 +150,7 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """All that stands between the car and its controllers; the numbers live in data/sensors.toml."""
+    """Sensors, latencies, inverter errors and filter between car and controllers; defaults in data/sensors.toml."""
 
     lateral: Lateral
     gyro: Rate
@@ -163,7 +175,7 @@ class Loop:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
-        """Without noise, bias, rounding, dropouts and latency; the inverter stays as it is."""
+        """Copy without noise, bias, rounding, dropouts and latency, with adhesion settings that suit exact readings."""
         quiet = {
             group: replace(
                 getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=CONTROL_PERIOD, dropout=0.0
@@ -175,7 +187,7 @@ class Loop:
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of noise and bias of y (m), psi (rad) and r (rad/s), shape (3,) each.
 
-        Two planes make y and psi; a bias is drawn uniformly.
+        y is the mean of both planes, psi their difference over `base`; a bias is drawn uniformly.
         """
         of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / self.lateral.base])
         noise = np.append(self.lateral.noise * of_planes, self.gyro.noise)
@@ -202,7 +214,7 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
-    """Sensors of a run: those of `load_loop`, or perfect ones behind the same inverter."""
+    """Sensors of a run from `load_loop(**overrides)`; `perfect`: without errors and latency, see `Loop.perfect`."""
     data.require("sensors: perfect", perfect, bool)
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
@@ -210,18 +222,18 @@ def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
 
 @dataclass(frozen=True)
 class Readings:
-    """Numbers of the sensors in a run: what is constant in it is drawn from its seed."""
+    """Sensors of one run: data `loop`, and `seed`, from which noise and constant biases follow."""
 
     loop: Loop
     seed: int = 0
-    """Of the run; noise and biases of another seed are independent."""
+    """Whole number from 0; other seeds give independent noise and biases."""
 
     def __post_init__(self) -> None:
         data.require("Readings: loop", self.loop, Loop)
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> Any:
-        """`SensorGains` of a gear (0 front, 1 rear)."""
+        """`SensorGains` of a gear (0 front, 1 rear), its biases drawn from the seed."""
         data.require("Readings: gear", gear, data.between(0, 1), whole=True)
         draw, loop = np.random.default_rng((self.seed, gear)), self.loop
         sensors = {signal: getattr(loop, group) for signal, group in _GROUP.items()}
@@ -235,14 +247,16 @@ class Readings:
 
 
 def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, dict[str, Any]]:
-    """Readings (`Signals`) of a gear as they reach the controller, and the next delay lines of the signals.
+    """Readings (`Signals`) of a gear as they reach the controller, and the next delay lines by signal.
 
     Parameters
     ----------
     truth : Signals of SX
+        Exact values.
     ticks : SX
-        Control cycles since the start; on the first one the delay lines are filled with its readings.
+        Control cycles since the start; at 0 the delay lines are filled with the first readings.
     gear : int
+        0 front, 1 rear.
     gain, memory : SensorGains, SensorMemory of SX
     """
     readings, lines = {}, {}
@@ -267,19 +281,19 @@ def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, di
 
 
 def delayed(line: list, cycles):
-    """Entry of a delay line (newest first) that is some control cycles old, linear in between."""
+    """Value of a delay line (list, newest first) that is `cycles` control cycles old, linear between entries."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
 def received_torque(line: list, gain: Any):
-    """Torque command that reaches a motor in this control cycle (N m), from the line of its commands."""
+    """Torque command at a motor in this control cycle (N m), from its `line` (newest first) and `SensorGains`."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 
 def gaussian(seed, channel: int, ticks):
-    """Noise of zero mean and unit variance: the sum of four uniform numbers.
+    """Pseudorandom noise of zero mean and unit variance in a cycle: scaled sum of four uniform numbers.
 
-    Exact operations, hence the same bits on every processor.
+    A function of seed, channel and cycle `ticks` by exact operations, hence the same bits on every processor.
     """
     total = 0.0
     for k in range(2):
@@ -290,7 +304,7 @@ def gaussian(seed, channel: int, ticks):
 
 
 def uniform(seed, channel: int, ticks):
-    """Number between 0 and 1, another one in each cycle; `channel` counts on from those of `gaussian`, twice."""
+    """Pseudorandom number in [0, 1) by seed, channel and cycle; `gaussian` of channel c uses 2 c and 2 c + 1."""
     return _hashed(seed, channel, ticks) / _MODULUS
 
 

@@ -86,7 +86,11 @@ METRICS = {
 
 
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
-    """All runs of the suite in both settings, or those of some names, then without the margins; see `case`."""
+    """Runs of the suite in the settings `equal` (exact measurements) and `loop` (sensors), without a controller yet.
+
+    See `case`; the seed draws sensors, irregularities and cars. With `names` only the runs of these names, without the
+    group `MARGINS`; InputError when there are none.
+    """
     data.require("seed", seed, data.between(0, 2**31), whole=True)
     found = []
     for setting in (EQUAL, LOOP):
@@ -102,7 +106,11 @@ def case(
     name: str, setting: str, seed: int, scenario: Scenario, irregular: dict, plant: dict,
     delay: dict | None = None, group: str = "",
 ) -> Experiment:  # fmt: skip
-    """A run of the suite without guidance; its label has scenario (name of the run), setting and group."""
+    """One run of the suite as an experiment without guidance; its label has scenario (`name`), setting and group.
+
+    `irregular`: arguments of `rough_track`. `plant`: parameters of the car alone by dotted key (SI). `delay`: changed
+    values of `sensors.readings`, such as {"inverter.delay": 0.003} (s).
+    """
     label = {"scenario": name, "setting": setting, "group": group or name}
     sensors = {"seed": seed} if setting == LOOP else {"perfect": True} if delay else {}
     around = {"irregular": irregular, "plant": plant, "sensors": sensors | (delay or {})}
@@ -128,7 +136,7 @@ def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:
 
 
 def mismatch(seed: int, number: int) -> dict[str, float]:
-    """A car within the ranges of the parameters `MISMATCH`."""
+    """Values (SI) of the parameters `MISMATCH`, drawn uniformly over their ranges by (seed, number): name -> value."""
     shares, ranges = np.random.default_rng((seed, number)).random(len(MISMATCH)), sample_ranges()
     lows, highs = np.array([ranges[name] for name in MISMATCH]).T
     return dict(zip(MISMATCH, (lows + shares * (highs - lows)).tolist(), strict=True))
@@ -155,7 +163,7 @@ Entry = str | Path | type
 
 
 def entry(controller: str) -> Entry:
-    """The entry for a registered name or the path of a file; InputError when it is neither."""
+    """Controller to score: the registered name itself, or the resolved path of a file; InputError for another text."""
     if controller in tuple(CONTROLLERS):
         return controller
     file = data.location(controller)
@@ -166,14 +174,14 @@ def entry(controller: str) -> Entry:
 
 
 def name_of(of: Entry) -> str:
-    """Name of an entry: that of a file with its suffix, so that it is no key of `registry.CONTROLLERS`."""
+    """Name of a controller in tables: registered name, class name, or file name with suffix."""
     if isinstance(of, type):
         return of.__name__
     return of.name if isinstance(of, Path) else of
 
 
 def load_class(file: Path) -> type:
-    """The one class with `torque` or `plan` that a file defines; InputError when there is not one."""
+    """Run a Python file and return its class with `torque` or `plan`; InputError unless there is exactly one."""
     defined = [thing for thing in runpy.run_path(str(file), run_name=_MODULE).values() if isinstance(thing, type)]
     found = [
         each for each in defined if each.__module__ == _MODULE and (hasattr(each, "torque") or hasattr(each, "plan"))
@@ -185,7 +193,7 @@ def load_class(file: Path) -> type:
 
 
 def fault(error: BaseException, file: Path) -> str:
-    """What a user's code raised, in one sentence with the line of the file where there is one."""
+    """Describe an exception of a user's file in one line of at most 300 characters: file, line number, message."""
     lines = [each.lineno for each in traceback.extract_tb(error.__traceback__) if each.filename == str(file)]
     if isinstance(error, SyntaxError) and error.filename == str(file):
         lines.append(error.lineno)
@@ -195,14 +203,17 @@ def fault(error: BaseException, file: Path) -> str:
 
 
 def made(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
-    """Guidance made of a controller class with keyword arguments."""
+    """Guidance for `simulate.run` from a controller class and its keyword arguments.
+
+    An object of a class with `torque`; a factory (vehicle, `known` route, gear) -> object for a class with `plan`.
+    """
     if not hasattr(own, "plan"):
         return own(**settings)
     return lambda vehicle, route, gear: own(vehicle, known(route), gear, **settings)
 
 
 def known(route: Route) -> Route:
-    """What a controller of one's own may know of a route: neither irregularities nor friction."""
+    """Copy of a route as a scored controller may know it: irregularities and shares of poor adhesion are zero."""
     cells = np.array(route.cells)
     hidden = (*CHANNELS, "poor_le", "poor_ri")
     names = [name for name in INDEX if name.lstrip("d") in hidden or name in hidden]
@@ -217,7 +228,7 @@ def _enter(name: str, build: Callable) -> str:
 
 
 def description() -> str:
-    """Names that `torque` of a law of the 1 kHz control cycle may use, with unit and meaning."""
+    """Text on how to write a 1 kHz law, with the name, unit and meaning of each quantity that its `torque` may use."""
     lines = [
         "A law is one class with torque(self, q); q has these quantities as attributes, for example q.y. It returns",
         "the differential torque (N m, positive steers right) as an expression of CasADi. With `memory`, a tuple of",
@@ -235,9 +246,10 @@ def description() -> str:
 
 
 def drive(of: Entry, case: Experiment) -> dict:
-    """Row of metrics of a case, whatever the controller does: `failure` is a sentence, empty when all went well.
+    """Simulate a case under a controller and return its row: label, controller, failure and metrics (SI).
 
-    The runs of registered controllers are stored; a file is read and driven by a worker.
+    `of` is from `entry`. `failure` is one sentence, empty for a good run; a controller that raises an error has no
+    metrics. Runs of registered controllers are stored; a file is loaded and run in a worker process.
     """
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
@@ -281,7 +293,11 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 
 
 def cost(row: dict) -> float:
-    """J of a row that did not fail; inf when a quantity is missing."""
+    """Cost J (-) of a row of `drive` that did not fail; inf when a metric is missing.
+
+    error / 1 mm + effort_du / 4 kN m + max(0, activity_du / 500 N m - 1) + 2 (1 - utilisation, at most 1) +
+    10 max(0, s - 1), s the larger of y_over_q / 0.8 and sum_y_over_limit.
+    """
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
     value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
@@ -290,7 +306,10 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points of a row with both ends of the scale, `nothing` and `best` (J), 0 to 100; see the module."""
+    """Points of a row of `drive` that also has the costs `nothing` and `best`; 0 for a failed run.
+
+    100 (q - q_nothing) / (q_best - q_nothing) between 0 and 100, with q = 1 / (1 + cost).
+    """
     if row["failure"]:
         return 0.0
     q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
@@ -298,11 +317,12 @@ def points(row: dict) -> float:
 
 
 def ends_of_the_scale(case: Experiment) -> dict[str, float]:
-    """J of `nothing` and of the `best` possible, and the `limit` of the error (m).
+    """Costs J that give 0 and 100 points in a case, keys `nothing` and `best` (-), and the error `limit` (m).
 
-    With sensors the limit is the linear-quadratic-Gaussian bound (`uncertainty.limit`) with the noise, latency and
-    biases of the loop, on dry rail and for disturbances that wander as slowly as in the quietest run. It holds for the
-    mean over draws. With perfect measurements only the drive limits the error, which no run comes near: 0.
+    `nothing` is the cost without guidance, inf where the car derails. In the setting `loop`, limit is the
+    linear-quadratic-Gaussian bound (`uncertainty.limit`) with noise, latency and biases of the sensors, on dry rail and
+    with disturbances of the quietest run, for the mean over seeds; best is the least cost of error and torque on this
+    bound. With exact measurements best is 0 and limit nan: only the drive limits the error, and no run comes near that.
     """
     row = drive(NOTHING, case)
     found = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
@@ -330,9 +350,11 @@ def _bounds(loop: Loop, speed: float) -> dict:
 
 
 def score(of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False) -> pd.DataFrame:
-    """Rows of the suite for one or several draws, with `points`, `nothing`, `best`, `limit` and `seed`.
+    """Score a controller on the suite: one row per run and seed, as a DataFrame.
 
-    A class of a chapter is driven in this process, because others cannot read it.
+    Columns scenario, setting, group, seed, controller, failure, the metrics of the run (SI, see `METRICS`), points (0
+    to 100), and nothing, best, limit of `ends_of_the_scale`. `names` restricts the runs, see `cases`; `quiet` hides the
+    progress bar. A class runs in this process, because workers cannot import it.
     """
     drawn = [replace(case, label=case.label | {"seed": seed}) for seed in seeds for case in cases(seed, names)]
     with executor() as pool:
@@ -346,7 +368,11 @@ def score(of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, q
 
 
 def card(table: pd.DataFrame) -> pd.DataFrame:
-    """Sums of the rows of a controller: scenario (`ALL`), controller, metric, value, unit, setting, seed."""
+    """Summary of one controller's table from `score`, in long form.
+
+    Columns scenario (always `ALL`), controller, metric, value, unit, setting (`ALL` for the score over both), seed. Per
+    setting: score and margins (0 to 100), numbers of failures and cases, and each of `METRICS` over the runs.
+    """
     rows = []
     for seed, draw in table.groupby("seed", sort=False):
         sums = {setting: _sums(part) for setting, part in draw.groupby("setting", sort=False)}
@@ -369,11 +395,11 @@ def _sums(rows: pd.DataFrame) -> dict[str, float]:
 
 
 def ranking(cards: pd.DataFrame) -> pd.DataFrame:
-    """Cards of several controllers and draws as a table, the best first.
+    """Rank controllers from their concatenated `card` tables: one row per controller, the best first.
 
-    `ranked` is the mean over all draws but the published one and `spread` their standard deviation; the other columns
-    are of the ranked draws, or of the published one where there is no other: score per setting, margins, failed runs,
-    and error (mm), its limit (mm) and torque (N m) behind sensors.
+    `ranked` is the mean score over all seeds but `PUBLISHED`, `spread` its standard deviation, `published` the score on
+    that seed. The other columns are means over the ranked seeds, or of the published one where there is no other: score
+    per setting, margins, failed runs; with sensors error and its limit (mm) and RMS torque (N m).
     """
     found = {}
     for name, rows in cards.groupby("controller", sort=False):
@@ -396,9 +422,10 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 
 
 def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., float]:
-    """(gains, limit) -> the cost that all controllers of the project are tuned with, of a class with `plan`.
+    """Cost function of a controller class for tuning: (gains by name, limit) -> mean `swarm.run_cost` (-).
 
-    `runs` are names of data/tuning.toml; unknown ones are left out.
+    `runs` are names of runs in data/tuning.toml for the setting, unknown ones are ignored. Beyond `limit` the remaining
+    runs are skipped and the result is a lower bound.
     """
     name = _enter(f"own {own.__name__}", partial(made, own))
     task = tuning.load_task(setting=setting)
@@ -409,7 +436,7 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., f
 def tune(
     own: type, setting: str, runs: Sequence[str], start: Mapping[str, float], particles: int, iterations: int
 ) -> pso.Swarm:
-    """Gains that a swarm finds within a decade around a start, where its first particle begins; see `tuning_cost`."""
+    """Particle swarm after minimising `tuning_cost`, each gain from a tenth to ten times its value in `start` (> 0)."""
     evaluate = tuning_cost(own, setting, runs)
     bounds = [pso.Dimension(name, value / 10, value * 10, "log") for name, value in start.items()]
 
@@ -420,7 +447,10 @@ def tune(
 
 
 def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: int = PUBLISHED) -> pd.DataFrame:
-    """Points per setting and run, a column per controller: heading -> class, or key of `registry.CONTROLLERS`."""
+    """Points (0 to 100) of several controllers, one row per (setting, scenario), one column per heading.
+
+    `controllers` maps headings to controller classes or keys of `registry.CONTROLLERS`; `names` are runs of `cases`.
+    """
     found = {}
     for heading, one in controllers.items():
         found[heading] = score(one, [seed], names, quiet=True).set_index(["setting", "scenario"])["points"]
@@ -431,7 +461,7 @@ def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: i
 
 
 def check(of: Entry) -> None:
-    """Drive a controller through some metres in both settings; InputError when it fails but for derailment."""
+    """Try a controller on the first 30 m of T3 in both settings; InputError when it raises an error."""
     scenario = load_scenario("curve_entry_T3").but(end_m=30.0)
     for setting in (EQUAL, LOOP):
         row = drive(of, case("check", setting, PUBLISHED, scenario, {}, {}))
@@ -440,9 +470,9 @@ def check(of: Entry) -> None:
 
 
 def main(controller: str | None = None, seed: int | None = None, small: bool = False, describe: bool = False) -> None:
-    """Score one controller on the published draw, or on that of a seed, and print its card.
+    """Command `score`: score a registered controller or a file, print its card and write a CSV to build/score.
 
-    `small` takes the quick runs only, and no margins; `describe` prints what a law may use.
+    `seed` is `PUBLISHED` by default; `small` takes the runs `QUICK` only; `describe` prints `description` instead.
     """
     if describe:
         print(description())
@@ -466,9 +496,9 @@ def main(controller: str | None = None, seed: int | None = None, small: bool = F
 
 
 def leaderboard() -> None:
-    """Score the registered controllers and those of examples/, and write the leaderboard.
+    """Score the registered controllers and those of examples/ on all seeds, and write data/results/leaderboard.csv.
 
-    Runs of registered controllers are stored, so that an interrupted command goes on where it was.
+    Runs of registered controllers are stored, so an interrupted command resumes where it stopped.
     """
     cards = []
     for of in map(entry, [*SHOWN, NOTHING, *(str(paths.ROOT / f"examples/{name}.py") for name in EXAMPLES)]):

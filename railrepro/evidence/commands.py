@@ -1,6 +1,6 @@
 """The commands of `python -m railrepro` and their arguments, which are checked before anything starts.
 
-What a command needs is imported when it runs.
+Modules that a command needs are imported when it runs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PROGRAM = "python -m railrepro"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; its exit code, see `report_errors`, 2 after wrong arguments."""
+    """Run a command, as ["tune", "nmpc"] (default `sys.argv`); returns its exit code. Wrong arguments exit with 2."""
     chosen = vars(parser().parse_args(arguments))
     numerics.fix()  # before a command imports NumPy
     module, _, name = chosen.pop("call").partition(":")
@@ -39,10 +39,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def report_errors(command: Callable[[], object]) -> int:
-    """Run a command; what stops it is reported in one sentence.
+    """Call `command` and return an exit code; an error is printed to stderr in one sentence.
 
-    Its exit code is the number that it returned, 0 after anything else, which is printed; 1 after an `InputError` or
-    where the system refuses a file, 130 after Ctrl-C.
+    The code is the integer that `command` returned, else 0, and another value than None is printed; 1 after an
+    `InputError` or `OSError`, 130 after Ctrl-C.
     """
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see `railrepro.__main__`
@@ -69,9 +69,9 @@ def report_errors(command: Callable[[], object]) -> int:
 
 
 def end_with(leader: int) -> None:
-    """Wait for the end of another process (that of make), then kill this one and all that it started.
+    """Wait for the end of the process with the id `leader` (make), then kill this process and all that it started.
 
-    They may be in a long call and could not end by themselves. What they write is written whole or not at all.
+    Files are written whole or not at all, so none is left half-written.
     """
     import psutil
 
@@ -145,7 +145,7 @@ _ARGUMENTS: list[tuple[str, str, dict]] = [
 
 
 def parser() -> argparse.ArgumentParser:
-    """The commands and their arguments; `call` of what it parses is the function, as "module:name"."""
+    """Parser of the command line; the parsed `call` is the function of the command as "module:name"."""
     top = _Parser(prog=PROGRAM, description="Model predictive control of railway running gears, replicated.")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     added = {name: commands.add_parser(name, help=words, description=words) for name, (_, words) in _CALLS.items()}

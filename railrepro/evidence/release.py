@@ -23,18 +23,21 @@ from railrepro.export.car import export_fmu
 from railrepro.simulation.scenarios import Scenario, load_scenario
 
 TEN_TIMES = "nmpc_r10"
-"""NMPC with ten times R."""
+"""Name of NMPC with ten times its tuned weight R."""
 FIGURES = {
     "fig06": ("curve_entry_T3", PAPER_TRIO),
     "fig07": ("sine_tracking", PAPER_TRIO),
     "fig08": ("adhesion_loss", ("nmpc",)),
     "fig09": ("braking", ("nmpc", TEN_TIMES, "ndi")),
 }
-"""Scenario and controllers of each figure."""
+"""Figure -> name of its scenario, and its controllers."""
 
 
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
-    """Torque commands (N m) and displacements (m) of a run with the tuned set of `paper`, one row per millisecond."""
+    """Simulate a controller with its tuned set of setting `paper`; returns one row per millisecond.
+
+    Columns t_s, four torque commands per wheel (N m) as the inputs of the car's FMU, front.y and rear.y (m).
+    """
     name = "nmpc" if controller == TEN_TIMES else controller
     parameters = tuning.load(name, tuning.PAPER)["parameters"]
     if controller == TEN_TIMES:
@@ -50,7 +53,7 @@ def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
 
 
 def write_runs(folder: Path) -> list[Path]:
-    """Write the FMU and the runs of all figures to a folder; the files."""
+    """Write the car's FMU and the runs (csv) of each of `FIGURES` to a folder; returns the paths of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for figure, (name, controllers) in FIGURES.items():
@@ -64,7 +67,7 @@ def write_runs(folder: Path) -> list[Path]:
 
 
 def main() -> None:
-    """Write the archive of the committed state."""
+    """Write build/railrepro-VERSION.tar.gz of committed files and runs; InputError when something is not committed."""
     root, name = paths.ROOT, f"railrepro-{version('railrepro')}"
     if subprocess.run(["git", "-C", root, "diff", "--quiet", "HEAD"]).returncode:
         raise InputError("release: there are changes that are not committed, or no git repository")

@@ -1,1 +1,1 @@
-"""Controllers and the car for others: C that needs nothing else, and FMUs (FMI 2.0)."""
+"""Export of controllers and car: C without dependencies, and FMUs (FMI 2.0)."""

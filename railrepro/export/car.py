@@ -20,20 +20,21 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
     """Write the car on a route as a co-simulation FMU for this platform.
 
     Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
-    communication step must be a whole number of ms; route and contact table are built in. What the car reads at run
-    time (`equations.CarParameters`, as "body.mass" or "adhesion.poor.mu0") and its speed are parameters. A torque that
-    is no number or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
+    communication step must be a whole number of ms; route and contact table are built in. Parameters are
+    `equations.CarParameters` (as "body.mass" or "adhesion.poor.mu0") and the initial speed. A torque that is no number
+    or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
     The code runs on any processor of this kind, unless RAILREPRO_CFLAGS asks for more.
 
     Parameters
     ----------
     path : path
-        The .fmu file.
+        The .fmu file to write; it is also returned.
     route : Route or str
         Route, or the name of a track.
     speed : float
         Initial speed (m/s).
     vehicle : Vehicle, optional
+        Default `load_vehicle()`.
 
     Raises
     ------
@@ -44,7 +45,7 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
 
 
 def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
-    """C source and description of a car; `road` writes the table of the route, see `constant`."""
+    """`Fmu` of a car with initial speed (m/s); `road`: (name, route table) -> C text of the table, see `constant`."""
     found = parameters(equations.CarParameters, car.parameters)
     found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
     outputs = equations.car().outputs

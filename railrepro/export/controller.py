@@ -50,15 +50,15 @@ _LAID = (
 
 @dataclass(frozen=True)
 class Export:
-    """A controller on a route, ready to be written; InputError for an attribute of another kind."""
+    """Controller of both gears on a route, to be written as C or FMU; InputError for an attribute of another type."""
 
     guidance: lateral.Guidance
     """A 1 kHz law, or a factory of `NMPC` (not by Ipopt), of `LTVMPC` or of `LqgPreview`."""
     route: Route
     vehicle: Vehicle = field(default_factory=load_vehicle)
-    """What it believes of the car."""
+    """Nominal vehicle of the controller."""
     sensors: Readings | None = None
-    """What stands between the car and the controller; default nothing."""
+    """Sensors and latencies between car and controller; default none."""
 
     def __post_init__(self) -> None:
         require("export: route", self.route, Route)
@@ -67,13 +67,13 @@ class Export:
     def source(self) -> str:
         """C source: controller_t with `measured`, `torque` and `parameters`, controller_reset(c), controller_step(c).
 
-        Places in them are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A
+        Their entries are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A
         step takes 1 ms. Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
         """
         return self.fmu().text
 
     def write_source(self, path: Path | str) -> Path:
-        """Write `source` to a file."""
+        """Write `source` to a file and return its path."""
         file = location(path)
         write(file, self.source())
         return file
@@ -88,7 +88,7 @@ class Export:
         return self.fmu().write(path)
 
     def fmu(self, road: Callable = constant) -> Fmu:
-        """C source and description; `road` writes the table of the route, see `constant`.
+        """`Fmu` of the controller; `road`: (name, route table) -> C text of the table, see `constant`.
 
         InputError when the slower controller of the guidance is written in Python.
         """

@@ -1,7 +1,7 @@
 """From C source text to an FMU (FMI 2.0) for co-simulation, for this platform.
 
-What an FMU does stands in its own C (`fmu_t`, reset, begin, advance), which fmi2.c translates to the
-standard. All run-time numbers of car and controllers are parameters of their FMUs.
+Each FMU has its own C (`fmu_t`, reset, begin, advance), which fmi2.c translates to the standard. All run-time numbers
+of car and controllers are parameters of their FMUs.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ANY = data.Quantity(-1e12, 1e12, "", closed=True)
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an exported car or controller that may be changed before a run (SI)."""
+    """A run-time number of an exported car or controller: value, its unit (SI) and allowed range, `low` to `high`."""
 
     name: str
     value: float
@@ -43,7 +43,7 @@ class Parameter:
 
 
 def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
-    """The entries of a dataclass of quantities as parameters."""
+    """`Parameter` list from a dataclass of quantities, which gives names, units and ranges, and values in its order."""
     found = []
     for name, note, value in zip(names(of), notes(of), values, strict=True):
         allowed = note if isinstance(note, data.Quantity) else replace(_ANY, unit=note or "")
@@ -53,26 +53,26 @@ def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
 
 
 def parameters_text(of: Sequence[Parameter]) -> str:
-    """C of start values and ranges, and where each stands: PARAMETER_BODY_MASS and so on."""
+    """C text of start values, ranges and indices (PARAMETER_BODY_MASS, …) of parameters."""
     tables = {"PARAMETERS": "value", "LOWEST": "low", "HIGHEST": "high"}
     text = "".join(constant(name, np.array([getattr(one, key) for one in of])) for name, key in tables.items())
     return index_enum("PARAMETER", [one.name for one in of]) + codegen.defines({"N_PARAMETER": len(of)}) + text
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
-    """C enumeration of the indices of named values, MEASURED_FRONT_P and so on."""
+    """C text of an enumeration that counts names from 0: MEASURED_FRONT_P, … for the prefix MEASURED."""
     return codegen.enumeration(f"{prefix}_{name.replace('.', '_').upper()}" for name in of)
 
 
 def constant(name: str, values: np.ndarray) -> str:
-    """C constant that holds numbers exactly."""
+    """C text of a constant array of double with this name, in row-major order and hexadecimal, hence exact."""
     numbers = ",".join(float(v).hex() if v else "0" for v in np.ravel(values))
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
 
 @dataclass(frozen=True)
 class Fmu:
-    """C source of a car or a controller, and what its description says."""
+    """C source of a car or a controller and the content of its modelDescription.xml; `write` makes the FMU."""
 
     name: str
     description: str
@@ -85,11 +85,11 @@ class Fmu:
     """C source with call.h, generated functions and constants. It defines INPUTS_TEXT (names of the inputs, for error
     messages) and INPUT_TEXT (message for an input out of range)."""
     model: Path
-    """C source that follows: type fmu_t, its members FMU_INPUTS, FMU_OUTPUTS and FMU_PARAMETERS, functions reset, begin
-    and advance."""
+    """File with the C source that follows: type fmu_t, its members FMU_INPUTS, FMU_OUTPUTS and FMU_PARAMETERS,
+    functions reset, begin and advance."""
 
     def write(self, path: Path | str) -> Path:
-        """Compile and pack an .fmu file; InputError where it cannot be written."""
+        """Compile, write an .fmu file and return its path; InputError where it cannot be written."""
         numbers = {"LARGEST_INPUT": float(self.largest), "FMU_NAME": f'"{self.name}"'}
         text, file = self.text + codegen.defines(numbers), location(path)
         around = self.model.read_text() + (_HERE / "fmi2.c").read_text()
@@ -104,7 +104,7 @@ class Fmu:
         return file
 
     def model_description(self, guid: str) -> str:
-        """Content of modelDescription.xml; value references count outputs, inputs, parameters."""
+        """Text of modelDescription.xml; value references count outputs, inputs, parameters in this order."""
         limits = f'min="{-self.largest:g}" max="{self.largest:g}" start="0"'
         shown = [(name, "output", "continuous", "") for name in self.outputs]
         shown += [(name, "input", "continuous", limits) for name in self.inputs]

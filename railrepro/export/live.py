@@ -49,17 +49,17 @@ SHOWN = {
     "ndi_integral": "NDI with rates and integral",
 }
 OWN = "own"
-"""Name of the module that holds what a law of one's own, written in the page, gives."""
+"""Name of the controller module that holds the torque of a user's law, written in the page."""
 SETTINGS = {
     "paper": "paper: tuned on dry rail",
     "equal": "equal: all tuned alike",
 }
 FEW, FEWER = 10, 50
-"""Cycles from one row of a run to the next, and of a run to standstill."""
+"""Control cycles (ms) between embedded rows of a run; of a run to standstill."""
 
 
 def webassembly(of: Fmu) -> bytes:
-    """Module of a car or a controller."""
+    """Compiled WebAssembly module of a car or a controller."""
     parts = of.model, _HERE / "module.c"
     return cache.build(of.text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
 
@@ -93,7 +93,11 @@ def _module(of: Fmu) -> dict:
 
 
 def content(tell: Callable[[str], None] = print) -> dict:
-    """What the page embeds: modules, their parameters and names, routes, and the committed runs."""
+    """Content of the page as a dict for JSON; arrays and modules are zlib and base64 text.
+
+    Keys: "activity" (high-pass), "columns" (of a route), "car", "settings" (labels), "controllers" (by setting and
+    name: module, parameters, label), "figures" (by scenario: route, committed runs). `tell` gets each step's name.
+    """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = _alike(scenarios)
     any_route = next(iter(routes.values()))
@@ -130,7 +134,7 @@ def _experiment(scenario: Scenario) -> dict:
 
 
 def page(found: dict) -> str:
-    """The HTML file."""
+    """HTML text of the page with `content` embedded."""
     text = (_HERE / "page.html").read_text()
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
         text = text.replace(f"/* {name} */", (_HERE / name).read_text().replace("</script", "<\\/script"))
@@ -138,7 +142,7 @@ def page(found: dict) -> str:
 
 
 def main() -> None:
-    """Write build/live/index.html, and beside it what other programs of JavaScript import."""
+    """Write build/live/index.html, and beside it car.mjs and content.json for other programs."""
     found, folder = content(), paths.BUILD / "live"
     write(folder / "index.html", page(found))
     write(folder / "car.mjs", (_HERE / "car.mjs").read_text())

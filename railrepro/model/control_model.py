@@ -20,7 +20,7 @@ from railrepro.vehicle.parameters import Vehicle
 
 STATE_UNITS = "x m, psi_Ax rad, xdot m/s, psidot_Ax rad/s, y_TrAx m, psi_TrAx rad"
 States = group("States", STATE_UNITS)
-"""States of the control model, those of one running gear. Source: eq. (18)."""
+"""States of the control model of one running gear, SI. Source: eq. (18)."""
 STATES = names(States)
 X, PSI_AX, XDOT, PSIDOT_AX, Y, PSI_TRAX = range(len(STATES))
 INPUTS = ("tau_ri", "tau_le")
@@ -35,23 +35,27 @@ _TABLEAU = {
 """Fractions of the step and weights of explicit rules whose stages each need the one before."""
 METHODS = tuple(_TABLEAU)
 OUTSIDE = frozenset({"D4"})
-"""Entries of the register that a variant may name and that the forecast keeps, not the model."""
+"""Discrepancies that a variant may name and that concern the forecast, not the model."""
 
 
 @dataclass(frozen=True)
 class ControlModel:
-    """The model with its variant."""
+    """The control-oriented model of one running gear in one variant.
+
+    State x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx; input tau_ri, tau_le; theta: track and car body, see `THETA`.
+    """
 
     rhs: ca.Function
-    """(x[6], u[2] = [tau_ri, tau_le], theta[9], par) -> dx/dt[6], SI."""
+    """CasADi function (x[6], u[2], theta[9], par[14]) -> dx/dt[6], SI, in the order of `STATES`, `INPUTS`, `THETA`,
+    `parameters`."""
     discrepancies: frozenset[str]
-    """What is kept as printed."""
+    """Names of the discrepancies that are kept as the paper prints them, keys of `DISCREPANCIES`."""
 
     parameters = PARAMETERS
 
     @staticmethod
     def parameter_vector(vehicle: Vehicle) -> np.ndarray:
-        """Values of `parameters` for a vehicle (SI), shape (14,)."""
+        """Model parameters of a vehicle in the order of `PARAMETERS`, shape (14,), SI."""
         suspension, wheel = vehicle.suspension, vehicle.wheel
         values = [vehicle.gear.mass, vehicle.gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia]
         values += [wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, vehicle.gear.contact_base]
@@ -61,16 +65,16 @@ class ControlModel:
 
 @lru_cache
 def control_model(variant: str = "corrected") -> ControlModel:
-    """The control-oriented model.
+    """The control-oriented model of a variant.
 
-    The variant is "corrected", "printed" (all of them), or names of discrepancies to keep, like "D1" or "D1,D3".
+    `variant` is "corrected", "printed" (all discrepancies kept), or names of discrepancies to keep, as "D1" or "D1,D3".
     """
     discrepancies = kept_as_printed(variant) - OUTSIDE
     return ControlModel(_rhs(tuple(sorted(discrepancies))), discrepancies)
 
 
 def kept_as_printed(variant: str) -> frozenset[str]:
-    """Discrepancies that a variant keeps, those of the forecast included."""
+    """Names of the discrepancies that a variant keeps, with those of the forecast; InputError for an unknown name."""
     if variant == "corrected":
         return frozenset()
     if variant == "printed":
@@ -112,9 +116,9 @@ def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
 
 
 def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
-    """One step of the model with inputs and track held: (x[6], u[2], theta[9], par, T) -> x after T (s).
+    """CasADi function of one step, inputs and track held: (x[6], u[2], theta[9], par[14], T (s)) -> x[6] after T, SI.
 
-    The method is "euler" (the paper), "midpoint" or "rk4".
+    `method` is "euler" (the paper), "midpoint" or "rk4".
 
     Source: eq. (7).
     """
@@ -123,10 +127,10 @@ def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
 
 
 def sensitivities(model: ControlModel, method: str) -> ca.Function:
-    """One step with its derivatives, chained stage by stage (half the operations of differentiating the whole step).
+    """CasADi function of one step with its derivatives; `method` as of `discretise`.
 
-    (x[6], u[2], theta[9], par, T) -> x after T (s), its Jacobians with respect to x (6, 6) and u (6, 2), sparse;
-    methods as of `discretise`.
+    (x[6], u[2], theta[9], par[14], T (s)) -> x[6] after T, its Jacobians by x (6, 6) and u (6, 2), sparse, SI. Chained
+    stage by stage, which takes half the operations of differentiating the whole step.
     """
     step, inputs, (by_x, by_u) = _step(model, method)
     return ca.Function("control_sensitivities", inputs, [step(*inputs), by_x, by_u], {"cse": True})

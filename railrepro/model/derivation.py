@@ -29,7 +29,7 @@ LATEX = {psid: r"\dot{\psi}", psidd: r"\ddot{\psi}", dphi: r"\phi_{Tr}'", deps: 
     thd_ri: r"\dot{\theta}_{ri}",
     thd_le: r"\dot{\theta}_{le}",
 }
-"""TeX of the symbols whose name gives none: `sympy.init_printing(symbol_names=LATEX)`."""
+"""TeX of symbols whose names are no TeX: `sympy.init_printing(symbol_names=LATEX)`."""
 
 psi_r = psi - psi_Tr
 gamma = sp.tan(delta_0) / (b / 2 - r_0 * sp.tan(delta_0))
@@ -42,12 +42,12 @@ _TRACK = {psi_Tr: kappa, phi_Tr: dphi}
 
 
 def along_track(expression: sp.Expr) -> sp.Expr:
-    """Partial derivative with respect to x; second derivatives of the track angles count as zero (theta lacks them)."""
+    """Partial derivative of an expression by x (per m); second derivatives of the track angles count as zero."""
     return sum((sp.diff(expression, angle) * slope for angle, slope in _TRACK.items()), sp.diff(expression, x))
 
 
 def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
-    """Total time derivative of an expression of coordinates and rates."""
+    """Total time derivative of an expression of coordinates and rates; `rate_of_rates`: acceleration by rate symbol."""
     total = along_track(expression) * xd
     for coordinate, rate in zip(coordinates[1:], rates[1:], strict=True):
         total += sp.diff(expression, coordinate) * rate
@@ -55,7 +55,7 @@ def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
 
 
 def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
-    """Dependent rates, of y and of both wheel angles, in the free ones: lateral kinematics and ideal rolling.
+    """Rates of y (m/s) and both wheel angles (rad/s) in those of x and psi, by symbol: kinematics and ideal rolling.
 
     Source: eqs. (9) and (12).
     """
@@ -66,13 +66,13 @@ def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
 
 
 def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
-    """Absolute angular velocity of a wheel in axle axes: roll rate, spin plus yaw along it, rest of yaw."""
+    """Absolute angular velocity (3, 1) of a wheel in roll, axle and yaw axis (rad/s), from its spin (rad/s)."""
     roll_rate = -gamma * yd + dphi * xd
     return sp.Matrix([roll_rate, spin + psid * sp.sin(roll), psid * sp.cos(roll)])
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy in unreduced rates. Source: eq. (13a)."""
+    """Kinetic energy in unreduced rates (J). Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
     roll_rate = -gamma * yd + dphi * xd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
@@ -86,26 +86,26 @@ def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
 
 
 def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Yaw and roll springs and weight. Source: eq. (13b)."""
+    """Potential energy of yaw spring, roll spring and weight (J). Source: eq. (13b)."""
     deflection = roll if "D7" in discrepancies else roll - phi_Tr
     return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
 
 
 def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
-    """Yaw and roll dampers. Source: eq. (13c)."""
+    """Dissipation function of yaw and roll damper, half their power (W). Source: eq. (13c)."""
     roll_rate = -gamma * yd + (dphi * xd if "D7" in discrepancies else 0)
     return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * roll_rate**2) / 2
 
 
 def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
-    """Force along x and moment about z of traction-positive torques. Source: eq. (17), opposite torque sign."""
+    """Force along x (N), moment about z (N m) of traction-positive torques. Source: eq. (17), opposite torque sign."""
     pull = {"ri": tau_ri / radius["ri"], "le": tau_le / radius["le"]}
     return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd): `mass` (2, 2), `rest` (2, 1)."""
+    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd): `mass` M (2, 2), `rest` h (2, 1)."""
 
     mass: sp.Matrix
     rest: sp.Matrix
@@ -113,7 +113,7 @@ class Equations:
 
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
-    """Derive the equations of motion with some of `DISCREPANCIES` kept as printed; none gives the corrected model."""
+    """Derive the equations of motion with discrepancies such as "D1" kept as printed; none: corrected model."""
     dependent = constraints(discrepancies)
     t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
     free = {xd: xdd, psid: psidd}
@@ -142,13 +142,13 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
 
 @lru_cache
 def yaw_equation(discrepancies: frozenset[str] = frozenset()) -> dict[str, sp.Expr]:
-    """Coefficients of the yaw equation about straight centred running at speed v.
+    """Coefficients of the yaw equation, linearised about straight centred running at speed v, as SymPy expressions.
 
     Returns
     -------
     dict
-        "inertia" multiplies psidd; "torque" the differential torque; "psi", "psid", "y", "roll rate" the deviations;
-        all for the form inertia * psidd = sum of coefficient * quantity.
+        inertia * psidd = sum of coefficient * quantity, with the keys "inertia" and, for the quantities, "torque"
+        (differential torque), "psi", "psid", "y", "roll rate".
     """
     found, v = equations(discrepancies), sp.Symbol("v")
     small = (psi, psid, y, yd, psi_Tr, kappa, phi_Tr, dphi, psi_CB, kappa_CB, *torques)

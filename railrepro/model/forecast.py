@@ -17,21 +17,25 @@ from railrepro.track.route import COLUMNS, reference_in, track_in
 from railrepro.vehicle.parameters import Vehicle
 
 NOMINAL = ("acceleration_per_torque", "partner", "m_CB")
-"""What the forecast needs of the vehicle: 1/(kg m), signed distance to the other gear (m), body mass (kg)."""
+"""Vehicle data of the forecast: acceleration per base torque (1/(kg m)), signed distance to the other gear (m), body
+mass (kg)."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What lies ahead of one running gear."""
+    """Desired states and track parameters of one running gear at the L + 1 points of a horizon."""
 
     x_d: np.ndarray
     """Desired states x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx, shape (L + 1, 6), SI."""
     theta: np.ndarray
-    """Track parameters of the control model at the forecast positions, shape (L + 1, 9)."""
+    """Track parameters `control_model.THETA` at the forecast positions, shape (L + 1, 9), SI."""
 
 
 def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
-    """Values of `NOMINAL` for a gear (0 front, 1 rear); `printed` keeps D4, one wheel and the opposite sign."""
+    """Vehicle data `NOMINAL` of the forecast for a gear (0 front, 1 rear), shape (3,): 1/(kg m), m, kg.
+
+    `printed` keeps D4: the base torque of one wheel accelerates, with the opposite sign and without spin inertia.
+    """
     if printed:
         gain = -1 / (vehicle.wheel.radius * vehicle.longitudinal_mass)
     else:
@@ -48,14 +52,15 @@ def _motion(x_hat: ca.SX, u_d: ca.SX, t: ca.SX, gain: ca.SX) -> tuple[ca.SX, ca.
 
 @stored
 def functions() -> tuple[ca.Function, ca.Function]:
-    """Forecast of one stage at t (s) from now.
+    """CasADi functions of the forecast of one stage, t (s) ahead; SI.
 
     Returns
     -------
     position : casadi.Function
-        (x_hat[6], u_d, t, nominal) -> track coordinates of this and of the other gear (m).
+        (x_hat[6], u_d (N m), t, nominal[3]) -> track coordinates [this gear, other gear] (m).
     stage : casadi.Function
-        (x_hat[6], u_d, t, nominal, cell here, cell there) -> x_d[6], theta[9]; cells are rows of a `Route`.
+        (x_hat[6], u_d, t, nominal, here, there) -> x_d[6], theta[9] as `Forecast`; here and there: rows of
+        `Route.cells` at these two coordinates.
 
     Source: eqs. (34) and (14), (15).
     """

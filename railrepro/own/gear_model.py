@@ -1,6 +1,6 @@
 r"""Linear lateral model of one running gear whose wheels creep.
 
-The control model of the paper rolls without sliding; here the wheels need creepage to carry a force. Small angles,
+The control model of the paper rolls without sliding; in this model wheels need creepage to carry a force. Small angles,
 constant speed v, a car body that stays on the track::
 
     y' = vy - r_0 phi_Tr',   psi' = r,   m vy' = F_y + F_s + F_N + m g (phi - phi_Tr) + (m + m_CB/2) a_y + F_d
@@ -23,16 +23,16 @@ from railrepro.contact.table import contact_table
 from railrepro.vehicle.parameters import Vehicle
 
 STATES = ("y", "vy", "psi", "r", "E", "tau")
-"""Displacement (m), absolute lateral velocity (m/s), yaw (rad) and yaw rate (rad/s) against the track, difference of
-the wheel speeds (m/s), motor torque (N m)."""
+"""Lateral displacement (m), absolute lateral velocity (m/s), yaw angle (rad) and yaw rate (rad/s) against the track,
+half the difference E of the circumferential speeds less its share by curvature (m/s), differential torque (N m)."""
 KNOWN = ("side", "turning", "rolling", "heading", "slewing", "rail_offset", "rail_rate")
-"""What the track does to a gear at speed v: lateral acceleration g phi_Tr - v^2 kappa (m/s2), yaw acceleration of its
-frame v^2 kappa' (rad/s2), roll rate v phi_Tr' (rad/s), its heading psi_Tr - psi_CB against the car body's (rad) and the
+"""Known inputs by the track at speed v: lateral acceleration g phi_Tr - v^2 kappa (m/s2), yaw acceleration of its frame
+v^2 kappa' (rad/s2), roll rate v phi_Tr' (rad/s), its heading psi_Tr - psi_CB against the car body's (rad) and the
 rate of that, v (kappa - kappa_CB) (rad/s); lateral offset of the rails from the track (m) and its rate (m/s)."""
 UNKNOWN = ("force", "moment")
-"""Disturbances: lateral force (N) and yaw moment (N m) on the gear."""
+"""Unknown inputs: lateral force (N) and yaw moment (N m) on the gear."""
 UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0)
-"""Usual sizes of the states (SI), in which Riccati equations are well scaled."""
+"""Usual magnitudes of `STATES` (SI), by which Riccati equations are scaled."""
 _REACH = 1e-3
 """Displacement over which a profile counts as linear: secants from here to the other side (m)."""
 
@@ -63,7 +63,10 @@ def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tup
 
 
 def lateral_model(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, ...]:
-    """Matrices a (6, 6), b (6,), e (6, 7), d (6, 2) of x' = a x + b du + e known + d unknown at a speed (m/s)."""
+    """Matrices a (6, 6), b (6,), e (6, 7), d (6, 2) of x' = a x + b du + e known + d unknown at a speed (m/s).
+
+    x, known and unknown as `STATES`, `KNOWN` and `UNKNOWN`, du the differential torque; SI.
+    """
     names = (*STATES, "du", *KNOWN, *UNKNOWN)
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these
     gear, wheel, stage = vehicle.gear, vehicle.wheel, vehicle.suspension

@@ -6,7 +6,7 @@ rails lie beside the track as white noise through the spectrum of ERRI B176 over
     S(Omega) = A Omega_c^2 / ((Omega^2 + Omega_r^2) (Omega^2 + Omega_c^2)).
 
 Readings have the noise of the sensors; the read yaw angle and yaw rate have biases that drift. There are two Kalman
-filters, for ideal and for rough rails; the likelihood of what they expected of the readings weighs their states. With
+filters, for ideal and for rough rails; their states are weighed by the likelihood of their innovations. With
 the displacement y_k from the set point over the rails and the torque du_k, the regulator minimises
 
     sum_k  y_k^2 + rho (du_k - du_(k-1))^2
@@ -40,11 +40,11 @@ from railrepro.track.route import CELL, COLUMNS, INDEX, Route
 from railrepro.vehicle.parameters import Vehicle
 
 SPEEDS = 1.5 * np.exp(0.1 * np.arange(46))
-"""Speeds of the designs (m/s); below the first the torque is held."""
+"""Speeds for which filters and regulators are designed (m/s), shape (46,); below the first the torque is held."""
 LEAST_NOISE = 1e-6, 1e-6, 1e-5
-"""Noise of y (m), psi (rad) and r (rad/s) at least, which perfect measurements are believed to have."""
+"""Least standard deviation of noise in y (m), psi (rad) and r (rad/s) that the filters assume."""
 TAP, LAG, LAGS = 0.02, 4e-3, 20
-"""Time between points of the preview and between lags of the smoother (s), and number of the latter."""
+"""Time between points of the preview (s), time between lags of the smoother (s), number of lags."""
 _SHORT, _LONG = 0.8246, 0.0206
 """Omega_c and Omega_r of the spectrum (rad/m)."""
 _SMOOTH = 1e-12
@@ -59,43 +59,46 @@ _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3,
 
 @dataclass(frozen=True)
 class LqgSettings:
-    """Constants of the design; `11_lqg` derives them."""
+    """Settings of the LQG design with preview; the notebook `11_lqg` derives them."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 1.5e-9
-    """Weight rho of a change of torque per millisecond."""
+    """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""
     force: Annotated[float, between(1.0, 1e8, "N")] = 1e5
-    """Random walk of the side force, standard deviation after one second."""
+    """Standard deviation of the random walk of the unknown side force after one second (N)."""
     moment: Annotated[float, between(1.0, 1e8, "N m")] = 2e4
-    """The same of the yaw moment."""
+    """Standard deviation of the random walk of the unknown yaw moment after one second (N m)."""
     twist: Annotated[float, between(0.0, 1e7, "N m/s^0.5")] = 2e5
-    """White noise of the motor torque that the filters believe in, which buys margins."""
+    """White noise that the filters assume in the rate of the motor torque (N m/s^0.5); it raises stability margins."""
     rails: Annotated[float, between(1e-12, 1e-4, "m rad")] = 5e-8
-    """Amplitude A of rough rails."""
+    """Amplitude A of the spectrum of rough rails (m rad)."""
     settle: Annotated[float, between(0.01, 100.0, "s")] = 3.0
-    """Time constant with which biases drift."""
+    """Time in which the random walk of a sensor bias gains twice the variance of the bias (s)."""
     memory: Annotated[float, between(0.01, 100.0, "s")] = 0.5
-    """Time over which the likelihood of readings counts."""
+    """Time constant with which the log-likelihoods of the filters forget old readings (s)."""
     preview: Annotated[float, between(0.02, 5.0, "s")] = 0.6
-    """Time over which the way ahead is known."""
+    """Length of the preview of set point and track (s)."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
 
 class Design:
-    """Filters and regulator of a gear at a speed (m/s); without sensors (`loop` None) rails cannot be told from y.
+    """Kalman filters and regulator of a gear at a speed (m/s).
+
+    Without sensors (`loop` None) both filters assume ideal rails.
 
     Attributes
     ----------
     a, b, e : ndarray, shapes (10, 10), (10,), (10, 7)
-        States of the gear, force, moment, rails (m) and their rate (m/s) after a period: from themselves, the torque
-        that acts, and known inputs.
+        Discrete model over 1 ms, x+ = a x + b du + e known: x are `gear_model.STATES`, unknown force and moment, offset
+        of the rails (m) and its rate (m/s); du is the differential torque that acts.
     late, sent : int
-        Periods from reading to torque, rounded, and how many torques are under way or act, at least one.
+        Periods from reading to torque, 0 without sensors; number of torques under way or acting, at least one.
     rails : tuple of float
-        Amplitude A that each filter believes in (m rad).
+        Amplitude A that each filter assumes (m rad).
     read, noise, drift : ndarray, shapes (3, 12), (3,), (2,)
-        Readings y (m), psi (rad), r (rad/s) from states and biases; their noise; drift of the biases (per s^0.5).
+        Readings y (m), psi (rad), r (rad/s) from x and biases of psi and r; standard deviations of their noise; random
+        walk of both biases (unit per s^0.5).
     """
 
     def __init__(self, vehicle: Vehicle, speed: float, settings: LqgSettings, loop: Loop | None):
@@ -127,8 +130,8 @@ class Design:
         self._units = np.array([*UNITS, settings.force, settings.moment, 1e-3, 1e-3 * speed])
 
     def kalman(self, rough: float) -> tuple[np.ndarray, ...]:
-        """Gain (12, 3) from readings y, psi, r to states and biases of psi and r, for rails of amplitude A; covariance
-        (3, 3) of the innovation; gain (LAGS, 2, 3) to offset and direction of the rails some lags ago."""
+        """Stationary filter for rails of amplitude A = `rough` (m rad): gain (12, 3) from readings y, psi, r to x and
+        biases; covariance (3, 3) of the innovation; smoother gain (LAGS, 2, 3) to past rail offset and direction."""
         s, h, read, drive = self.settings, CONTROL_PERIOD, self.read, np.zeros((_MODEL, 4))
         drive[_N, 0], drive[_N + 1, 1], drive[STATES.index("tau"), 2] = s.force, s.moment, s.twist
         drive[_RATE, 3] = np.sqrt(np.pi * rough * _SHORT**2 * self.speed**3)
@@ -148,8 +151,8 @@ class Design:
         return gain, covariance, smoother
 
     def regulator(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gains from states and torques sent, last first, shape (10 + sent,), and from known inputs and set point
-        ahead, shape (taps, 7 + 1), to the change of torque."""
+        """Gains to the change of torque (N m): from x and torques sent, last first, shape (10 + sent,); from known
+        inputs and set point at the points of the preview, shape (taps, 7 + 1)."""
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
@@ -173,7 +176,7 @@ class Design:
         return -feedback, np.hstack([_on_taps(times + h / 2, known, taps), _on_taps(times + h, point, taps)])
 
     def table(self) -> np.ndarray:
-        """All numbers in the order of `lqg_design_t` of lqg.c."""
+        """All numbers of the design as a vector in the order of the struct `lqg_design_t` of lqg.c."""
         parts = [self.a, self.b, self.e, *self.regulator()]
         for rough in self.rails:
             gain, covariance, smoother = self.kalman(rough)
@@ -188,8 +191,9 @@ def _on_taps(times: np.ndarray, factors: np.ndarray, taps: int) -> np.ndarray:
 
 
 def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """Stabilising solution of the discrete Riccati equation with unit weight of the input, by doubling, found with the
-    states in their units.
+    """Stabilising solution (n, n) of the discrete algebraic Riccati equation, by doubling.
+
+    For a (n, n), b (n, m), state weight q (n, n) and unit weight of the input; `units` (n,) scale the states.
 
     Source: Chu, Fan, Lin and Wang 2004, International Journal of Control 77, algorithm SDA.
     """
@@ -208,7 +212,7 @@ _DESIGNED: dict[tuple, np.ndarray] = {}
 
 
 def designs(vehicle: Vehicle, settings: LqgSettings, loop: Loop | None) -> tuple[Design, np.ndarray]:
-    """First design, and tables of those at all `SPEEDS`: those of an earlier gear or run where they are the same."""
+    """`Design` at the first of `SPEEDS`, and `Design.table` at all of them, shape (46, n); cached for one vehicle."""
     first = Design(vehicle, SPEEDS[0], settings, loop)
     key = repr(vehicle), settings, first.late, *first.noise, *first.drift
     if key not in _DESIGNED:
@@ -237,14 +241,14 @@ def _source(sizes: dict[str, int]) -> str:
 
 @lru_cache
 def library(*sizes: tuple[str, int]) -> tuple[ctypes.CDLL, Any]:
-    """A sample with some sizes as a shared object, and `lqg_t` of lqg.c."""
+    """Compiled lqg.c for array sizes given as (name, value) pairs, and the ctypes class of its struct `lqg_t`."""
     loaded = codegen.library((), codegen.PREAMBLE + _source(dict(sizes)))
     loaded.lqg_sample.restype = ctypes.c_double
     return loaded, codegen.structure("lqg_t", _SOURCE, dict(sizes))
 
 
 class LqgGear:
-    """The controller of one gear, see `railrepro.control.lateral.CompiledController`."""
+    """LQG controller with preview of one gear (0 front, 1 rear), a `railrepro.control.lateral.CompiledController`."""
 
     period = CONTROL_PERIOD
 
@@ -252,7 +256,7 @@ class LqgGear:
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
     def compiled(self, loop: Loop | None, leader: LqgGear | None = None) -> tuple[int, int]:
-        """Addresses of the function and of its memory, for sensors or none; the leader is the gear in front."""
+        """Addresses of the C function of a sample and of its memory; `leader` is the controller of the front gear."""
         (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
         self.sizes, rows = _sizes(self.settings, first), round(len(cells) * CELL / _PITCH)
@@ -278,7 +282,7 @@ class LqgGear:
         return ctypes.cast(loaded.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: list[LqgGear], loop: Loop | None) -> str:
-        """C source of the controllers of all gears for `railrepro.export.controller`."""
+        """C text of the controllers of all gears and their tables, for `railrepro.export.controller`."""
         for gear in gears:
             gear.compiled(loop)
         text, tables = _source(gears[0].sizes), gears[0].tables
@@ -293,7 +297,7 @@ class LqgGear:
 
 @dataclass(frozen=True)
 class LqgPreview:
-    """Factory of the controllers of both gears, for `railrepro.simulation.simulate.run`; picklable."""
+    """Guidance for `railrepro.simulation.simulate.run`: factory of the LQG controllers of both gears; picklable."""
 
     settings: LqgSettings = field(default_factory=LqgSettings)
 

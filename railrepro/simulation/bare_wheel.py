@@ -28,7 +28,7 @@ _SUBSTEPS = 20
 
 @dataclass(frozen=True)
 class Case:
-    """One wheel: law and adhesion."""
+    """One simulated wheel: settings of its adhesion law, and the adhesion set (Polach's parameters) of its rail."""
 
     law: AdhesionSettings
     adhesion: AdhesionSet
@@ -36,18 +36,18 @@ class Case:
 
 @dataclass(frozen=True)
 class Traces:
-    """Outcome of cases over time, each array of shape (time in ms, cases).
+    """Time series of single-wheel simulations, each array of shape (time, cases), one row per ms.
 
     Attributes
     ----------
     adhesion, slip : ndarray
-        f_x (traction-positive) and s_x = (v - w r)/v (-).
+        Adhesion f_x, longitudinal force over load, traction-positive (-), and slip s_x = (v - w r)/v (-).
     torque : ndarray
-        Wheel torque (N m).
+        Motor torque on the wheel, traction-positive (N m).
     speed : ndarray
         Running speed (m/s).
     segment : ndarray
-        Segment of the law, 1, 2 or 3.
+        Active segment I, II or III of the adhesion law, as 1, 2 or 3.
     """
 
     adhesion: np.ndarray
@@ -101,18 +101,22 @@ def _cycle() -> ca.Function:
 
 
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0) -> Traces:
-    """Drive single wheels under the law; without a torque limit but that of the sign of the slip.
+    """Simulate single driven wheels under the 1 kHz adhesion law, which start rolling freely with zero torque.
+
+    Each wheel carries the nominal load and drives a mass of load over gravity. The torque limit is 1e5 N m, so that
+    in practice only adhesion limits.
 
     Parameters
     ----------
     vehicle : Vehicle
+        Source of wheel, load and contact patch.
     cases : sequence of Case
     speed : array_like, broadcast to (cases,)
-        Initial speeds (m/s).
+        Initial running speeds (m/s).
     demand : array_like, shape (time,) or (time, cases)
-        Adhesion set point, traction-positive, one row per ms (-).
-    factor : array_like, broadcast to the shape of `demand`
-        Factor on the friction at rest (-).
+        Adhesion set point f_x*, traction-positive, one row per ms (-).
+    factor : array_like, scalar or of shape (time,) or (time, cases)
+        Factor on the coefficient of friction at rest mu0 (-).
     """
     demand = np.asarray(demand, dtype=float)
     demand = np.ascontiguousarray(np.broadcast_to(demand.reshape(len(demand), -1), (len(demand), len(cases))))

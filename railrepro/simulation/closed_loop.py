@@ -30,7 +30,7 @@ _MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
 
 @lru_cache
 def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
-    """The loop under a law as a shared object, and its `loop_t`."""
+    """Shared object that runs `loop.c` with a control law, and the ctypes structure `loop_t` that it works on."""
     text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
     text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + ", ".join(map(str, _MEASURED)) + "}"})
     loaded = codegen.library((law.function(signature),), text + _SOURCE)
@@ -46,14 +46,16 @@ class ClosedLoop:
     ----------
     car : SteppedCar
     control : ControlLaw
-    state : ndarray
-        Plant state, that of the car; writable.
+    ended : bool
+        Whether the last `run` stopped before its number of cycles.
+    state : ndarray, shape (len(car.model.states),)
+        State of the car (SI), the array `car.state`; writable.
     held : ndarray, shape (2,)
-        Differential torques of a slower lateral controller, front and rear (N m); writable.
+        Last differential torques of slower lateral controllers, front and rear gear (N m); writable.
     memory : ndarray
-        States of the law, see `law.LawSignature.memory`.
+        States of the law (SI), in the order of `law.LawSignature.memory`.
     columns : tuple of str
-        Names of the columns that `run` returns.
+        Names of the columns that `run` returns: outputs of the car, then records of the law.
     """
 
     def __init__(self, car: SteppedCar, control: law.ControlLaw):
@@ -74,18 +76,13 @@ class ClosedLoop:
         self.held, self.memory, self._margins = found["held"], found["memory"], found["margins"]
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by up to n control cycles.
-
-        Parameters
-        ----------
-        n : int
-            Number of control cycles of 1 ms.
+        """Advance by up to n control cycles of 1 ms.
 
         Returns
         -------
         ndarray, shape (m, len(columns))
-            One row per cycle, taken before its step. m = n, or the run ended early: the last row then shows where,
-            `ended` is true and `state` is that of the last row.
+            Values of `columns` (SI), one row per cycle, taken before its step. m = n, or fewer when a limit of the run
+            was reached: `ended` is then true, and the last row and `state` are those at the limit.
         """
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
@@ -99,15 +96,10 @@ class ClosedLoop:
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
-        """Let slower controllers of both gears plan before the law, every so many cycles.
+        """Call a slower controller of each gear before the law in every `every`-th control cycle of 1 ms.
 
-        They see what `measured_states` gives, and with sensors the readings.
-
-        Parameters
-        ----------
-        planners : sequence of (int, int)
-            Per gear the address of its function, see `cycle.SAMPLE`, and that of its memory.
-        every : int
+        `planners` has for front and rear gear the addresses of the controller's C function, see `cycle.SAMPLE`, and of
+        its memory. A controller gets the states of `measured_states`, and with sensors the readings as well.
         """
         slot, _ = cycle.structures(self.control.signature)
         self._c.every = every
@@ -121,13 +113,14 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distance to each limit of the run, see `interface.MARGINS`."""
+        """Distances to the limits of a run by name of `interface.MARGINS` (m, m/s or -); a run ends at one <= 0."""
         return dict(zip(interface.MARGINS, self._margins.tolist(), strict=True))
 
     def measured_states(self) -> np.ndarray:
-        """States of front and rear gear as last measured, shape (2, 6), in the order of the control model.
+        """Last measured states of front and rear gear, shape (2, 6).
 
-        With sensors, as the law saw them in the cycle before.
+        Columns: track coordinate (m), heading (rad), speed (m/s), yaw rate (rad/s), displacement (m) and yaw angle
+        (rad) against the track. With sensors the estimates of the previous control cycle, in the first the true states.
         """
         signature = self.control.signature
         if signature.sensed and self._c.cycles:

@@ -28,9 +28,9 @@ ACTIVITY = 5.0
 
 
 class Part:
-    """Columns of a part of the car in the series of a run: `Part(series, "front").y_ref` is the column front.y_ref.
+    """Columns of one part of the car (gear, wheel, floor point) in the series of a run, as attributes of shape (n,).
 
-    InputError when there is no such column of numbers.
+    `Part(series, "front").y_ref` is the column `front.y_ref`; InputError where it is missing or not numeric.
     """
 
     def __init__(self, series: pd.DataFrame, of: str):
@@ -44,28 +44,30 @@ class Part:
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
-    """y_TrAx - y* (m), shape (n,)."""
+    """Lateral displacement of a gear from the ideal track less its set point, y - y* (m), per row of a run, (n,)."""
     return Part(series, gear).y - Part(series, gear).y_ref
 
 
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean squared lateral error (m). Source: paper, section Evaluation of Lateral Control."""
+    """Root mean square of the `lateral_error` over a run (m). Source: paper, section Evaluation of Lateral Control."""
     return float(np.sqrt(np.mean(lateral_error(series, gear) ** 2)))
 
 
 def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean squared error of the displacement against the rails where they lie, from the set point (m)."""
+    """Root mean square over a run of a gear's displacement from the actual, irregular rails less its set point (m)."""
     return float(np.sqrt(np.mean((lateral_error(series, gear) - Part(series, gear).rail_y) ** 2)))
 
 
 def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean squared displacement from the middle between the rails where they lie (m)."""
+    """Root mean square over a run of a gear's displacement from the middle of the actual, irregular rails (m)."""
     return float(np.sqrt(np.mean((Part(series, gear).y - Part(series, gear).rail_y) ** 2)))
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
-    """Rows in which a wheel touches with its flange, or a running gear on cones is where flanges would touch, (n,).
+    """Whether, in each row, any wheel of the car touches its rail with the flange: booleans, shape (n,).
 
+    True for a contact angle above 30 degrees or, since cones have no flange, a displacement of a gear from the rails
+    above 7 mm.
     Flanges hold a car of S1002 wheels on the rail whatever the torque does, so this, not derailing, is where active
     guidance ends.
     """
@@ -76,14 +78,14 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
-    """Whether a running gear is ever `on_flange`."""
+    """Whether any row of a run is `on_flange`."""
     return bool(on_flange(series).any())
 
 
 def delay(series: pd.DataFrame, gear: str = "front") -> float:
     """Distance by which y trails y* (m): the lag of the largest cross-correlation of the detrended signals.
 
-    Lags up to `LONGEST_DELAY` in both directions count, in steps of `DELAY_STEP`. Positive when y comes after y*; nan
+    Lags up to 60 m in both directions count, in steps of 0.1 m. Positive when y comes after y*; nan
     when the set point or the car does not move.
     """
     of_gear = Part(series, gear)
@@ -111,14 +113,14 @@ def _detrended(values: np.ndarray) -> np.ndarray:
 
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean squared differential torque (N m)."""
+    """Root mean square over a run of the differential torque of a gear (N m)."""
     return float(np.sqrt(np.mean(Part(series, gear).du ** 2)))
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean squared differential torque above `ACTIVITY` (N m): noise that goes through, and limit cycles.
+    """Root mean square of a gear's differential torque above 5 Hz (N m): amplified noise and limit cycles.
 
-    Rows of `CONTROL_PERIOD`; a Butterworth filter of fourth order, forth and back.
+    Zero-phase high-pass (Butterworth, fourth order, forwards and backwards); the series needs a row per ms.
     """
     sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     du = Part(series, gear).du
@@ -126,18 +128,22 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
-    """Share of time in which a motor of the gear works at its torque limit (-)."""
+    """Share of the rows (0 to 1) in which a motor of the gear is at its torque `limit` (N m)."""
     torque = np.abs(Part(series, gear).tau_long) + np.abs(Part(series, gear).du)
     return float(np.mean(torque >= 0.999 * limit))
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
-    """Way of the front gear from the first to the last row (m)."""
+    """Distance that the front gear covers from the first to the last row (m), whether the car stops or not."""
     return float(Part(series, "front").p[-1] - Part(series, "front").p[0])
 
 
 def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float, str]]:
-    """Metrics of a lateral run: name -> (value, unit)."""
+    """Lateral metrics of a run, of the front gear unless named otherwise: name -> (value, unit).
+
+    rmse_y, rmse_y_rear, followed_rmse_y, rail_rmse_y, mean_error_last_third, largest_error, delay (m); effort_du,
+    activity_du, largest_du (N m); saturated_share (-) of the motors with `torque_limit` (N m).
+    """
     error = lateral_error(series)
     return {
         "rmse_y": (rmse(series), "m"),
@@ -155,9 +161,10 @@ def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float,
 
 
 def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
-    """Largest longitudinal adhesion at nominal load over speeds (m/s) and shares of the poor set (-), shape (n,).
+    """Largest longitudinal adhesion (force over nominal wheel load, -) that the rail allows, shape (n,).
 
-    Knowledge of the analyst, never of a controller. Between the sets it is interpolated.
+    `speed` (m/s) and `share` of the poor adhesion set of the scenario (0 to 1) have the shape (n,); between good and
+    poor the limit is interpolated linearly. For evaluation only, no controller knows it.
     """
     patch = (vehicle.wheel_load, *middle_patch(vehicle), vehicle.contact.shear_modulus)
     grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
@@ -169,9 +176,11 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
 
 
 def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """Metrics of traction and braking of the front gear: name -> (value, unit).
+    """Metrics of traction and braking: name -> (value, unit).
 
-    `utilisation` is the mean adhesion of both wheels over the largest possible, where the demand exceeds the latter.
+    Of the front gear: stopping_distance (m), final_speed (m/s), mean_longitudinal_torque (N m), and with a force demand
+    utilisation (-), mean adhesion of its wheels over `adhesion_limit` where the demand exceeds that (nan if it never
+    does). Of all wheels: largest_slip (-). Slip and utilisation count above 2 m/s.
     """
     front = Part(series, "front")
     p, v = front.p, front.v

@@ -50,24 +50,20 @@ _OUTWARDS = {"le": -1, "ri": 1}
 
 
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """All figures of a run: name -> (value, unit).
+    """Ride and safety figures of a run: name -> (value, unit).
 
-    Forces, Y/Q and unloading are the largest of the run and of the wheels, flange contacts the sum over the wheels,
-    creep work is their mean.
+    Largest of the run: sum_y_front, sum_y_rear (track shifting force, kN), sum_y_over_limit, y_over_q, wheel_unloading
+    (-). Sum over the wheels: flange_contacts (1/km). Means: t_gamma, creep_work (N). Per floor point: n_mv_* (-),
+    a_wk_vertical_*, a_wd_lateral_* (m/s2). Whole car: motor_energy_net (kWh).
 
     Parameters
     ----------
     series : DataFrame
-        t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x, nu_y, M_spin, spin, angle, w, tau
-        of each wheel; ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car body, as an accelerometer reads
-        them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
+        Of a run (`simulate.Run.series`): t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x,
+        nu_y, M_spin, spin, angle, w, tau of each wheel; ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car
+        body, as an accelerometer reads them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
     vehicle : Vehicle
-        The car itself (of a run with two vehicles the plant's).
-
-    Raises
-    ------
-    InputError
-        When a column is missing, or the run is shorter than 20 rows or 2 m.
+        The simulated car (`plant_vehicle` of a run). InputError without a column, or below 20 rows or 2 m.
     """
     if len(series) < _FEWEST:
         raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
@@ -149,9 +145,9 @@ def rail_forces(normal, creep, angle, side: str, roll=0.0) -> tuple[np.ndarray, 
 
 
 def low_pass(values, rate: float) -> np.ndarray:
-    """Low-pass of a force without phase: Butterworth of second order, forwards and backwards.
+    """Zero-phase low-pass of values sampled at `rate` (Hz), shape (n,) like the input and in its unit.
 
-    Both passes together reach -3 dB at `FORCE_CUTOFF`, with 24 dB per octave beyond.
+    Butterworth of second order, forwards and backwards; together -3 dB at 20 Hz, with 24 dB per octave beyond.
 
     Source: EN 14363 (cut-off read, slope of 24 dB per octave recalled).
     """
@@ -160,12 +156,9 @@ def low_pass(values, rate: float) -> np.ndarray:
 
 
 def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarray:
-    """Means over windows (m) that lie within the run, each a step (m) after the one before, shape (m,).
+    """Means of `values` over sliding windows of the distance `p` (m), both of shape (n,): shape (windows,).
 
-    Raises
-    ------
-    InputError
-        When the run is shorter than the window.
+    Windows are `window` (m) long and start every `step` (m); InputError when the run is shorter than one window.
 
     Source: EN 14363 and UIC 518 (2 m, 0.5 m: read).
     """
@@ -179,9 +172,10 @@ def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarra
 
 
 def flange_contacts(angle, p) -> float:
-    """Flange contacts of a wheel (1/km): stretches with a contact angle above `FLANGE_ANGLE`.
+    """Flange contacts of a wheel per distance (1/km): stretches with a contact angle above 30 degrees.
 
-    Stretches less than 1 m apart count as one, so that a bouncing flange is one contact.
+    `angle` (rad) and track coordinate `p` (m) have the shape (n,). Stretches less than 1 m apart count as one, so that
+    a bouncing flange is one contact.
     """
     p = np.asarray(p, dtype=float)
     edges = np.diff((np.abs(angle) > FLANGE_ANGLE).astype(int), prepend=0, append=0)
@@ -191,10 +185,10 @@ def flange_contacts(angle, p) -> float:
 
 
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
-    """Work of the creep forces per metre, means over the distance and over the four wheels (N, that is J/m).
+    """Energy dissipated in the contacts per metre, mean over the distance and the four wheels (N, that is J/m).
 
-    `t_gamma`, the wear number, leaves out the work of spin, `creep_work` has it: where the contact is inclined, as on
-    S1002, spin does a good part of the work. A slow stretch counts by its length.
+    Keys `t_gamma`, the wear number without spin, and `creep_work`, which includes spin: with an inclined contact, as on
+    S1002, spin does a good part of the work. Columns of `series` as in `ride_summary`.
 
     Source: Elkins and Eickhoff 1982 (recalled).
     """
@@ -208,11 +202,12 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
 
 
 def weighting_filter(name: str, rate: float) -> np.ndarray:
-    """Digital filter of an entry of `WEIGHTINGS`: second-order sections, shape (3 or 4, 6).
+    """Digital frequency weighting "Wk", "Wd" or "Wb" for a sampling `rate` (Hz): second-order sections.
 
-    Band limits of 0.4 and 100 Hz (Butterworth, second order), transition from acceleration to velocity, upward step;
-    each analogue factor goes through the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 %
-    of the analogue ones up to 20 Hz and within 4 % up to 80 Hz.
+    Shape (3, 6), or (4, 6) where there is an upward step, for `scipy.signal.sosfilt`. Band limits of 0.4 and 100 Hz
+    (Butterworth, second order), transition from acceleration to velocity, upward step; each analogue factor goes
+    through the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 % of the analogue ones up to
+    20 Hz and within 4 % up to 80 Hz.
 
     Source: ISO 2631-1, annex A (read in the manual of a vibration meter).
     """
@@ -233,10 +228,10 @@ def _quadratic(frequency: float, quality: float) -> np.ndarray:
 
 
 def weighted(acceleration, name: str, rate: float) -> np.ndarray:
-    """Acceleration (m/s2) weighted by an entry of `WEIGHTINGS`, shape (n,).
+    """Frequency-weighted acceleration (m/s2), shape (n,) like the input (m/s2), which is sampled at `rate` (Hz).
 
-    The filter starts settled at the first sample, as if that value had lasted forever: gravity in the reading of an
-    accelerometer, or steady cant deficiency, makes no transient.
+    `name` is "Wk", "Wd" or "Wb". The filter starts settled at the first sample, as if that value had lasted forever:
+    gravity in the reading of an accelerometer, or steady cant deficiency, makes no transient.
     """
     sections = weighting_filter(name, rate)
     values = np.asarray(acceleration, dtype=float)
@@ -244,9 +239,10 @@ def weighted(acceleration, name: str, rate: float) -> np.ndarray:
 
 
 def weighted_rms(acceleration, name: str, rate: float) -> float:
-    """Root mean square a_w of the weighted acceleration over the whole run (m/s2).
+    """Root mean square a_w of an acceleration (m/s2, shape (n,), sampled at `rate` in Hz) after weighting (m/s2).
 
-    Vertical accelerations take Wk, those along and across Wd. Less than 0.315 m/s2 is not uncomfortable (recalled).
+    `name` is "Wk" for vertical, "Wd" for longitudinal and lateral accelerations. Less than 0.315 m/s2 is not
+    uncomfortable (recalled).
 
     Source: ISO 2631-1.
     """
@@ -254,13 +250,13 @@ def weighted_rms(acceleration, name: str, rate: float) -> float:
 
 
 def mean_comfort(along, across, vertical, rate: float) -> float:
-    """N_MV of a floor point (-): 6 times the root of the summed squares of three 95th percentiles.
+    """Mean comfort N_MV of a floor point (-): 6 times the root of the summed squares of three 95th percentiles.
 
-    Each acceleration is weighted (Wd, Wd, Wb); percentiles are those of its root mean squares over blocks of
-    `COMFORT_BLOCK`. Blocks start every 0.5 s, so that few blocks cover all of a run. The standard asks for the 60
-    blocks of 5 minutes; what a shorter run gives is a figure to compare controllers on the same run, not one to hold
-    against published values. Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable
-    (recalled); nan when the run is shorter than one block.
+    Longitudinal, lateral and vertical acceleration (m/s2, shape (n,), sampled at `rate` in Hz) are weighted by Wd, Wd
+    and Wb; percentiles are those of the root mean squares over blocks of 5 s that start every 0.5 s. The standard asks
+    for 60 blocks of 5 minutes; the result of a shorter run compares controllers on that run, not with published values.
+    Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable (recalled); nan when the run
+    is shorter than one block.
 
     Source: EN 12299:2009, mean comfort, standard method (formerly simplified; formula read in open software).
     """
@@ -272,7 +268,10 @@ def mean_comfort(along, across, vertical, rate: float) -> float:
 
 
 def block_rms(acceleration, rate: float) -> np.ndarray:
-    """Root mean squares (m/s2) over the blocks of a run, see `mean_comfort`, shape (blocks,)."""
+    """Root mean squares of an acceleration (n,) over blocks of 5 s that start every 0.5 s, shape (blocks,), m/s2.
+
+    The acceleration (m/s2) is sampled at `rate` (Hz); empty when it is shorter than one block.
+    """
     count, block, step = len(acceleration), round(COMFORT_BLOCK * rate), round(_BLOCK_STEP * rate)
     total = np.concatenate([[0.0], np.cumsum(np.square(acceleration))])
     starts = np.arange(0, count - block + 1, step)

@@ -34,14 +34,17 @@ _FORCES = Annotated[tuple[tuple[_POSITION, Annotated[Number, between(-500.0, 500
 
 @data.table
 class NoSetPoint:
-    """The gear is to follow the centre line."""
+    """Set point y* = 0: the running gears are to follow the centre line of the track. `kind` is "none"."""
 
     kind: Literal["none"]
 
 
 @data.table
 class Sine:
-    """Sinusoidal set point, see `route.sine`."""
+    """Sinusoidal lateral set point from `start_m` to `end_m` of the track coordinate, see `route.sine`.
+
+    `period_m` is the wavelength, `fade_m` the length over which the amplitude rises and falls.
+    """
 
     kind: Literal["sine"]
     amplitude_mm: _AMPLITUDE
@@ -56,7 +59,10 @@ class Sine:
 
 @data.table
 class Sweep:
-    """Sine sweep, see `route.sweep`."""
+    """Sine-sweep lateral set point from `start_m` to `end_m` of the track coordinate, see `route.sweep`.
+
+    The periods are wavelengths at both ends, `fade_m` is the length over which the amplitude rises and falls.
+    """
 
     kind: Literal["sweep"]
     amplitude_mm: _AMPLITUDE
@@ -83,7 +89,23 @@ else:  # checked as one of these, and kept as the table that it is
 
 @data.table
 class Scenario:
-    """One experiment; see the head of data/scenarios.toml for the fields and their units."""
+    """One entry of data/scenarios.toml: track, speed, adhesion, lateral set point and force demand of a run.
+
+    Attributes
+    ----------
+    track, paper : str
+        Name in data/tracks.toml, or path of a CSV (`table.read_table`); figure or section of the paper.
+    speed_kmh, stop_kmh, end_m : float
+        Initial speed; the run ends below the stop speed (km/h), or when the front gear reaches `end_m` (m).
+    good, poor : str
+        Names of adhesion sets of the vehicle.
+    poor_share, poor_share_left, poor_share_right : tuple of pairs
+        Points of p (m) and share of the poor set (0 to 1), linear in between, of both rails or of one instead.
+    force_kN : tuple of pairs
+        Steps of p (m) and force demand per running gear (kN), traction positive, held until the next p.
+    set_point : dict
+        Fields of `NoSetPoint`, `Sine` or `Sweep`.
+    """
 
     name: str
     track: str
@@ -119,16 +141,16 @@ class Scenario:
 
     @property
     def poor_shares(self) -> tuple[tuple, tuple]:
-        """[p_m, share of the poor set] points of the left and right rail; one point at least."""
+        """(p (m), share of the poor adhesion set (0 to 1)) points for the left and for the right rail; one at least."""
         both = self.poor_share or ((0.0, 0.0),)
         return self.poor_share_left or both, self.poor_share_right or both
 
     def but(self, **changes) -> Scenario:
-        """A copy with some fields changed, checked like a file."""
+        """Copy with some fields changed, checked like an entry of a file (InputError)."""
         return data.build(Scenario, vars(self) | changes, "scenario")
 
     def check(self, vehicle: Vehicle) -> None:
-        """Refuse wrong fields and set points beyond the flangeway of a vehicle (InputError)."""
+        """Raise InputError for wrong fields, or a set point above 8 mm (flangeway) where wheels are not cones."""
         self.but()
         amplitude = abs(self.set_point.get("amplitude_mm", 0.0))
         if vehicle.contact.profile != "cone" and amplitude > FLANGEWAY:
@@ -138,7 +160,7 @@ class Scenario:
             )
 
     def route(self, irregularities=None, line=None) -> route.Route:
-        """Lay set point, adhesion and demand along the track, see `railrepro.track.route.lay`."""
+        """Route of the scenario of length `end_m`, see `railrepro.track.route.lay`; InputError on a shorter track."""
         left, right = self.poor_shares
         track = load_track(self.track_file())
         way = route.lay(
@@ -156,12 +178,12 @@ class Scenario:
         return replace(way, length=self.end_m)
 
     def track_file(self) -> str:
-        """Name of the track, or its CSV: below the checkout if it is there, else from the working directory."""
+        """Name of the track, or path of its CSV: below the checkout where that file exists, else as given."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 
     def reference(self) -> ca.Function | None:
-        """Lateral set point over the coordinate, if there is one."""
+        """Lateral set point as a scalar CasADi function, track coordinate p (m) -> y* (m); None for the kind "none"."""
         point = dict(self.set_point)
         kind = point.pop("kind")
         if kind == "none":
@@ -181,18 +203,7 @@ def _steps(points):
 
 
 def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
-    """All scenarios of a file by name.
-
-    Parameters
-    ----------
-    path : path, optional
-        A TOML file; default data/scenarios.toml.
-
-    Raises
-    ------
-    InputError
-        One sentence naming file, scenario, key, what was found and what is allowed.
-    """
+    """All scenarios of a TOML file (default data/scenarios.toml) by name; InputError for a wrong entry."""
     file = data.location(path, paths.source("data/scenarios.toml"))
     content = data.read(file)
     for name, entry in content.items():
@@ -202,7 +213,7 @@ def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
 
 
 def load_scenario(name: str) -> Scenario:
-    """One scenario of data/scenarios.toml by name; InputError lists the known names otherwise."""
+    """One scenario of data/scenarios.toml by name; InputError with the known names for another one."""
     scenarios = load_scenarios()
     if not isinstance(name, str) or name not in scenarios:
         raise InputError(f"scenario {name!r} is not known; there are {sorted(scenarios)}")

@@ -42,17 +42,17 @@ class Run:
     Attributes
     ----------
     series : DataFrame
-        One row per control cycle: t_s and the columns of `ClosedLoop.columns` (SI).
+        One row per control cycle (1 ms): t_s (s) and `ClosedLoop.columns` (SI), such as `front.y`, `front_le.N`.
     ended : str
         Why the run ended, one sentence.
     failed : bool
         True when it ended by derailment or by a number that is not finite.
     warnings : tuple of str
-        Where the run left the validity of the models, one sentence each.
+        Where the run first left the validity of a model, one sentence each.
     controllers : tuple
         The slower lateral controllers of front and rear gear, if any; `fallbacks` counts samples without a solution.
     memory : dict
-        States of the law at the end by name, see `law.LawSignature.memory`.
+        States of the control law at the end by name (SI), see `law.LawSignature.memory`.
     """
 
     series: pd.DataFrame
@@ -76,7 +76,7 @@ def run(
     line: tuple[np.ndarray, np.ndarray] | None = None,
     substeps: int = 1,
 ) -> Run:
-    """Drive the car through a scenario.
+    """Simulate the car under its controllers through a scenario.
 
     Parameters
     ----------
@@ -85,15 +85,19 @@ def run(
         A 1 kHz law such as `NDI`, or a factory (vehicle, route, gear) of slower controllers such as `NMPC`; see
         `railrepro.control.lateral`.
     vehicle : Vehicle, optional
-        What the controllers believe; default data/vehicle.toml.
+        Vehicle parameters that the controllers assume; default data/vehicle.toml.
     plant_vehicle : Vehicle, optional
-        The car itself; default the same.
-    adhesion, fixed_share, sensors : optional
-        See `law.control_law`.
+        Parameters of the simulated car; default `vehicle`.
+    adhesion : AdhesionSettings, optional
+        Settings of the adhesion law; default those of `law.control_law`.
+    fixed_share : float
+        Share of the torque limit that is reserved for the differential torque (-); 0 shares it as in the paper.
+    sensors : Readings, optional
+        Sensors between car and controllers; default exact measurements.
     irregularities, line : optional
-        See `railrepro.track.route.lay`.
+        Irregular rails and a planned set point, see `railrepro.track.route.lay`; default none.
     substeps : int
-        Steps of the car in a millisecond, see `SteppedCar`.
+        Integration steps of the car per millisecond, see `SteppedCar`.
 
     Returns
     -------
@@ -149,16 +153,9 @@ def start(
     substeps: int = 1, *, adhesion: AdhesionSettings | None = None, fixed_share: float = 0.0,
     sensors: Readings | None = None,
 ) -> ClosedLoop:  # fmt: skip
-    """Car at rest on its wheels at the start of a scenario under a 1 kHz law; for `run` and loops of one's own.
+    """Closed loop of car and 1 kHz law at the start of a scenario, in vertical equilibrium at its initial speed.
 
-    Parameters
-    ----------
-    scenario, guidance, vehicle, substeps, adhesion, fixed_share, sensors
-        See `run`.
-    route : Route
-        That of the scenario.
-    body : Vehicle
-        The car itself.
+    `route` is from `Scenario.route`, `body` has the parameters of the simulated car; other arguments as in `run`.
     """
     limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, adhesion, fixed_share, sensors, **limits)

@@ -29,7 +29,10 @@ LENGTH, SPEED, RADIUS = above(0.0, LONGEST, "m"), above(0.0, 450.0, "km/h"), abo
 
 @dataclass(frozen=True)
 class Segment:
-    """Stretch with linear curvature kappa (1/m), cant angle phi (rad) and inclination eps (rad), start to end."""
+    """Stretch of a length (m) with curvature, cant angle and inclination linear between (start, end).
+
+    kappa (1/m, positive to the right), phi (rad, positive right side down), eps (rad, positive uphill).
+    """
 
     length: float
     kappa: tuple[float, float]
@@ -39,7 +42,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Named sequence of segments; `design_speed` in m/s or None."""
+    """Track as a named sequence of segments; `design_speed` (m/s) is None where none is known."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -54,7 +57,7 @@ class Alignment:
 def superelevation_angle(speed: float, radius: float, unbalanced_acceleration: float) -> float:
     """Cant angle phi_Tr (rad, with the sign of the radius) that leaves an unbalanced lateral acceleration (m/s2).
 
-    Speed in m/s, radius in m (negative: left-hand curve).
+    Speed in m/s, radius in m (negative: left-hand curve); InputError where no angle does.
 
     Source: paper, footnote to Table I.
     """
@@ -65,13 +68,16 @@ def superelevation_angle(speed: float, radius: float, unbalanced_acceleration: f
 
 
 def superelevation(angle: float) -> float:
-    """Height difference of the rails b sin(phi) (m) for a cant angle (rad)."""
+    """Height difference of the rails b sin(phi) (m) for a cant angle (rad), on a base b of 1.5 m."""
     return CANT_BASE * math.sin(angle)
 
 
 @data.table
 class CurveEntry:
-    """Curve entry of data/tracks.toml: straight, clothoid, arc; the cant leaves the unbalanced acceleration."""
+    """Curve entry of data/tracks.toml: straight, clothoid with cant ramp, and arc (negative radius: to the left).
+
+    The cant of the arc leaves the given unbalanced lateral acceleration at the design speed.
+    """
 
     design_speed_kmh: Annotated[Number, SPEED]
     unbalanced_acceleration_mps2: Annotated[Number, between(-3.0, 3.0, "m/s2")]
@@ -90,7 +96,7 @@ class CurveEntry:
         return superelevation_angle(self.design_speed_kmh / 3.6, self.radius_m, self.unbalanced_acceleration_mps2)
 
     def alignment(self, name: str) -> Alignment:
-        """The curve entry as a track."""
+        """Alignment with this name and the segments straight, clothoid and arc."""
         kappa, phi, level = 1 / self.radius_m, self.cant, (0.0, 0.0)
         segments = (
             Segment(self.straight_m, level, level, level),
@@ -102,7 +108,11 @@ class CurveEntry:
 
 @data.table
 class SegmentEntry:
-    """Segment of data/tracks.toml; a key that is missing stays as at the end of the segment before."""
+    """Segment of data/tracks.toml: length, and radius (negative: left), superelevation and inclination at its end.
+
+    A missing key keeps the value at the end of the previous segment; a track begins straight and level. `radius_m` of
+    a straight is inf.
+    """
 
     length_m: Annotated[Number, LENGTH]
     radius_m: Annotated[Number, RADIUS] | None = None
@@ -112,13 +122,13 @@ class SegmentEntry:
 
 @data.table
 class SegmentsEntry:
-    """Track of data/tracks.toml that lists its segments."""
+    """Track of data/tracks.toml that is given as a list of segments."""
 
     segments: Annotated[tuple[SegmentEntry, ...], data.NOT_EMPTY]
     design_speed_kmh: Annotated[Number, SPEED] | None = None
 
     def alignment(self, name: str) -> Alignment:
-        """The segments as a track."""
+        """Alignment with this name and these segments, each starting with the end values of the previous one."""
         made, kappa, phi, eps = [], 0.0, 0.0, 0.0
         for entry in self.segments:
             end_kappa = kappa if entry.radius_m is None else 1 / entry.radius_m
@@ -130,7 +140,7 @@ class SegmentsEntry:
 
 
 def alignments(path: Path | str | None = None) -> Entries[Alignment]:
-    """Alignments of a TOML file (default data/tracks.toml) by name; InputError with one sentence on wrong entries."""
+    """Alignments of a TOML file (default data/tracks.toml) by name; InputError for a wrong entry."""
     file = data.location(path, paths.source("data/tracks.toml"))
     found: dict = {}
     for name, entry in data.read(file).items():

@@ -45,7 +45,11 @@ _PER_WAVE = 16
 
 @data.table
 class Quality:
-    """Entry of data/irregularities.toml, see there."""
+    """Track quality, an entry of data/irregularities.toml.
+
+    Standard deviations (mm) of longitudinal level and alignment of one rail at wavelengths from 3 to 25 m, and the
+    confidence in both numbers, from "VV" (reproduced) to "A" (assumed).
+    """
 
     level_mm: Annotated[Number, above(0.05, 20.0, "mm")]
     alignment_mm: Annotated[Number, above(0.05, 20.0, "mm")]
@@ -53,7 +57,7 @@ class Quality:
 
 
 def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -> np.ndarray:
-    """One-sided power spectral density of an irregularity channel.
+    """One-sided power spectral density of an irregularity channel, in the shape of `wavenumber`.
 
     The gauge has the shape of the cross level with an amplitude of its own; its numbers are recalled from the German
     high-speed spectra that share all other numbers with ERRI B176 (confidence R).
@@ -63,7 +67,7 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
     spectrum : str
         "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300": the shapes of "erri_low",
         level and cross level scaled together, alignment and gauge scaled together, so that each rail has the entry's
-        standard deviation in the band D1.
+        standard deviation at wavelengths of 3 to 25 m.
     channel : str
         "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
     wavenumber : ndarray
@@ -107,7 +111,7 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
 
 
 def track_quality() -> dict[str, tuple[float, float]]:
-    """Standard deviations of level and alignment of one rail in D1 (m) by name in data/irregularities.toml."""
+    """Name in data/irregularities.toml -> standard deviations of a rail's level and alignment (m), 3 to 25 m waves."""
     file = paths.source("data/irregularities.toml")
     content = data.build(dict[str, Quality], data.read(file), file.name)
     return {name: (entry.level_mm * 1e-3, entry.alignment_mm * 1e-3) for name, entry in content.items()}
@@ -123,20 +127,17 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
     Parameters
     ----------
     p : ndarray, shape (n,)
-        Track coordinates (m), increasing; steps are at most half of the shortest wave.
+        Track coordinates (m), increasing by steps of up to 1.5 m, half the shortest wave.
     spectrum : str
+        See `irregularity_spectrum`.
     seed : int
         Each channel draws from its own generator (seed, channel).
 
     Returns
     -------
     DataFrame
-        Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m; faded in and out smoothly over 30 m.
-
-    Raises
-    ------
-    InputError
-        An argument that is not of this kind or beyond its range.
+        Columns p_m, lateral_m (right positive), vertical_m (down positive), crosslevel_rad (right rail down positive),
+        gauge_m (wider positive); faded in and out smoothly over 30 m.
 
     Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral representation by FFT).
     """
@@ -166,12 +167,9 @@ def _realisation(p, spectrum: str, channel: str, generator) -> np.ndarray:
 
 
 def check(frame: pd.DataFrame) -> None:
-    """Refuse what cannot be laid along a track: not a frame of irregularities, not finite, beyond the flangeway.
+    """Raise InputError unless a frame has increasing p_m and all columns of `CHANNELS`, finite and within range.
 
-    Raises
-    ------
-    InputError
-        One sentence naming channel and place.
+    Ranges: lateral_m -0.02 to 0.02, gauge_m -0.01 to 0.035, vertical_m and crosslevel_rad -0.1 to 0.1.
     """
     require("irregularities", frame, pd.DataFrame)
     missing = sorted({"p_m", *CHANNELS.values()} - set(frame))
@@ -202,13 +200,13 @@ def _coordinates(p, longest: float) -> np.ndarray:
 
 
 def smooth_step(r: np.ndarray) -> np.ndarray:
-    """Step from 0 at r <= 0 to 1 at r >= 1 with vanishing first and second derivatives at both ends."""
+    """Smooth step from 0 (r <= 0) to 1 (r >= 1), first and second derivative zero at both ends; shape of r (-)."""
     r = np.clip(r, 0, 1)
     return r**3 * (10 - 15 * r + 6 * r**2)
 
 
 def faded(frame: pd.DataFrame) -> pd.DataFrame:
-    """A frame that fades in and out smoothly over 30 m, so that it begins and ends on the ideal track."""
+    """Copy of a frame of irregularities that rises from zero over its first 30 m and returns to zero over its last."""
     p = frame["p_m"].to_numpy()
     fade = smooth_step(np.minimum(p - p[0], p[-1] - p) / _FADE)
     return frame.assign(**{column: fade * frame[column] for column in frame.columns.drop("p_m")})

@@ -29,7 +29,16 @@ _HEIGHT = Annotated[Number, between(-LARGEST, LARGEST, "m")]
 
 @data.table
 class Dip:
-    """Vertical dip in the shape of a versine; a negative depth is a hump."""
+    """Vertical dip of one or both rails in the shape of a versine, depth / 2 (1 - cos(2 pi (p - start) / length)).
+
+    Attributes
+    ----------
+    start, length : float
+        Track coordinate at which the dip begins, and its whole length (m).
+    depth : float
+        Depth in the middle of the dip (m), down positive; negative is a hump.
+    rail : "both", "le" (left) or "ri" (right)
+    """
 
     start: _START
     length: _LENGTH
@@ -38,7 +47,7 @@ class Dip:
     kind: Literal["dip"] = "dip"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Irregularities at track coordinates p (m), shape (n,)."""
+        """Frame of irregularities (p_m, `CHANNELS`) at track coordinates p (m), shape (n,); zero off the defect."""
         _check_fit(self, p, self.length)
         shape = _versine(p, self.start, self.length, self.depth)
         left, right = (shape * (self.rail in ("both", side)) for side in ("le", "ri"))
@@ -47,7 +56,15 @@ class Dip:
 
 @data.table
 class AlignmentFault:
-    """Lateral excursion of both rails in the shape of a versine, right positive."""
+    """Lateral excursion of both rails in the shape of a versine, amplitude / 2 (1 - cos(2 pi (p - start) / length)).
+
+    Attributes
+    ----------
+    start, length : float
+        Track coordinate at which the fault begins, and its whole length (m).
+    amplitude : float
+        Peak excursion in the middle of the fault, from the ideal track (m), right positive; no mid-chord offset.
+    """
 
     start: _START
     length: _LENGTH
@@ -55,16 +72,23 @@ class AlignmentFault:
     kind: Literal["alignment_fault"] = "alignment_fault"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Irregularities at track coordinates p (m), shape (n,)."""
+        """Frame of irregularities (p_m, `CHANNELS`) at track coordinates p (m), shape (n,); zero off the defect."""
         _check_fit(self, p, self.length)
         return _frame(p, lateral_m=_versine(p, self.start, self.length, self.amplitude))
 
 
 @data.table
 class LateralOffset:
-    """Lateral step of both rails there and back, as at a switch, right positive.
+    """Stretch on which both rails lie aside by a constant offset, as at a switch.
 
-    The length contains both transitions, whose second derivatives are continuous.
+    Attributes
+    ----------
+    start, length : float
+        Track coordinate at which the first transition begins, and length including both transitions (m).
+    offset : float
+        Lateral offset between the transitions (m), right positive.
+    transition : float
+        Length of each transition, a `smooth_step` (m).
     """
 
     start: _START
@@ -74,7 +98,7 @@ class LateralOffset:
     kind: Literal["lateral_offset"] = "lateral_offset"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Irregularities at track coordinates p (m), shape (n,)."""
+        """Frame of irregularities (p_m, `CHANNELS`) at track coordinates p (m), shape (n,); zero off the defect."""
         _check_fit(self, p, self.transition)
         if self.length < 2 * self.transition:
             raise InputError(
@@ -105,7 +129,7 @@ def _check_fit(defect: Dip | AlignmentFault | LateralOffset, p: np.ndarray, deta
 
 @data.table
 class Rough:
-    """Irregularities of a run: random ones (arguments of `irregularities`) and defects."""
+    """Random irregularities (`spectrum` and `seed` of `irregularities`), and the `defects` that are added to them."""
 
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"
@@ -113,24 +137,10 @@ class Rough:
 
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
-    """Irregularities of a run.
+    """Random irregularities with localised defects added, at track coordinates p (m), shape (n,); see `irregularities`.
 
-    Parameters
-    ----------
-    p : ndarray, shape (n,)
-        Track coordinates (m).
-    arguments
-        Fields of `Rough`; `defects` as tables with their `kind`.
-
-    Returns
-    -------
-    DataFrame
-        p_m and the columns of `irregularity.CHANNELS`.
-
-    Raises
-    ------
-    InputError
-        An argument that is not known, missing, or not of this kind.
+    `arguments` are fields of `Rough`; `defects` as dicts such as {"kind": "dip", "start": 300.0, "length": 8.0,
+    "depth": 3e-3}. Returns a DataFrame with the columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m.
     """
     rough = data.build(Rough, arguments, "irregular")
     total = irregularities(p, rough.spectrum, rough.seed)

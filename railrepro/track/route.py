@@ -48,12 +48,12 @@ Profile = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Route:
-    """Cells along the way; build with `lay`.
+    """Track geometry, irregularities, set point, adhesion and force demand, tabulated in cells of 0.5 m; made by `lay`.
 
     Attributes
     ----------
     cells : ndarray, shape (n, len(COLUMNS))
-        One row per cell, SI units; `p` is the start of the cell (m).
+        One row per cell, SI units: values, and their derivatives over p, at the start `p` of the cell (m).
     length : float
         Coordinate at which a run ends: the end of the track (m).
     """
@@ -63,11 +63,11 @@ class Route:
 
     @property
     def start(self) -> float:
-        """Coordinate at which the first cell starts (m)."""
+        """Track coordinate at which the first cell starts (m)."""
         return self.cells[0, INDEX["p"]]
 
     def rows_at(self, p: np.ndarray) -> np.ndarray:
-        """Cells that hold the positions p (m), shape (n, len(COLUMNS))."""
+        """Rows of `cells` that contain the track coordinates p (m, shape (n,)), shape (n, len(COLUMNS))."""
         index = np.clip((np.asarray(p, dtype=float) - self.start) / CELL, 0, len(self.cells) - 1)
         return self.cells[index.astype(int)]
 
@@ -75,16 +75,21 @@ class Route:
         return dict(zip(COLUMNS, self.rows_at(np.atleast_1d(p)).T, strict=True))
 
     def track_at(self, p: np.ndarray) -> np.ndarray:
-        """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m) at positions p (m), shape (6, n)."""
+        """Yaw, roll and pitch of the track with their rates at coordinates p (m, shape (n,)), shape (6, n).
+
+        psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m).
+        """
         return np.array(track_in(self._named(p), p))
 
     def reference_at(self, p: np.ndarray) -> np.ndarray:
-        """Lateral set point y* (m) and its slope dy*/dp (-), shape (2, n)."""
+        """Lateral set point y* (m) and its slope dy*/dp (-) at track coordinates p (m, shape (n,)), shape (2, n)."""
         return np.array(reference_in(self._named(p), p)[:2])
 
 
 def reference_in(cell: dict, p) -> tuple:
-    """Lateral set point and its first two derivatives over p inside a cell.
+    """Lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the coordinate p (m) inside a cell.
+
+    `cell` maps the names `COLUMNS` to numbers, arrays or CasADi symbols; the result is of the same kind.
 
     Source: eq. (34), y*.
     """
@@ -92,7 +97,10 @@ def reference_in(cell: dict, p) -> tuple:
 
 
 def irregularity_in(cell: dict, channel: str, p) -> tuple:
-    """A channel of `railrepro.track.irregularity.CHANNELS` (m or rad) and its slope over p inside a cell."""
+    """Irregularity (m or rad) and its slope over p (- or rad/m) at the coordinate p (m) inside a cell.
+
+    `channel` is a key of `railrepro.track.irregularity.CHANNELS`; `cell` as in `reference_in`.
+    """
     return _cubic([cell[name] for name in _orders(channel)], p - cell["p"])[:2]
 
 
@@ -110,27 +118,22 @@ def lay(
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Route:
-    """Lay set point, adhesion, force demand and irregularities along a track.
+    """Lay set point, adhesion, force demand and irregularities along a track; InputError when one is not finite.
 
     Parameters
     ----------
     track : Track
     reference : casadi.Function, optional
-        Scalar map p (m) -> y* (m); derivatives are taken symbolically. See `sine` and `sweep`.
+        Lateral set point as a scalar map p (m) -> y* (m), see `sine` and `sweep`; default y* = 0.
     poor : callable or pair of callables, optional
-        Share of the poor adhesion set in [0, 1] over p (m); a pair gives left and right rail.
+        Share of the poor adhesion set in [0, 1]: p (m), (n,) -> (n,); a pair gives left and right rail.
     force : callable, optional
-        Demanded longitudinal force F_x* per running gear over p (N), traction positive.
+        Demanded longitudinal force F_x* per running gear (N), traction positive: p (m), (n,) -> (n,).
     irregularities : DataFrame, optional
         p_m and the channels of `railrepro.track.irregularity.CHANNELS`, joined by a cubic spline; zero outside.
     line : pair of ndarray, shapes (m,) and (4, m), optional
-        Coordinates, and a set point with its first three derivatives there, which hold from one coordinate to the next
-        and are zero outside; added to the reference. See `railrepro.evidence.runs.preview`.
-
-    Raises
-    ------
-    InputError
-        When irregularities are malformed, or something laid is not finite.
+        Coordinates (m), and a set point y (m) with its first three derivatives over p at these, a cubic from one to the
+        next, zero outside; added to the reference. See `railrepro.evidence.runs.preview`.
     """
     require("track", track, Track)
     if reference is not None:
@@ -219,7 +222,7 @@ def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
 
 @lru_cache
 def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
-    """Sinusoidal lateral set point as a function p (m) -> y* (m).
+    """Sinusoidal lateral set point as a scalar CasADi function p (m) -> y* (m).
 
     Amplitude, spatial period, first and last track coordinate, and the length over which the amplitude rises and falls
     smoothly (all m).
@@ -234,7 +237,7 @@ def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.in
 def sweep(
     amplitude: float, period_start: float, period_end: float, start: float, end: float, fade: float = 30.0
 ) -> ca.Function:
-    """Sine-sweep lateral set point as a function p (m) -> y* (m); its wavenumber grows linearly from start to end.
+    """Sine-sweep lateral set point as a scalar CasADi function p (m) -> y* (m), with a wavenumber linear in p.
 
     Amplitude, spatial periods at both ends, first and last track coordinate, and the length over which the amplitude
     rises and falls smoothly (all m).
@@ -250,7 +253,7 @@ SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m,
 
 
 def set_point() -> ca.Function:
-    """Set point and its first three derivatives over the coordinate (m): (p, `SetPoint`) -> [4]."""
+    """CasADi function (p (m), packed `SetPoint` (7,)) -> y* (m) and its first three derivatives over p, shape (4,)."""
     s, (numbers, of) = ca.SX.sym("p"), symbols(SetPoint, "of")
     chosen = ca.if_else(of.kind == 1, _sine(s, of), ca.if_else(of.kind == 2, _sweep(s, of), 0))
     return ca.Function("set_point", [s, numbers], [ca.densify(_differentiated(chosen, s))])

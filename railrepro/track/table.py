@@ -30,9 +30,11 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) -> pd.DataFrame:
-    """Table of an alignment with the columns `COLUMNS`, a row every `step` (m), from a first heading (rad) on.
+    """Tabulate an alignment with a row every `step` (m), from p = 0 on.
 
-    Segment ends that are multiples of the step are met exactly.
+    Columns p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m (`COLUMNS`). The track
+    begins at the origin with the yaw angle `heading` (rad). Segment ends that are multiples of the step are met
+    exactly; InputError when the track is shorter than a step.
     """
     if not alignment.length >= step:
         raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, at least {step:g} m are needed")
@@ -70,7 +72,7 @@ class Track:
     """Tabulated track geometry with interpolation that is exact on straights, clothoids, arcs and linear cant ramps.
 
     Before the first row the track goes straight on, after the last row with the curvature, cant and inclination of the
-    last row.
+    last row. `table` is that of `build_table`; `design_speed` is in m/s, None where none is known.
     """
 
     name: str
@@ -117,7 +119,10 @@ class Track:
         return np.array(track_in(row, p))
 
     def travel(self, start: np.ndarray, length: np.ndarray) -> np.ndarray:
-        """Displacement in the world frame along stretches within one row each, shape (3, n) (m)."""
+        """Displacement along stretches of the track in fixed axes x, y (right), z (down) (m), shape (3, n).
+
+        `start` (m) and signed `length` (m) of the stretches, shape (n,) each; each stretch lies within one table row.
+        """
         total = np.zeros((3, len(start)))
         for node, weight in zip(_NODES, _WEIGHTS, strict=True):
             psi, _, _, _, eps, _ = self.interpolate(start + length * (1 + node) / 2)
@@ -125,7 +130,7 @@ class Track:
         return total * length / 2
 
     def position(self, p) -> np.ndarray:
-        """World coordinates x, y (right), z (down) of the centre line (m), shape (3, n)."""
+        """Centre line at coordinates p (m, shape (n,)) in fixed axes x, y (right), z (down) (m), shape (3, n)."""
         p = np.atleast_1d(np.asarray(p, dtype=float))
         index, d = self._cell(p)
         reached = self.table[["x_m", "y_m", "z_m"]].to_numpy()[index].T
@@ -138,7 +143,9 @@ class Track:
 
 
 def track_in(cell: dict, p) -> tuple:
-    """psi, dpsi_dp, phi, dphi_dp, eps, deps_dp at p inside a cell given by its columns (numbers, arrays or symbols).
+    """Yaw, roll and pitch of the track with their rates at the coordinate p (m) inside a cell, as `Track.interpolate`.
+
+    `cell` maps p, psi, kappa, dkappa, phi, dphi, eps, deps at its start (SI) to numbers, arrays or CasADi symbols.
 
     Source: eq. (3).
     """
@@ -149,13 +156,7 @@ def track_in(cell: dict, p) -> tuple:
 
 
 def load_track(name: Path | str) -> Track:
-    """A track by its name in data/tracks.toml, or from a CSV with the contract columns.
-
-    Raises
-    ------
-    InputError
-        One sentence naming file, row or key, what was found and what is allowed.
-    """
+    """Load a track by its name in data/tracks.toml, or from a CSV (`read_table`) when the name ends in .csv."""
     if str(name).endswith(".csv"):
         return Track(Path(name).stem, read_table(name))
     return _built(str(name), paths.source("data/tracks.toml").stat().st_mtime_ns)
@@ -170,7 +171,7 @@ def _built(name: str, _changed: int) -> Track:
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
-    """Write a track table so that it reads back exactly."""
+    """Write a table of `build_table` as a CSV with 17 digits, so that its numbers read back exactly."""
     table.to_csv(path, index=False, float_format="%.17g")
 
 
@@ -182,19 +183,16 @@ _LARGEST |= {"psi_rad": (1e3, "rad")}
 def read_table(path: Path | str) -> pd.DataFrame:
     """Read a track from a CSV: curvature, cant and inclination at points, which change linearly in between.
 
-    The table has the rows of `build_table`. Heading and positions follow from these columns, of which there is one row
-    per point, and whose signs are those of `COLUMNS`; others are not looked at:
+    Returns a table as `build_table` makes it, with heading and positions integrated. The file has one row per point;
+    yaw is positive to the right, roll right side down, pitch nose up. Columns, others are ignored:
 
     - p_m: distance along the line (m), increasing; the track begins at its first, with coordinate 0;
     - dpsi_dp_1pm (1/m);
     - phi_rad and eps_rad (rad), 0 where they are missing;
     - psi_rad (rad), optional: only the first counts, the heading with which the track begins.
 
-    Raises
-    ------
-    InputError
-        A column that is missing, anything but a finite number, points that do not increase, magnitudes beyond what
-        railways build (wrong unit).
+    InputError for a missing column, a number that is not finite, points that do not increase, and magnitudes beyond
+    what railways build (wrong unit).
     """
     file = data.location(path)
     try:

@@ -25,7 +25,11 @@ Built = TypeVar("Built")
 
 @data.table
 class Entry:
-    """How a file states one parameter; `range` is "fixed" or [low, high] around the value."""
+    """Table of one parameter in a file such as data/vehicle.toml: symbol in formulas, value, unit and source.
+
+    `confidence` is VV read and reproduced, V read in the source, D derived, R recalled from the literature, A assumed;
+    `range` is "fixed" or [low, high] around the value, in its unit: what robustness studies sample.
+    """
 
     symbol: str
     value: Any
@@ -37,7 +41,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Parameter(data.Quantity):
-    """Unit and physically possible range of a field that a file states as an `Entry`."""
+    """Unit and permitted range of a field whose value a file gives as an `Entry` with the same unit."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)
@@ -76,7 +80,11 @@ AngularDamping = Annotated[float, _from_zero(1e8, "N m s/rad")]
 
 @data.table
 class CarBody:
-    """Car body: mass, inertia about its centre of gravity, height above the rails, distance of the running gears."""
+    """Car body: mass (kg), inertia_x, inertia_y, inertia_z in roll, pitch and yaw about its centre of gravity (kg m2).
+
+    cg_height and floor_height are above the top of the rails, gear_spacing lies between the two running gears, length
+    is that of the body (all in m).
+    """
 
     mass: Mass
     inertia_x: Inertia
@@ -90,7 +98,12 @@ class CarBody:
 
 @data.table
 class Gear:
-    """Wheel carrier with two wheels; inertia_x and inertia_z contain the wheels, inertia_y not their spin."""
+    """Running gear, a wheel carrier with two wheels: mass (kg), inertia (kg m2), contact_base, axle_damping.
+
+    mass, inertia_x (roll) and inertia_z (yaw) contain the wheels, inertia_y (pitch) leaves out their spin_inertia.
+    contact_base is the lateral distance b of the two contacts (m), axle_damping the torque between the wheels over the
+    difference of their speeds (N m s/rad), 0 for independent wheels.
+    """
 
     mass: Mass
     inertia_x: Inertia
@@ -102,7 +115,11 @@ class Gear:
 
 @data.table
 class Wheel:
-    """One independently rotating wheel with its motor."""
+    """One independently rotating wheel with its motor: nominal rolling radius r_0 (m), moments of inertia (kg m2).
+
+    spin_inertia, about the axle, contains the rotor of the motor; diametral_inertia is about a diameter. cone_angle
+    delta_0 (rad) is that of the control model, and of the car's wheels only where the profile is "cone".
+    """
 
     radius: Annotated[float, _above(0.1, 1.0, "m")]
     spin_inertia: Inertia
@@ -112,7 +129,12 @@ class Wheel:
 
 @data.table
 class Suspension:
-    """Stage between car body and one carrier; k and c belong to each of the two springs."""
+    """Stage between car body and one running gear: lengths (m), linear N/m and N s/m, angular N m/rad and N m s/rad.
+
+    Two springs with dampers at half_spacing to each side and at a height above the rails, each with k_x, c_x and so on;
+    a longitudinal traction link, a torsion bar against roll, rods against pitch under motor torque. Stops in yaw beyond
+    yaw_stop_angle (rad) and in lateral deflection beyond bump_clearance (m), to both sides.
+    """
 
     half_spacing: Annotated[float, _above(0.1, 2.0, "m")]
     height: Annotated[float, _above(0.0, 3.0, "m")]
@@ -135,43 +157,48 @@ class Suspension:
 
     @property
     def yaw_stiffness(self) -> float:
-        """k_sz of one running gear (N m/rad)."""
+        """Yaw stiffness k_sz between the car body and one running gear (N m/rad)."""
         return 2 * self.k_x * self.half_spacing**2
 
     @property
     def yaw_damping(self) -> float:
-        """k_dz of one running gear (N m s/rad)."""
+        """Yaw damping k_dz between the car body and one running gear (N m s/rad)."""
         return 2 * self.c_x * self.half_spacing**2
 
     @property
     def roll_stiffness(self) -> float:
-        """k_sx of one running gear (N m/rad)."""
+        """Roll stiffness k_sx between the car body and one running gear (N m/rad)."""
         return 2 * self.k_z * self.half_spacing**2 + self.antiroll_stiffness
 
     @property
     def roll_damping(self) -> float:
-        """k_dx of one running gear (N m s/rad)."""
+        """Roll damping k_dx between the car body and one running gear (N m s/rad)."""
         return 2 * self.c_z * self.half_spacing**2 + self.antiroll_damping
 
 
 @data.table
 class Drive:
-    """Wheel motor."""
+    """Motor of one wheel: torque_limit, of either sign (N m), and lag, the time constant of its torque (s)."""
 
     torque_limit: Annotated[float, _above(0.0, 1e5, "N m")]
     lag: Annotated[float, _above(0.0, 1.0, "s")]
 
     def limit(self, wheel_speed):
-        """Torque limit of the motor for both signs (N m) at a wheel speed (rad/s), numbers or symbols.
+        """Torque limit of either sign (N m) at a wheel speed (rad/s; number, array or SX): always `torque_limit`.
 
-        Car and controllers ask here, so that a limit over speed is stated once.
+        Car and controllers ask here, so that a limit that depends on speed is stated once.
         """
         return self.torque_limit
 
 
 @data.table
 class WheelRail:
-    """Material and regularisation of the wheel-rail contact; `profile`: "cone" or "s1002"."""
+    """Wheel-rail contact: young, shear_modulus (Pa), poisson (-) of the material; wheel profile "cone" or "s1002".
+
+    The normal force is k q^1.5 (1 + d dq/dt) at a penetration q (m), with k normal_stiffness (N/m^1.5) and d
+    normal_damping (s/m). Contact ellipses are tabulated at nominal_load (N). Creepages are sliding speeds over
+    sqrt(v^2 + rest_speed^2) (m/s), so that they are finite at standstill.
+    """
 
     young: Annotated[float, _above(1e9, 1e12, "Pa")]
     poisson: Annotated[float, _from_zero(0.5, "-")]
@@ -185,9 +212,10 @@ class WheelRail:
 
 @data.table
 class AdhesionSet:
-    """Parameters of Polach's creep law: reduction factors, friction at rest, its ratio and decay with slip speed.
+    """Polach's creep law: reduction factors k_a, k_s (-) in the areas of adhesion and slip, and falling friction.
 
-    Creep stiffness at rest is (k_a + k_s)/2 of Kalker's; a k_s above k_a counts as k_a.
+    Friction at a slip speed w (m/s) is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio), with b_decay in s/m. Creep
+    stiffness at rest is (k_a + k_s)/2 of Kalker's; a k_s above k_a counts as k_a.
     """
 
     k_a: Annotated[float, _above(0.0, 1.0, "-")]
@@ -199,14 +227,17 @@ class AdhesionSet:
 
 @data.table
 class Environment:
-    """Surroundings."""
+    """Surroundings: `gravity`, the gravitational acceleration (m/s2)."""
 
     gravity: Annotated[float, _above(0.0, 20.0, "m/s2")]
 
 
 @data.table
 class Vehicle:
-    """All data of the car; see the groups for units."""
+    """All data of the car, whose running gears, wheels and motors are alike; the class of each group states the units.
+
+    `adhesion` has sets by name, in data/vehicle.toml "dry", "poor", "very_poor" and "wet".
+    """
 
     body: CarBody
     gear: Gear
@@ -232,41 +263,41 @@ class Vehicle:
 
     @property
     def gamma(self) -> float:
-        """Roll of the axle per lateral displacement, Gamma (rad/m). Source: paper, eqs. (10), (11)."""
+        """Roll of the axle per lateral displacement on cones, Gamma (rad/m). Source: paper, eqs. (10), (11)."""
         return self.roll_per_shift(math.tan(self.wheel.cone_angle))
 
     def roll_per_shift(self, slope: float) -> float:
-        """Roll of the axle per lateral displacement on wheels whose contact has a slope (-), in rad/m."""
+        """Roll of the axle per lateral displacement (rad/m) at a slope of the contact, the tangent of its angle (-)."""
         return slope / (self.gear.contact_base / 2 - self.wheel.radius * slope)
 
     @property
     def longitudinal_mass(self) -> float:
-        """m_x = m + m_CB/2 (kg)."""
+        """Mass of a running gear with half the car body, m_x = m + m_CB/2 (kg)."""
         return self.gear.mass + self.body.mass / 2
 
     @property
     def wheel_load(self) -> float:
-        """Vertical force of a wheel at rest on straight level track (N)."""
+        """Vertical force of one wheel on its rail at rest on straight level track (N)."""
         return self.longitudinal_mass * self.gravity / 2
 
     @property
     def effective_longitudinal_mass(self) -> float:
-        """m_x with the spin inertia of both wheels, m_x + 2 J_Wy/r0^2 (kg)."""
+        """Longitudinal mass with the spin inertia of the two wheels of a running gear, m_x + 2 J_Wy/r_0^2 (kg)."""
         return self.longitudinal_mass + 2 * self.wheel.spin_inertia / self.wheel.radius**2
 
     @property
     def residual_yaw_inertia(self) -> float:
-        """J_Ax_z without the wheels' own diametral inertia (kg m2)."""
+        """J_Ax_z of the control model: yaw inertia of a running gear less the diametral one of its wheels (kg m2)."""
         return self.gear.inertia_z - 2 * self.wheel.diametral_inertia
 
     @property
     def residual_roll_inertia(self) -> float:
-        """J_Ax_x without the wheels' own diametral inertia (kg m2)."""
+        """J_Ax_x of the control model: roll inertia of a running gear less the diametral one of its wheels (kg m2)."""
         return self.gear.inertia_x - 2 * self.wheel.diametral_inertia
 
     @property
     def effective_yaw_inertia(self) -> float:
-        """J_eff: yaw inertia with the differential spin of the wheels (kg m2)."""
+        """Yaw inertia J_eff = J_z + J_Wy b^2/(2 r_0^2) of a running gear with counter-rotating wheels (kg m2)."""
         return self.gear.inertia_z + self.wheel.spin_inertia * self.gear.contact_base**2 / 2 / self.wheel.radius**2
 
 
@@ -283,7 +314,7 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     Raises
     ------
     InputError
-        One sentence naming file, key, what was found and what is allowed.
+        For a wrong file, key or value: one sentence with file, key, what was found and what is allowed.
     """
     vehicle = loaded(Vehicle, _file(path), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
@@ -296,7 +327,10 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
 
 
 def loaded(kind: type[Built], file: Path, overrides: dict) -> tuple[Built, dict[str, dict]]:
-    """What a file of `Entry` tables states as some class, with values changed by dotted key, and the entries by key."""
+    """Instance of a `data.table` class from a file of `Entry` tables, and these tables as dicts by dotted key.
+
+    `overrides` replace values of the file (SI) by dotted key such as "wheel.radius"; their range becomes "fixed".
+    """
     content = data.read(file)
     built, entries = data.build(kind, content, file.name), dict(_entries(content))
     for key, value in overrides.items():
@@ -312,7 +346,7 @@ def _entries(content: dict, place: str = "") -> Iterator[tuple[str, dict]]:
 
 
 def describe(path: Path | str | None = None) -> pd.DataFrame:
-    """Table of all parameters: key, symbol, value, unit, source, confidence, low, high (nan where fixed)."""
+    """All parameters, one a row: key (dotted), symbol, value, unit, source, confidence, low, high (nan where fixed)."""
     rows = []
     for key, entry in loaded(Vehicle, _file(path), {})[1].items():
         low, high = (math.nan, math.nan) if entry["range"] == "fixed" else entry["range"]
@@ -321,7 +355,7 @@ def describe(path: Path | str | None = None) -> pd.DataFrame:
 
 
 def sample_ranges(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
-    """Ranges that a robustness study samples, by dotted key (SI)."""
+    """Lower and upper bound (SI) of each parameter that is not fixed, by dotted key; robustness studies sample them."""
     entries = loaded(Vehicle, _file(path), {})[1]
     return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}
 

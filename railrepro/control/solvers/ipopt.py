@@ -19,20 +19,22 @@ from railrepro.model.parameters import PARAMETERS
 _N = len(STATES)
 _SCALES = {"x": 1.0, "psi_Ax": 1e-2, "xdot": 1.0, "psidot_Ax": 1e-2, "y_TrAx": 1e-3, "psi_TrAx": 1e-3}
 SCALE = np.array([_SCALES[name] for name in STATES])
-"""Deviations of the states are optimised in these units."""
+"""Units of the state deviations in the NLP, shape (6,) (SI)."""
 UNIT = 1e3
-"""Differential torques are optimised in kN m, or solvers stop too early."""
+"""Unit of differential torques in the NLP (N m): kN m, or solvers stop too early."""
 COST = 1e6
-"""Factor on costs, so that they are of the order of one."""
+"""Factor on the cost in the NLP, so that it is of the order of one (-)."""
 SLACK = 1e-3
-"""Slacks are optimised in mm (m)."""
+"""Unit of slacks in the NLP (m): mm."""
 
 
 @lru_cache
 def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
-    """Multiple-shooting NLP: variables x, parameters p, objective f = `COST` times the stated cost, constraints g.
+    """Multiple-shooting NLP over L = `steps` steps for `casadi.nlpsol`, symbols and expressions by name.
 
-    States are scaled deviations from the desired ones, torques are in kN m, slacks in mm.
+    x: deviations from the desired states over `SCALE` (6 (L + 1)), torques (kN m) (L), slacks (mm) (L); p: desired
+    states, track theta (9 L), model parameters, tuning, base torque; f: `COST` times the cost of `problem`; g: scaled
+    defects (6 L), to be 0, and excess over the lateral bounds less slack (2 L), to be at most 0.
     """
     step = problem.dynamics(variant, discretisation)
     z, du, slack = ca.MX.sym("z", _N, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
@@ -63,28 +65,29 @@ def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
 
 
 def solver(settings: problem.MPCSettings) -> ca.Function:
-    """Ipopt on the problem of some settings, for `solve`."""
+    """Ipopt as a CasADi function for variant, discretisation and horizon length of some settings, for `solve`."""
     return _solver(settings.variant, settings.discretisation, settings.steps)
 
 
 def solve(function: ca.Function, horizon: Horizon, parameters: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, int]:
-    """Minimise over the problem in a horizon.
+    """Solve the optimal control problem of a horizon by Ipopt.
 
     Parameters
     ----------
     function : casadi.Function
         See `solver`.
     horizon : Horizon
-        Problem and start; its states become those of the solution.
-    parameters : ndarray
-        Of the model.
+        Problem and initial states `x`, which become the states of the solution.
+    parameters : ndarray, shape (14,)
+        Parameters of the control model (SI).
     du : ndarray, shape (L,)
-        Torques to start from (N m).
+        Initial differential torques (N m).
 
     Returns
     -------
-    torques, iterations
-        Shape (L,) (N m), and their number.
+    torques : ndarray, shape (L,)
+        Differential torques (N m).
+    iterations : int
 
     Raises
     ------

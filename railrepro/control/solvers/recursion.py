@@ -1,4 +1,4 @@
-"""The Riccati recursion as CasADi functions: with bounds as active sets, and with weights that stand for the bounds.
+"""The Riccati recursion as CasADi functions: with bounds as active sets, and with barrier terms for the bounds.
 
 Hessians and gradients are CasADi's derivatives of the costs stated in `railrepro.control.problem`, all of them halved.
 Serves the paper's section Nonlinear Model Predictive Control.
@@ -50,7 +50,21 @@ def _back(matrix, vector, a, b, gap, state, torque, free=1, to_bound=0) -> tuple
 
 @stored
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Last stage, one stage backward and one stage forward of the Riccati recursion about a trajectory."""
+    """Riccati recursion about a trajectory (x, u), for quadratic problems with active sets.
+
+    Halved cost-to-go dx' P dx / 2 + p' dx; gap = x_next - x_plus between model and trajectory; `side`: active lateral
+    bound (1, -1, 0 none); `fixed` not 0: the torque step is `to_bound` (N m).
+
+    Returns
+    -------
+    terminal : casadi.Function
+        (x[6], x_d[6], side, tuning) -> P (6, 6), p[6] of the last stage.
+    backward : casadi.Function
+        (P, p, x_plus, x_next, A, B, u, fixed, to_bound, x, x_d, side, tuning) -> P, p one stage earlier, feedback[6],
+        feed-forward.
+    forward : casadi.Function
+        (dx, feedback, feed-forward, x_next, x_plus, A, B, P, p, u, tuning) -> next dx[6], du, halved slope by torque.
+    """
     n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
     names = ("p", "x_plus", "x_next", "b", "x", "x_d", "dx", "feedback")
     v = {name: ca.SX.sym(name, n) for name in names}
@@ -78,11 +92,20 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
 
 @stored
 def barrier(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
-    """The recursion with barrier terms for the bounds: weight and slope for the torque, then for the lateral position.
+    """Riccati recursion for interior points; symbols as in `recursion`.
+
+    `terms` (4,) stand for the bounds: Hessian and gradient added for the torque, then for the lateral position.
 
     Returns
     -------
-    weight of the slack, last stage, one stage backward, and that stage without what does not change with the slopes.
+    stiffness : casadi.Function
+        (tuning) -> halved Hessian of the slack cost.
+    terminal : casadi.Function
+        (x, x_d, terms, tuning) -> P, p of the last stage.
+    backward : casadi.Function
+        (P, p, x_plus, x_next, A, B, u, terms, x, x_d, tuning) -> P, p one stage earlier, feedback, feed-forward.
+    again : casadi.Function
+        Arguments of `backward` -> p, feed-forward only, for changed gradients.
     """
     n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
     v = {name: ca.SX.sym(name, n) for name in ("p", "x_plus", "x_next", "b", "x", "x_d")}

@@ -30,13 +30,13 @@ from railrepro.track.route import CELL, COLUMNS, Route
 _N = len(STATES)
 _FAULTS = {1: "a value is not finite", 2: "no minimiser was found"}
 MOST_SETS = 8
-"""Active sets tried per quadratic problem before the interior point method takes over."""
+"""Number of active sets tried per quadratic problem before the interior point method takes over."""
 _SOURCES = [Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c", "planner.c")]
 
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """The generated functions that riccati.c, interior.c and planner.c call."""
+    """CasADi functions that the hand-written C calls: those of forecast, recursion, barrier and torque limit."""
     return *forecast.functions(), *recursion(variant, discretisation), *barrier(variant, discretisation), torque_limit()
 
 
@@ -53,7 +53,7 @@ def _lanes(variant: str, discretisation: str) -> str:
 
 
 def c_text(variant: str, discretisation: str) -> str:
-    """Hand-written C around the generated functions, to stand after `codegen.source_text` and call.h."""
+    """C text of riccati.c, interior.c and planner.c with sizes, to stand after the C of `functions` and call.h."""
     names = {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}
     extra = lanes_header()
     extra += "".join(codegen.enumeration(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
@@ -72,28 +72,28 @@ def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]
 
 
 class Horizon:
-    """Problem, trajectory and solver of one controller.
+    """Problem, trajectory and compiled solver of one predictive controller; arrays are views of its memory in C (SI).
 
-    Torques and stages on their bounds stay known from one problem to the next.
+    Active sets are kept from one problem to the next.
 
     Attributes
     ----------
     x_d, theta : ndarray, shape (L + 1, 6) and (L + 1, 9)
-        Forecast.
+        Forecast of desired states and track parameters.
     x, u : ndarray, shape (L + 1, 6) and (L,)
-        Trajectory; `x[0]` may differ from the measured state `x_hat`, where the solution starts.
+        Trajectory: states and differential torques; `x[0]` may differ from the measured state `x_hat` (6,).
     x_next, a, b : ndarray, shape (L, 6), (L, nonzeros of A), (L, 6)
         Model along the trajectory: next state, A without its zeros, B.
     dx, du : ndarray, shape (L + 1, 6) and (L,)
-        Steps of the last quadratic problem.
+        Steps of `x` and `u` that minimise the last quadratic problem.
     fixed, side : ndarray, shape (L,) and (L + 1,)
-        Bounds on which torques (1, -1, or 0 for none) and lateral positions are.
+        Active bounds of torques and lateral positions: 1 upper, -1 lower, 0 none.
     plan : ndarray, shape (L,)
-        Torques of the plan (N m).
+        Differential torques of the plan (N m).
     c : ctypes.Structure
-        `horizon_t` of riccati.c, which holds the base torque, the bound (N m), and the state of a controller, too.
+        `horizon_t` of riccati.c, with base torque and bound of the differential torque (N m), too.
     pointer : ctypes pointer
-        For the functions of `library`.
+        Pointer to `c`, the argument of the functions of `library`.
     library : ctypes.CDLL
         The functions of riccati.c and planner.c.
     """
@@ -118,19 +118,19 @@ class Horizon:
         self.x_hat, self.pointer = codegen.arrays(self.c)["x_hat"], ctypes.byref(self.c)
 
     def sample(self, x_hat: np.ndarray, u_d: float, bound: float) -> None:
-        """Take the measured state, the base torque and the bound of the differential torque (N m)."""
+        """Set measured state (6,), base torque (N m) and bound of the differential torque (N m) of the next problem."""
         self.x_hat[:], self.c.u_d, self.c.bound = x_hat, u_d, bound
 
     def forecast(self) -> None:
-        """Fill `x_d` and `theta` from `x_hat` and the base torque."""
+        """Fill `x_d` and `theta` from measured state and base torque."""
         self.library.horizon_forecast(self.pointer)
 
     def linearise(self) -> None:
-        """Model and derivatives along `x`, `u`."""
+        """Fill `x_next`, `a` and `b` with the model and its derivatives along `x`, `u`."""
         self.library.horizon_linearise(self.pointer)
 
     def solve(self) -> None:
-        """Minimiser `dx`, `du` of the quadratic problem about the linearised trajectory.
+        """Fill `dx`, `du` with the minimiser of the quadratic problem about the linearised trajectory.
 
         Raises
         ------

@@ -47,7 +47,7 @@ HORIZONS = (10, 20, 40, 80, 160)
 
 @dataclass(frozen=True)
 class Recording:
-    """Successive optimal control problems of the front gear in one scenario."""
+    """Successive optimal control problems that the front gear's NMPC solved in the simulation of one scenario."""
 
     scenario: str
     route: Route
@@ -56,20 +56,20 @@ class Recording:
 
 @dataclass
 class Recorder(NMPC):
-    """NMPC that keeps the problems that it solves."""
+    """NMPC that appends each optimal control problem to its list `problems` before solving it."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.problems: list[Problem] = []
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """See `PredictiveController.plan`."""
+        """Keep the problem, then plan as NMPC: torque du (N m) from measured states (6,) and base torque (N m)."""
         self.problems.append(self.problem(x_hat, u_d))
         return super().plan(x_hat, u_d)
 
 
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW) -> Recording:
-    """Problems of a closed-loop run, from its middle."""
+    """Simulate a scenario under NMPC and keep `count` successive problems from the middle of the run."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
@@ -80,7 +80,7 @@ def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WIND
 
 
 def tightened(recording: Recording) -> Recording:
-    """The same problems with torque and lateral bounds so tight that they act."""
+    """Copy of a recording with bounds that act: torque 60 N m, displacement 0.6 of the largest set point in it."""
     problems = recording.problems
     largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
     tight = replace(problems[0].settings, lateral_bound=0.6 * largest, yielding=True)
@@ -89,7 +89,7 @@ def tightened(recording: Recording) -> Recording:
 
 
 def controller(kind: str, recording: Recording, vehicle: Vehicle) -> LTVMPC | NMPC:
-    """A controller for the problems of a recording, with the torque limit that they have."""
+    """Front-gear controller for a recording, with its torque limit; `kind` is one of `KINDS`, a solver or LTV-MPC."""
     first = recording.problems[0]
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
     if kind == "ltv_mpc":
@@ -98,10 +98,10 @@ def controller(kind: str, recording: Recording, vehicle: Vehicle) -> LTVMPC | NM
 
 
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Solve a recording in order, warm-started like in closed loop.
+    """Solve the n problems of a recording in order, each warm-started by the previous one as in closed loop.
 
-    Planned torques (n, L) (N m), processor time per sample with forecast and preparation (s), iterations, number of
-    failures.
+    Returns planned differential torques over the horizon (n, L) (N m), processor time per problem with forecast and
+    preparation (n,) (s), iterations (n,), and the number of problems without a solution.
     """
     solver, torques = controller(kind, recording, vehicle), []
     for problem in recording.problems:
@@ -112,7 +112,11 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
 
 
 def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
-    """Table of all solver paths on all scenarios (contract of data/results/solve_times.csv)."""
+    """Compare the solvers `KINDS` on recordings of scenarios, plain and `tightened`: one row per solver and recording.
+
+    Columns solver, scenario, n, median_ms, p95_ms, max_ms (time per problem), iterations_median, ratio_to_ipopt (of
+    median times), failures, largest_torque_difference to ipopt over the torque limit, largest_cost_excess over ipopt.
+    """
     rows = []
     plain = [record(name, settings, vehicle) for name in names]
     recordings = [recording for one in plain for recording in (one, tightened(one))]
@@ -142,7 +146,7 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Time per sample over the length of the horizon."""
+    """Solution times on T3 by horizon length: columns solver, steps, median_ms (per problem), iterations_median."""
     rows = []
     for steps in tqdm(HORIZONS, desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
@@ -154,7 +158,11 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 
 
 def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
-    """Time of the functions of the car, one gear after the other and both side by side, the least of some drives."""
+    """Time per call of compiled functions of the car: columns function, gears, us (microseconds), ratio.
+
+    `gears` says whether the code computes both gears "one after the other" or "side by side" (vectorised), `ratio` is
+    to the first. A time is the least mean over `calls` calls among `drives` repetitions.
+    """
     car, rows = SteppedCar("T3", 70.0), []
     car.step(steps=400)
     given = dict(zip(("x", "u", "rows", "contacts", "par"), car.inputs(), strict=True)) | {"h": CONTROL_PERIOD}
@@ -171,7 +179,7 @@ def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
 
 
 def machine() -> str:
-    """Name of the processor."""
+    """Name of this machine's processor."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
@@ -179,7 +187,7 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Measure the tables and write them."""
+    """Measure solve_times, horizon_times and step_times, write them to data/results as CSV and print them."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[EQUAL]), "step_times": step_times()}

@@ -1,4 +1,4 @@
-"""The chain of notebooks and its products; serves no section of the paper but the rerun of all of them."""
+"""The chain of notebooks, which reruns all results, the comparison of its products, and the book made of it."""
 
 import sys
 

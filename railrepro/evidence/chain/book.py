@@ -1,4 +1,4 @@
-"""The book in build/html: executed notebooks with their surroundings, and the report, made by Sphinx."""
+"""The book in build/html: executed notebooks, the pages of notebooks/book and the report, made by Sphinx."""
 
 from __future__ import annotations
 
@@ -23,14 +23,10 @@ _FOLDED = re.compile(
 
 
 def html() -> Path:
-    """Make the book in build/html of the executed notebooks; returns its first page.
+    """Make the book in build/html from the executed notebooks; returns the path of its first page.
 
-    Notebooks that were never executed are run first; of stale ones the last run is shown, and they are named.
-
-    Raises
-    ------
-    InputError
-        When a notebook fails, or Sphinx warns.
+    Notebooks that were never executed are run first; stale ones are shown as last executed and listed on stderr.
+    InputError when a notebook fails, Sphinx warns or its packages are missing.
     """
     absent = [notebook.name for notebook in chain().values() if not notebook.executed.exists()]
     if absent and figures(absent):
@@ -68,7 +64,7 @@ def _source(folder: Path) -> Path:
 
 
 def executed(notebook: Notebook) -> dict:
-    """Content of an executed notebook, sources as single strings, its number in the title."""
+    """Content of an executed notebook (as in its JSON file), sources as single strings, its number in the title."""
     content = json.loads(notebook.executed.read_text(encoding="utf-8"))
     for cell in content["cells"]:
         cell["source"] = "".join(cell["source"])
@@ -79,7 +75,7 @@ def executed(notebook: Notebook) -> dict:
 
 
 def chapter(notebook: Notebook, content: dict) -> dict:
-    """A notebook (see `executed`) as a page: chapters linked, figures with captions, source and tables at its end."""
+    """Turn the content of a notebook (`executed`) into a page: chapters linked, captions, and files at its end."""
     cells: list[dict] = []
     for i, cell in enumerate(content["cells"]):
         if cell["cell_type"] == "markdown":
@@ -124,7 +120,7 @@ def _is_figure(output: dict) -> bool:
 
 
 def captions() -> dict[str, str]:
-    """What each figure shows, from notebooks/book/captions.toml."""
+    """Name of a figure, as "fig06_curve_entry" -> its caption (notebooks/book/captions.toml)."""
     return tomllib.loads((paths.NOTEBOOKS / "book" / "captions.toml").read_text(encoding="utf-8"))
 
 
@@ -140,5 +136,5 @@ def _download(path: str) -> str:
 
 
 def report(text: str) -> str:
-    """REPLICATION.md with links to cells of the book."""
+    """Text of REPLICATION.md with its links to notebook cells changed to links to pages of the book."""
     return re.sub(r"\(notebooks/(\w+)\.ipynb#cell-id=(\w+)\)", r"(#\1-\2)", text)

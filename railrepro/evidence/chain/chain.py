@@ -1,8 +1,8 @@
-"""The chain of notebooks: which are stale and why, how they run, and where each product comes from.
+"""The chain of notebooks: which are stale and why, how they run, and where each product (written file) comes from.
 
 notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.paths`). Staleness
 is decided by content, never by time. No notebook reads what another one writes, so they run in any order. Each has a
-kernel of its own and a temporary folder: its products are put in place when all is well.
+kernel of its own and a temporary folder; its products are moved from there after a successful run.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from railrepro.vehicle.parameters import load_vehicle
 
 SUFFIXES = ("png", "csv")
 Reads = dict[str, list[str]]
-"""Files that a notebook read, and which of their entries; `paths.ALL` for a whole file."""
+"""Path of a file that a notebook read -> names of the entries that it took; [`paths.ALL`] for all."""
 Inputs = dict[str, str]
-"""What the products of a notebook depend on by its name, and the hash of each."""
+"""Name of an input on which the products of a notebook depend -> its hash or version."""
 EDITED = "an input was edited while it ran"
 _ENDING = threading.Event()
 """Set when the chain is interrupted, so that no thread starts another kernel."""
@@ -48,7 +48,11 @@ _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
 
 @data.table
 class Notebook:
-    """One entry of the chain; see the head of notebooks/chain.toml."""
+    """Notebook of the chain, an entry of notebooks/chain.toml: file name without ending, title, and what it writes.
+
+    `writes` are tables, `figures` names figNN_name; `parameters` and `test_parameters` are values for its parameters
+    cell in the real run and in tests; `minutes` is its run time (min), `seed` the random seed that it uses.
+    """
 
     name: str
     title: str
@@ -61,28 +65,31 @@ class Notebook:
 
     @property
     def path(self) -> Path:
-        """The notebook file."""
+        """Path of the notebook file."""
         return paths.NOTEBOOKS / f"{self.name}.ipynb"
 
     @property
     def executed(self) -> Path:
-        """The executed notebook."""
+        """Path of the notebook as last executed, with outputs (in build/notebooks)."""
         return paths.BUILD / "notebooks" / f"{self.name}.ipynb"
 
     @property
     def products(self) -> tuple[str, ...]:
-        """All files that it writes, relative to the checkout."""
+        """Paths of all files that the notebook writes, relative to the checkout; a figure is a png and a csv."""
         return self.writes + tuple(f"figures/{figure}.{suffix}" for figure in self.figures for suffix in SUFFIXES)
 
     @property
     def stamp(self) -> Path:
-        """File of its last successful run, see `Stamp`."""
+        """Path of the record of its last successful run, a `Stamp` as JSON."""
         return paths.BUILD / "stamps" / f"{self.name}.json"
 
 
 @data.table
 class Stamp:
-    """What the last successful run of a notebook here read, depended on and made, and how long it took (s)."""
+    """Record of the last successful run of a notebook in this checkout.
+
+    Files that it read, inputs with hashes, machine (`store.machine`), products with SHA-256, and run time (s).
+    """
 
     reads: Reads
     inputs: Inputs
@@ -105,12 +112,12 @@ def _file(file: Path | None = None) -> _File:
 
 
 def tolerance() -> compare.Tolerance:
-    """Tolerances of a comparison of two runs."""
+    """Tolerances with which `verify` compares products, from notebooks/chain.toml."""
     return _file().verify
 
 
 def chain(file: Path | None = None) -> dict[str, Notebook]:
-    """Notebooks by name, in order; InputError for wrong entries and for a file that two of them write."""
+    """Read notebooks/chain.toml: name -> notebook, in order; InputError for wrong entries or a file written twice."""
     found: dict[str, Notebook] = {}
     maker: dict[str, str] = {}
     for one in _file(file).notebook:
@@ -128,7 +135,7 @@ def _makers(notebooks: dict[str, Notebook]) -> dict[str, str]:
 
 
 def cells(notebook: Notebook) -> list[dict]:
-    """Cells of a notebook file; InputError when it cannot be read."""
+    """Cells of a notebook file as in its JSON, sources as single strings; InputError when it cannot be read."""
     try:
         found = json.loads(notebook.path.read_text(encoding="utf-8"))["cells"]
         return [cell | {"source": "".join(cell["source"]), "cell_type": cell["cell_type"]} for cell in found]
@@ -145,7 +152,10 @@ def _content(file: Path) -> bytes:
 
 
 def inputs(notebook: Notebook, taken: Reads) -> Inputs:
-    """All that the products of a notebook depend on as it is now, the same on all machines."""
+    """Present hashes of all that the products of a notebook depend on, but for the machine (`store.machine`).
+
+    These are its cells, its parameters, the files and entries of `taken`, packages, and the modules that it can import.
+    """
     content = cells(notebook)
     found = {"its cells": _hash(json.dumps([cell["source"] for cell in content]).encode())}
     found["its parameters"] = _hash(json.dumps(notebook.parameters, sort_keys=True).encode())
@@ -174,7 +184,7 @@ def _products(notebook: Notebook) -> dict[str, str]:
 
 
 def last_run(notebook: Notebook) -> Stamp | None:
-    """Its last successful run here; None without a readable stamp."""
+    """Record of the last successful run of a notebook in this checkout; None without a readable one."""
     try:
         return data.build(Stamp, data.read(notebook.stamp), notebook.stamp.name)
     except InputError:
@@ -182,7 +192,7 @@ def last_run(notebook: Notebook) -> Stamp | None:
 
 
 def why_stale(notebook: Notebook) -> str:
-    """The input or product that is not that of the last successful run; "" when the notebook is fresh."""
+    """Why a notebook is stale: the first input or product that differs from its last successful run; "" if none."""
     last = last_run(notebook)
     if last is None:
         return "it has not run here"
@@ -275,26 +285,22 @@ def _make_deterministic(content: Any) -> None:
 
 
 def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Reads:
-    """Execute a notebook and move its products below `root`; returns what it read below data/ and figures/.
+    """Execute a notebook and move its products below `root`; returns the files of data/ and figures/ that it read.
+
+    InputError names the first of these: an unknown parameter, a failing cell, a false sentence with committed inputs, a
+    missing product, a product of another notebook that was read.
 
     Parameters
     ----------
     notebook : Notebook
     parameters : dict
-        Values for its parameters cell.
+        Values for its parameters cell, by name.
     root : Path
-        Products land in root/data and root/figures; TOML files of one's own in root/data are read there, where they
-        are.
+        Products are written to root/data and root/figures; TOML files in root/data are read in place of those of data/.
     executed : Path
-        Folder of the executed notebook; a failed one is kept there as NAME.failed.ipynb.
+        Folder for the executed notebook; a failed one is kept there as NAME.failed.ipynb.
     keep_going : bool
-        A failing cell does not stop the rest; the products that there are land below `root` before the error is raised.
-
-    Raises
-    ------
-    InputError
-        One line: unknown parameter, failing cell, product that is missing or was read from another notebook, no write
-        permission.
+        Continue after a failing cell, and write the products that there are before the error is raised.
     """
     import nbformat
 
@@ -330,7 +336,7 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
 
 
 def false_sentences(executed: Path) -> list[str]:
-    """False sentences of an executed notebook; none where there is no such file."""
+    """False sentences (`report.sentences`) in the outputs of an executed notebook; empty without the file."""
     return false_in(json.loads(executed.read_text(encoding="utf-8"))["cells"]) if executed.is_file() else []
 
 
@@ -366,7 +372,7 @@ def _taken(log: Path, notebook: Notebook) -> Reads:
 
 
 def refresh(notebook: Notebook) -> None:
-    """Run a notebook and stamp it: as stale where an input was edited meanwhile."""
+    """Run a notebook and record the run as its `Stamp`; where an input was edited meanwhile it stays stale."""
     begin, own = time.time(), inputs(notebook, {})
     taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
     found = inputs(chain()[notebook.name], taken)
@@ -378,10 +384,10 @@ def refresh(notebook: Notebook) -> None:
 
 
 def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
-    """Run what is stale of some notebooks, `jobs` at a time, by default one per processor, at most four.
+    """Run the stale ones of some notebooks, `jobs` at a time (default one per processor, at most four).
 
-    `names` are those of notebooks or figures, or how these begin, as "fig06"; empty takes all. Returns 1 when one of
-    them failed, else 0.
+    `names` are names of notebooks or figures, or their beginnings, as "fig06"; empty takes all. Returns 1 when a
+    notebook failed, else 0.
     """
     notebooks = chain()
     wanted = set() if names else set(notebooks)
@@ -480,10 +486,10 @@ def _write_manifests(notebooks: dict[str, Notebook], names: set[str]) -> None:
 
 
 def drive(vehicle: Path) -> int:
-    """Run the chapters 00 to 09 with a car of one's own (a file like data/vehicle.toml), in build/tried/NAME.
+    """Run the notebooks 00 to 09 with the car of a file like data/vehicle.toml; results are in build/tried/NAME.
 
-    What is committed stays as it is. Prints the sentences that do not hold on this car; returns 1 when a chapter was
-    stopped, else 0.
+    Committed files stay as they are. Prints the sentences that do not hold on this car; returns 1 when a notebook
+    failed, else 0.
     """
     load_vehicle(vehicle)
     root = paths.BUILD / "tried" / vehicle.stem
@@ -498,7 +504,7 @@ def drive(vehicle: Path) -> int:
 
 
 def rerun(names: Sequence[str], root: Path) -> list[str]:
-    """Run notebooks below another folder, all of them whatever fails; returns a line for each that failed."""
+    """Run the named notebooks with products below the folder `root`, also after failures; a line per failed one."""
 
     def again(notebook: Notebook) -> None:
         run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)
@@ -507,9 +513,9 @@ def rerun(names: Sequence[str], root: Path) -> list[str]:
 
 
 def verify() -> int:
-    """Run all notebooks in build/verify and print what differs from the committed products.
+    """Run all notebooks with products in build/verify and print how these differ from the committed products.
 
-    Returns 1 when a notebook fails or a product is beyond its tolerance, else 0.
+    Returns 1 when a notebook fails or a product differs by more than its tolerance, else 0.
     """
     os.environ[store.FOLDER] = "off"  # a rerun computes
     root, all_entries = paths.BUILD / "verify", []

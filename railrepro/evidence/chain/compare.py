@@ -13,14 +13,17 @@ from railrepro import data
 from railrepro.data import Number, between
 
 VALUE, KINDS = "value", ("metric", "quantity")
-"""The column of a tidy table that holds metrics of different size, and the columns that may name them."""
+"""Name of the column of a tidy table with values of several metrics, and of columns that may name the metric."""
 OUTCOMES = SAME, NEAR, DIFFERENT = ("same", "within tolerance", "different")
 _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 
 @data.table
 class Own:
-    """Entry [[verify.own]] of notebooks/chain.toml: tolerance of a column of a table, in the rows of a query or all."""
+    """Entry [[verify.own]] of notebooks/chain.toml: relative tolerance (-) of a column of a table, and why.
+
+    `rows` is a query of pandas for the rows that it holds for; "" takes all.
+    """
 
     table: str
     column: str
@@ -31,7 +34,10 @@ class Own:
 
 @data.table
 class Tolerance:
-    """Table [verify] of notebooks/chain.toml, see there."""
+    """Table [verify] of notebooks/chain.toml: relative tolerance of tables (-), RMS tolerance of images (grey levels).
+
+    Columns in `not_compared` (computation times) may differ; `own` has the tolerances of single columns.
+    """
 
     relative: _SHARE = 0.0
     image_rms: Annotated[Number, between(0.0, 255.0, "grey levels")] = 0.0
@@ -40,10 +46,10 @@ class Tolerance:
 
 
 def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
-    """Compare two tables (csv) or two images (png), a row per entry of a table, one for an image.
+    """Compare two tables (csv) or two images (png): one row per entry of a table, one row for an image.
 
-    `name` is its column and metric, or what else differs; `apart` the difference relative to the largest of that name,
-    of an image the root mean square relative to white (-); `outcome` one of `OUTCOMES`.
+    Columns name (column and metric, or in words what differs), apart (-: difference over the largest magnitude of the
+    same name; of an image its root mean square over white), outcome (one of `OUTCOMES`).
     """
     for path in (committed, rerun):
         if not path.exists():
@@ -52,7 +58,7 @@ def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
 
 
 def summary(entries: pd.DataFrame) -> str:
-    """How many entries have which outcome, and which one is farthest apart."""
+    """Text with the number of entries per outcome and the largest difference, from a table of `compare`."""
     text = ", ".join(f"{(entries['outcome'] == outcome).sum()} {outcome}" for outcome in OUTCOMES)
     if entries.empty:
         return text
@@ -92,7 +98,7 @@ def _apart(old: pd.Series, new: pd.Series, kind: pd.Series | None) -> np.ndarray
 
 
 def limits(table: pd.DataFrame, name: str, column: str, tolerance: Tolerance) -> np.ndarray:
-    """What each row of a column may be off by, over the size of the column (-), shape (n,)."""
+    """Tolerances of the rows of a column over its largest magnitude (-), shape (n,); `name` is the table's file."""
     found = np.full(len(table), tolerance.relative)
     for own in tolerance.own:
         if (own.table, own.column) == (name, column):

@@ -4,7 +4,7 @@ data/paper_like.toml lists every choice that was made for it: nominal, changed t
 statements that it was chosen for. It shows that such a car exists and what it takes; it makes no verdict "reproduced",
 its results stand in a column of their own. `python -m railrepro calibrated [--draws N]` writes data/results:
 paper_like.csv (what holds, and by how much), paper_like_alone.csv (which statements fall when a choice is put back
-alone), paper_like_conflicts.csv (what no value of a choice fulfils together) and paper_like_perturbed.csv (all changed
+alone), paper_like_conflicts.csv (statements on Fig. 9 over its shortest wave) and paper_like_perturbed.csv (all changed
 numbers off by one and by three percent).
 
 Serves the paper's section Multi-Body Simulation Results.
@@ -39,23 +39,23 @@ _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 @data.table
 class Choice:
-    """One entry of data/paper_like.toml.
+    """One choice made for the calibrated car: a parameter with its value, an entry of data/paper_like.toml.
 
     Attributes
     ----------
     nominal, value : number, text or list
-        Of the uncalibrated car at the setting `paper`, and of the calibrated one.
+        Values of the uncalibrated car at the setting `paper`, and of the calibrated car, in `unit`.
     unit : str
     range : list of two numbers, or "free"
-        What the literature gives; "free" where nothing was found or the paper leaves it open.
+        Range in the literature; "free" where none was found or the paper leaves the value open.
     source : str
-        Of the range.
+        Source of the range.
     statements : tuple of str
-        The statements that it was chosen for.
+        Ids of the paper's statements that the value was chosen for.
     why : str
-        How it acts on them.
+        How the value acts on these statements.
     instead : number, text or list, optional
-        What is put back in `alone` when the nominal value is the same.
+        Value that `alone` puts back in place of `nominal`.
     """
 
     nominal: Any
@@ -69,12 +69,12 @@ class Choice:
 
     @property
     def changed(self) -> bool:
-        """Whether a number differs from the nominal one."""
+        """Whether `value` is a number other than `nominal`."""
         return data.is_number(self.value) and self.value != self.nominal
 
 
 def load(path: Path | str | None = None) -> dict[str, Choice]:
-    """The choices by name (default data/paper_like.toml); InputError with one sentence on wrong entries."""
+    """Choices of a TOML file (default data/paper_like.toml) by name; InputError for a wrong entry."""
     file = data.location(path, paths.source("data/paper_like.toml"))
     choices = data.build(dict[str, Choice], data.read(file), file.name)
     try:
@@ -85,7 +85,7 @@ def load(path: Path | str | None = None) -> dict[str, Choice]:
 
 
 def table(*names: str) -> pd.DataFrame:
-    """Some choices as a chapter shows them."""
+    """Table of the named choices, all as text: uncalibrated, calibrated, unit, literature (range), chosen for."""
     rows = {
         name: [str(choice.nominal), str(choice.value), choice.unit, str(choice.range), ", ".join(choice.statements)]
         for name, choice in load().items()
@@ -96,12 +96,12 @@ def table(*names: str) -> pd.DataFrame:
 
 
 def cars() -> dict[str, ProbeSetup]:
-    """Both cars on which the paper's figures are drawn, by name; the uncalibrated one with the sets of `paper`."""
+    """The cars "calibrated" and "uncalibrated" (nominal, tuned controllers of the setting `paper`), by these names."""
     return {"calibrated": paper_like(), "uncalibrated": setup({})}
 
 
 def paper_like(**instead: Any) -> ProbeSetup:
-    """The calibrated car, with other values for some of its choices."""
+    """The calibrated car with its controllers and experiments; `instead` replaces values of choices by name."""
     return setup({name: choice.value for name, choice in load().items()} | instead)
 
 
@@ -113,10 +113,11 @@ MATCHED = (
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge a car by the statements `MATCHED`: one row per statement for which these parts of the probe suffice.
+    """Judge a car with its controllers by the paper's statements on Figs. 6 to 9 (`MATCHED`), one row per statement.
 
-    Columns statement, value, above, below, margin (to the nearer limit over that limit, to a limit of zero itself;
-    positive inside), holds.
+    Those for which the runs of `parts` (see `PARTS`) suffice. Columns statement (id), value and its limits above, below
+    (unit of the statement), margin (relative distance from the nearer limit, absolute from a limit of zero; positive
+    inside), holds (whether the statement is reproduced).
     """
     evidence = Evidence({(s, c, m): v for s, c, m, v in probe(world, parts)})
     rows, found = [], statements.findings(evidence)
@@ -135,19 +136,22 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 
 def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]]:
-    """Each choice put back alone: name, what it is put back to, and the values of all choices then."""
+    """Each choice put back alone: (its name, the value put back, values of all choices by name with that one)."""
     values = {name: choice.value for name, choice in choices.items()}
     put_back = {name: c.nominal if c.instead is None else c.instead for name, c in choices.items()}
     return [(name, back, values | {name: back}) for name, back in put_back.items() if back != values[name]]
 
 
 def conflict(wave: float) -> pd.DataFrame:
-    """Judge the calibrated car in Fig. 9 with another shortest wave (m): columns of `judged`, and wave_m."""
+    """Judge the calibrated car with another shortest wave (m) in Fig. 9: columns of `judged`, and wave_m (m)."""
     return judged(paper_like(**{WAVE: wave}), ["brake"]).assign(wave_m=wave)
 
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
-    """Values of the choices with every changed number off by at most a relative size, drawn evenly."""
+    """Values of all choices by name, every `changed` number times 1 + size u with u uniform in [-1, 1].
+
+    `draw` is the number of the random draw. k_a and k_s of poor rail stay at most 1.
+    """
     rng = np.random.default_rng([SEED, draw])
     values = {name: choice.value for name, choice in choices.items()}
     moved = {name: values[name] * (1 + size * rng.uniform(-1, 1)) for name, choice in choices.items() if choice.changed}
@@ -155,10 +159,10 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
 
 
 def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
-    """Tables by the end of their names.
+    """DataFrames for data/results/paper_like*.csv by the end of the file name; `draws` are perturbations of each size.
 
-    '': see `judged`; _alone: choice, put_back, holds (number), falls (statements); _conflicts: see `conflict`;
-    _perturbed: size, draw, holds, falls.
+    "": see `judged`. "_alone": choice, put_back, holds (number of statements that hold), falls (ids that no longer do).
+    "_conflicts": see `conflict`. "_perturbed": size (relative), draw, holds, falls.
     """
     choices = load()
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
@@ -181,7 +185,7 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
 
 
 def main(draws: int | None = None) -> None:
-    """Judge the calibrated car, put its choices back one by one, perturb them, and write the tables."""
+    """Compute `tables`, write them to data/results and print a summary."""
     found = tables(DRAWS if draws is None else draws)
     for name, table in found.items():
         write(paths.product(f"data/results/paper_like{name}.csv"), table.to_csv(index=False, float_format="%.6g"))

@@ -1,8 +1,8 @@
 """The paper's statements as predicates: one function and one rule per statement, for report, studies and tests.
 
-A function here turns evidence into a number; data/claims.toml says between which limits the statement holds, and why.
-Evidence is a table of metrics by scenario, controller and metric, from any source, so that the nominal results
-and a sample of the robustness study are judged alike.
+The function computes a number from metrics of runs; the rule in data/claims.toml has the limits between which the
+statement holds. `Evidence` holds the metrics by scenario, controller and metric, from any source, so that the nominal
+results and a sample of the robustness study are judged alike.
 
 Serves the paper's section Multi-Body Simulation Results.
 """
@@ -26,50 +26,51 @@ from railrepro.data import InputError
 
 REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE = "reproduced", "partly", "tie", "not reproduced", "not testable"
 NOTHING = "nothing"
-"""Name under which evidence has what y = 0 gives."""
+"""Name in place of a controller for the metrics of a running gear that stays at y = 0."""
 SOFT = f"nmpc, R x {EMPHASIS:g}"
-"""NMPC with a larger R in Fig. 8."""
+"""Name of NMPC with a larger R in Fig. 8."""
 SOFTEST, BETWEEN = "nmpc, second R", "nmpc, R between"
-"""NMPC in the second setting of Fig. 9, and with an R between both."""
+"""Names of NMPC with the second, larger R of Fig. 9, and with an R between the first and the second."""
 FIXED, GUIDES_AS_WELL = "nmpc, fixed share", 1.1
-"""NMPC with the smallest fixed allocation whose error is at most so many times that of the variable one."""
+"""Name of NMPC with the smallest fixed share of torque for guidance (`allocate`) whose error is at most 1.1 times that
+with variable allocation; and this factor (-)."""
 REGULAR = {name: f"{name}, regular operation" for name in ("nmpc", SOFT)}
-"""Names under which evidence has how the longitudinal law does below the maximum, whatever comes after, by R."""
+"""Name of NMPC -> name with its metric of the adhesion law below the adhesion maximum, even if the run fails later."""
 NO_LAW = {name: f"{name}, no slip control" for name in ("nmpc", SOFT)}
-"""Names of the runs without slip control, by R."""
+"""Name of NMPC -> name of the same run without slip control."""
 SUDDEN = ("both rails, traction", "both rails, braking", "left rail, traction", "left rail, braking")
-"""Sudden losses of adhesion."""
+"""Scenarios with a sudden loss of adhesion: where, and whether the motors pull or brake."""
 UNINFORMED = "nmpc, base torque unknown"
 RAILS, PREVIEW = "irregular straight", "nmpc, preview"
-"""The irregular rails, and NMPC that knows them."""
+"""Names of the scenario on irregular rails, and of NMPC that previews them."""
 MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
 T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
 CASES = (T3, f"{T3} on T5", "sine of 1000 m 160", "sine of 1000 m 400")
 CONES, NO_CREEP, AS_MODELLED = "nmpc on cones", "nmpc, nearly rolling", "nmpc on cones, nearly rolling"
-"""Runs that show the effect of cones and of creep, and names of NMPC on such a car."""
+"""Names of NMPC on a car with conical wheels, nearly without creep, and with both; `CASES` are the scenarios."""
 CENTRED = "nmpc, y* = 0"
-"""NMPC in the curve entries, in the middle of the track."""
+"""Name of NMPC in the curve entries with the set point y* = 0."""
 CURVES = tuple(f"curve_entry_T{i}" for i in (1, 2, 3, 4))
 DRIFT = "mean_error_last_third"
 _WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "largest_slip")
 
 
 class MissingEvidence(KeyError):
-    """What a predicate asks for is not among the evidence."""
+    """A metric or table that a predicate needs is missing."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a predicate finds.
+    """Result of the predicate of a statement, which `Statement.judge` compares with its limits.
 
     Attributes
     ----------
     value : float
-        What is compared with the limits; nan never holds.
+        Number to be compared, in the unit of the statement; nan never holds.
     weaker : float or None
-        The same of the easier part of what is compared, see `Statement.judge`.
+        Number for the weaker form of the statement (its easier part), if it has one.
     tie : float
-        Logarithm of the ratio between seeds; a value as near to a limit as that is a tie.
+        Natural logarithm of the scatter (largest over smallest value between seeds); values nearer to a limit tie.
     """
 
     value: float
@@ -79,18 +80,18 @@ class Finding:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Metrics of runs, and tables for what no run of its own can show.
+    """Metrics of runs and tables of results, from which the predicates judge the statements.
 
     Attributes
     ----------
     metrics : mapping
         (scenario, controller, metric) -> value (SI); `failed` is 1 where a run derailed.
     spread : mapping
-        The same keys -> logarithm of largest over smallest value among the seeds of swarm and noise.
+        (scenario, controller, metric) -> natural logarithm of largest over smallest value between seeds.
     tables : callable or None
-        Name of a table of data/results -> DataFrame, or None when it is not made yet; None when there are none.
+        Name of a table of data/results -> DataFrame, or None for a missing one; None without any tables.
     setting : str
-        Setting of comparison that all of it comes from; empty where no controller takes part.
+        Setting of comparison of metrics and tables; "" for tables that depend on no controller.
     """
 
     metrics: Mapping[tuple[str, str, str], float]
@@ -99,7 +100,7 @@ class Evidence:
     setting: str = ""
 
     def __call__(self, scenario: str, controller: str, metric: str) -> float:
-        """A metric; of a failed run infinity where less is better, else nan."""
+        """Value of a metric (SI); of a failed run inf where less is better, else nan; MissingEvidence if unknown."""
         if self.metrics.get((scenario, controller, "failed"), 0.0) > 0 and metric != "failed":
             return float("inf") if metric in _WORST_IS_INFINITE else float("nan")
         try:
@@ -108,7 +109,10 @@ class Evidence:
             raise MissingEvidence(f"{scenario}, {controller}, {metric}") from None
 
     def table(self, name: str) -> pd.DataFrame:
-        """A table of data/results: its rows of the own setting, or one without settings where there is none."""
+        """Rows of a table of data/results for `setting`; with setting "" a table that has no column `setting`.
+
+        MissingEvidence when there is no such table or row.
+        """
         table = self.tables(name) if self.tables else None
         if table is None:
             raise MissingEvidence(name)
@@ -118,20 +122,20 @@ class Evidence:
         return own
 
     def ratio(self, scenario: str, first: str, second: str, metric: str = "rmse_y") -> float:
-        """A metric of one controller over that of another; not a number where the other failed."""
+        """Metric of the first controller over that of the second (-); nan where the second failed."""
         other = self(scenario, second, metric)
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 
     def tie(self, scenario: str, controllers: Iterable[str], metric: str = "rmse_y") -> float:
-        """Largest spread between seeds among some controllers; zero when no seeds are known."""
+        """Largest `spread` (natural logarithm) of a metric among controllers; 0 where none is known."""
         return max(self.spread.get((scenario, name, metric), 0.0) for name in controllers)
 
     def ahead(self, scenario: str, first: str, second: str) -> bool:
-        """Whether one controller is more accurate than another, which did not fail, by more than seeds differ."""
+        """Whether the first controller has less RMSE of y than the second by more than seeds differ; none failed."""
         return self.ratio(scenario, first, second) * np.exp(self.tie(scenario, (first, second))) < 1
 
     def speeds(self) -> list[int]:
-        """Speeds of the sine on the straight (km/h) that NMPC has driven, rising."""
+        """Speeds (km/h, rising) of the sine on the straight with metrics of NMPC; MissingEvidence below two."""
         found = {s for s, name, metric in self.metrics if name == "nmpc" and s.startswith("sine_tracking ")}
         speeds = sorted(int(scenario.rpartition(" ")[2]) for scenario in found)
         if len(speeds) < 2:
@@ -141,7 +145,12 @@ class Evidence:
 
 @data.table
 class Statement:
-    """Entry of data/claims.toml, see its head."""
+    """Statement of the paper with its rule, an entry of data/claims.toml.
+
+    A statement holds for values (in `unit`) between `above` and `below`, limits with a `reason`, and partly between
+    `partly_above` and `partly_below`. `section` and `paper` (value) are those of the paper, `evidence` the figure or
+    table that `notebook` makes. ValueError for evidence that does not exist, or a statement without limits.
+    """
 
     section: str
     statement: str
@@ -166,14 +175,14 @@ class Statement:
 
     @property
     def controls(self) -> list[str]:
-        """Names of its negative controls."""
+        """Names of the negative controls in the tests, wrong inputs for which the statement must not hold."""
         return self.control.split("; ") if self.control else []
 
     def judge(self, finding: Finding) -> str:
-        """The verdict on a finding: partly where the weaker form of the statement holds.
+        """Verdict on a finding: `REPRODUCED`, `TIE`, `PARTLY` (the weaker form of the statement holds) or `NOT`.
 
-        That is the easier part of what it compares (`Finding.weaker`), or all of it within the wider limits
-        `partly_above` and `partly_below`; a statement without either has no weaker form.
+        The weaker form is `Finding.weaker` (else the value) within `partly_above` and `partly_below` (else the same
+        limits). A value within a factor exp(`Finding.tie`) of a limit, on either side, is a tie.
         """
         if _within(finding.value, self.above, self.below, finding.tie):
             return REPRODUCED
@@ -192,7 +201,7 @@ def _within(value: float, above: float | None, below: float | None, tie: float) 
 
 
 def load(path: Path | str | None = None) -> dict[str, Statement]:
-    """Statements of a TOML file (default data/claims.toml) by id; InputError with one sentence on wrong entries."""
+    """Read the statements of a TOML file (default data/claims.toml) by id, as "C05"; InputError for wrong entries."""
     file = data.location(path, paths.source("data/claims.toml"))
     found = data.build(dict[str, Statement], data.read(file), file.name)
     for identity, statement in found.items():
@@ -202,13 +211,13 @@ def load(path: Path | str | None = None) -> dict[str, Statement]:
 
 
 def find(identity: str, evidence: Evidence) -> Finding:
-    """What the predicate of a statement finds; MissingEvidence when the evidence does not suffice."""
+    """Result of the predicate of a statement (id, as "C05"); MissingEvidence when a metric or table is missing."""
     found = VALUES[identity](evidence)
     return found if isinstance(found, Finding) else Finding(float(found))
 
 
 def findings(evidence: Evidence) -> dict[str, Finding]:
-    """What the predicates find for which the evidence suffices, by id."""
+    """Statement id -> result of its predicate, for all statements whose metrics and tables are there."""
     found = {}
     for identity in VALUES:
         with suppress(MissingEvidence):
@@ -278,7 +287,7 @@ def _gyroscope(e: Evidence) -> float:
 
 
 def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
-    """A column of solve_times.csv by scenario, without those with tightened bounds."""
+    """Column of solve_times.csv for a solver (as median_ms, ms) by scenario, without those with tightened bounds."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
@@ -398,7 +407,7 @@ def _stable_on_poor_rail(e: Evidence) -> Finding:
 
 
 BOUNDED = 1.5
-"""Growth of the error from one half of the way to the other below which an oscillation is bounded."""
+"""Ratio (-) of the RMS error of the second to the first half of the way below which an oscillation is bounded."""
 
 
 def _poor_is_harder(e: Evidence) -> Finding:
@@ -537,9 +546,9 @@ VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     "C42": _less_delay,
     "C44": _similar_times,
 }
-"""Predicates by id."""
+"""Statement id -> its predicate."""
 TABLES = dict.fromkeys(VALUES, "nominal_metrics") | {
     **{"C01": "table1", "C26": "adhesion_map", "C27": "adhesion_law"},
     **dict.fromkeys(("C14", "C15", "C44"), "solve_times"),
 }
-"""Table of data/results that each predicate reads, by id; none reads two."""
+"""Statement id -> name of the table of data/results that its predicate reads; none reads two."""

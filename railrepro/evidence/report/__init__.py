@@ -1,1 +1,1 @@
-"""Figures, notation, claims and the report; serves the paper's section Multi-Body Simulation Results."""
+"""Figures of the notebooks, verdicts and the report; serves the paper's section Multi-Body Simulation Results."""

@@ -1,8 +1,8 @@
 """Verdicts on the paper's statements, in each setting of comparison; REPLICATION.md is rendered from them.
 
-`data/claims.toml` holds the rules, `railrepro.evidence.claims.statements` one predicate each, data/results/claims.csv
-the verdicts, which change on purpose only, `data/theses.toml` why a statement fails. The headline verdict is that in
-the setting `paper` on the uncalibrated car; that on the calibrated car is a column of its own.
+`data/claims.toml` has the rules, `railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv
+the accepted verdicts, `data/theses.toml` why a statement fails. The headline verdict is that in the setting `paper` on
+the uncalibrated car; that on the calibrated car has a column of its own.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from railrepro.evidence.uncertainty.robustness import shares
 
 FILE = "data/results/claims.csv"
 HEADLINE = tuning.PAPER
-"""Setting whose verdict counts; the others stand beside it."""
+"""Setting of comparison whose verdict is the headline verdict."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
 ORDER = (REPRODUCED, FRAGILE, PARTLY, TIE, NOT, UNTESTABLE)
 """Verdicts, the best first."""
@@ -28,10 +28,12 @@ _CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
 
 
 def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
-    """Verdicts, one row per statement and setting (contract of data/results/claims.csv).
+    """Verdicts from the stored metrics (`nominal`), one row per statement and setting of comparison.
 
-    `setting` is empty for statements that no tuned set enters. `judged` is the verdict, with fragile and tie;
-    `calibrated` whether the statement holds on the calibrated car ("yes", "no" or empty when it was not asked).
+    Columns of data/results/claims.csv but `why`, and `data`, the table that was judged. `setting` is empty for
+    statements that depend on no tuned controller. `judged` is one of `ORDER`; `verdict` the same without fragile and
+    tie; `share` the share of sampled cars on which the statement holds (-), with its 95 % limits; `calibrated` whether
+    it holds on the calibrated car ("yes", "no", or empty where that car is not judged).
     """
     nominal = nominal or Nominal()
     robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
@@ -47,7 +49,11 @@ def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
 
 
 def graded(verdict: str, share: pd.Series | None) -> str:
-    """A verdict, fragile where it is reproduced in no clear majority of the samples; without samples as it is."""
+    """Return a verdict, lowered from "reproduced" to "fragile" when most sampled cars do not clearly confirm it.
+
+    `share` is the row of `robustness.shares` for the statement: fragile is a lower 95 % limit ("low") of 0.5 or less.
+    Without samples (None) the verdict stays.
+    """
     return FRAGILE if verdict == REPRODUCED and share is not None and share["low"] <= 0.5 else verdict
 
 
@@ -73,12 +79,15 @@ def _row(
 
 
 def table_file(name: str) -> str:
-    """Return the path of a table of data/results; what is a path already stays."""
+    """Return the path of a table of data/results by its name, as "table1"; a path (with a slash) is returned as is."""
     return name if "/" in name else f"data/results/{name}.csv"
 
 
 def headline(rows: pd.DataFrame) -> str:
-    """The verdict on a statement: that in the setting `paper`, or of what needs no setting."""
+    """Headline verdict of one statement from its rows of `evaluate`: that in `paper`, or that without a setting.
+
+    `NO_VERDICT` for an entry that is no statement, `UNTESTABLE` where neither row is there.
+    """
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT
     counts = rows[rows["setting"].isin(("", HEADLINE))]["judged"]
@@ -86,12 +95,12 @@ def headline(rows: pd.DataFrame) -> str:
 
 
 def verdicts(table: pd.DataFrame) -> dict[str, str]:
-    """Headline verdict by id, in the order of data/claims.toml."""
+    """Statement id -> headline verdict, from a table of `evaluate`, in the order of data/claims.toml."""
     return {str(identity): headline(rows) for identity, rows in table.groupby("id", sort=False)}
 
 
 def counted(table: pd.DataFrame) -> str:
-    """How many statements have which verdict: those that depend on the setting, and those that do not."""
+    """Two sentences that count the headline verdicts of `evaluate`, of statements with and without a setting."""
     found, parts = verdicts(table), []
     judged = table[table["kind"] == "statement"]
     for needed, where in (
@@ -106,7 +115,7 @@ def counted(table: pd.DataFrame) -> str:
 
 
 def changed(table: pd.DataFrame) -> list[str]:
-    """Sentences on verdicts that differ from those in data/results/claims.csv."""
+    """One line of text per verdict of a table of `evaluate` that differs from data/results/claims.csv."""
     stored = pd.read_csv(paths.source(FILE), dtype=str, keep_default_na=False)
     before, now = (one.set_index(["id", "setting"])["judged"] for one in (stored, table))
     both = pd.DataFrame({"before": before, "now": now}).fillna("nothing")

@@ -1,7 +1,7 @@
-"""Runs of several controllers side by side: drive, tabulate and draw them. Chapters are written with these verbs.
+"""Runs of several controllers side by side: simulate, tabulate and draw them, as the chapters of the book do.
 
-A study is the same with lists: `compare("sine_tracking", PAPER_TRIO, speed_kmh=[80, 160])` drives each controller at
-each speed. Runs that were driven once are read from the store.
+Lists make a study: `compare("sine_tracking", PAPER_TRIO, speed_kmh=[80, 160])` simulates each controller at each speed.
+Runs that were simulated before are read from the store.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ QUANTITIES = {
     **{"largest_error_mm": ("largest_error", 1e3), "delay_m": ("delay", 1.0), "effort_Nm": ("effort_du", 1.0)},
     **{"largest_slip_permille": ("largest_slip", 1e3), "stopping_distance_m": ("stopping_distance", 1.0)},
 }
-"""Quantities of a run with their unit -> column of its row (SI) and factor; any other column has its own name."""
+"""Quantity with its unit -> column of `Comparison.rows` (SI) and factor from SI to that unit."""
 PANELS = {
     "y": ("$y$ (mm)", ["y_m"], 1e3, "y_ref_m"),
     "error": ("error (mm)", ["error_m"], 1e3, ""),
@@ -42,40 +42,41 @@ PANELS = {
     "slip": ("slip (‰)", ["sx_ri", "sx_le"], -1e3, ""),
     "speed": ("speed (km/h)", ["v_mps"], 3.6, ""),
 }
-"""Panels of a figure: label of the axis, columns of the series (right before left wheel), factor, set point."""
+"""Panel of a figure -> label of its axis, columns of `Comparison.series` (right before left wheel), factor from SI,
+column of the set point or ""."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs side by side."""
+    """Metrics and series of several runs, with tables and figures of them; made by `compare`."""
 
     rows: pd.DataFrame
-    """One row per run: its labels and metrics (SI), whether it failed, warnings."""
+    """One row per run: its labels and its metrics in SI units, see `Experiment.values`."""
     series: pd.DataFrame
-    """Kept rows of all runs with their labels."""
+    """Time series of all runs below each other (`experiment.tidy`), with labels, error_m and controller."""
     labels: tuple[str, ...]
-    """Columns by which the runs differ."""
+    """Names of the columns by which the runs differ, as ("speed_kmh", "controller")."""
     headings: Mapping[str, str] = field(default_factory=dict)
-    """Value of a label -> what a figure says above its column, where that is more than the value."""
+    """Value of a label -> title of its column of panels in a figure, where the title is not the value itself."""
 
     def __getitem__(self, quantity: str) -> pd.Series:
-        """One number per run, by labels; see `QUANTITIES`."""
+        """One number per run, indexed by `labels`: a key of `QUANTITIES`, in its unit, or a column of `rows`."""
         column, factor = QUANTITIES.get(quantity, (quantity, 1.0))
         found = self.rows.set_index(list(self.labels))[column].rename(quantity)
         return found if factor == 1.0 else factor * found
 
     def of(self, *chosen: str) -> Comparison:
-        """Only the runs of some controllers (or cases)."""
+        """The comparison with only the runs of the named controllers (or of the named cases of `compare`)."""
         name = self.labels[-1]
         rows, series = (table[table[name].isin(chosen)] for table in (self.rows, self.series))
         return replace(self, rows=rows, series=series)
 
     def table(self, *quantities: str) -> pd.DataFrame:
-        """Quantities of all runs, one row each."""
+        """One row per run, a column per quantity, see `__getitem__`."""
         return pd.DataFrame({name: self[name] for name in quantities})
 
     def data(self, *panels: str) -> pd.DataFrame:
-        """What `plot` draws: all labels, track coordinate and the columns of the panels."""
+        """The series that `plot` draws for these `PANELS`: labels, p_m and the columns of the panels (SI)."""
         named = [name for name in ("car", "setting", "scenario", "controller", *self.labels) if name in self.series]
         drawn = [name for panel in panels for name in (PANELS[panel][3], *PANELS[panel][1]) if name]
         return self.series[list(dict.fromkeys([*named, "p_m", *drawn]))]
@@ -83,20 +84,20 @@ class Comparison:
     def plot(
         self, *panels: str, columns: str = "", height: float = 1.3, limits: Mapping | None = None, more: int = 0
     ) -> tuple[Figure, np.ndarray]:
-        """Draw quantities over the track coordinate, one row of panels each; figure and axes, shape (rows, columns).
+        """Draw panels below each other over the track coordinate (m); returns figure and axes, shape (rows, columns).
 
         Parameters
         ----------
         panels : str
-            See `PANELS`.
+            Keys of `PANELS`, one per row.
         columns : str
-            Label whose values stand side by side, as "car"; empty has one column.
+            Label with a column of panels per value, as "car"; empty has one column with all runs.
         height : float
-            Of a row (in).
+            Height of a row (in).
         limits : mapping, optional
-            Panel -> range of its axis; curves that go beyond are marked.
+            Panel -> (low, high) of its ordinate in the unit of its label; curves beyond are marked (`figures.clip`).
         more : int
-            Empty rows below, with an abscissa of their own.
+            Number of empty rows below, for other diagrams.
         """
         shown = self.rows[columns].unique() if columns else [""]
         width = figures.WIDTH if len(shown) == 1 else figures.HALF
@@ -120,7 +121,10 @@ class Comparison:
         return figure, axes
 
     def draw(self, axes: Sequence[Axes], panels: Sequence[str], series: pd.DataFrame) -> None:
-        """Draw runs into panels below each other: the right wheel as its controller, the left one paler."""
+        """Draw `series` (rows of `self.series`) over the track coordinate (m) into axes, one for each of `panels`.
+
+        The left wheel is paler than the right one.
+        """
         labels = [name for name in self.labels if name == "controller" or series[name].nunique() > 1] or ["controller"]
         drawn: list[str] = []
         for values, run in series.groupby(labels, sort=False):
@@ -149,27 +153,27 @@ def compare(
     setting: str | list = PAPER, *, car: Mapping[str, ProbeSetup] | None = None, solver: str = "rti",
     noise_seed: int = 101, stride: int = 20, **changes,
 ) -> Comparison:  # fmt: skip
-    """Drive controllers through a scenario, each in every combination of what is given as a list.
+    """Simulate controllers in a scenario; an argument given as a list gives a run per value, in all combinations.
 
     Parameters
     ----------
-    scenario : str or Scenario
-        Entry of data/scenarios.toml or one of one's own; a list, or names of one's own -> scenario.
+    scenario : str, Scenario, list or mapping
+        Name in data/scenarios.toml or a `Scenario`; a list of these, or a mapping of names to scenarios.
     controllers : sequence of str, or mapping
-        Keys of `CONTROLLERS`; or names of runs -> key, or -> {"controller": key, "r_times": factor on R, fields of
+        Keys of `CONTROLLERS`; or name of a case -> key, or -> {"controller": key, "r_times": factor on R, fields of
         `Experiment`}.
-    setting : str
-        Of comparison: which tuned sets; in `loop` with sensors.
+    setting : str or list
+        Setting of comparison whose tuned sets are taken; `loop` has sensors.
     car : mapping, optional
-        Names of cars -> set-ups with controllers and scenarios of their own (`calibrated.cars()`).
+        Name -> `ProbeSetup` with a car, controllers and scenarios of its own (`calibrated.cars()`).
     solver : str
-        Of NMPC: rti, gauss_newton or ipopt.
+        Solver of NMPC: rti, gauss_newton or ipopt.
     noise_seed : int
-        Of the sensors in the setting `loop`.
+        Random seed of the sensors in the setting `loop`.
     stride : int
-        Every n-th millisecond is kept.
+        Every n-th control cycle (1 ms) is kept in the series.
     changes
-        Fields of `Scenario`, a list for a value each; and fields of `Experiment` for all runs.
+        Fields of `Scenario`, each a value or a list of values; and fields of `Experiment` for all runs.
     """
     cases = controllers if isinstance(controllers, Mapping) else {name: name for name in controllers}
     cases = {name: case if isinstance(case, dict) else {"controller": case} for name, case in cases.items()}

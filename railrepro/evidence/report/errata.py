@@ -1,4 +1,4 @@
-"""Effect of the printed equations in closed loop: one entry as printed, all else corrected."""
+"""Effect of errors in the paper's printed equations (D1 to D10) in closed loop: one as printed, the rest corrected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from railrepro.simulation.scenarios import Scenario
 from railrepro.track.table import load_track, write_table
 
 LINEAR = {"nmpc": "nmpc", "ltv": "ltv_mpc", "ltv printed": "ltv_mpc_printed"}
-"""Ways to linearise -> controller."""
+"""Kind of prediction model (nonlinear, linearised, linearised as printed) -> controller."""
 _SHORT = {
     **{"D1": "order (D1)", "D2": "wheel energy (D2)", "D3": "track rate (D3)", "D4": "forecast (D4)"},
     **{"D6": "linearisation (D6)", "D7": "roll (D7)", "D10": "torque limit (D10)", "printed": "D1 to D4, D7"},
@@ -31,7 +31,10 @@ def _weights() -> dict:
 
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:
-    """Drive NMPC with variants of its prediction model, and with the torque limit as printed (D10)."""
+    """Simulate NMPC with variants of its prediction model (`MPCSettings.variant`) and with the printed torque limit.
+
+    Returns the metrics (`run_all`) with `scenario`, `variant` ("D10" for the limit) and `flange` (contact or lift).
+    """
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [(s, v) for s in scenarios for v in variants] + [(s, "D10") for s in scenarios]
     table, _ = run_all([
@@ -42,7 +45,10 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
 
 
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
-    """Drive NMPC and both LTV-MPC with the same weights, by Runge-Kutta and by Euler's method."""
+    """Simulate NMPC and both LTV-MPC with the same weights, discretised by Runge-Kutta and by Euler's method.
+
+    Returns the metrics (`run_all`) with `scenario`, `kind` (key of `LINEAR`, with ", Euler") and `flange`.
+    """
     kinds = {kind: (controller, {}) for kind, controller in LINEAR.items()}
     kinds |= {f"{kind}, Euler": (controller, {"discretisation": "euler"}) for kind, controller in LINEAR.items()}
     table, _ = run_all([
@@ -53,7 +59,7 @@ def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
 
 
 def turned(scenario: Scenario, angles: Sequence[float]) -> pd.DataFrame:
-    """RMSE of y (mm) of both LTV-MPC on a track that is turned about its origin as a whole, by angle (rad)."""
+    """RMSE of y (mm) of both LTV-MPC on the track rotated in plan: rows angle (rad), columns "ltv", "ltv printed"."""
     with tempfile.TemporaryDirectory() as folder:
         curves = {angle: scenario.but(track=_turned_track(scenario.track, angle, folder)) for angle in angles}
         labels = [{"turn": angle, "kind": kind} for angle in angles for kind in ("ltv", "ltv printed")]
@@ -71,16 +77,20 @@ def _turned_track(name: str, angle: float, folder: str) -> str:
 
 
 def heights(tracks: Sequence[str], base: float) -> pd.DataFrame:
-    """D8: superelevation (m) with sine and with tangent of the cant angle, on a base (m); no run depends on it."""
+    """Erratum D8: superelevation (m) on a base (m) by sine and by tangent of the largest cant angle of each track.
+
+    Columns id, scenario (the track), sin_m, tan_m; no run depends on it.
+    """
     roll = np.array([load_track(track).table["phi_rad"].max() for track in tracks])
     return pd.DataFrame({"id": "D8", "scenario": tracks, "sin_m": base * np.sin(roll), "tan_m": base * np.tan(roll)})
 
 
 def effects(variants: pd.DataFrame, linear: pd.DataFrame, d8: pd.DataFrame) -> pd.DataFrame:
-    """Relative changes of error and torque by entry and scenario (contract of data/results/discrepancy_effects.csv).
+    """Relative changes (-) of RMSE of y and RMS torque by erratum (id) and scenario, from the tables of
+    `model_variants`, `linearisations` and `heights`; written to data/results/discrepancy_effects.csv.
 
-    Runs that the printed model makes unstable amplify rounding: what has more than doubled is given with two digits,
-    and a run at its flanges, or with more than the triple error, is lost and has no number.
+    An error that more than doubles has two digits, as such runs amplify rounding. A run at its flanges, or with more
+    than three times the error, is `lost` and has no numbers.
     """
     is_corrected, kind = variants["variant"] == "corrected", linear["kind"]
     parts = [
@@ -108,7 +118,7 @@ def _changes(found: pd.DataFrame, reference: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_entry(result: pd.DataFrame) -> pd.DataFrame:
-    """Change of the RMSE of y (%) by entry, a column per scenario; NaN where lost or not run."""
+    """Change of the RMSE of y (%) from a table of `effects`: erratum by scenario; NaN where lost or not simulated."""
     shown = result[result["id"] != "D8"]
     return (
         100 * shown.pivot(index="id", columns="scenario", values="rmse_change")[list(dict.fromkeys(shown["scenario"]))]
@@ -116,7 +126,7 @@ def by_entry(result: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_effects(result: pd.DataFrame) -> Figure:
-    """Draw `by_entry` as fields: dark is a large change, grey is lost, empty is not run."""
+    """Draw `by_entry` of a table of `effects` as a map: dark is a large change, grey lost, empty not simulated."""
     found = by_entry(result)
     wide = found.loc[[entry for entry in _SHORT if entry in found.index]]
     lost = set(result[result["lost"].fillna(False).astype(bool)].set_index(["id", "scenario"]).index)

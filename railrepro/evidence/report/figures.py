@@ -26,7 +26,7 @@ from railrepro.paths import Entries
 WIDTH = 3.5
 """Width of a figure (in)."""
 HALF = 1.9
-"""Width of one of two columns (in): with both a label of 7 points is 9 pixels high on a telephone."""
+"""Width of each of two columns of axes (in): labels of 7 pt are then 9 pixels high on a telephone."""
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     *("#000000", "#E69F00", "#56B4E9", "#009E73"),
     *("#F0E442", "#0072B2", "#D55E00", "#CC79A7"),
@@ -37,7 +37,7 @@ _FILE, _MATPLOTLIB = "data/style.toml", "matplotlib"
 
 @files.table
 class Look:
-    """How a controller is drawn in every figure, see data/style.toml."""
+    """Look of a controller in every figure (data/style.toml): label, and colour, line style and so on of Matplotlib."""
 
     label: str
     color: str
@@ -51,13 +51,13 @@ class Look:
 
     @property
     def line(self) -> dict:
-        """Options of a line."""
+        """Keyword arguments for `Axes.plot` that draw a line: color, linestyle, linewidth (pt), label."""
         style = self.linestyle if isinstance(self.linestyle, str) else (self.linestyle[0], tuple(self.linestyle[1]))
         return {"color": self.color, "linestyle": style, "linewidth": self.linewidth, "label": self.label}
 
 
 def load(path: Path | str | None = None) -> tuple[Entries[Look], Entries[dict]]:
-    """Looks by controller, and the settings of Matplotlib, of a TOML file (default data/style.toml)."""
+    """Read a TOML file (default data/style.toml): controller -> `Look`, and "matplotlib" -> its rcParams."""
     file = files.location(path, paths.source(_FILE))
     content = files.read(file)
     settings = {_MATPLOTLIB: content.pop(_MATPLOTLIB, {})}
@@ -65,13 +65,13 @@ def load(path: Path | str | None = None) -> tuple[Entries[Look], Entries[dict]]:
 
 
 LOOKS, _SETTINGS = load()
-"""One look per controller."""
+"""Controller, or "set point", -> `Look`."""
 SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
-"""Of the settings of comparison, where the colour is that of a controller."""
+"""Setting of comparison -> marker, in figures whose colours tell controllers apart."""
 
 
 def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: float = WIDTH, **options):
-    """Figure and axes in the common style; `height` is that of one row (in)."""
+    """Figure and axes of `plt.subplots` in the common style; height of a row and width of a column (in)."""
     mpl.rcParams.update(_SETTINGS[_MATPLOTLIB])
     figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
     plt.close(figure)  # a notebook would show it at the end of the cell that begins it
@@ -79,22 +79,22 @@ def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: floa
 
 
 def handles(axes: Iterable[Axes]) -> dict[str, Artist]:
-    """What several panels draw, each label once, for one legend of all."""
+    """Label -> artist over several axes, each label once, for a common legend."""
     return {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
 
 
 def points(name: str, **options) -> dict:
-    """Look of a controller as options of a plot of unconnected markers."""
+    """Keyword arguments for `Axes.plot` that draw markers without a line as for a controller; `options` are added."""
     look = LOOKS[name]
     dot = {"color": look.color, "marker": look.marker, "markersize": 7.0 if look.marker == "*" else 4.5}
     return dot | {"linestyle": "", "label": look.label} | options
 
 
 def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
-    """Write figures/NAME as png, and the plotted data as csv, and show the figure in a notebook.
+    """Write figures/NAME.png, and the plotted data as figures/NAME.csv, and show the figure in a notebook.
 
-    Equal content gives equal bytes. The name is figNN_name, the data are tidy with units in the column names. Where
-    there are several panels each has its letter.
+    NAME is of the form figNN_name; columns of `data` have their unit in the name. Several panels get letters. Equal
+    content gives equal bytes.
     """
     from IPython import get_ipython  # the library does without it
     from IPython.display import display
@@ -110,7 +110,7 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
 
 
 def in_palette(picture: Image.Image) -> Image.Image:
-    """The picture in 64 colours, a quarter of the bytes; white stays white."""
+    """Reduce a picture to 64 colours, for a quarter of the bytes; white stays white."""
     reduced = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     reduced.putpalette([255 if level > 250 else level for level in reduced.getpalette() or []])
     return reduced
@@ -136,7 +136,7 @@ def _fix_layout(figure: Figure) -> None:
 
 
 def clip(axes: Iterable[Axes], low: float, high: float) -> None:
-    """Limit panels to a range, and say how far their curves go beyond it."""
+    """Limit the ordinate of axes to low … high; where curves go beyond, note their largest or smallest value."""
     for axis in axes:
         lines = [line for line in axis.lines if line.get_transform() == axis.transData]
         values = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
@@ -150,7 +150,7 @@ def clip(axes: Iterable[Axes], low: float, high: float) -> None:
 
 
 def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
-    """Dotted vertical lines at coordinates through all axes, their names at the top of the first, upright."""
+    """Draw dotted vertical lines (abscissa -> name) through all axes, their names at the foot of the first axes."""
     for i, axis in enumerate(axes):
         for x, name in places.items():
             axis.axvline(x, color="0.4", linestyle=":", linewidth=0.7, zorder=0)
@@ -162,7 +162,10 @@ def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
 
 
 def draw_map(axis: Axes, table: pd.DataFrame, factor: float = 1.0, **options) -> None:
-    """Draw a table as a map with a number in each field, a cross where it has none; `options` are those of `imshow`."""
+    """Draw a table as a coloured map, its first row lowest, with factor * value as a whole number in each field.
+
+    A cross stands for a value that is not finite; `options` are those of `Axes.imshow`.
+    """
     values = factor * table.to_numpy(float)
     image = axis.imshow(values, origin="lower", aspect="auto", **{"cmap": "viridis"} | options)
     for (row, column), value in np.ndenumerate(values):

@@ -1,6 +1,7 @@
-"""Verdicts that flip with answers to open questions: `python -m railrepro probe FILE.toml`, a filled data/answers.toml.
+"""Verdicts that flip with answers of the paper's authors to open questions: `python -m railrepro probe FILE.toml`.
 
-Answers change the set-up of the probe of the setting `paper`; only the parts that depend on them are driven again.
+FILE.toml is a filled copy of data/answers.toml. Answers change the set-up of the probe (`claims.probe`) of the setting
+`paper`; only the parts that depend on them are simulated again.
 """
 
 from __future__ import annotations
@@ -25,7 +26,11 @@ from railrepro.evidence.uncertainty.robustness import shares
 
 @data.table
 class Question:
-    """Entry of data/answers.toml, see its head."""
+    """Open question in data/answers.toml: its text, the names of `claims.setup` that its answer sets, and the answer.
+
+    `parts` are the parts of the probe that depend on it; `answer` has a value per name of `sets`, in `unit`, repeated
+    where it has fewer, or is empty. ValueError for another number of answers or an unknown part.
+    """
 
     asks: str
     sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -42,15 +47,16 @@ class Question:
 
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
-    """The questions of a file (default data/answers.toml) by name; InputError with one sentence on what is wrong."""
+    """Read the questions of a file (default data/answers.toml) by name; InputError for wrong entries."""
     file = data.location(path, paths.source("data/answers.toml"))
     return data.build(dict[str, Question], data.read(file), file.name)
 
 
 def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) -> pd.DataFrame:
-    """Verdicts on `paper` before and after some answers: id, statement, before, after.
+    """Verdicts in the setting `paper` before and after answers: columns id, statement, before, after.
 
-    The probe is driven unless its rows (scenario, controller, metric, value) are given.
+    `answered` are questions by name, all with an answer. `driven` are the rows (scenario, controller, metric, value in
+    SI units) of the probe with these answers; without them it is simulated.
     """
     given = {
         key: value for each in answered.values() for key, value in zip(each.sets, cycle(each.answer), strict=False)
@@ -79,7 +85,11 @@ def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) ->
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Drive the nominal probes of some settings and write their table, or print what the answers of a file flip."""
+    """Run the probes of some settings of comparison (default all) and write data/results/nominal_metrics.csv.
+
+    With one TOML file in place of settings: print the verdicts that its answers flip. InputError for a file without an
+    answer, or with further arguments.
+    """
     if not any(name.endswith(".toml") for name in settings):
         return probe.main(settings)
     if len(settings) > 1:

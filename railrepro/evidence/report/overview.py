@@ -1,4 +1,4 @@
-"""Overview of the verdicts as a figure: statement by setting of comparison."""
+"""Figures of all verdicts: statement by setting of comparison, and statement by poles of NDI."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _MARKS = {
 
 
 def short_names() -> pd.Series:
-    """Name of each statement of data/claims.toml in a few words, by id (data/statement_names.csv)."""
+    """Short name of each statement of data/claims.toml, indexed by its id (data/statement_names.csv)."""
     return pd.read_csv(paths.source("data/statement_names.csv")).set_index("id")["short"]
 
 
 def over_poles(table: pd.DataFrame) -> Figure:
-    """Verdicts on statements over the poles of NDI, from poles, id, verdict of data/results/pole_verdicts.csv."""
+    """Draw the verdict on each statement over the triple pole of NDI (rad/s); columns poles, id, verdict."""
     figure, axes = _marks(table["id"], table["poles"].astype(str), table["verdict"], 0.16, 0.9)
     poles = table["poles"].astype(str).unique()
     axes.set_xticks(range(len(poles)), [pole.replace("swarm", "\nswarm") for pole in poles])
@@ -41,9 +41,9 @@ def over_poles(table: pd.DataFrame) -> Figure:
 
 
 def verdicts(claims: pd.DataFrame) -> Figure:
-    """Verdict on each statement by setting; what no tuned controller enters has one verdict in a column of its own.
+    """Draw the verdict on each statement by setting of comparison, with a column for those independent of the setting.
 
-    From id, kind, setting, judged of data/results/claims.csv.
+    `claims` has columns id, kind, setting, judged, as data/results/claims.csv.
     """
     judged = claims[claims["kind"] == "statement"].fillna({"setting": ""})
     figure, axes = _marks(judged["id"], judged["setting"], judged["judged"], 0.13, 0.7, [*tuning.SETTINGS, ""])

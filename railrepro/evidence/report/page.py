@@ -1,11 +1,11 @@
-"""The report: REPLICATION.md, the gallery and the results in README.md, Jinja templates of data/ that are filled in.
+"""The report: REPLICATION.md, figures/README.md and the results in README.md, rendered from Jinja templates in data/.
 
-data/replication.md.j2 is the whole report, data/gallery.md.j2 the page figures/README.md, data/readme.md.j2 what stands
-in README.md between its two marks. data/theses.toml has sentences with the conditions under which they are true.
-A number in them is an expression with a filter that shows it as a link to its table, such as
+data/replication.md.j2 is the whole report, data/gallery.md.j2 the page figures/README.md, data/readme.md.j2 the part of
+README.md between two marks. data/theses.toml has sentences with the conditions under which they are true. A number in
+them is an expression with a filter that shows it as a link to its table, such as
 `{{ e('paper', 'braking', 'ndi', 'stopping_distance') | linked('nominal_metrics', 'm') }}`, in short
-`{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`. An expression may use the public members of `Page` and
-the names that it adds to them.
+`{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`. Expressions may use the public members of `Page` and the
+names that its constructor adds.
 """
 
 from __future__ import annotations
@@ -38,16 +38,19 @@ from railrepro.simulation.scenarios import load_scenario
 MARKS = {"reproduced": "✓", "fragile": "✓?", "partly": "◐", "tie": "=", "not reproduced": "✗", "not testable": "–"}
 CALIBRATED = {"yes": "✓", "no": "✗", "": ""}
 BEGIN, END = "<!-- written by `make report` from data/readme.md.j2 -->\n", "<!-- end of what is written -->\n"
-"""Lines of README.md around what the report writes."""
+"""Lines of README.md between which its results are written."""
 UNKNOWN = "n/a"
 FREEDOMS = len(BODIES) * len(COORDINATES) // 2 + len(WHEELS)
-"""Degrees of freedom of the car: those of the bodies, and one per wheel."""
+"""Number of degrees of freedom of the car model: those of the bodies, and one per wheel."""
 _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 
 
 @data.table
 class Thesis:
-    """Entry of data/theses.toml: a sentence, and the conditions that must all be true for it to be said."""
+    """Entry of data/theses.toml: a sentence (`says`), and the conditions (`true`) that must all hold to show it.
+
+    Both have Jinja expressions. `role` is where the sentence stands, `of` the ids of the statements that it explains.
+    """
 
     says: str
     true: Annotated[tuple[str, ...], data.NOT_EMPTY]
@@ -56,15 +59,15 @@ class Thesis:
 
 
 def theses() -> dict[str, Thesis]:
-    """Read all sentences by name, in their order."""
+    """Read data/theses.toml: name -> sentence with its conditions, in the order of the file."""
     return data.build(dict[str, Thesis], data.read(paths.source("data/theses.toml")), "theses.toml")
 
 
 def main(accept: bool = False) -> int:
     """Judge the statements, write claims.csv, REPLICATION.md, figures/README.md and the results in README.md.
 
-    Returns 1 when a sentence is not true, or a verdict differs from that in claims.csv: then nothing is written without
-    `accept`. Else 0.
+    Where a verdict differs from claims.csv nothing is written, unless `accept`. Returns 1 in this case, and when a
+    sentence of data/theses.toml is not true, else 0.
     """
     nominal = Nominal()
     judged = claims.evaluate(nominal)
@@ -84,7 +87,11 @@ def main(accept: bool = False) -> int:
 
 
 class Page:
-    """What the templates show of some verdicts, a table of `claims.evaluate`, and the nominal case in all settings."""
+    """Functions and values for the Jinja templates of the report, from verdicts and stored metrics.
+
+    `judged` is a table of `claims.evaluate`, `nominal` has the metrics. A setting is one of comparison: "paper",
+    "equal", "loop", or "" for the tables that do not depend on it; an identity is the id of a statement, as "C05".
+    """
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
         self.judged, self.nominal = judged, nominal
@@ -114,7 +121,7 @@ class Page:
         }
 
     def replication(self) -> str:
-        """Render REPLICATION.md."""
+        """Text of REPLICATION.md."""
         text = self._render(
             "replication.md.j2",
             counted=claims.counted(self.judged),
@@ -124,19 +131,19 @@ class Page:
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def gallery(self) -> str:
-        """Render figures/README.md: the figures of each chapter with their captions."""
+        """Text of figures/README.md: the figures of each chapter with their captions."""
         chapters, captions = _notebooks("chain.toml")["notebook"], _notebooks("book/captions.toml")
         return self._render("gallery.md.j2", chapters=chapters, captions=captions)
 
     def readme(self, text: str) -> str:
-        """Put the results into the text of README.md; ValueError when the marks around them are missing."""
+        """Text of README.md with its results replaced (between `BEGIN` and `END`); ValueError without these marks."""
         head, rest = text.split(BEGIN)
         _, tail = rest.split(END)
         kinds = {verdict: list(self.statements.values()).count(verdict) for verdict in claims.ORDER}
         return head + BEGIN + self._render("readme.md.j2", kinds=kinds) + END + tail
 
     def contract(self) -> pd.DataFrame:
-        """The verdicts with the reason why a statement fails, as data/results/claims.csv has them."""
+        """Table of data/results/claims.csv: the verdicts, and the reason (`why`) of those not reproduced."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
         fails = (self.judged["judged"] != REPRODUCED) & (self.judged["data"] != "")
@@ -147,43 +154,43 @@ class Page:
         return self._jinja.get_template(name).render(**more)
 
     def text(self, text: str) -> str:
-        """Fill in a template that is handed over."""
+        """Render a text with Jinja expressions, as `says` of a `Thesis`."""
         return self._jinja.from_string(text).render()
 
     def true(self, condition: str) -> bool:
-        """Evaluate a condition; False when the results do not have what it asks for."""
+        """Evaluate a Jinja condition, as one of `Thesis.true`; False when the results lack a value that it needs."""
         try:
             return bool(self._jinja.compile_expression(condition, undefined_to_none=False)())
         except MissingEvidence:
             return False
 
     def refuted(self) -> dict[str, list[str]]:
-        """Find the sentences that the tables refute: name -> conditions that are not true."""
+        """Name of each false sentence of data/theses.toml -> its conditions that are not true."""
         found = {name: [c for c in thesis.true if not self.true(c)] for name, thesis in theses().items()}
         return {name: wrong for name, wrong in found.items() if wrong}
 
     def sentences(self, role: str) -> list[tuple[tuple[str, ...], str]]:
-        """Fill in the true sentences of a role: the statements that each explains, and its text."""
+        """True sentences of a role ("summary", "why", "holds_if", "readme"): (ids that it explains, rendered text)."""
         said = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         return [(thesis.of, self.text(thesis.says)) for thesis in said]
 
     def explained(self, role: str) -> list[tuple[list[str], str]]:
-        """List the sentences of a role with the statements that each explains, of those that are not reproduced."""
+        """Sentences of a role as `sentences`, only for ids whose headline verdict is not "reproduced"."""
         still = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
         found = [([i for i in of if i in still], says) for of, says in self.sentences(role)]
         return [(of, says) for of, says in found if of]
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
-        """Look up a metric in a setting."""
+        """Value (SI) of a metric of a controller in a scenario and setting, see `statements.Evidence`."""
         return self._evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
-        """Show a metric in a setting as a link to its table."""
+        """Metric `e` as text with three digits and unit (see `quantity`), as a Markdown link to its table."""
         value = self.e(setting, scenario, controller, metric)
         return linked(value, self.nominal.table_of(setting, scenario, controller, metric), unit)
 
     def find(self, identity: str, setting: str) -> Finding:
-        """Evaluate the predicate of a statement in a setting."""
+        """Result of the predicate of a statement in a setting; MissingEvidence when metrics are missing."""
         return statements.find(identity, self._evidence(setting))
 
     def _evidence(self, setting: str) -> statements.Evidence:
@@ -192,20 +199,20 @@ class Page:
         return self.nominal.evidence(setting)
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Tell whether a statement holds in a setting, or on the car `calibrated`."""
+        """Whether a statement is reproduced in a setting; "calibrated" asks for the calibrated car."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == REPRODUCED
 
     def table(self, name: str) -> pd.DataFrame:
-        """Read a table of data/results; MissingEvidence when it is not made yet."""
+        """Read data/results/NAME.csv; MissingEvidence when there is no such file."""
         found = self.nominal.results(name)
         if found is None:
             raise MissingEvidence(name)
         return found
 
     def cell(self, name: str, column: str, **where):
-        """Look up the cell in a column of a table, in the only row with the given values."""
+        """Value in a column of data/results/NAME.csv, in the one row with the values of `where`, or MissingEvidence."""
         table = self.table(name)
         rows = table.loc[np.logical_and.reduce([table[key] == value for key, value in where.items()]), column]
         if len(rows) != 1:
@@ -213,11 +220,11 @@ class Page:
         return rows.iloc[0]
 
     def time(self, solver: str, column: str = "median_ms") -> float:
-        """Median over the scenarios of a column of solve_times.csv, with NMPC of the setting `paper`."""
+        """Median over the scenarios of a column of solve_times.csv (ms), for a solver in the setting `paper`."""
         return float(statements.usual_times(self.nominal.evidence(tuning.PAPER), solver, column).median())
 
     def pole_that_follows(self) -> float:
-        """Triple pole from which NDI on T3 stays below 0.71 of the error of y = 0 (rad/s)."""
+        """Triple pole (rad/s) from which on the RMSE of y of NDI on T3 is below 0.71 times that of y = 0."""
         poles = self.table("ndi_poles").sort_values("pole_radps", kind="stable")
         limit = 0.71e3 * self.e(tuning.PAPER, statements.T3, statements.NOTHING, "rmse_y")
         if poles["rmse_mm"].iloc[-1] > limit or poles["rmse_mm"].iloc[0] < limit:
@@ -225,7 +232,10 @@ class Page:
         return float(np.interp(-limit, -poles["rmse_mm"], poles["pole_radps"]))
 
     def runs(self, figure: str) -> dict[str, list[tuple[float, float]]]:
-        """Measure the runs of a figure in setting `paper` by car: RMSE (mm), length (m), at the highest speed."""
+        """Car -> (RMSE of y (mm), length (m)) of each run of figures/FIGURE.csv in the setting `paper`.
+
+        Of a figure over speed those at the highest speed, with nan for the length.
+        """
         table = pd.read_csv(paths.source(f"figures/{figure}.csv")).query("setting == 'paper'")
         if "rmse_mm" in table:
             fastest = table[table["speed_kmh"] == table["speed_kmh"].max()]
@@ -236,18 +246,18 @@ class Page:
         return {car: list(zip(error[car], length[car], strict=True)) for car in table["car"].unique()}
 
     def outcome(self, identities: list[str]) -> str:
-        """Sum up statements: yes where all hold, no where none does, else partly; a fragile one holds."""
+        """Sum up headline verdicts: "yes" if all statements hold (fragile ones do), "no" if none, else "partly"."""
         held = [self.verdicts[identity] in (REPRODUCED, claims.FRAGILE) for identity in identities]
         return "yes" if all(held) else "partly" if any(held) else "no"
 
     def value(self, identity: str) -> str:
-        """Show the headline value of a statement as a link to its table."""
+        """Measured value of a statement behind its headline verdict, with unit, as a Markdown link to its table."""
         own = self.judged[(self.judged["id"] == identity) & self.judged["setting"].isin(("", claims.HEADLINE))]
         row = own.iloc[-1]
         return linked(_number(row["measured_value"], row["unit"]), row["data"])
 
     def cells(self, identity: str) -> list[str]:
-        """Show mark, value and share of samples in each setting; in the first where a statement needs none."""
+        """Text per setting: mark of the verdict, value, share of samples (%); only the first without a setting."""
         if self.rules[identity].kind != "statement":
             return [f"no verdict ({self.rules[identity].kind})", "", ""]
         own = self.judged[self.judged["id"] == identity]
@@ -255,7 +265,7 @@ class Page:
         return [shown[""], "", ""] if "" in shown else [shown.get(setting, "") for setting in tuning.SETTINGS]
 
     def evidence(self, identity: str) -> str:
-        """Link a statement to its figure, the notebook cell that makes it and the table that was judged."""
+        """Markdown links from a statement to its figure, to the notebook cell that draws it and to the judged table."""
         rule = self.rules[identity]
         figure, is_figure, _ = rule.evidence.partition("_")  # fig06_curve_entry is shown as fig06
         links = [f"[{figure}](figures/{rule.evidence}.png)"] if is_figure and rule.evidence.startswith("fig") else []
@@ -269,12 +279,13 @@ class Page:
         return ", ".join([*links, *(f"[{Path(table).name}]({table})" for table in named)])
 
     def sampled(self) -> pd.DataFrame:
-        """Shares of the robustness study with what decides them, a row per statement and setting."""
+        """Rows of `judged` with a share in the robustness study, its number of `samples`, and `decided_by`: the sampled
+        parameter that decides the verdict, or ""."""
         study = self.table("robustness_claims")[["id", "setting", "samples", "decided_by"]].fillna({"decided_by": ""})
         return self.judged.dropna(subset="share").merge(study, on=["id", "setting"])
 
     def effect(self, identity: str) -> str:
-        """Describe the largest effect of the printed form of an erratum on NMPC."""
+        """Text on the largest effect of an erratum (as "D4") when used as printed: changes of RMSE and torque (%)."""
         effects = self.table("discrepancy_effects").query("id == @identity")
         if effects.empty:
             return "no run depends on it"
@@ -288,18 +299,18 @@ class Page:
         return "; ".join(parts)
 
     def as_mark(self, verdict: str) -> str:
-        """Show a verdict as a mark, with what follows it, as a setting."""
+        """Replace the verdict at the beginning of a text by its mark (`MARKS`), as "tie (loop)" by "= (loop)"."""
         known = next((name for name in MARKS if verdict.startswith(name)), None)
         return MARKS[known] + verdict.removeprefix(known) if known else verdict
 
 
 def csv(relative: str) -> pd.DataFrame:
-    """Read a table of the checkout as text."""
+    """Read a csv file by its path in the repository, all cells as text, empty ones as ""."""
     return pd.read_csv(paths.source(relative), dtype=str).fillna("")
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """Write a number (SI) with three digits in a unit; "derailed" for an infinite one."""
+    """Text of an SI value with three digits, in its unit or "mm" or "%"; "derailed" for inf, "n/a" for nan."""
     if np.isinf(value):
         return "derailed"
     if np.isnan(value):
@@ -309,7 +320,10 @@ def quantity(value: float, unit: str = "") -> str:
 
 
 def linked(value: float | str, table: str, unit: str = "") -> str:
-    """Show a number with three digits, or text as it is, as a Markdown link to its table; bare where there is none."""
+    """Markdown link with a value as text (`quantity`; a text stays as it is) to a table of data/results or a path.
+
+    Without a table, or without a value, the bare text.
+    """
     shown = value if isinstance(value, str) else quantity(float(value), unit)
     return f"[{shown}]({table_file(table)})" if table and shown != UNKNOWN else shown
 

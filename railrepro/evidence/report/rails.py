@@ -1,4 +1,4 @@
-"""Figures and table of controllers on irregular rails, with and without preview of them.
+"""Figures and table of controllers on irregular rails, with and without preview of the irregularities.
 
 Serves the paper's outlook on known track irregularities.
 """
@@ -40,7 +40,10 @@ _UNITS = {
 
 
 def metrics(rows: pd.DataFrame, rough_cars: Sequence[str]) -> pd.DataFrame:
-    """Long table of runs; of cars that strike their flanges only the force that shifts the track, to two digits."""
+    """Long table of ride metrics from one row per run: its labels, and metric, value, unit.
+
+    Of cars in `rough_cars`, which strike their flanges, only the track shifting force over its limit, to two digits.
+    """
     keys = ["scenario", "track", "car", "controller", "preview", "seed"]
     found = rows[[*keys, *_UNITS]].melt(id_vars=keys, var_name="metric").dropna()
     wild = found["car"].isin(rough_cars)
@@ -53,9 +56,11 @@ def draw(
     spectrum: str, seed: int, rough: Mapping, faults: Mapping[str, float], one: pd.DataFrame, table: pd.DataFrame,
     names: Sequence[str], end_m: float,
 ) -> Figure:  # fmt: skip
-    """Rails of one realisation, spectra, path and distance of one controller (`one`), all controllers (`table`).
+    """Draw irregular rails, their spectra, path and distance from them of one controller, RMSE of all controllers (mm).
 
-    `faults` are the places of single faults (m), which `rough` describes as `rough_track` takes them.
+    `rough` are the arguments of `rough_track` for the realisation, `faults` the coordinates of its single faults by
+    name (m). `one` is the series of one controller (columns preview, p_m, y_m), `table` has a row per run (controller,
+    preview, rail_rmse_y in m), `names` are the controllers to show, `end_m` is the length of the track (m).
     """
     fig, axes = figures.new_figure(5, 1, height=1.6, gridspec_kw={"height_ratios": [1, 1, 1.2, 1, 1.5]})
     p = np.arange(0.0, end_m, CELL)
@@ -119,9 +124,10 @@ def _draw_bars(axis: Axes, table: pd.DataFrame, names: Sequence[str]) -> None:
 def draw_knowledge(
     mean_of: pd.DataFrame, without: pd.DataFrame, names: Sequence[str], localisation_m: Sequence[float]
 ) -> Figure:
-    """Distance from the rails over the error of localisation, and comfort over distance for each kind of knowledge.
+    """Draw the RMSE against the rails over the localisation error of the preview, and comfort number over that RMSE.
 
-    `mean_of` has controller, error, rail_rmse_y (m) and n_mv_floor_front; `without` the means without preview.
+    `mean_of` has columns controller, error (as "2 m"), rail_rmse_y (m) and n_mv_floor_front (-); `without` has these
+    metrics without preview, index controller and columns (metric, preview); `localisation_m` are the errors (m).
     """
     fig, (axis, cost) = figures.new_figure(2, 1, height=2.1)
     places, none = [f"{error:g} m" for error in localisation_m], without.xs("none", axis=1, level="preview").loc[names]

@@ -1,7 +1,7 @@
-"""Sentences of a chapter as output, with the condition under which each is true.
+"""Sentences that a notebook prints about its runs, each with the condition under which it is true.
 
-A chapter says what its runs show, with their numbers. With the committed values a false sentence fails the chain; where
-a reader changed values it is marked, and the chapter goes on.
+With the committed inputs a false sentence makes the run of the notebook fail; where a reader changed values the
+sentence is marked as false, and the notebook goes on.
 """
 
 from __future__ import annotations
@@ -12,25 +12,26 @@ from contextlib import contextmanager
 import numpy as np
 
 MARK = "does not hold with these values"
-"""Stands before a false sentence."""
+"""Text before a false sentence in the output."""
 _KEY = "railrepro_false"
-"""Metadata of an output, under which its false sentences stand for the chain."""
+"""Key in the metadata of an output with its false sentences, which `false_in` reads."""
 
 
 class Sentences(list):
-    """Pairs of a sentence and whether it holds."""
+    """List of (sentence, whether it holds); a call appends one."""
 
     def __call__(self, text: str, *holds: object) -> None:
-        """Say a sentence that is true when all conditions hold; one on an empty array does not."""
+        """Append a sentence, true when all conditions (booleans, arrays of them) hold; an empty array does not hold."""
         conditions = [np.asarray(one, bool) for one in holds]
         self.append((text, bool(conditions) and all(one.size and one.all() for one in conditions)))
 
 
 @contextmanager
 def sentences() -> Iterator[Sentences]:
-    """Collect the sentences of a block and show them as a list, false ones marked.
+    """Context manager: collect sentences (`with sentences() as says: says("…", holds)`) and display them as a list.
 
-    Values that a reader changed may leave a row out that a sentence needs: the block ends there, with a mark.
+    False ones are marked. Where a table lacks a value that a sentence needs (LookupError, ValueError, ArithmeticError),
+    the block ends with a false sentence that names the error.
     """
     from IPython.display import display  # the library does without it
 
@@ -46,6 +47,6 @@ def sentences() -> Iterator[Sentences]:
 
 
 def false_in(cells: list[dict]) -> list[str]:
-    """False sentences of an executed notebook, from its cells."""
+    """Texts of the false sentences in the outputs of the cells of an executed notebook."""
     outputs = [output for cell in cells for output in cell.get("outputs", [])]
     return [text for output in outputs for text in output.get("metadata", {}).get(_KEY, [])]

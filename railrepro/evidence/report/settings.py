@@ -1,4 +1,4 @@
-"""Controllers in the settings of comparison: errors of all tuned sets, margins, and where the order turns."""
+"""Controllers in the settings of comparison: errors of all tuned sets, stability margins, changes of the ranking."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CASES: dict[str, tuple[str, str, float, dict]] = {
     "adhesion_loss": ("poor rail, 400 km/h", "adhesion_loss", 700, {}),
     "adhesion_loss_stressed": ("poor rail, stressed", "adhesion_loss", 700, {"plant": {"drive.lag": 7.5e-3}}),
 }
-"""Name -> title, scenario, where the run ends (m), what else the experiment has."""
+"""Name of a case -> title, scenario, length of the run (m), further fields of `Experiment`."""
 _UNITS = {
     **{"rmse_y": "m", "followed_rmse_y": "m", "effort_du": "N m", "activity_du": "N m"},
     **{"largest_error": "m", "utilisation": "-", "failed_at_m": "m"},
@@ -41,7 +41,12 @@ def experiments(
     names: Sequence[str], cases: Sequence[str], noise_seeds: Sequence[int], swarms: int | None, scale: float,
     stress: Mapping[str, float],
 ) -> list[Experiment]:  # fmt: skip
-    """Runs of all tuned sets: the best with all realisations of the noise, those of the other swarms with one."""
+    """Experiments of all tuned sets in all settings: the best set with all noise seeds, those of other swarms with one.
+
+    `names` are controllers, `cases` keys of `CASES`, `noise_seeds` those of the sensors in the setting `loop`, `swarms`
+    the number of swarms per controller (None for all), `scale` a factor on the length of the runs (-), `stress` changes
+    of data/sensors.toml in the cases "…stressed", as {"inverter.gain": 1.2}.
+    """
     found = []
     for setting, name in product(tuning.SETTINGS, names):
         tuned = tuning.load(name, setting)
@@ -62,7 +67,7 @@ def experiments(
 
 
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
-    """Tidy metrics of all runs, as data/results/settings_metrics.csv has them."""
+    """Table of data/results/settings_metrics.csv from one row per run (`run_all`): a row per run and metric."""
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()
@@ -71,9 +76,9 @@ def metrics(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:
-    """Runs with their error (mm), whether guidance was lost, and whether the set is the best of its swarms.
+    """Add columns to one row per run (`run_all`): error_mm (RMSE of y, mm), lost (failed or warning), best (swarm).
 
-    On irregular rails with sensors the error counts from the rails, because that is what sensors see.
+    On irregular rails with sensors the error counts from the rails, because sensors measure from them.
     """
     sensed_rough = (table["setting"] == LOOP) & (table["case"] == "T3_irregular")
     return table.assign(
@@ -84,7 +89,10 @@ def judged(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def errors(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Mean error (mm) of the best sets and whether guidance was lost, by case and setting, a column per controller."""
+    """Mean error (mm) over the noise seeds and whether guidance was lost, of the best sets in a table of `judged`.
+
+    Two tables with index (case, setting) and a column per controller.
+    """
     best = runs[runs["best"]].groupby(["case", "setting", "controller"], sort=False)
     names = list(dict.fromkeys(runs["controller"]))
     error = best["error_mm"].apply(lambda e: e.mean(skipna=False)).unstack("controller")[names]
@@ -92,7 +100,7 @@ def errors(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def draw_ranking(runs: pd.DataFrame) -> Figure:
-    """Draw the errors of all controllers in all settings, a panel per scenario."""
+    """Draw the errors (mm) of all controllers in all settings, a panel per case; `runs` is a table of `judged`."""
     error, lost = errors(runs)
     names = list(error.columns)
     faces = {"paper": ("0.35", "white"), "equal": ("0.55", "0.55"), "loop": ("black", "black")}
@@ -119,7 +127,10 @@ def draw_ranking(runs: pd.DataFrame) -> Figure:
 
 
 def margins() -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Disk margins by speed (km/h), and the largest delay and lag (ms) and gain before the flanges, by rail."""
+    """Read the stability margins of data/results: two tables with index (setting, controller).
+
+    Disk margin (-) by speed (km/h); largest delay (ms), lag (ms) and gain (-) before flange contact, by quantity, rail.
+    """
     found = pd.read_csv(paths.source("data/results/margins.csv"))
     found["largest"] *= np.where(found["unit"] == "s", 1e3, 1.0)
     survived = found.pivot(index=["setting", "controller"], columns=["quantity", "rail"], values="largest")
@@ -129,7 +140,10 @@ def margins() -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def draw_margins(error: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
-    """Draw the errors (mm) of one scenario, by setting and controller, over the disk margin and the delay margin."""
+    """Draw errors (mm; setting by controller) over the smallest disk margin (-) and the delay margin on poor rail (ms).
+
+    Also returns the points as a table.
+    """
     disk, survived = margins()
     late = survived["delay (ms)", "poor"]
     front = pd.DataFrame([
@@ -153,9 +167,10 @@ def draw_margins(error: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
 
 
 def order_ratios(shaking: float) -> pd.DataFrame:
-    """RMSE of NMPC over that of an inversion along all axes of the study `order`.
+    """RMSE of y of NMPC over that of each inversion, for all changes of the study `uncertainty.order`.
 
-    With whether the inversion left the rail, and whether the torque of one of both exceeds `shaking` (N m, RMS).
+    Columns ratio (-), axis (key of `order.AXES`), setting, against (the inversion), place (abscissa), other_left_rail
+    (the inversion derailed), shaking (the RMS torque of NMPC or the inversion exceeds the argument, N m).
     """
     table = pd.read_csv(paths.source("data/results/order_turns.csv"))
     of = table.groupby(["axis", "setting", "value", "controller"], sort=False)
@@ -178,7 +193,10 @@ def order_ratios(shaking: float) -> pd.DataFrame:
 
 
 def tie(metrics: pd.DataFrame) -> float:
-    """Ratio of errors on T3 that repeated swarms differ by at most: less is a tie."""
+    """Largest ratio (-) of the RMSE of y on T3 between seeds of one controller; nearer controllers tie.
+
+    `metrics` is a table of the function `metrics`; settings and controllers are those of `uncertainty.order`.
+    """
     logs = [
         seeds_spread(metrics[metrics["setting"] == setting]).get((order.SCENARIO, name, "rmse_y"), 0.0)
         for setting, name in product(order.SETTINGS, order.CONTROLLERS)
@@ -198,9 +216,10 @@ _PANELS = {
 
 
 def draw_order(ratios: pd.DataFrame, band: float) -> Figure:
-    """Draw the ratios of `order_ratios`, a panel per axis: hollow where one shakes, crosses where NDI derailed.
+    """Draw the ratios (-) of `order_ratios`, a panel per axis of the study.
 
-    Ratios between 1 / band and band are a tie.
+    Markers are hollow where a controller oscillates (`shaking`), crosses where NDI derailed; ratios from 1 / band to
+    band are a tie.
     """
     figure, axes = figures.new_figure(2, 3, height=2.15, width=7 / 3, sharey=True)
     for axis, name in zip(axes.flat, _PANELS, strict=True):

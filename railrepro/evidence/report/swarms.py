@@ -1,4 +1,4 @@
-"""Tables and figures of tuning by particle swarm: what the swarms found, and what of it is certain."""
+"""Tables and figures of tuning by particle swarm: costs, convergence, sensitivity to parameters and to bounds."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SYMBOLS = {
 
 
 def runs(tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
-    """Runs of the cost in each setting: perfect or estimated measurements."""
+    """Runs of the cost by name, speed (km/h), length (m): "perfect" or "estimated" measurements, or "-", by setting."""
     given = [
         {"run": name, "km/h": run.scenario.speed_kmh, "m": run.scenario.end_m, "setting": setting,
          "given": "estimated" if run.sensors and "perfect" not in run.sensors else "perfect"}
@@ -34,7 +34,7 @@ def runs(tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
 
 
 def tuned_sets(tasks: Mapping[str, swarm.Task], names: Sequence[str]) -> dict[tuple[str, str], dict]:
-    """Tuned sets of controllers in all settings in which they are searched."""
+    """(setting, controller) -> tuned set (`tuning.load`), for the settings in which a swarm tuned the controller."""
     return {(setting, name): tuning.load(name, setting, searched=True) for setting, task in tasks.items()
             for name in names if name in task.searched}  # fmt: skip
 
@@ -44,7 +44,7 @@ def _by_pair(rows: Mapping[tuple[str, str], Mapping]) -> pd.DataFrame:
 
 
 def costs(sets: Sets) -> pd.DataFrame:
-    """Cost of each tuned set and of its worst seed, and evaluations of all seeds; by setting and controller."""
+    """Table by setting and controller: cost of the tuned set, of the worst of its swarms, and number of evaluations."""
     return _by_pair({
         pair: {"cost": found["cost"], "worst_seed": max(one["cost"] for one in found["swarms"]),
                "evaluations": len(tuning.particles(pair[1], pair[0]))}
@@ -53,7 +53,7 @@ def costs(sets: Sets) -> pd.DataFrame:
 
 
 def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFrame]:
-    """Draw the lowest cost of every swarm over its iterations, a panel per setting; the used swarm is thick."""
+    """Draw the lowest cost of every swarm over its iterations, a panel per setting; returns also the drawn data."""
     lines = []
     for setting, name in sets:
         lowest = tuning.particles(name, setting).pivot_table(
@@ -81,7 +81,7 @@ def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFr
 
 
 def draw_sensitivity(sets: Sets, task: swarm.Task, names: Sequence[str]) -> tuple[Figure, pd.DataFrame]:
-    """Draw the cost of the particles of controllers in the setting `equal` over each searched parameter."""
+    """Draw the cost of particles over each searched parameter, in the setting `equal`; returns also the drawn data."""
     shown = [(name, dimension) for name in names for dimension in task.dimensions[name]]
     size = {"height": 1.35, "width": figures.WIDTH / 3, "sharey": "row", "squeeze": False}
     figure, axes = figures.new_figure(-(-len(shown) // 3), 3, **size)
@@ -121,7 +121,11 @@ def _evaluated(cases: Sequence[tuple[str, str, dict]], tasks: Mapping[str, swarm
 
 
 def beyond_bounds(sets: Sets, tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
-    """What a quarter beyond a bound brings, for each parameter within 2 % of one, all else kept."""
+    """Costs with a parameter moved beyond its bound, one row for each tuned parameter within 2 % of a bound.
+
+    It is moved to 0.75 times the lower or 1.25 times the upper bound. Columns setting, controller, parameter, best
+    (tuned value), beyond (moved value), cost, cost_beyond, gain (relative fall of the cost, -).
+    """
     rows, cases = [], []
     for pair, found in sets.items():
         for d in tasks[pair[0]].dimensions[pair[1]]:
@@ -137,7 +141,7 @@ def beyond_bounds(sets: Sets, tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
 
 
 def recomputed(sets: Sets, tasks: Mapping[str, swarm.Task], names: Sequence[str]) -> pd.DataFrame:
-    """Stored costs beside those that the runs give today."""
+    """Table by setting and controller (of `names`): the stored cost of the tuned set, and the cost computed again."""
     pairs = [pair for pair in sets if pair[1] in names]
     again = _evaluated([(*pair, sets[pair]["parameters"]) for pair in pairs], tasks, "recomputed")
     return _by_pair(

@@ -1,1 +1,1 @@
-"""Many runs: experiments, where they are computed, particle swarms and the tuned sets that they find."""
+"""Experiments (closed-loop runs and their metrics), their parallel execution and storage, and tuning by swarms."""

@@ -18,9 +18,9 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 
 def gain_ratio(controller: str, setting: str, speed: float) -> float:
-    """Return k1 / k0 (s): the torque per rate over the torque per displacement, at a speed (m/s).
+    """Return k1 / k0 (s) of a tuned controller at a speed (m/s): torque per lateral rate over torque per displacement.
 
-    NDI has it in its gains; a predictive controller is asked twice on a straight track.
+    Both are gains of NDI; a predictive controller plans once from a displaced and once from a turned running gear.
     """
     guidance = tuned(controller, setting=setting)
     if isinstance(guidance, NDI):
@@ -34,9 +34,9 @@ def gain_ratio(controller: str, setting: str, speed: float) -> float:
 
 
 def creep_angle(vehicle: Vehicle, scenario: Scenario) -> float:
-    """Return the angle (rad) at which wheels in the middle of the track carry the side force at the end of a scenario.
+    """Return the creep angle (rad) at which centred wheels carry the unbalanced side force 20 m before a scenario ends.
 
-    Kalker's linear law with Polach's reduction for small creepage.
+    Kalker's linear law with Polach's reduction for small creepage, on the rail `scenario.good`.
     """
     _, curvature, cant, *_ = scenario.route().track_at(np.array([scenario.end_m - 20.0]))[:, 0]
     side = (vehicle.body.mass / 2 + vehicle.gear.mass) * (scenario.speed**2 * curvature - vehicle.gravity * cant)

@@ -1,10 +1,10 @@
-"""Parallel studies: plain functions side by side, whose runs go to local processes or to a Dask cluster.
+"""Parallel studies: functions called in threads, whose simulations are computed by processes or a Dask cluster.
 
-`ordered_map` calls a function of each argument in a thread of its own. What such a function hands to `work` is computed
-by a process, and only then do others of these threads run: CasADi's objects must not be used by two threads at a time.
-Results are looked up and stored by the caller (`store`), so that what is stored starts no process. There is one process
-per core, or `RAILREPRO_WORKERS` of them; `RAILREPRO_DASK=tcp://host:port` takes those of a running Dask scheduler.
-Results never depend on the choice, because seeds belong to the task.
+`ordered_map` calls a function with each argument in a thread of its own. Calls that the function hands to `work` are
+computed by a process, and only meanwhile do other threads run: two threads must not use CasADi's objects at a time. The
+caller looks results up in `store` before, so that stored ones start no process. There is one process per core, or
+`RAILREPRO_WORKERS` of them; `RAILREPRO_DASK=tcp://host:port` takes those of a running Dask scheduler. Results do not
+depend on this choice, because random seeds belong to the task.
 """
 
 from __future__ import annotations
@@ -49,13 +49,10 @@ _turn = threading.Lock()
 
 @contextmanager
 def executor() -> Iterator[Executor]:
-    """Pool of processes. Local ones stay for the next block, as starting them takes seconds; a block that ends with an
-    exception (also Ctrl-C) ends them.
+    """Context manager of the pool of processes: local ones (`RAILREPRO_WORKERS`) or those of `RAILREPRO_DASK`.
 
-    Raises
-    ------
-    InputError
-        When the number of processes is none, or no Dask scheduler answers.
+    Local processes stay for the next block, as starting them takes seconds; an exception (also Ctrl-C) ends them.
+    InputError when `RAILREPRO_WORKERS` is no whole number from 1 to 4096, or no Dask scheduler answers.
     """
     if address := os.environ.get("RAILREPRO_DASK"):
         with _cluster(address) as pool:
@@ -108,10 +105,11 @@ def _follow_the_parent() -> None:
 
 
 def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
-    """Results of a task for each argument, in order, computed side by side, with a progress bar unless `quiet`.
+    """Call `task` with each argument, side by side; returns the results in the order of the arguments.
 
-    What the task hands to `work` is computed by the processes of the pool; it maps nothing itself. InputError when one
-    of the processes ended or runs other code.
+    Each call has a thread of its own; what it hands to `work` is computed by a process of `pool` (see `executor`).
+    `title` names the progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process
+    ended or runs other code.
     """
     assert not hasattr(_around, "pool"), "a task would wait for itself"
 
@@ -136,7 +134,7 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
 
 
 def work(function: Callable, *arguments):
-    """Result of a function of a module, from a process of the pool within `ordered_map`, else computed here."""
+    """Return `function(*arguments)`: computed by a process of the pool in a task of `ordered_map`, else by this one."""
     pool = getattr(_around, "pool", None)
     if pool is None:
         return function(*arguments)

@@ -1,6 +1,6 @@
-"""Experiments that can be sent to any worker: scenario, controller and changes, and the row of numbers they give.
+"""Experiments: a scenario, a controller and changes of both, from which a run and its row of metrics are computed.
 
-Notebooks and studies are lists of these; the executor decides where they run, and `store` whether they must.
+Notebooks and studies are lists of experiments; `executor` decides where they run, `store` whether they must.
 """
 
 from __future__ import annotations
@@ -41,42 +41,44 @@ _WHEEL = {"tau": "tau_{}_Nm", "adhesion": "fx_{}", "sx": "sx_{}"}
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run to be made."""
+    """One closed-loop run to be simulated; calling it returns its metrics (and the series that it keeps)."""
 
     scenario: Scenario
     controller: str
     """Key of `registry.CONTROLLERS`."""
     label: dict = field(default_factory=dict)
-    """Further columns of the row."""
+    """Column -> value, added to the row of metrics and to the series, to tell runs apart."""
     parameters: dict | None = None
-    """Tuning parameters; None takes the tuned ones."""
+    """Tuning parameters of the controller by name (data/tuning.toml); None takes the tuned ones of `setting`."""
     options: dict = field(default_factory=dict)
-    """See `registry.guidance`, as `changes`."""
+    """Arguments of a predictive controller, as {"solver": "rti"}, see `registry.guidance`."""
     changes: dict = field(default_factory=dict)
+    """Changed fields of the controller's settings (`MPCSettings`, `NDI`), see `registry.guidance`."""
     vehicle: dict = field(default_factory=dict)
-    """Vehicle parameters changed for car and controllers (`parameters.load_vehicle`)."""
+    """Changed vehicle parameters, dotted key -> value as in `load_vehicle`, known to car and controllers."""
     plant: dict = field(default_factory=dict)
-    """The same for the car alone."""
+    """Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`."""
     adhesion: AdhesionSettings | None = None
-    """See `simulate.run`, as `fixed_share`."""
+    """Settings of the adhesion law (slip control); None takes its defaults, or those that the sensors need."""
     fixed_share: float = 0.0
+    """Share of the torque limit reserved for guidance (-), see `allocate`; 0 is the paper's variable allocation."""
     alignment: Alignment | None = None
-    """Track in place of that of the scenario."""
+    """Alignment of a track in place of the scenario's own track; None keeps that."""
     irregular: dict = field(default_factory=dict)
-    """Arguments of `rough_track` besides the coordinates; empty is an ideal track."""
+    """Arguments of `rough_track` besides p, as {"spectrum": "en_B_300", "seed": 3}; empty is an ideal track."""
     preview: dict = field(default_factory=dict)
-    """What the controller knows of the irregularities, and the line that it plans with it: arguments of `preview.plan`
-    besides the frame; empty is nothing."""
+    """Arguments of `preview.plan` besides `frame`, for a controller that previews the irregular rails; empty is no
+    preview."""
     sensors: dict = field(default_factory=dict)
-    """Arguments of `railrepro.estimation.sensors.readings`; empty is nothing between car and controllers."""
+    """Arguments of `railrepro.estimation.sensors.readings`; empty gives the controllers the true signals."""
     setting: str = registry.PAPER
-    """Which tuned parameters are taken, see `registry.parameters`."""
+    """Setting of comparison whose tuned parameters are taken: "paper", "equal" or "loop"."""
     substeps: int | None = None
-    """See `simulate.run`; default 2 for ride figures on irregular rails, whose wheel loads need it, else 1."""
+    """Integration steps of the car per control cycle of 1 ms; None is 2 for ride figures on irregular rails, else 1."""
     ride: bool = False
-    """Whether the row also has the figures of `ride.ride_summary`."""
+    """Whether the row also has the comfort and force figures of `ride.ride_summary`."""
     stride: int = 0
-    """Every n-th control cycle of the front gear is kept as a series; 0 keeps none."""
+    """Every n-th control cycle (1 ms) of the front gear is kept as a series (`tidy`); 0 keeps none."""
 
     def __post_init__(self) -> None:
         require("experiment: scenario", self.scenario, Scenario)
@@ -84,17 +86,20 @@ class Experiment:
             require(f"experiment: {name}", getattr(self, name), dict)
 
     def car(self) -> Vehicle:
-        """The car that is driven, with all changes."""
+        """Parameters of the simulated car, with the changes of `vehicle` and `plant`."""
         return load_vehicle(**self.vehicle | self.plant)
 
     def tuned(self) -> dict:
-        """Tuning parameters of the controller."""
+        """Tuning parameters of the controller by name: `parameters`, or else the tuned ones of `setting`."""
         if self.parameters is not None:
             return self.parameters
         return registry.parameters(self.controller, self.setting)
 
     def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
-        """Irregularities, and the line that is planned with what is known of them; None where there is nothing."""
+        """Irregularities up to the end of the scenario (`rough_track`), and the line planned on them (`preview.plan`).
+
+        None on an ideal track, None without preview; InputError for a preview on an ideal track.
+        """
         if not self.irregular and not self.preview:
             return None, None
         if not self.irregular:
@@ -105,7 +110,7 @@ class Experiment:
         return _rails(self.scenario.end_m, json.dumps(self.irregular), json.dumps(self.preview))
 
     def run(self) -> simulate.Run:
-        """The simulation itself."""
+        """Simulate, without the store, and return the whole run: series of both gears and why it ended."""
         rough, line = self.rails()
         with self._laid() as scenario:
             return simulate.run(
@@ -133,10 +138,10 @@ class Experiment:
             yield self.scenario.but(track=str(file))
 
     def key(self, measure: Measure) -> str | None:
-        """Key of what a function measures of this run (`store.key`); None when it cannot be stored.
+        """Key under which `store` has what `measure` returns for this run; None when it cannot be stored.
 
-        It holds the resolved values, not the names of vehicle, parameters, track and sensors, and the code that the run
-        and the function can reach.
+        A hash of the code and of all resolved values of vehicle, tuning parameters, track and sensors, not of their
+        names; labels do not count. None for a controller from a user's file.
         """
         if not _is_ours(self.controller):
             return None  # of a user's file
@@ -155,21 +160,25 @@ class Experiment:
         return store.key(measure.__module__, measure.__qualname__, read)
 
     def measured(self, measure: Measure) -> store.Entry:
-        """What a function measures of this run: from the store where it is there, else by a worker (`executor.work`).
+        """Return measure(run, experiment) of this run: read from the store, else simulated by `executor.work`.
 
-        `measure` is a function of a module, (Run, Experiment) -> row of plain values and table of numbers or None,
-        which uses of the experiment what `key` holds.
+        `measure` is a function of a module, (Run, Experiment) -> dict of plain values and DataFrame of numbers or None,
+        that reads no label of the experiment.
         """
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
-        """Row of metrics, see `values`, and the kept series."""
+        """Row of scenario, controller, labels and `values`, and the kept series (`tidy`, with labels) or None."""
         values, series = self.measured(_values)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
         return row, None if series is None else series.assign(**self.label)
 
     def values(self, run: simulate.Run) -> dict:
-        """Metrics of a run (SI); of a failed run the place instead of how well it followed."""
+        """Metrics of a run by name (SI): those of `metrics.summary`, `longitudinal` and, with `ride`, `ride_summary`.
+
+        Also `failed_at_m` (nan unless failed), `failed`, `ended`, `warnings` and `fallbacks` (samples of both gears
+        without a solution of the predictive controller). A failed run has nan for the metrics of `summary`.
+        """
         vehicle, series = self.car(), run.series
         values = metrics.summary(series, vehicle.drive.torque_limit)
         if run.failed:
@@ -193,7 +202,11 @@ def _rails(end: float, irregular: str, known: str) -> tuple[pd.DataFrame, tuple[
 
 
 def tidy(series: pd.DataFrame, stride: int) -> pd.DataFrame:
-    """Every `stride`-th row of the front gear with the unit in each column's name (contract of data/results)."""
+    """Every `stride`-th row of the series of a run, front gear only, with units in the column names.
+
+    Columns t_s, p_m, v_mps, y_ref_m, y_m, …, torque, adhesion and longitudinal slip of the right (ri) and left (le)
+    wheel, and creep_rad, the angle between heading and motion.
+    """
     rows = series.iloc[::stride]
     columns = {"t_s": rows["t_s"]} | {new: rows[f"front.{old}"] for old, new in _SERIES.items()}
     creepage = rows["front_ri.nu_y"] + rows["front_le.nu_y"]
@@ -226,14 +239,14 @@ def _measured(experiment: Experiment, measure: Measure) -> store.Entry:
 def run_all(
     experiments: Sequence[Experiment], title: str, quiet: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame | None]:
-    """Run experiments on the executor, with a progress bar unless `quiet`.
+    """Run experiments in parallel (`executor`), with a progress bar called `title` unless `quiet`.
 
     Returns
     -------
     table : DataFrame
-        One row per experiment, in order.
+        One row of metrics per experiment, in order, see `Experiment.values`.
     series : DataFrame or None
-        Kept series with the column `controller`, or None.
+        Kept series below each other, with their labels and the column `controller`; None when no experiment keeps one.
     """
     with executor() as pool:
         results = ordered_map(pool, call, experiments, title, quiet)

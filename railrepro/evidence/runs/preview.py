@@ -14,10 +14,10 @@ from railrepro.data import InputError, above, between, require
 
 
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
-    """Irregularities (evenly spaced p_m, any channels) as a controller believes them: the same p_m and channels.
+    """Irregularities as a controller believes them: a table like `frame` (evenly spaced p_m, any channels in m).
 
     `amplitude_error` is relative: 0.1 believes them ten per cent too large. `localisation_error_m` is the believed less
-    the true place of a feature (m); what would come from beyond the frame is zero.
+    the true coordinate of a feature (m); what would come from beyond the frame is zero.
     """
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     place = p - localisation_error_m
@@ -35,7 +35,11 @@ def plan(
     amplitude_error: float = 0.0,
     localisation_error_m: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (m) and `planned_line` of what is `known` of the irregularities with some errors."""
+    """Track coordinates p (m), shape (n,), and the `planned_line`, shape (4, n), from irregularities known with errors.
+
+    `frame` has the true irregularities (`rough_track`); the errors are those of `known`, the rest that of
+    `planned_line`.
+    """
     believed = known(frame, amplitude_error, localisation_error_m)
     return believed["p_m"].to_numpy(), planned_line(believed, share, smoothing_m, limit)
 

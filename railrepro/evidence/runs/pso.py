@@ -19,7 +19,7 @@ CONSTRICTION, ATTRACTION = 0.7298, 2.05
 
 @dataclass(frozen=True)
 class Dimension:
-    """One searched parameter, with its bounds."""
+    """One searched parameter with its bounds, in the unit of the parameter; InputError for an impossible range."""
 
     name: str
     low: float
@@ -51,11 +51,10 @@ class Dimension:
 
 
 class Swarm:
-    """State of a swarm; `ask` gives parameter sets, `tell` takes their costs and moves the particles.
+    """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes the costs and moves them.
 
-    The random numbers of a move belong to (seed, iteration, particle), so a swarm does not depend on who evaluates it.
-    With `start` (values of all parameters) the first particle begins there; InputError when it lacks one or lies
-    outside of the bounds.
+    Random numbers belong to (seed, iteration, particle), so parallel evaluation changes nothing. The first particle
+    begins at `start` (name -> value of each parameter) if given; InputError when one is missing or beyond its bounds.
     """
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
@@ -73,14 +72,14 @@ class Swarm:
         return np.random.default_rng((self.seed, self.iteration, particle)).random(count)
 
     def ask(self) -> list[dict[str, float]]:
-        """Parameter values of all particles."""
+        """Parameter sets to be evaluated, one per particle: name -> value."""
         return [self._values(particle) for particle in self.position]
 
     def _values(self, position: np.ndarray) -> dict[str, float]:
         return {d.name: d.value(x) for d, x in zip(self.dimensions, position, strict=True)}
 
     def tell(self, costs: list[float]) -> None:
-        """Take the costs of the particles of the last `ask` and move on to the next iteration."""
+        """Take the costs of the parameter sets of the last `ask`, in order, and move the particles."""
         costs = np.where(np.isfinite(costs), costs, np.inf)
         for i, (values, cost) in enumerate(zip(self.ask(), costs, strict=True)):
             self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
@@ -102,22 +101,23 @@ class Swarm:
 
     @property
     def limits(self) -> list[float]:
-        """Best cost of each particle so far: what costs more does not change the swarm, however much more."""
+        """Lowest cost of each particle so far. A parameter set that costs more leaves the swarm as it is, so its
+        evaluation may stop there."""
         return self.own_cost.tolist()
 
     @property
     def best(self) -> dict[str, float]:
-        """Parameter values of the best particle so far."""
+        """Parameter set with the lowest cost so far: name -> value."""
         return self._values(self.own_position[np.argmin(self.own_cost)])
 
     @property
     def cost(self) -> float:
-        """Cost of the best particle so far."""
+        """Lowest cost so far; inf before the first `tell`."""
         return float(self.own_cost.min())
 
     @property
     def history(self) -> pd.DataFrame:
-        """Every evaluated particle: iteration, particle, cost and the parameter values."""
+        """One row per evaluated particle: iteration, particle, cost and a column per parameter."""
         return pd.DataFrame(self.rows)
 
     def stagnant(self, patience: int, tolerance: float = 1e-4) -> bool:
@@ -138,17 +138,19 @@ def minimise(
     start: dict[str, float] | None = None,
     title: str = "",
 ) -> Swarm:
-    """Run a swarm to the end of its budget, or until it stagnates.
+    """Minimise a cost by a particle swarm; returns the swarm with its `best` set, `cost` and `history`.
+
+    It ends after `iterations` moves of all particles, or when it is `stagnant`.
 
     Parameters
     ----------
     evaluate : callable
-        (parameter sets, limits) -> costs, in order; a cost that is not finite counts as worst. Of a set that costs more
-        than its limit any number above the limit will do.
+        (parameter sets, limits) -> costs, one per particle, in order; a cost that is not finite counts as worst. Of a
+        set that costs more than its limit any number above the limit will do.
     patience : int
-        Iterations without improvement before it stops.
+        Iterations without improvement (1e-4 relative) after which it stops.
     start : dict, optional
-        Where the first particle begins.
+        Parameter set of the first particle; the others begin at random.
     title : str
         Text of the progress bar; empty for none.
     """

@@ -1,8 +1,8 @@
-"""The one store of results: what was computed once is read again while data and code are the same.
+"""Store of results on disk: what was computed once is read again while data and code are the same.
 
-An entry belongs to all that a computation reads and to the code that it can reach (`railrepro.code`), the compiler and
-the packages. It lies in build/store, or in the folder `RAILREPRO_STORE`; "off" there neither reads nor writes. Entries
-are JSON, never code: what is broken or cut off is computed anew.
+The key of an entry is a hash of all that the computation reads, of the code that it can reach (`railrepro.code`), the
+compiler and the packages. Entries are JSON files in build/store or the folder `RAILREPRO_STORE`; with the value "off"
+nothing is read or written. A broken file is computed anew.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FOLDER = "RAILREPRO_STORE"
 _NUMERICS = ("RAILREPRO_CFLAGS", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "GLIBC_TUNABLES")
 """Environment variables that choose flags of the compiler and kernels of NumPy, BLAS and the mathematical library."""
 Entry = tuple[dict, pd.DataFrame | None]
-"""A row of plain values, and a table of numbers or None."""
+"""Stored result: a dict of plain values, and a DataFrame of numbers or None."""
 
 
 def _plain(value) -> object:
@@ -54,11 +54,11 @@ def _plain(value) -> object:
 
 
 def key(module: str, *parts) -> str | None:
-    """Key of a computation on this machine; None when it cannot be stored.
+    """Key (hexadecimal hash) of a computation on this machine; None when it cannot be stored.
 
-    `module` is where the computation stands: of another place than this package nothing is stored. `parts` are its name
-    and all that it reads: numbers, text, arrays, dataclasses, and lists and dictionaries of these. What has another
-    form, as a function of a user's file, cannot be stored.
+    `module` is the module that computes; nothing is stored for modules outside of railrepro or after an edit of its
+    files. `parts` are the name of the computation and all that it reads: numbers, text, arrays, DataFrames,
+    dataclasses, and lists and dictionaries of these. With a part of another type, such as a function, it is None.
     """
     made_by = code.version(), code.reached(f"from {module} import {module}")
     if not module.startswith("railrepro.") or None in made_by or not code.unchanged():
@@ -70,13 +70,13 @@ def key(module: str, *parts) -> str | None:
 
 
 def digest(*parts) -> str:
-    """The same whatever the machine."""
+    """SHA-256 (hexadecimal) of values, the same on every machine; TypeError for a type that `key` does not name."""
     return hashlib.sha256(json.dumps(_plain(parts)).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
-    """What decides the last digits besides code: compiler with its flags, packages, processor and kernels, by name."""
+    """Name -> version or value of what decides the last digits: compiler, its flags, kernels, packages, processor."""
     found = {f"environment {name}": os.environ.get(name, "") for name in _NUMERICS}
     found |= {"the compiler": cache.identity(cache.compiler())}
     found |= {"Python": sys.version, "the processor": platform.machine()}
@@ -84,7 +84,7 @@ def machine() -> dict[str, str]:
 
 
 def folder() -> Path | None:
-    """Folder of the entries; None when nothing is to be stored."""
+    """Folder of the entries; None with RAILREPRO_STORE=off. InputError when the variable is no absolute path."""
     given = os.environ.get(FOLDER, "")
     if given == "off":
         return None
@@ -104,9 +104,10 @@ def _unpacked(content: bytes) -> Entry:
 
 
 def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
-    """What is stored under a key (see `key`), else what `compute` gives, stored while the code is that of the key.
+    """Return the entry stored under the key `name`; else compute() and store its result.
 
-    Values of its row are plain, columns of its table numbers.
+    `compute` returns (dict of plain values, DataFrame of numbers or None), which also come back when read. With None
+    for `name`, or when railrepro was edited meanwhile, nothing is stored.
     """
     place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
     if place is not None:

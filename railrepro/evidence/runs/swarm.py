@@ -24,11 +24,11 @@ from railrepro.vehicle.parameters import load_vehicle
 
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """What the cost of a run needs.
+    """Metrics of a run that its cost needs (`run_cost`), as a store entry: (dict, None).
 
-    Mean of both gears of RMSE of y (m), RMS of du and of its part above 5 Hz (N m); share of the distance done without
-    a flange (-); whether the run failed or touched one. Sensors see the displacement against the rails where they lie,
-    so with them the error is counted from there.
+    Mean over both gears of the RMSE of y (`rmse_y`, m), the RMS of du (`effort_du`, N m) and of its part above 5 Hz
+    (`activity_du`, N m; nan when failed); `done`, the share of the distance before flange contact or failure (-); and
+    `failed`, true also after flange contact. With imperfect sensors the error counts from the irregular rails.
     """
     sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
@@ -46,7 +46,11 @@ def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def run_cost(parts: dict, cost: dict) -> float:
-    """Cost of a run from the metrics of `driven`, with the weights of data/tuning.toml."""
+    """Cost of a run (-) from the metrics of `driven` and the table [cost] of data/tuning.toml.
+
+    1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0); a
+    failed run costs failure (2 - done).
+    """
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
     beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)
@@ -55,10 +59,10 @@ def run_cost(parts: dict, cost: dict) -> float:
 
 
 def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
-    """Mean cost of parameters over the runs of a task, and the parts per run; its runs go to the executor around.
+    """Mean cost (-) of tuning parameters over the runs of a task, and per run its name, cost and metrics of `driven`.
 
-    The last run, the hardest, comes first. Once the sum is beyond `limit`, the rest is left out and counts nothing: the
-    cost is then a lower bound.
+    The hardest run, the last of the task, is simulated first. Once the mean is above `limit` the other runs are left
+    out and count as zero: the cost is then a lower bound.
     """
     quick, number = CONTROLLERS[controller].quick, len(task.runs)
     costs, parts = [], []
@@ -78,10 +82,10 @@ def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.in
 
 
 def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
-    """Tune one controller with a swarm per seed; runs of an interrupted tuning are in the store.
+    """Tune one controller with a swarm per seed on a `pool` of `executor`; finished runs are read from the store.
 
-    The tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), what each swarm found
-    (`swarms`), `origin`, and under `history` the table of all evaluated particles.
+    Returns the tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), the result of
+    each swarm (`swarms`), `origin`, and under `history` a DataFrame of all evaluated particles with their seed.
     """
     budget, evaluated, found = task.budget, partial(evaluate, controller, task), {}
 
@@ -113,7 +117,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
 
 
 def main(names: list[str]) -> None:
-    """Tune the named controllers, or all, in the named settings, or all."""
+    """Tune the controllers in the settings of comparison that `names` has (all if it has none); writes data/tuned."""
     known = load_task().dimensions
     settings = [name for name in names if name in SETTINGS] or SETTINGS
     wanted = [name for name in names if name not in SETTINGS]

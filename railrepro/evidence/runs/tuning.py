@@ -1,8 +1,8 @@
-"""What is tuned, for what, in which setting, and the tuned sets in data/tuned; `swarm` does the tuning.
+"""Tuning tasks (searched parameters, runs, cost, budget) per setting of comparison, and the tuned sets of data/tuned.
 
-One ranking of controllers does not exist: it depends on what they are given. The settings are `paper` (perfect
-measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
-alike) and `loop` (all tuned alike with sensor noise, latency and filter).
+The ranking of controllers depends on their tuning and measurements, so there are three settings of comparison: `paper`
+(perfect measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements,
+all tuned alike) and `loop` (all tuned alike with sensor noise, latency and filter). `swarm` does the tuning.
 
 Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
 """
@@ -37,31 +37,34 @@ SEED = Annotated[int, between(0, 2**63)]
 
 @dataclass(frozen=True)
 class Task:
-    """What swarms are asked to minimise in some setting; see data/tuning.toml."""
+    """Tuning task of one setting of comparison: the runs, their cost, and the parameters that swarms search.
+
+    `budget` and `cost` are the tables of these names in data/tuning.toml, see `Budget` and `Cost`.
+    """
 
     setting: str
     budget: dict
     cost: dict
     runs: dict[str, Experiment]
-    """Runs of the cost by name, without controller, the hardest last."""
+    """Runs over which the cost is averaged, by name, without controller; the hardest is the last."""
     dimensions: dict[str, list[pso.Dimension]]
-    """Searched parameters by controller, as the following."""
+    """Controller -> its searched parameters."""
     designed: dict[str, dict] = field(default_factory=dict)
-    """Parameters that are given."""
+    """Controller -> tuning parameters chosen by hand, name -> value."""
     start: dict[str, dict] = field(default_factory=dict)
-    """Parameters at which the first particle of each swarm begins."""
+    """Controller -> tuning parameters at which the first particle of each swarm begins."""
     searched_too: tuple[str, ...] = ()
-    """Designed controllers that a swarm tunes for comparison."""
+    """Controllers in `designed` that a swarm tunes as well, for comparison."""
 
     @property
     def searched(self) -> list[str]:
-        """Controllers that a swarm tunes in this setting."""
+        """Names of the controllers that a swarm tunes in this setting."""
         return [name for name in self.dimensions if name not in self.designed or name in self.searched_too]
 
 
 @data.table
 class Budget:
-    """Size of a search, see data/tuning.toml."""
+    """Size of a search: particles per swarm, iterations, iterations without improvement, and a seed per swarm."""
 
     particles: COUNT
     iterations: COUNT
@@ -71,7 +74,7 @@ class Budget:
 
 @data.table
 class Cost:
-    """Scales of the cost, see data/tuning.toml."""
+    """Scales and weights of the cost of a run, see `swarm.run_cost`."""
 
     y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
     du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
@@ -83,7 +86,10 @@ class Cost:
 
 @data.table
 class RunEntry:
-    """A run in data/tuning.toml: a scenario with some of its entries changed, sensors, rails, car and inverter."""
+    """A run in data/tuning.toml: a scenario by name, its end (m), the seed of its sensors, and optional changes.
+
+    These are its speed (km/h), irregular rails, car (`Experiment.irregular`, `plant`) and inverter (data/sensors.toml).
+    """
 
     scenario: str
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
@@ -96,7 +102,7 @@ class RunEntry:
 
 @data.table
 class SettingEntry:
-    """Setting in data/tuning.toml."""
+    """Setting of comparison in data/tuning.toml: with sensors or without, names of runs, the rest as in `Task`."""
 
     sensors: Flag
     runs: Annotated[tuple[str, ...], NOT_EMPTY, DISTINCT]
@@ -115,7 +121,7 @@ _BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, AfterVa
 
 @data.table
 class TaskFile:
-    """Content of data/tuning.toml."""
+    """Content of data/tuning.toml; `controller` has the bounds and scale of each searched parameter."""
 
     budget: Annotated[Budget, AS_GIVEN]
     cost: Annotated[Cost, AS_GIVEN]
@@ -132,7 +138,7 @@ def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
 
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
-    """The tuning task of a TOML file (default data/tuning.toml) in some setting; InputError on wrong entries."""
+    """Read the tuning task of a setting from a TOML file (default data/tuning.toml); InputError for wrong entries."""
     file = data.location(path, paths.source("data/tuning.toml"))
     content = data.build(TaskFile, data.read(file), file.name)
     _known([setting], content.setting, f"{file.name}: setting")
@@ -170,11 +176,10 @@ def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
 
 
 def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
-    """Digest of the given numbers that the cost of a controller's parameters reads.
+    """Hash (16 hexadecimal digits) of all given numbers on which the tuning of a controller depends.
 
-    These are scenarios, tracks, rails, vehicle, sensors, cost, budget and own bounds. Names and remarks do not
-    count, nor does what is computed, so it is the same on every machine. A tuned set of another origin is used all the
-    same; 05_tuning recomputes its cost.
+    These are scenarios, tracks, rails, vehicle, sensors, cost, budget and its own bounds, without names and remarks and
+    equal on every machine. A tuned set of another origin is used all the same; notebook 05_tuning recomputes its cost.
     """
     tracks, rails = (data.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
     sets = sorted({name for run in task.runs.values() for name in (run.scenario.good, run.scenario.poor)})
@@ -190,7 +195,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
 
 
 def save(found: dict, folder: Path) -> None:
-    """Write a tuned set as JSON and its particles as CSV."""
+    """Write a result of `swarm.tune` to a folder: CONTROLLER.json, and its history as CONTROLLER_particles.csv."""
     content = {key: value for key, value in found.items() if key != "history"}
     particles = found["history"].to_csv(index=False, float_format="%.6g")
     data.write(folder / f"{found['controller']}_particles.csv", particles)
@@ -198,14 +203,14 @@ def save(found: dict, folder: Path) -> None:
 
 
 def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
-    """All evaluated particles of a controller: seed of the swarm, iteration, particle, cost, parameters."""
+    """Evaluated particles of a controller, a row each: iteration, particle, cost, parameters, and seed of the swarm."""
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
 
 
 def load(controller: str, setting: str = PAPER, searched: bool = False) -> dict:
-    """Tuned set of a controller in some setting; a designed set has only `controller`, `setting` and `parameters`.
+    """Tuned set of a controller in a setting of comparison, see `swarm.tune` (without `history`).
 
-    With `searched`, what a swarm found for a controller that is designed (`Task.searched_too`). InputError when there
-    is none.
+    A designed controller has only `controller`, `setting` and `parameters`; with `searched` the set that a swarm found
+    for it (`Task.searched_too`). InputError when there is none.
     """
     return read(controller, setting) if searched else tuned_set(controller, setting)

@@ -44,43 +44,49 @@ _QUIET = 1e-9
 
 @dataclass(frozen=True)
 class Limit:
-    """Bound of a gear."""
+    """Bound of the lateral error of a gear at one weight of the torque, found by `limit`."""
 
     error: float
-    """Standard deviation of the displacement from the set point at the believed place (m), see `with_place`."""
+    """Standard deviation of the displacement from the set point at the position that sensors report (m)."""
     known: float
-    """Part of it that no torque removes: the error of the filtered displacement (m)."""
+    """Part of `error` that no torque removes: standard deviation of the error of the filtered displacement (m)."""
     activity: float
     """Standard deviation of the differential torque above 5 Hz (N m)."""
     weight: float
-    """Of a change of torque per period at which that is so, against the square of the displacement, in units of both
-    (`System.units`, N m)."""
+    """Weight rho of (du_k - du_(k-1))^2 in (N m)^2, against the squared displacement in its unit of `System.units`."""
 
 
 @dataclass(frozen=True)
 class System:
-    """Linear system in units of the states; see the head of the module."""
+    """Linear system of a gear behind sensors: x_(k+1) = a x_k + b (du_k - du_(k-1)) + w_k, z_k = c x_k + v_k.
+
+    Period 1 ms; states x in multiples of `units`; w and v are white noise.
+    """
 
     a: np.ndarray
-    """Transition, shape (n, n)."""
+    """Transition matrix A, shape (n, n)."""
     b: np.ndarray
-    """Effect of a change of torque, shape (n,)."""
+    """Input vector B of the change of differential torque in a period (per N m), shape (n,)."""
     c: np.ndarray
-    """Readings in units of their noise, shape (3, n)."""
+    """Output matrix C of the readings y, psi, r, each in standard deviations of its noise, shape (3, n)."""
     q: np.ndarray
-    """Covariance of the noise of the states, shape (n, n); that of the readings is one."""
+    """Covariance of the process noise w per period, shape (n, n); that of the measurement noise is the unit matrix."""
     torque: int
-    """Place of the newest torque."""
+    """Index of the newest torque command among the states."""
     units: np.ndarray
-    """Of the states, shape (n,)."""
+    """SI value of one unit of each state, shape (n,); of a torque 100 N m."""
 
 
 Y = STATES.index("y")
-"""Place of the displacement."""
+"""Index of the displacement among the states."""
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
-    """The system of a gear at a speed (m/s) whose lateral force and yaw moment wander (N/s^0.5, N m/s^0.5)."""
+    """Build the linear system of a gear at a constant speed (m/s) with the noise, biases and latency of a sensor loop.
+
+    `walks` are the intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: those
+    of `gear_model`, force and moment, biases of y, psi and r, torque commands on their way, newest first.
+    """
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
     inputs = np.column_stack([du, unknown])
@@ -110,7 +116,10 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
 
 
 def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> Limit:
-    """Bound of the lateral error at an activity of the torque (N m); other parameters as of `system`."""
+    """Least lateral error of any causal law whose differential torque above 5 Hz has the RMS `activity` (N m).
+
+    Other parameters as in `system`.
+    """
     of = system(vehicle, loop, speed, walks)
     p, m = np.zeros_like(of.a), of.torque  # the torques are known
     p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(len(of.c)))
@@ -131,7 +140,10 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 
 
 def feedback(of: System, weight: float) -> np.ndarray:
-    """Gain of the change of torque (N m) on the states, for the cost y^2 + weight du^2, see `Limit.weight`; (n,)."""
+    """Optimal gain L, shape (n,), of du_k - du_(k-1) = -L x (N m, x in `System.units`).
+
+    It minimises E[y^2] + weight E[(du_k - du_(k-1))^2], see `Limit.weight`.
+    """
     cost, unit = np.zeros_like(of.a), of.units[of.torque]
     cost[Y, Y] = 1.0
     b = of.b[:, None] * unit  # in units of the torque the equation is well scaled
@@ -140,8 +152,10 @@ def feedback(of: System, weight: float) -> np.ndarray:
 
 
 def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """The bound (m) at the true place: with the error of localisation, which is not observable, times the slopes of the
-    set point along the way (-)."""
+    """Bound (m) of the error from the set point at the true position, from that at the reported position, `error` (m).
+
+    Adds the unobservable bias of the position sensor times the RMS of `slopes`, dy*/dp (-) along the way, shape (n,).
+    """
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 
 

@@ -29,9 +29,9 @@ from railrepro.vehicle.parameters import load_vehicle
 SEEDS = tuple(range(201, 225))
 """Draws of noise and biases; tuning and the chapters use others."""
 FEW = SEEDS[:3]
-"""Those of irregular rails, whose draw goes with the seed."""
+"""Seeds of the runs on irregular rails, which also draw the rails."""
 COMPARED = (OURS, "ndi_feedforward", "ndi_integral", "nmpc_observer")
-"""Ours, and those of the others that lead any row."""
+"""The project's own controller, and each other one that is best in any row."""
 _ROW = ["kind", "case"]
 _STILL = 1.0, 0.1
 """Walks of force and moment so slow that sensors alone limit the error (N/s^0.5, N m/s^0.5)."""
@@ -43,7 +43,7 @@ _PATCH = ((0.0, 0.0), (200.0, 0.0), (201.0, 1.0), (300.0, 1.0), (301.0, 0.0))
 
 
 def experiments() -> list[Experiment]:
-    """All runs of the table, row by row; their labels are kind and case."""
+    """All runs of data/results/loop_table.csv, row by row; the label of a run has kind and case."""
     ends = {"curve_entry_T1": 50.0, "curve_entry_T2": 200.0, _CURVE: 280.0, "curve_entry_T4": 330.0, _FAST: 250.0}
     runs = [run for name, end in ends.items() for run in row("loop", name, name, {"end_m": end})]
     short, sine, curve = {"end_m": 500.0}, {"end_m": 250.0}, {"end_m": 280.0}
@@ -75,7 +75,10 @@ def experiments() -> list[Experiment]:
 
 
 def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Experiment]:
-    """Runs of a row of the table: the tuned sets of all controllers, each over the seeds of the kind."""
+    """Runs of one row of the table: a scenario with changed fields, for all of `COMPARED` and the seeds of the kind.
+
+    `kind` and `case` label the row; `more` are fields of `Experiment` such as irregular, plant and sensors.
+    """
     driven, label = load_scenario(scenario).but(**change), {"kind": kind, "case": case}
     runs = []
     for name, seed in product(COMPARED, FEW if kind == "irregular" else SEEDS):
@@ -88,7 +91,10 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
 
 
 def limit_of(run: Experiment) -> dict:
-    """Error that sensors alone leave a run (mm), and that at the believed place; empty off dry ideal rails."""
+    """Bounds of the RMS error of a run by its sensors, see `uncertainty.limit`; empty but for dry ideal rails.
+
+    Keys limit_mm, error at the true position, and limit_at_believed_place_mm, at the reported position (mm).
+    """
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
         return {}
@@ -98,7 +104,11 @@ def limit_of(run: Experiment) -> dict:
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Errors against the rails where they lie (mm), torque above 5 Hz (N m), and whether the flanges were reached."""
+    """Store entry of a run, without a series: error_mm, rear_mm, activity_Nm, failed.
+
+    RMS error of front and rear gear against the actual rails (mm), front torque above 5 Hz (N m, RMS), and whether the
+    run failed or reached the flanges, where the numbers are nan.
+    """
     failed = run.failed or metrics.reaches_flange(run.series)
     errors = {} if failed else {g: 1e3 * metrics.followed_rmse(run.series, g) for g in simulate.GEARS}
     activity = float("nan") if failed else metrics.activity(run.series)
@@ -111,9 +121,10 @@ def _rms(values: pd.Series) -> float:
 
 
 def table(runs: Sequence[Experiment], pool) -> pd.DataFrame:
-    """One row per case and controller: RMS and standard deviation over the seeds of the error (mm), runs that failed.
+    """Run experiments on an executor (`pool`) and summarise them over the seeds, one row per case and controller.
 
-    Both are over the runs that kept off the flanges; `failed` counts the others.
+    Columns kind, case, controller, seeds (number of runs), failed (runs that reached the flanges), and over the other
+    runs error_mm, rear_mm (RMS), spread_mm (standard deviation of error_mm), activity_Nm (mean).
     """
 
     def driven(run: Experiment) -> dict:
@@ -131,11 +142,11 @@ def table(runs: Sequence[Experiment], pool) -> pd.DataFrame:
 
 
 def standing(measured: pd.DataFrame) -> pd.DataFrame:
-    """Ours beside the best other in data/results/loop_table.csv, one row per kind and case, those not led first.
+    """Compare the controller `OURS` with its best rival: one row per kind and case, those where it is behind first.
 
-    Columns ours_mm, other_mm, other, spread_mm (larger standard deviation of both), limit_mm, over_limit (-), lost
-    (runs of ours that reached the flanges), other_lost, and standing: `behind`, `tied` within the spread, or `ahead`.
-    Who loses fewer runs is ahead; the best other is the one that loses fewest.
+    `measured` is data/results/loop_table.csv. Columns ours_mm, other_mm (RMS errors), other (the rival's name),
+    spread_mm (the larger standard deviation), limit_mm, over_limit (ours over limit, -), lost and other_lost (runs that
+    reached the flanges), standing: "behind", "tied" (within the spread) or "ahead". Fewer lost runs decide first.
     """
     ours = measured["controller"] == OURS
     own = measured[ours].set_index(_ROW)
@@ -152,7 +163,7 @@ def standing(measured: pd.DataFrame) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Measure all rows and write the table."""
+    """Run all `experiments` and write data/results/loop_table.csv."""
     runs = experiments()
     with executor() as pool:
         measured = table(runs, pool)

@@ -37,19 +37,18 @@ FREQUENCIES = (
 )
 """Frequencies of the disturbance (Hz)."""
 AMPLITUDE = 20.0
-"""Amplitude of each of its sines (N m), above what resolution does, below what limits do."""
+"""Amplitude of each sine of the disturbance (N m), well above resolution and well below limits."""
 LINEAR = 0.5
-"""Share of the power of the answer that the disturbed frequencies hold in a stable loop, at least."""
+"""Least share of the power of the response that lies at the disturbed frequencies in a stable loop."""
 RAILS = {"dry": ("sine_tracking", 600.0), "poor": ("adhesion_loss", 600.0)}
 """Scenario at 400 km/h and its end (m) by rail."""
 _KMH = (100.0, 200.0, 300.0, 400.0)
 
 
 class ProbedLaw:
-    """The 1 kHz law of a guidance whose torque is disturbed by a sum of sines with Schroeder's phases; a
-    `lateral.LateralLaw`.
+    """`lateral.LateralLaw` that adds `multisine` to the differential torque of a guidance.
 
-    The amplitude (N m) is that of each sine.
+    `amplitude` (N m) is that of each sine.
     """
 
     def __init__(self, guidance: lateral.Guidance, amplitude: float):
@@ -57,11 +56,11 @@ class ProbedLaw:
         self.memory = (*getattr(self._law, "memory", ()), "probe_ticks")
 
     def gains(self) -> dict[str, float]:
-        """See `LateralLaw.gains`."""
+        """Run-time numbers by name: the gains of the guidance, and probe_amplitude (N m)."""
         return {**lateral.gains_of(self._law), "probe_amplitude": self._amplitude}
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
-        """See `LateralLaw.torque`."""
+        """Disturbed differential torque (N m) and next states of the law by name, see `LateralLaw.torque`."""
         du, following = lateral.answer(self._law, q)
         signal = q.probe_amplitude * multisine(q.probe_ticks * CONTROL_PERIOD, ca.sin)
         return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
@@ -75,20 +74,20 @@ class _WithControllers(ProbedLaw):
 
 
 def multisine(t, sine: Callable = np.sin):
-    """Sum of sines of unit amplitude at times (s). Source: Schroeder 1970 (phases of low crest factor)."""
+    """Sum of unit sines of `FREQUENCIES` at times t (s), in the shape of t. Source: Schroeder 1970 (phases)."""
     count = len(FREQUENCIES)
     return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
 
 
 def probed(guidance: lateral.Guidance, amplitude: float) -> lateral.Guidance:
-    """A guidance with its torque disturbed, see `ProbedLaw`."""
+    """Guidance whose differential torque is disturbed by sines of an amplitude (N m) each, see `ProbedLaw`."""
     return (_WithControllers if callable(guidance) else ProbedLaw)(guidance, amplitude)
 
 
 def disk_margin(values: np.ndarray) -> float:
-    """Symmetric disk margin a of a `sensitivity`.
+    """Symmetric disk margin a (-) of a complex `sensitivity` over frequency, a = 1 / max |S - 1/2|.
 
-    The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2).
+    The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad).
 
     Source: Seiler, Packard and Gahinet 2020.
     """
@@ -98,11 +97,11 @@ def disk_margin(values: np.ndarray) -> float:
 def sensitivity(
     guidance, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
 ) -> np.ndarray | None:
-    """Measured sensitivity of the loop of the front gear, broken at its differential torque, on the straight dry track.
+    """Measure the sensitivity S = 1 / (1 + L) of the front gear's loop at its torque, on straight dry track.
 
-    Torque over disturbance, S = 1 / (1 + L), complex, shape (len(FREQUENCIES),): the difference of a run with and one
-    without disturbance. The noise of sensors (arguments of `sensors.readings`) is the same in both runs, so it does not
-    enter. None when a run fails, or where an unstable loop does not answer at the frequencies of the disturbance.
+    Complex, shape (len(FREQUENCIES),): differential torque over disturbance, from the difference of a run with and one
+    without disturbance. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs and cancels.
+    None when a run fails, or when the loop is unstable and does not respond at the frequencies of the disturbance.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
@@ -128,12 +127,15 @@ QUANTITIES = {
     "lag": ("drive.lag", 5e-3, 0.1, 2.5e-3, "s"),
     "gain": ("inverter.gain", 1.0, 5.0, 0.1, "-"),
 }
-"""What is worsened until the car derails or reaches the flanges: delay on top of that of the loop, lag of the drive,
-torque over the command. Its key, where the search begins and ends, its resolution and unit."""
+"""Quantities that are raised until the car derails or reaches the flanges: extra delay, lag of the drive, torque over
+its command. Each with its key, begin and end of the search, resolution and unit."""
 
 
 def survived(fails: Callable[[float], bool], nominal: float, largest: float, resolution: float) -> float:
-    """Largest value of a quantity (SI) with which a run does not fail, by bisection; nan when the nominal does."""
+    """Largest value of a quantity for which `fails(value)` is false, by bisection between `nominal` and `largest`.
+
+    All are in the unit of the quantity; nan when `nominal` fails, `largest` when that does not.
+    """
     if fails(nominal):
         return float("nan")
     low, high = nominal, largest
@@ -147,7 +149,10 @@ def survived(fails: Callable[[float], bool], nominal: float, largest: float, res
 
 
 def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
-    """Largest value of a quantity with which a tuned controller keeps the car off its flanges, see `survived`."""
+    """Largest value of a quantity (key of `QUANTITIES`, in its unit) with which a tuned controller avoids the flanges.
+
+    `setting` and `controller` select the tuned parameters, `rail` is a key of `RAILS`; see `survived`.
+    """
     name, end = RAILS[rail]
     key, *bounds, _ = QUANTITIES[quantity]
     sensors = {"seed": 101} | ({} if setting == tuning.LOOP else {"perfect": True})
@@ -162,7 +167,7 @@ def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
 
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
-    """Peak and disk margin of the sensitivity of a tuned controller at a speed; inf and 0 of an unstable loop."""
+    """Keys peak_sensitivity (max |S|) and disk_margin (-) of a tuned controller at a speed; inf and 0 if unstable."""
     around = load_loop() if setting == tuning.LOOP else None
     read = controller, speed_kmh, tuning.load(controller, setting)["parameters"], around, load_vehicle()
     key = store.key(__name__, "sensitivity", read)
@@ -177,7 +182,7 @@ def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
 
 
 def main() -> None:
-    """Measure all tuned sets and write both tables."""
+    """Measure all tuned controllers and write data/results/margins.csv and sensitivity.csv."""
     pairs = [*product(tuning.SETTINGS, SHOWN)]
     survivals = [(*pair, rail, quantity) for pair in pairs for rail in RAILS for quantity in QUANTITIES]
     loops = [(*pair, speed) for pair in pairs for speed in _KMH]

@@ -20,10 +20,10 @@ from railrepro.vehicle.parameters import load_vehicle
 
 SCENARIO = "curve_entry_T3"
 CONTROLLERS = ("nmpc", "ndi", "ndi_integral")
-"""The paper's two, and the strongest without preview."""
+"""NMPC and NDI of the paper, and the best controller without preview."""
 SETTINGS = ("paper", "equal")
 SEEDS = (101, 102, 103)
-"""Of the noise; tuning used others."""
+"""Seeds of the sensor noise; tuning used others."""
 _GROUPS = ("lateral", "gyro", "wheel_speed", "speed", "position")
 _COLUMNS = ("axis", "value", "unit", "setting", "controller", "seed")
 _COLUMNS += ("rmse_mm", "drift_mm", "effort_Nm", "failed", "ended")
@@ -58,7 +58,7 @@ noise come behind the filter of the realistic loop: their zero is the choice "S1
 
 
 def changed(axis: str, value) -> dict:
-    """Arguments of `Experiment` that an axis changes."""
+    """Fields of `Experiment` that put an axis (key of `AXES`) at a value; empty for "bandwidth", a tuning parameter."""
     if axis == "unbalanced acceleration":
         return {"alignment": canted(alignments()["T3"], value)}
     if axis == "creep stiffness":
@@ -71,7 +71,10 @@ def changed(axis: str, value) -> dict:
 
 
 def experiments(axis: str, value, setting: str, controller: str) -> list[Experiment]:
-    """Runs of a tuned set with an axis (key of `AXES`) at some value: one, or where there is noise one per seed."""
+    """Runs of a tuned controller on T3 with one axis (key of `AXES`) at a value in the axis's unit.
+
+    One run, or one per seed of `SEEDS` where there is noise.
+    """
     more, parameters = changed(axis, value), tuning.load(controller, setting)["parameters"]
     if axis == "bandwidth":
         parameters = parameters | {name: value * parameters[name] for name in {"pole", "frequency"} & set(parameters)}
@@ -86,14 +89,14 @@ def experiments(axis: str, value, setting: str, controller: str) -> list[Experim
 
 
 def canted(track: Alignment, acceleration: float) -> Alignment:
-    """A curve entry with the cant that leaves an unbalanced acceleration (m/s2) at its design speed."""
+    """Copy of a curve entry (straight, clothoid, arc) canted to leave an acceleration (m/s2) at its design speed."""
     start, ramp, arc = track.segments
     angle = superelevation_angle(track.design_speed, 1 / arc.kappa[0], acceleration)
     return replace(track, segments=(start, replace(ramp, phi=(0.0, angle)), replace(arc, phi=(angle, angle))))
 
 
 def main() -> None:
-    """Drive all of them and write the table."""
+    """Run all axes, values, settings and controllers, and write data/results/order_turns.csv."""
     cases = [
         (axis, value, setting, name)
         for axis, (_, values) in AXES.items()

@@ -53,7 +53,7 @@ _PROFILE, _LTV, _RATIO = OPEN[0].name, OPEN[1].name, OPEN[-1].name
 
 
 def prior() -> tuple[Dimension, ...]:
-    """All that is sampled. Rails that no experiment of the paper has are left out: its good rail is dry."""
+    """Sampled parameters with bounds: ranges of data/vehicle.toml without wet and very poor rail, then `OPEN`."""
     known = {dimension.name for dimension in OPEN}
     unused = ("adhesion.wet.", "adhesion.very_poor.")
     ranges = {k: v for k, v in sample_ranges().items() if not k.startswith(unused) and k not in known}
@@ -62,16 +62,17 @@ def prior() -> tuple[Dimension, ...]:
 
 @dataclass(frozen=True)
 class Sample:
-    """One draw of what the paper does not publish: its place in the sequence, the setting of comparison, and pairs of
-    dimension and value; what is not named stays nominal.
-    """
+    """One sampled combination of the parameters that the paper does not publish."""
 
     number: int
+    """Index in the Sobol sequence."""
     setting: str
+    """Setting of comparison, one of `tuning.SETTINGS`."""
     values: tuple[tuple[str, float], ...]
+    """Pairs of dimension name (see `prior`) and value in its unit; others stay nominal."""
 
     def world(self) -> ProbeSetup:
-        """Set up car and experiments, with the tuned sets of the setting."""
+        """Car, experiments and tuned controllers of the setting, with the values of the sample."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
@@ -84,7 +85,7 @@ class Sample:
 
 
 def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
-    """Quasi-random samples over the prior: one scrambled Sobol sequence, the same in each setting."""
+    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same ones for each setting."""
     dimensions = prior()
     points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
@@ -92,10 +93,10 @@ def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> lis
 
 
 def evaluate(sample: Sample) -> dict:
-    """A small retuning of each controller on its setting, then the probe with other seeds of the noise; values in SI.
+    """Retune each controller slightly on a sampled car, then run the probe with other seeds of the noise.
 
-    The sample's number, setting, profile and reading of LTV-MPC, the values drawn by dimension, and
-    "scenario/controller/metric" -> value.
+    Returns a row: `LABELS` (number, setting, wheel profile, variant of LTV-MPC), the sampled values by dimension, and
+    "scenario/controller/metric" -> value (SI).
     """
     world = sample.world()
     tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
@@ -130,16 +131,19 @@ def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
 
 
 def ties(settings: Iterable[str]) -> dict[str, Mapping]:
-    """Spread between seeds of the nominal case, by setting: what counts as a tie is the same in all samples."""
+    """Spread between seeds of the nominal car, which decides what is a tie in all samples.
+
+    Setting -> {(scenario, controller, metric): logarithm of largest over smallest value among seeds}.
+    """
     nominal = Nominal()
     return {setting: nominal.evidence(setting).spread for setting in settings}
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
-    """Whether each sample reproduces each statement, by the rule of the report.
+    """Judge the paper's statements on each sample; `table` has the rows of `evaluate`.
 
-    One row per sample: `LABELS`, and a boolean column per statement for which the samples have the metrics. A run that
-    failed counts as evidence, by the rule of its statement.
+    Returns one row per sample: `LABELS`, and a boolean column per statement (named by id such as "C04") that is true
+    where it is reproduced, missing where metrics are. A failed run counts by the rule of its statement.
     """
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     spread = ties(table["setting"].unique())
@@ -153,9 +157,10 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
-    """Share of the samples in which each statement holds, in each setting, with its 95 % interval (Clopper-Pearson).
+    """Share of samples (0 to 1) in which each statement holds, by setting, with a 95 % interval (Clopper-Pearson).
 
-    Columns id, setting, share, low, high, samples; cone, s1002: shares by profile. Empty without a table.
+    `table` has the rows of `evaluate`. Columns id, setting, share, low, high, samples (number), and the shares by wheel
+    profile cone, s1002. Empty without a table.
     """
     columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
     if table is None:
@@ -173,7 +178,10 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
-    """`shares` of a setting, and the parameters that may decide each statement by rank correlation over its samples."""
+    """`shares` of one setting with a column `candidates`: at most three parameters that may decide each statement.
+
+    A list of dimension names by rank correlation; the rows of `table` belong to `samples`.
+    """
     found, judged = shares(table), holds(table)
     factors, deciding = pd.DataFrame([dict(sample.values) for sample in samples]), []
     for identity in found["id"]:
@@ -183,17 +191,10 @@ def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
 
 
 def confirmed(found: pd.DataFrame, setting: str, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
-    """Replace the column `candidates` by `decided_by`, the parameters that turn the verdict alone.
+    """Replace the column `candidates` by `decided_by`, the parameters that change a verdict on their own.
 
-    Each candidate is set to both ends of its range while everything else stays nominal.
-
-    Parameters
-    ----------
-    found : DataFrame
-        See `candidates`.
-    setting : str
-    run : callable
-        List of samples -> list of rows, as `evaluate` makes them.
+    Each candidate is set to both ends of its range while all others stay nominal; names are joined by commas.
+    `found` is from `candidates` in this setting of comparison; `run` maps samples to their rows of `evaluate`.
     """
     ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
     names = list(dict.fromkeys(name for each in found["candidates"] for name in each))
@@ -235,9 +236,10 @@ BY_POLE = ("C04", "C05", "C17", "C20", "C31")
 
 
 def over_poles(quiet: bool = False) -> pd.DataFrame:
-    """Verdicts `BY_POLE` on the nominal car of `paper` over the poles of NDI, with the set of its swarm as the last.
+    """Verdicts on the statements `BY_POLE` for each triple pole of NDI in `POLES`, nominal car, setting `paper`.
 
-    Columns poles (rad/s, or "swarm"), id, value, verdict.
+    Columns poles (rad/s, as text, or "swarm" for parameters found by the swarm), id, value (compared with the limits
+    of the statement), verdict.
     """
     spread, known = ties([tuning.PAPER])[tuning.PAPER], statements.load()
     nominal, swarm = setup({}), tuning.load(statements.NDI, tuning.PAPER, searched=True)["parameters"]
@@ -257,7 +259,7 @@ def over_poles(quiet: bool = False) -> pd.DataFrame:
 
 
 def study(setting: str, count: int) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Samples in a setting; shares with what decides, confirmed by changing one parameter at a time."""
+    """Evaluate `count` samples in a setting; returns the table of `evaluate` rows and `shares` with `decided_by`."""
     samples = draw(count, settings=(setting,))
     with executor() as pool:
         table = pd.DataFrame(ordered_map(pool, evaluate, samples, f"robustness, {setting}"))
@@ -266,7 +268,7 @@ def study(setting: str, count: int) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def main(samples: int | None = None) -> None:
-    """Run the study in all settings and write its tables; `samples` is `SAMPLES` unless given."""
+    """Run the study in all settings with `samples` (default `SAMPLES`) each, and write its tables to data/results."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in tuning.SETTINGS:
