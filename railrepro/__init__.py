@@ -48,7 +48,7 @@ FACADE = {
     "metrics": "railrepro.simulation.metrics",
     "InputError": "railrepro.data.InputError",
 }
-"""Names that `railrepro` offers, each with the module, or the name in a module, that it stands for."""
+"""Public name of `railrepro` -> dotted path of the module, or of the object in a module, that it imports."""
 __all__ = ["FACADE", "__version__", *FACADE]
 
 

@@ -57,7 +57,7 @@ _edited = False
 
 
 def unchanged() -> bool:
-    """Whether no source file changed in size or time since the package was imported; a first change is told on stderr.
+    """Whether no source file changed in size or time since this package was imported; the first change goes to stderr.
 
     Once False it stays so, also when a file is put back: a module may have been imported in between.
     """
@@ -81,9 +81,9 @@ def _bytes() -> dict[str, bytes] | None:
 
 
 def content(text: str) -> str:
-    """Text of Python without comments, docstrings (all long strings that are statements), trailing blanks, empty lines.
+    """Python source `text` without comments, docstrings (triple-quoted strings that are statements) and empty lines.
 
-    Other strings stay as they are.
+    Trailing blanks go, too; other strings stay as they are.
     """
     text = text.replace("\r\n", "\n")
     parts, code, depth, end = [], "", 0, 0
@@ -100,7 +100,7 @@ def content(text: str) -> str:
 
 
 def imports(content: str) -> set[str]:
-    """Dotted names of this package (modules, or names in them) that a text of `content` imports or mentions."""
+    """Dotted names of this package, as "railrepro.data.write", that Python source `content` imports or mentions."""
     from railrepro import FACADE  # the package imports this module first
 
     joined = content.replace("\\\n", " ")
@@ -145,9 +145,9 @@ def _hash(data: bytes) -> str:
 
 
 def reached(*texts: str) -> dict[str, str] | None:
-    """Sources of this package that Python texts reach through imports: SHA-256 by name such as "railrepro/clock.py".
+    """File of this package, as "railrepro/clock.py" -> SHA-256, for all that sources `texts` import, directly or not.
 
-    None when the files were edited before this process had read them.
+    Returns None when the files were edited before this process had read them.
     """
     if _bytes() is None:
         return None
@@ -163,10 +163,10 @@ def reached(*texts: str) -> dict[str, str] | None:
 
 @cache
 def version() -> str | None:
-    """SHA-256 over all sources of the library that this process imported, the same on all machines.
+    """SHA-256 over all sources of this package but `railrepro.evidence`, as imported; the same on all machines.
 
-    None when the files were edited before this process had read them. `railrepro.evidence` does not count. Call
-    `unchanged` before reading from a cache or storing in one under this key.
+    Returns None when the files were edited before this process had read them. Call `unchanged` before reading from a
+    cache or storing in one under this key.
     """
     if _bytes() is None:
         return None

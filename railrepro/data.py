@@ -52,11 +52,13 @@ class Quantity:
     Attributes
     ----------
     low, high : float
-        Range in the unit; `high` belongs to it, `low` when `closed`.
+        Bounds in `unit`; `high` itself is allowed.
     unit : str
+        As "m/s"; "" for none.
     closed : bool
+        Whether `low` itself is allowed.
     signed : bool
-        The range holds for the magnitude, the number may have either sign.
+        Whether the bounds hold for the magnitude, so that the number may have either sign.
     """
 
     low: float
@@ -87,19 +89,19 @@ class Quantity:
 
 
 def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
-    """`Quantity` of numbers above `low` and up to `high`; with `signed` of numbers whose magnitude is."""
+    """`Quantity` of numbers x with low < x <= high in `unit`; with `signed` low < |x| <= high."""
     return Quantity(low, high, unit, signed=signed)
 
 
 def between(low: float, high: float, unit: str = "") -> Quantity:
-    """`Quantity` of numbers from `low` to `high`, both included."""
+    """`Quantity` of numbers x with low <= x <= high in `unit`."""
     return Quantity(low, high, unit, closed=True)
 
 
 def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole: bool = False) -> None:
     """Raise InputError unless a value is a number (`whole`: an integer) in a range, or an instance of a class.
 
-    `what` names the value in the message.
+    `allowed` is the range as a `Quantity`, the class, or a tuple of classes; `what` names the value in the message.
     """
     if isinstance(allowed, Quantity):
         try:
@@ -187,7 +189,7 @@ def table(cls: type) -> type:
 
 
 def location(path: Path | str | None, default: Path | None = None) -> Path:
-    """Path of a file, or the default for None; InputError for anything that is neither str nor Path."""
+    """`path` as a Path, or `default` where it is None; InputError for anything that is neither str nor Path."""
     if path is None and default is not None:
         return default
     if not isinstance(path, str | Path):
@@ -224,9 +226,9 @@ def build(kind: type, content: Any, where: str) -> Any:
     Parameters
     ----------
     kind : type
-        Class marked with `table`, or `dict[str, such a class]` for a file of named tables.
+        Class marked with `table`, or `dict[str, such a class]` for a file of named tables, which gives a dict.
     content : Any
-        Returned by `read`, possibly changed.
+        Dicts and lists as `read` returns them, possibly changed.
     where : str
         Name of the file for the message.
 
@@ -263,12 +265,12 @@ def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all, with its folders.
+    """Write text (as UTF-8) or bytes to a file, whole or not at all; makes its folders.
 
     Raises
     ------
     InputError
-        When it cannot be written; an older file of that name is intact.
+        When the file cannot be written; an older one of that name is intact.
     """
     scratch = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:

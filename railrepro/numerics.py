@@ -27,7 +27,7 @@ def variables() -> dict[str, str]:
 
 
 def fix() -> None:
-    """Set `variables` in the environment of this process and its children; no effect once NumPy is loaded."""
+    """Set all `variables` in `os.environ`, for this process and its children; no effect once NumPy is loaded."""
     if "numpy" not in sys.modules:
         os.environ.update(variables())
 

@@ -34,14 +34,14 @@ Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
-    """Path to write a product to, such as "data/results/fig06.csv", in the checkout or redirected; makes its folder."""
+    """Path (checkout or redirected) to write the product `relative` to, as "data/results/f.csv"; makes its folder."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def source(relative: str) -> Path:
-    """Path to read an input or product from, by its path in the checkout, such as "data/vehicle.toml".
+    """Path to read an input or product from; `relative` is its path in the checkout, such as "data/vehicle.toml".
 
     Redirected products come first, then the copy of an installed package, then the checkout; a folder `data` where one
     works changes nothing for an installed package.
@@ -90,9 +90,10 @@ if os.environ.get(READS):
 
 
 class Entries(UserDict[str, Value]):
-    """Entries of a data file by name; the log of `READS` gets "file, name" at a look-up, "file, *" at an iteration.
+    """Dict of the entries of a data file by name, which notes in the log of `READS` what is read of the file.
 
-    `file` is its name in the log, such as "data/scenarios.toml".
+    A look-up appends the line "file<tab>name", an iteration "file<tab>*". `file` is the name of the file in the log,
+    such as "data/scenarios.toml".
     """
 
     def __init__(self, entries: dict[str, Value], file: str):

@@ -23,20 +23,21 @@ Group = TypeVar("Group")
 
 
 def listed(labels: Iterable) -> Any:
-    """Type of a member of `group` that is a list with one element for each label."""
+    """Type of a member of `group` that is a list with one element for each label; entries are named MEMBER.LABEL."""
     return Annotated[list, tuple(map(str, labels))]
 
 
 def group(name: str, *members: str | Mapping[str, Any]) -> Any:
-    """Make a frozen dataclass of quantities.
+    """Make a frozen dataclass of quantities and return it.
 
     Parameters
     ----------
     name : str
-        Of the class.
+        Name of the class.
     members : str or mapping
-        A string of names with units, as "y m, psi rad"; or a mapping from names to a unit, a `listed(…)`, or the
-        dataclass of a group within it; `Annotated[dataclass, shown]` has `shown` for its name in `names`.
+        Fields in order. A string has names with units, as "y m, psi rad". A mapping has for each name a unit, a list
+        `listed(…)`, or a dataclass for a group of further fields. With `Annotated[dataclass, prefix]` the function
+        `names` gives "prefix.y" for the field y of that group, else "name.y".
     """
     types: dict[str, Any] = {}
     for some in members:
@@ -69,7 +70,7 @@ def names(of: type) -> tuple[str, ...]:
 
 
 def notes(of: type) -> tuple:
-    """Annotation of each entry in the order of `names`: its unit (str) or `Quantity`; None for elements of lists."""
+    """Unit (str) or `data.Quantity` per entry of a `group` class, in the order of `names`; None for list elements."""
     hints = get_type_hints(of, include_extras=True)
     found: list = []
     for name, inner, labels, _ in _members(of):
@@ -79,7 +80,7 @@ def notes(of: type) -> tuple:
 
 
 def pack(values: Any) -> list:
-    """Entries of an instance as a flat list, in the order of `names`."""
+    """Entries of an instance of a dataclass of `group` as a flat list, in the order of `names`."""
     found: list = []
     for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
@@ -88,7 +89,7 @@ def pack(values: Any) -> list:
 
 
 def unpack(of: type[Group], entries: Iterable) -> Group:
-    """Instance of the class `of` from its entries (numbers or expressions) in the order of `names`, unchecked."""
+    """Instance of the class `of` from its entries (numbers or expressions) in the order of `names`; not validated."""
     source = iter(entries)
     made = object.__new__(of)
     for name, inner, labels, _ in _members(of):  # type: ignore[arg-type]

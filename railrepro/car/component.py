@@ -59,13 +59,13 @@ def _pairs() -> str:
 
 
 def c_text(*more: ca.Function) -> str:
-    """C source of CasADi functions `more`, then of the car: its generated functions and car.c, which calls them."""
+    """C source of the CasADi functions `more`, then of the car: its generated functions and car.c, which calls them."""
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
-    """Shared object of `c_text()`, compiled or from the cache, with the functions of car.c such as `car_run`."""
+    """Loaded shared object of `c_text()`, compiled or from the cache, with the functions of car.c such as `car_run`."""
     loaded = ctypes.CDLL(str(cache.build(c_text())))
     loaded.car_run.restype = ctypes.c_longlong
     return loaded
@@ -78,7 +78,8 @@ class Linearisation:
     Attributes
     ----------
     a, b, c, d : DataFrame
-        States and outputs as in `SteppedCar.model`, inputs the motor torque commands of `equations.WHEELS` (N m).
+        Rows and columns by name: n states `Car.states`, 4 motor torque commands `equations.WHEELS` (N m), m outputs
+        `Car.outputs`; shapes (n, n), (n, 4), (m, n), (m, 4).
     """
 
     a: pd.DataFrame
@@ -93,7 +94,7 @@ class SteppedCar:
     Parameters
     ----------
     route : Route or str
-        Or the name of a track in data/tracks.toml, which is laid without set point and irregularities.
+        A str is the name of a track in data/tracks.toml, which is laid without set point and irregularities.
     speed : float
         Initial speed (m/s).
     vehicle : Vehicle, optional
@@ -126,7 +127,7 @@ class SteppedCar:
     time : float
         Simulated time (s).
     left_rail : str
-        Which gear derailed first, when and where, one sentence; empty before.
+        Which gear derailed first, when and where, one sentence; "" while none has.
 
     Raises
     ------
@@ -189,13 +190,14 @@ class SteppedCar:
         return self.measured
 
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
-        """Integrate the car over some steps with constant torque commands; warns once when a gear derails.
+        """Integrate the car over some steps with constant torque commands; warns the first time that a gear derails.
 
         Parameters
         ----------
         torque : array_like, shape (4,), optional
-            Motor torque commands (N m), at most `LARGEST_TORQUE`; default the last ones.
+            Motor torque commands (N m), magnitudes at most `LARGEST_TORQUE`; default the attribute `torque`.
         steps : int
+            Number of steps.
         period : float
             Length of a step (s), up to 10 control cycles of 1 ms.
 
@@ -239,7 +241,7 @@ class SteppedCar:
         return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Copies of x, u, rows, contacts, par at the present state, as the functions of `equations.Car` take them."""
+        """Arguments x, u, rows, contacts, par of functions of `equations.Car` at the present state, as copies."""
         self._library.car_look_up(self._pointer)
         return tuple(a.copy() for a in (self.state, self.torque, self.rows.T, self.contacts.T, self.parameters))
 

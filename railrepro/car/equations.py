@@ -68,10 +68,10 @@ HOLDING_SPEED = 0.2
 
 
 def mirrored() -> dict[str, list[int]]:
-    """Permutations that exchange front and rear running gear, for the inputs "x", "u", "rows", "contacts" of `Car`.
+    """Permutations that exchange front and rear gear: input of `Car` ("x", "u", "rows", "contacts") -> indices.
 
-    For each entry (matrices column by column) the index of its counterpart, its own on the car body; see
-    `compile.lanes`.
+    Element i is the index of the counterpart at the other gear of entry i of the input (matrices column by column), or
+    i itself for an entry of the car body. Argument `mirrored` of `compile.lanes.pairs_text`.
     """
     other = {"front": "rear", "rear": "front"}
     entries: dict[str, list[str]] = {"x": list(STATES), "u": list(WHEELS)}
@@ -122,16 +122,16 @@ class Car:
     rate : Function
         (x, u, rows, contacts, par) -> dx/dt.
     step : Function
-        (x, u, rows, contacts, par, h) -> state after h (s) and embedded error estimate, Rodas3.
+        (x, u, rows, contacts, par, h) -> state after one step of h (s) by Rodas3, and its embedded error estimate.
     coordinates : Function
-        (x, rows, par) -> look-up coordinates: s of 3 bodies, then shift of 4 wheels (m); of the rows only the
-        irregularities count, so those of the previous cycle serve.
+        (x, rows, par) -> where to look up cells, shape (7, 1): track coordinate s of 3 bodies, then shift of 4 wheels
+        (m). Of the rows only the irregularities count, so those of the previous cycle serve.
     output : Function
         (x, u, rows, contacts, par) -> values of `outputs`.
     energy : Function
         (x, u, rows, contacts, par) -> [mechanical energy (J), motor power, damping loss, creep loss (W)].
     outputs : tuple of str
-        Names of the output vector.
+        Names of the entries of the output vector, those of `outputs.Outputs`.
     """
 
     states: tuple[str, ...]
@@ -326,7 +326,7 @@ def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
 def rest_state(vehicle: Vehicle, table: ContactTable, speed: float) -> np.ndarray:
     """State of steady rolling at a speed (m/s) on straight level track with the front gear at s = 0, by `STATES` (SI).
 
-    All four wheels have the contact of the table at no shift.
+    All four wheels touch as the contact table `table` says for the shift 0.
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
@@ -334,7 +334,7 @@ def rest_state(vehicle: Vehicle, table: ContactTable, speed: float) -> np.ndarra
 
 
 def rest(table: ContactTable) -> ca.Function:
-    """`rest_state` as a CasADi function: (parameters by `PARAMETERS`, speed (m/s)) -> state."""
+    """`rest_state` with a contact table as a CasADi function: (parameters by `PARAMETERS`, speed (m/s)) -> state."""
     (par, vehicle), speed = symbols(CarParameters, "par"), ca.SX.sym("speed")
     return ca.Function("car_rest", [par, speed], [ca.vertcat(*pack(_rest(vehicle, table, speed)))])
 

@@ -33,13 +33,13 @@ class Stages:
         return [ca.reshape(part, *expression.shape) for part, expression in zip(parts, expressions, strict=True)]
 
     def resolve(self, expression: ca.SX) -> ca.SX:
-        """The expression with all held symbols replaced by the expressions that they stand for."""
+        """Replace all symbols of `hold` in an expression by the expressions that they stand for."""
         for symbols, definition in zip(reversed(self._symbols), reversed(self._definitions), strict=True):
             expression = ca.substitute(expression, symbols, definition)
         return expression
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
-        """Total derivative (n, m) of an expression (n, 1) with respect to x (m, 1), held symbols resolved."""
+        """Total derivative (n, m) of an expression (n, 1) with respect to symbols x (m, 1), with `resolve` applied."""
         totals: list[ca.SX] = []
         for k, definition in enumerate((*self._definitions, expression)):
             total = ca.jacobian(definition, x)
@@ -57,6 +57,7 @@ def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]
     f, jacobian : SX, shapes (n, 1) and (n, n)
         Right-hand side as an expression of the symbolic state `x`, and df/dx.
     x : SX, shape (n, 1)
+        State, symbols only.
     h : SX or float
         Step (s).
 
@@ -84,9 +85,9 @@ def _others(f: ca.SX, x: ca.SX) -> list[ca.SX]:
 
 
 def factorise(matrix: ca.SX):
-    """Unpivoted sparse LU of an (n, n) matrix in minimum-degree order, unrolled.
+    """Unpivoted sparse LU of an SX matrix A, shape (n, n), in minimum-degree order, unrolled.
 
-    Returns a function from right-hand side to solution, SX (n, 1). Diagonal pivots suffice because the matrices are
+    Returns a function from b to the solution x of A x = b, SX (n, 1). Diagonal pivots suffice because the matrices are
     2/h I - J with small h (diagonally dominant blocks).
 
     Source: Markowitz 1957 (order of the pivots).

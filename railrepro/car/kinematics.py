@@ -47,10 +47,10 @@ def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
 class Section:
     """Track at a coordinate s (m) in a track cell `row` of `route.COLUMNS`, as SX expressions of s.
 
-    Angles psi, phi, eps (rad) and their slopes kappa, dphi, deps (rad/m); `rotation` of the track frame to the inertial
-    one, `position` of its origin (m, shape (3, 1)), `turn_rate` per metre in its own axes (rad/m, (3, 1)).
-    Irregularities lateral, vertical, gauge (m), crosslevel (rad), with slopes in `irregularity_rates`; `poor`: share of
-    poor adhesion by side (-).
+    Heading psi, cant phi, inclination eps (rad) and their slopes kappa, dphi, deps (rad/m); `rotation` of the track
+    frame to the inertial one, `position` of its origin (m, shape (3, 1)), `turn_rate` per metre in its own axes (rad/m,
+    (3, 1)). Irregularities lateral, vertical, gauge (m), crosslevel (rad), their slopes over s by name in
+    `irregularity_rates`; `poor`: share of poor adhesion (-) by side, "le" or "ri".
 
     Source: eq. (3), with the rotation of eq. (1).
     """
@@ -86,11 +86,11 @@ class Section:
 
 
 class Body(Coordinates):  # type: ignore[valid-type, misc]
-    """Kinematics and dynamics of one rigid body, SX expressions of its state (`Coordinates`) in its track cell `row`.
+    """Kinematics and dynamics of one rigid body, SX expressions of its `state` (`Coordinates`) and track cell `row`.
 
-    `section` of the track; `rotation` of body axes to the track frame, `attitude` to the inertial frame; `v` in the
-    track frame (m/s), `w` in body axes, `turn` of the track frame in its own axes (rad/s); `position` in the inertial
-    frame (m); `sdot` (m/s); `rates`: time derivatives of position (m/s) and angles (rad/s) by name.
+    `section`, the `Section` at s; `rotation` of body axes to the track frame, `attitude` to the inertial frame;
+    velocity `v` in the track frame (m/s); angular velocities `w` in body axes, `turn` of the track frame in its own
+    (rad/s); inertial `position` (m); `sdot` (m/s); `rates`: d/dt of s, y, z (m/s), psi, pitch, phi (rad/s) by name.
 
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rates of the angles, rotating frame).
     """

@@ -29,9 +29,9 @@ class Suspension:
     shape (3, 1); potential `energy` (J), `dissipation` (W); sine of the carrier's yaw against the body `yaw_sine` (-),
     lateral deflection `sway` (m).
 
-    `end` is +1 for the front carrier, -1 for the rear one. The pitch reaction of a carrier to its motors is carried by
-    rods whose lever stands on the car body: they act about z_body x x_carrier, so that with relative roll they also
-    turn the carrier in yaw.
+    `body` is the car body, `lower` the carrier, `end` +1 for the front carrier, -1 for the rear one; `par` is as in
+    `equations.CarParameters`. The pitch reaction of a carrier to its motors is carried by rods whose lever stands on
+    the car body: they act about z_body x x_carrier, so that with relative roll they also turn the carrier in yaw.
 
     Source: eqs. (13b) and (13c) are its yaw and roll terms for small angles.
     """

@@ -20,7 +20,10 @@ _SIGN = {"le": -1, "ri": 1}
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
-    """Shift of a wheel ("le" or "ri") on its rail towards its flange (m), the abscissa of the contact table."""
+    """Shift of a wheel on its rail towards its flange (m), the abscissa of the contact table, an SX expression.
+
+    The wheel is that at `side` ("le", "ri") of the carrier `gear`; `par` is as in `equations.CarParameters`.
+    """
     sign = _SIGN[side]
     return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
 
@@ -43,11 +46,12 @@ def _rail_slopes(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
 class Contact:
     """One wheel on its rail: normal force with damping and lift-off, creepages, tangential force, as SX expressions.
 
-    Made from the carrier, the side ("le", "ri"), the wheel speed (rad/s, traction-positive) and a row of
-    `CELL_COLUMNS`. Creepages are sliding speeds of the wheel over the running speed, along and across the rail (-), and
-    about its normal (1/m). `force` on the wheel in the track frame (N) and `moment` about the carrier's centre of
-    gravity in axes of the carrier (N m), shape (3, 1); `normal` and `tangential` forces (N), `spin_moment` (N m),
-    contact `angle` (rad), elastic `energy` (J), losses `dissipation` and `friction_loss` (W).
+    Made from the carrier `gear`, the side ("le", "ri"), the wheel speed (rad/s, traction-positive), a contact cell
+    `row` by `CELL_COLUMNS`, `par` as in `equations.CarParameters`, and `stages` that hold symbols. `creepage` along and
+    across the rail (-) and `spin` about its normal (1/m) are sliding speeds of the wheel over the running speed.
+    `force` on the wheel in the track frame (N) and `moment` about the carrier's centre of gravity in axes of the
+    carrier (N m), shape (3, 1); `normal` force, `tangential` forces along and across the rail (N), `spin_moment`
+    (N m), contact `angle` (rad), elastic `energy` (J), losses `dissipation` and `friction_loss` (W).
 
     Source: eq. (4); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
     """

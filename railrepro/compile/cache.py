@@ -41,7 +41,7 @@ WEBASSEMBLY = (
 
 
 class CompilerError(InputError):
-    """The C compiler is missing, or fails, or its objects cannot be stored."""
+    """Exception: the C compiler is missing or fails, or its objects cannot be stored."""
 
 
 @lru_cache(maxsize=1)
@@ -63,7 +63,7 @@ def compiler() -> str:
 
 
 def found(name: str) -> str | None:
-    """Path of the compiler of some name on PATH, or `PACKAGED` for itself; None when it is not installed."""
+    """Path of the program `name` on PATH, or for `PACKAGED` this name; None when it is not installed."""
     if name == PACKAGED:
         return name if importlib.util.find_spec(name) else None
     return shutil.which(name)
@@ -90,7 +90,7 @@ def _processor() -> str:
 
 
 def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
-    """Flags of the compiler for a source of `length` characters: `RAILREPRO_CFLAGS` or the default, and the fixed ones.
+    """Compiler flags for a source of `length` characters: `RAILREPRO_CFLAGS`, else the default, and those always given.
 
     `portable` code runs on any processor of the architecture, unless `RAILREPRO_CFLAGS` asks for more.
     """
@@ -110,8 +110,8 @@ def _version(command: str) -> str:
 
 
 def identity(command: str, options: tuple[str, ...] | None = None) -> str:
-    """Text of all that the objects of a compiler depend on besides their source: its version, the flags `options`, the
-    architecture, and the processor where a flag is native to it.
+    """Text of all that a compiled object depends on besides its source: version of the compiler `command`, its flags
+    `options` (default `flags()`), the architecture, and the processor where a flag is native to it.
     """
     options = flags() if options is None else options
     cpu = _processor() if any("native" in flag for flag in options) else ""

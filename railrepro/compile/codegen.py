@@ -38,12 +38,12 @@ def defines(values: dict) -> str:
 
 
 def enumeration(names: Iterable[str]) -> str:
-    """C enum of constants that count from 0; an entry "NAME = value" sets its own value."""
+    """C source of an enum of constants `names` that count from 0; an entry "NAME = value" sets its own value."""
     return f"enum {{ {', '.join(names)} }};\n"
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """C source of CasADi functions on `ELEMENTARY`, with CasADi's functions for their work sizes and sparsity."""
+    """C source of `ELEMENTARY`, then of CasADi functions with the C functions for their work sizes and sparsity."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
@@ -51,24 +51,24 @@ def source_text(functions: Sequence[ca.Function]) -> str:
 
 
 def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
-    """Shared object, compiled or from the cache, of CasADi functions and of `extra` C source that may call them."""
+    """Loaded shared object, compiled or from the cache, of CasADi functions and `extra` C source that may call them."""
     return ctypes.CDLL(str(cache.build(source_text(functions) + extra)))
 
 
 def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
-    """Make the ctypes class of a struct that hand-written C defines.
+    """Make the subclass of `ctypes.Structure` for a struct that hand-written C defines.
 
     Parameters
     ----------
     name : str
-        That of `typedef struct { … } name;` in `text`. Its members are double, casadi_int, one of `kinds`, pointers, or
-        arrays of these.
+        Name of the struct, as in `typedef struct { … } name;`. Its members are double, casadi_int, one of `kinds`,
+        pointers, or arrays of these.
     text : str
-        C source.
+        C source that contains the struct.
     sizes : mapping
-        Values of the constants in the lengths of arrays.
+        C constant -> its value, for constants in the lengths of array members.
     kinds : type
-        Further types of members by name.
+        ctypes type of each further C type of members, by its name in C.
     """
     known = {"double": ctypes.c_double, "casadi_int": ctypes.c_longlong} | kinds
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
@@ -85,23 +85,23 @@ def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> A
 
 
 def initialiser(of: ctypes.Structure) -> str:
-    """C initialiser `{.name = value, …}` of the double and casadi_int members of a struct, no arrays or pointers."""
+    """C initialiser `{.name = value, …}` of the single doubles and integers of a struct instance `of`."""
     scalars = [name for name, kind, *_ in of._fields_ if kind in (ctypes.c_double, ctypes.c_longlong)]
     return f"{{{', '.join(f'.{name} = {getattr(of, name)!r}' for name in scalars)}}}"
 
 
 def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
-    """NumPy views of the array members of a struct by name; they share its memory."""
+    """NumPy views of the members of a struct instance that are arrays of doubles, by name; memory is shared."""
     kinds = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
     listed = [name for name, kind in kinds.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
     return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
 
 
 class CompiledFunction:
-    """A function of a shared object with its work memory, evaluated on NumPy buffers without copies.
+    """A CasADi function compiled into a shared object, with its work memory; evaluated on NumPy buffers without copies.
 
-    `arguments` and `results` are lists with one float64 array for each input and output of the CasADi function: its
-    nonzeros in column-major order. Fill the first, call, read the second.
+    `arguments` and `results` are lists with one float64 array for each input and output of `function`: its nonzeros in
+    column-major order. Fill `arguments`, call, read `results`. `library` is the shared object.
     """
 
     def __init__(self, library: ctypes.CDLL, function: ca.Function):
@@ -134,15 +134,15 @@ def _pointers(arrays: Sequence[np.ndarray], length: int) -> ctypes.Array:
 
 
 def compiled(function: ca.Function) -> CompiledFunction:
-    """Compile a CasADi function (or find it in the cache) and load it, with buffers of its own."""
+    """`CompiledFunction` of a CasADi function, compiled or from the cache, with buffers of its own."""
     return CompiledFunction(library([function]), function)
 
 
 def stored(build: Callable[..., Built]) -> Callable[..., Built]:
-    """Decorator that keeps what a function returns, in this process (as `functools.cache`) and on disk.
+    """Decorator that keeps the results of a function, in this process (as `functools.lru_cache`) and on disk.
 
     The key on disk is the version of the library (`code.version`), those of Python and of the packages that compute,
-    and the arguments. What has another key or cannot be read is built again.
+    and the arguments. A result with another key, or that cannot be read, is computed again.
 
     Parameters
     ----------

@@ -36,9 +36,9 @@ _OPERATIONS = {
 
 
 class Statements:
-    """C statements under construction, one or two for a CasADi operation on doubles or vector registers (`lanes_t`).
+    """C statements on doubles or on vector registers of the C type `lanes_t`, written one after the other.
 
-    `lines` are the statements so far.
+    `lines` is the list of statements so far (str); each method appends definitions of constants.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Statements:
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """C source that functions of `lanes_text` (4 lanes) or `pairs_text` (2) need, to stand after `source_text`."""
+    """C source to place before that of `lanes_text` (`lanes` 4) or `pairs_text` (`lanes` 2), after `source_text`."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text()}{ELEMENTARY}"
 
 
@@ -87,8 +87,8 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     Returns
     -------
     str
-        `static void NAME_lanes(inputs, outputs)`, pointers in CasADi's order to lanes_t (lanes.h), or to double for the
-        common inputs.
+        `static void NAME_lanes(inputs, outputs)` with one pointer each, in CasADi's order: to lanes_t (lanes.h), one
+        set of arguments per lane, or to double for the common inputs.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> 
     function : casadi.Function
         Of scalar operations (SX).
     mirrored : mapping
-        By name of an input with mirrored entries: for each entry the index of its partner, its own where it has none.
+        Name of an input -> list with the index of the partner of each of its entries, their own where they have none.
         Constants of opposite sign count as partners, too.
 
     Raises

@@ -174,9 +174,9 @@ def spin_moment(
 
 
 def falling_friction(m, mu0, a_ratio, b_decay, slip_speed):
-    """Coefficient of friction (-) that falls exponentially with the slip speed (m/s) from mu0 to a_ratio mu0.
+    """Coefficient of friction (-) that falls exponentially with the slip speed (m/s) from mu0 (-) to a_ratio mu0.
 
-    `b_decay` is the decay (s/m), `m` the module that `elementary` gives.
+    `b_decay` is the decay (s/m), `m` the module casadi or numpy that the function `elementary` returns.
     """
     return mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio)
 
@@ -197,15 +197,15 @@ def _resultant(m, along, across, turning, rolled, load, stiffness, k_a, k_s, fri
 
 
 def elementary(*values):
-    """Module with sqrt, exp, fmin and so on for some values: casadi if any of them is SX or MX, else numpy."""
+    """Module whose sqrt, exp, fmin and so on suit the given values: casadi if any of them is SX or MX, else numpy."""
     return ca if any(isinstance(value, ca.SX | ca.MX) for value in values) else np
 
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
-    """Largest force over normal force in pure traction, and the longitudinal creepage where it occurs; positive (-).
+    """Largest creep force over normal force in pure traction (-), and the longitudinal creepage at which it occurs (-).
 
-    `adhesion` is an `AdhesionSet`, `speed` in m/s, `load` the normal force (N), a, b semi-axes (m), `coefficients` c11,
-    c22, c23, c33 (-), `shear_modulus` in Pa. Creepages of 1e-5 to 0.5 are searched.
+    `adhesion` is a `vehicle.parameters.AdhesionSet`, `speed` the running speed (m/s), `load` the normal force (N), a, b
+    semi-axes (m), `coefficients` c11, c22, c23, c33 (-), `shear_modulus` in Pa. Creepages of 1e-5 to 0.5 are searched.
     """
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = astuple(adhesion)

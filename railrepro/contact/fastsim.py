@@ -1,8 +1,8 @@
 """The contact of wheel and rail by other methods, and what a gear feels of it: FASTSIM, rigid profiles, centring force,
 equivalent conicity.
 
-What the car computes (`railrepro.contact`) is compared with these; nothing that drives it uses them. Serves the
-paper's section Simulation Environment.
+They check the contact of the simulated car (`creep`, `table`), which does not use them. Serves the paper's section
+Simulation Environment.
 """
 
 from __future__ import annotations
@@ -111,8 +111,8 @@ def centring_forces(shift: float, vehicle: Vehicle, load: float, friction: float
     Returns
     -------
     weight, spin : float
-        To the left (N), so positive towards the middle at a positive shift: of the normal forces, which the contact
-        angles incline, and of the spin creepage, which has the opposite sign.
+        Sums over both wheels, positive to the left, which at a positive shift is towards the middle (N): of the normal
+        forces, which the contact angles incline, and of the creep forces by spin, which have the opposite sign.
     """
     material, weight, pushed = vehicle.contact, 0.0, 0.0
     modulus, radius = contact_modulus(material.young, material.poisson), vehicle.wheel.radius
@@ -138,7 +138,7 @@ def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
         Columns shift_m, at least from -amplitude to +amplitude, and rolling_radius_m, as of `rigid_contact` or
         `ContactTable.frame`.
     amplitude : float
-        Of the oscillation (m).
+        Amplitude of the lateral oscillation (m).
 
     Source: EN 15302, by integration of the equation of motion.
     """

@@ -22,7 +22,7 @@ _TURNS, _TURNED = 4, 0.05
 
 
 def contact_modulus(young: float, poisson: float) -> float:
-    """Modulus E* = E / (2 (1 - nu^2)) of two bodies of the same material with Young's modulus E, in the unit of E (Pa).
+    """Contact modulus E* = E / (2 (1 - nu^2)) (Pa) of two bodies of one material: `young` is E (Pa), `poisson` nu (-).
 
     Source: Johnson 1985, Contact Mechanics, section 4.2.
     """
@@ -147,7 +147,7 @@ def half_space_pressure(gap: np.ndarray, load: float, cell, modulus: float, tole
     Returns
     -------
     pressure : ndarray, shape (nx, ny)
-        (Pa)
+        Normal pressure at the grid points (Pa), 0 without contact.
     approach : float
         Approach of the bodies (m).
 

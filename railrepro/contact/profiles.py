@@ -106,7 +106,7 @@ def rail_head(lateral) -> np.ndarray:
 
 
 def inclined_rail(count: int = 20_001) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the right rail head as laid: inclined, gauge face at half the gauge.
+    """`count` points of the right 60E1 rail head as laid: inclined, gauge face at half the gauge.
 
     Returns
     -------

@@ -75,7 +75,7 @@ class ContactTable:
         return float(self.frame["shift_m"].iloc[1] - self.start)
 
     def cells(self) -> np.ndarray:
-        """Cells between the n grid points for the compiled car, by `CELL_COLUMNS` (SI), (n - 1, len(CELL_COLUMNS)).
+        """Cells between the n grid points, one a row, columns `CELL_COLUMNS` (SI), shape (n - 1, len(CELL_COLUMNS)).
 
         Effective radius and its slope are continuous from cell to cell.
 
@@ -99,7 +99,7 @@ class ContactTable:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact at an offset (m) from the start of a cell given by its `CELL_COLUMNS` (numbers, arrays or symbols).
+    """Contact at an offset (m) from the start of a cell, a dict by `CELL_COLUMNS` of numbers, arrays or symbols.
 
     A wheel that hits its flange leaves its cell by several widths within a stage of the integrator. Beyond the cell the
     effective radius goes on along its tangent, so that it stays the integral of its slope and the contact makes no
@@ -134,7 +134,7 @@ def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
 
 
 def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the cone at nominal load: semi-axes a along and b across the rail (m), c11, c22, c23, c33 (-).
+    """Contact ellipse of the cone at nominal load: semi-axes a along, b across the rail (m), (c11, c22, c23, c33) (-).
 
     A cone of 1:40 stands upright on a rail that is inclined 1:40 and touches its crown; its generating line is
     straight, so the crown alone curves the contact across the rail.
@@ -148,7 +148,7 @@ def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
 
 
 def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the car's wheels in the middle of the track: a, b (m), c11 to c33 (-) as in `cone_patch`."""
+    """Contact ellipse of the vehicle's own wheel profile at shift 0 and nominal load, returned as by `cone_patch`."""
     frame = contact_table(vehicle.contact.profile, vehicle).frame
     middle = frame.iloc[frame["shift_m"].abs().argmin()]
     a, b, *coefficients = (float(middle[name]) for name in _PATCH)
@@ -194,7 +194,7 @@ def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 def elastic_patch(shift: float, radius: float, load: float, modulus: float) -> normal.Patch:
     """Elastic contact of an S1002 wheel on 60E1 at 1:40, shifted towards its flange by `shift` (m).
 
-    Nominal rolling radius (m), normal force (N), contact modulus E* (Pa); see `normal.elastic_contact`.
+    `radius` is the nominal rolling radius (m), `load` the normal force (N), `modulus` the contact modulus E* (Pa).
     """
     return normal.elastic_contact(*section(shift), radius, load, modulus)
 

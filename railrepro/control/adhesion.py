@@ -28,12 +28,12 @@ AdhesionInputs = group(
     {"f": listed(SIDES), "s": listed(SIDES)},
     "f_star -, v m/s, u N m, nominal_load N, tau_max N m, r_0 m",
 )
-"""Inputs of the law for one gear: adhesion f (traction-positive) and slip s = (v - w r)/v of left and right wheel (-),
-adhesion set point (traction-positive), speed, base torque of the cycle before; wheel load, torque limit, radius."""
+"""Inputs of the law for one gear: adhesion f (traction-positive) and slip s = (v - w r)/v of [left, right] wheel (-),
+adhesion set point f_star (traction-positive), speed, base torque u of the cycle before, load, torque limit, radius."""
 
 
 AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)})
-"""States of the law for one gear: adhesion and slip of left and right wheel (-), low-pass filtered."""
+"""States of the law for one gear: low-pass filtered adhesion f and slip s (-), each a list of [left, right] wheel."""
 
 
 @dataclass(frozen=True)
@@ -55,15 +55,15 @@ class AdhesionSettings:
     noise_speed: Annotated[float, between(0.0, 1e3, "m/s")] = 0.0
     """Speed (m/s) below which the dead zone grows as 1/v, as the noise of a slip computed from speeds; 0: constant."""
     active: bool = True
-    """False: no slip control; the base torque follows the demanded torque by at most `raise_step` per ms."""
+    """False: no slip control; the base torque follows the demand, changing by at most `raise_step` (N m) per ms."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     def base_torque(self, q: Any, memory: Any) -> tuple:
-        """Next base torque per wheel (N m), next memory, segment (1 raise, 2 hold, 3 lower) for one gear.
+        """Base torque per wheel (N m), next `AdhesionMemory` and segment (1 raise, 2 hold, 3 lower) of one gear.
 
-        `q` is `AdhesionInputs`, `memory` `AdhesionMemory`; numbers or CasADi symbols.
+        One cycle of 1 ms from inputs `q` (`AdhesionInputs`) and states `memory` (`AdhesionMemory`); numbers or CasADi.
 
         Source: eqs. (21), (22), (23), (25); with s as printed, the stable branch in
         traction has f' s' < 0, so the law works with slip counted in the direction of the demand.

@@ -20,7 +20,7 @@ SAMPLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, *[ctypes.POINTER(cty
 """C function of a slower controller, `sample_t` of slots.c: (address of its memory, states (6,) of its gear as
 `control_model.STATES`, readings (3,) as `interface.ReadGear`, base torque (N m)) -> differential torque (N m)."""
 SLOTS = Path(__file__).with_name("slots.c").read_text()
-"""C by which a run calls its slower controllers through pointers to functions, see `SAMPLE`."""
+"""C text, default `planners` of `c_text`: calls the slower controllers through pointers to functions, see `SAMPLE`."""
 _SOURCE = Path(__file__).with_suffix(".c").read_text()
 
 
@@ -33,8 +33,8 @@ def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
     """C text of the control cycle of both gears, to stand after call.h and the C generated from `law.function`.
 
-    `parameters` is the number of run-time parameters, gains of the law included; `planners` is C of the slower
-    controllers, which defines planner_memory_t, planner_reset and planner_sample.
+    `signature` is that of the law, `parameters` the number of run-time parameters, gains of the law included;
+    `planners` is C of the slower controllers, which defines planner_memory_t, planner_reset and planner_sample.
     """
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), names(interface.ReadGear)
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
@@ -47,7 +47,7 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
 
 @lru_cache
 def structures(signature: law.LawSignature) -> tuple[Any, Any]:
-    """ctypes classes of the C structs `planner_memory_t` and `controller_t` of a run under a law of this signature."""
+    """ctypes classes of the C structs (`planner_memory_t`, `controller_t`) for a 1 kHz law of this signature."""
     slot = codegen.structure("planner_memory_t", SLOTS, {}, sample_t=ctypes.c_void_p)
     sizes = _sizes(signature, len(names(signature.Gains)))
     return slot, codegen.structure("controller_t", _SOURCE, sizes, planner_memory_t=slot)

@@ -15,18 +15,18 @@ Measured = group("Measured", {"front": GearStates, "rear": GearStates}, dict.fro
 """Outputs of the car that the law measures: states of both gears; adhesion, slip and angular speed of the wheels."""
 GearMargin = group("GearMargin", "lateral m, torque -")
 Margins = group("Margins", {"front": GearMargin, "rear": GearMargin}, "track_end m, stop_speed m/s")
-"""Distances to the limits of a run, which goes on while all are positive: displacements, end of the track, speed. That
-of a torque is 1, or 0 where the lateral law gives no finite number, which the torque limit would hide."""
+"""Distances to the limits of a run, which goes on while all are positive: displacements, end of the track, speed.
+`torque` is 1, or 0 where the lateral law gives no finite number, which the torque limit would hide."""
 Limits = group("Limits", "lateral m, track_end m, stop_speed m/s")
 """Where a run ends: largest displacement of a gear, largest track coordinate and lowest speed of the front gear."""
 ReadGear = group("ReadGear", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s")
-"""Displacement, yaw angle and yaw rate of a gear as sensors read them."""
+"""Displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) of a gear as its sensors read them."""
 Record = group("Record", "u_d N m, du N m, tau_long N m, f_star -, segment -, y_ref m")
-"""Log of one gear: base, differential and longitudinal torque, adhesion set point, segment of the adhesion law, and the
-lateral set point at the true position of the gear, from which errors are counted."""
+"""Log of one gear: base, differential and longitudinal torque, adhesion set point, segment 1 to 3 of the adhesion law,
+and the lateral set point at the true position of the gear, from which errors are counted."""
 EstimatedRecord = group("EstimatedRecord", STATE_UNITS, "f_le -, f_ri -, s_le -, s_ri -, y_ref m")
 """Further log of one gear with sensors: estimated states, adhesion and slip; set point at the estimated position."""
 Model = group("Model", {name: unit for name, (unit, _) in lateral.MODEL.items() if name != "tau_max"})
-"""Nominal vehicle, `lateral.MODEL` without the torque limit, which may depend on the speed."""
+"""Numbers of the nominal vehicle: fields and units of `lateral.MODEL` but `tau_max`, which may depend on the speed."""
 Track = group("Track", {name: unit for name, (unit, _) in lateral.ROAD.items()})
 MEASURED, MARGINS = names(Measured), names(Margins)

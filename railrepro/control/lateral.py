@@ -80,7 +80,7 @@ class LateralLaw(Protocol):
 class SlowController(Protocol):
     """A guidance law of one running gear that runs slower than 1 kHz.
 
-    A controller with a filter of its own also has `read(readings, delay)`. With sensors it is called before `plan`:
+    A controller with a filter of its own also has `read(readings, delay) -> None`. With sensors it comes before `plan`:
     `readings` are displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as read, `delay` is the time
     from the reading to the moment when a torque acts (s).
     """
@@ -97,15 +97,15 @@ class SlowController(Protocol):
 
 
 class CompiledController(Protocol):
-    """A slower controller of one running gear whose samples are compiled C, called by the loop without Python."""
+    """A slower controller of one gear as compiled C, which the loop calls every `period` (s), a multiple of 1 ms."""
 
     period: float
 
     def compiled(self, loop: Loop | None, leader: CompiledController | None = None) -> tuple[int, int] | None:
-        """Address of the C function of a sample, see `cycle.SAMPLE`, and address of the memory of that function.
+        """Address of the C function of a sample, see `control.cycle.SAMPLE`, and address of that function's memory.
 
-        None where `plan` shall be called instead. Called once before the run: `loop` has the sensors, None without;
-        `leader` is the front gear's controller when this one is the rear gear's, None otherwise.
+        None where `plan` shall be called instead. Called once before a run: `loop` is the `Loop` of its sensors, None
+        without sensors; `leader` is the front gear's controller when this one is the rear gear's, None otherwise.
         """
 
 
@@ -118,14 +118,15 @@ class ZeroOrderHold:
     """Hold the last differential torque of a slower controller."""
 
     def torque(self, q: SimpleNamespace) -> ca.SX:
-        """Differential torque that the slower controller gave last (N m)."""
+        """Differential torque that the slower controller gave last, `q.held` (N m); `q` as in `LateralLaw.torque`."""
         return q.held
 
 
 def split(guidance) -> tuple[LateralLaw, Factory | None]:
-    """Split a `Guidance` into its 1 kHz law and the factory of its slower controllers (None without).
+    """Split a guidance into its 1 kHz law and the factory of its slower controllers (None without them).
 
-    An object with `torque` that can also be called is both; a factory without `torque` goes with `ZeroOrderHold`.
+    A factory is a function (vehicle, route, gear) -> slower controller; one without `torque` goes with `ZeroOrderHold`.
+    An object with `torque` that can also be called is law and factory.
 
     Raises
     ------
@@ -173,13 +174,13 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 
 
 def signature(law: LateralLaw) -> Signature:
-    """Evaluate a 1 kHz law on CasADi symbols and return its equations and names.
+    """`Signature` of a 1 kHz law: its equations from `law.torque(q)` for CasADi symbols q, names of gains and states.
 
     Raises
     ------
     InputError
-        When a gain is no finite number, a name is taken, torque or a state is no scalar expression, the states returned
-        are not those declared in `memory`, or the law uses a quantity or symbol that it is not given.
+        When a gain is no finite number or has the name of another quantity, torque or a state is no scalar expression,
+        the states returned are not those declared in `memory`, or the law uses a quantity or symbol that is not in `q`.
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
@@ -206,7 +207,7 @@ def _owner(law: LateralLaw) -> str:
 
 
 def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
-    """Differential torque (N m) and next states by name (empty without memory): `law.torque(q)` with clear errors.
+    """Call `law.torque(q)`: differential torque (N m) and dict of the next states by name, empty without memory.
 
     InputError when the law asks for an attribute that `q` lacks, or uses an expression as a truth value.
     """

@@ -47,7 +47,8 @@ class LawSignature:
 
     @cached_property
     def Gains(self) -> Any:
-        """Dataclass of the gains (SI): lateral and adhesion law, vehicle, limits of a run; sensors and filter."""
+        """Dataclass of the gains (SI): `lateral` and `adhesion` law, `fixed_share`, `nominal_load`, `model`, `drive` of
+        the vehicle, `limit` of a run; with sensors also those of `front` and `rear` gear and their `filter`."""
         laws = {"lateral": listed(self.lateral.gains), "adhesion": AdhesionSettings}
         car = {"model": interface.Model, "drive": Drive, "limit": interface.Limits}
         sensed = {"front": SensorGains, "rear": SensorGains, "filter": observers.FilterGains} if self.sensed else {}
@@ -55,9 +56,8 @@ class LawSignature:
 
     @cached_property
     def Memory(self) -> Any:
-        """Dataclass of the states: cycles since the start; by gear base torque `u` (N m), adhesion and lateral law.
-
-        With sensors, by gear also delay lines, filter states, and the last estimated states and readings.
+        """Dataclass of the states: cycles since the start `ticks`; for each gear base torque `u` (N m) and states of
+        adhesion and lateral law, with sensors also delay lines, filter states, last estimated states and readings.
         """
         laws = {"adhesion": AdhesionMemory, "lateral": listed(self.lateral.memory)}
         sensed = {
@@ -71,7 +71,7 @@ class LawSignature:
 
     @cached_property
     def Records(self) -> Any:
-        """Dataclass of the log of a cycle: `interface.Record` by gear, with sensors also `EstimatedRecord`."""
+        """Dataclass of the log of a cycle: for each gear `interface.Record`, with sensors also `EstimatedRecord`."""
         shown = {f"{gear}_estimated": Annotated[interface.EstimatedRecord, f"{gear}.estimated"] for gear in GEARS}
         return group("Records", dict.fromkeys(GEARS, interface.Record), shown if self.sensed else {})
 
@@ -88,7 +88,7 @@ class LawSignature:
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law of both gears with the values of its gains, a vector in the order of `signature.Gains` (SI)."""
+    """The 1 kHz law of both gears as a signature and the vector `gains` in the order of `signature.Gains` (SI)."""
 
     signature: LawSignature
     gains: np.ndarray
@@ -179,7 +179,11 @@ def _model(vehicle: Vehicle) -> Any:
 
 
 class MeasuredGear:
-    """Symbols of one gear without sensors: its controllers get true states, adhesion and slip."""
+    """CasADi symbols of one gear without sensors: its controllers get true states, adhesion and slip.
+
+    Arguments: gear `g` (0 front, 1 rear), `measured` (`interface.Measured`), `cell` of the route at the gear (by names
+    `track.route.COLUMNS`), `gain` and `memory` of both gears (`LawSignature.Gains`, `LawSignature.Memory`).
+    """
 
     def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
         self.cell, self.gain = cell, gain
@@ -188,16 +192,16 @@ class MeasuredGear:
         self.memory, self.ticks, self.position = getattr(memory, GEARS[g]), memory.ticks, self.truth.x
 
     def look(self, track: Any) -> tuple[Any, list, list]:
-        """`States` of the gear (SI), adhesion and slip (-) of [left, right] wheel, as the controllers get them."""
+        """True `States` (SI), lists of used adhesion F_x/F_z and slip (-) of [left, right] wheel; `track` is unused."""
         return self.truth, [wheel.adhesion for wheel in self.wheels], [wheel.sx for wheel in self.wheels]
 
     def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
-        """Torques [left, right] at the motors (N m), equal to the commands, and an empty dict of sensor states."""
+        """(`torques`, {}): commands [left, right] (N m) act at the motors at once, unchanged; `track` is not used."""
         return torques, {}
 
 
 class SensedGear(MeasuredGear):
-    """Symbols of one gear with sensors: its controllers get estimates, and commands reach the motors late."""
+    """`MeasuredGear` with sensors: controllers get estimates, commands reach the motors late; `look` before `send`."""
 
     def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
         super().__init__(g, measured, cell, gain, memory)
@@ -211,7 +215,8 @@ class SensedGear(MeasuredGear):
         self.position = self._readings.p + CONTROL_PERIOD * self._sensor.command * self._readings.v
 
     def look(self, track: Any) -> tuple[Any, list, list]:
-        """Estimated `States` when a torque will act (SI), estimated adhesion and slip (-) of [left, right] wheel."""
+        """Estimated `States` (SI) at the time when a torque of this cycle acts, list of adhesions (-) and list of slips
+        (-) of [left, right] wheel; `track`: `interface.Track` at the estimated position."""
         sensor, lines, readings, gain = self._sensor, self.memory.sensor, self._readings, self.gain
         before = lines.tau_le[:-1], lines.tau_ri[:-1]
         found, self._filter = observers.observe(readings, before, track, self.ticks, sensor, gain, self.memory.filter)
@@ -223,7 +228,8 @@ class SensedGear(MeasuredGear):
         return state, found.f, found.s
 
     def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
-        """Delayed torques [left, right] at the motors (N m), and dict of next states of sensors and filter."""
+        """Delayed torques [left, right] at the motors (N m), dict of the next sensor and filter states by names of
+        `LawSignature.Memory`; `torques`: commands [left, right] of this cycle (N m); `track` as in `look`."""
         before = self.memory.sensor.tau_le, self.memory.sensor.tau_ri
         lines = [[torque, *line[:-1]] for torque, line in zip(torques, before, strict=True)]
         following = observers.advance(self._filter, lines, track, self._sensor, self.gain)
@@ -239,10 +245,10 @@ def function(signature: LawSignature) -> ca.Function:
     Returns
     -------
     casadi.Function
-        (y, rows, held, gains, memory) -> command, memory_next, record, margins; all SI. y: `interface.Measured`; rows:
-        route cells at both gears, shape (len(COLUMNS), 2); held: torques of slower controllers (N m), shape (2,);
-        gains, memory, record: in the order of the signature; command: motor torques (N m) as `WHEELS`, shape (4,);
-        margins: `interface.Margins`.
+        (y, rows, held, gains, memory) -> command, memory_next, record, margins; vectors, SI. y: `interface.Measured`;
+        rows: route cells at [front, rear] gear, shape (len(COLUMNS), 2); held: last torques of their slower controllers
+        (N m), shape (2,); gains, memory, record: as `signature.Gains`, `Memory`, `Records`; command: motor torques
+        (N m) as `WHEELS`, shape (4,); margins: `interface.Margins`.
     """
     y, measured = symbols(interface.Measured, "y")
     gains, gain = symbols(signature.Gains, "gains")

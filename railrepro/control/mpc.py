@@ -53,24 +53,24 @@ class Solve(NamedTuple):
 
 @dataclass
 class PredictiveController:
-    """Common base of `NMPC` and `LTVMPC`, a `lateral.SlowController`; `gear` is 0 front, 1 rear.
+    """Predictive controller of one gear (0 front, 1 rear), a `lateral.SlowController`; base of `NMPC` and `LTVMPC`.
 
     A sample whose problem is not solved falls back on the plan of the sample before, one step later, and is counted.
 
     Attributes
     ----------
     stats : list of Solve
-        One record per call of `plan`.
+        One record per call of `plan`; compiled samples leave none.
     plan_du : ndarray, shape (L,)
         Differential torques of the last plan (N m).
     horizon : Horizon
         Problem, trajectory and solver in compiled code.
     parameters, nominal : ndarray, shape (14,) and (3,)
-        Of the control model, see `PARAMETERS`, and of its forecast, see `forecast.NOMINAL` (SI).
+        Parameters `model.parameters.PARAMETERS` and vehicle data of the forecast `model.forecast.NOMINAL` (SI).
     mode : int
         `LINEAR`, `REAL_TIME` or `CONVERGED`.
     drive : ndarray
-        Fields of `Drive` (SI), from which the torque limit follows.
+        Fields of `railrepro.vehicle.parameters.Drive` (SI), from which the torque limit follows.
     """
 
     mode = CONVERGED  # not an argument, so without annotation
@@ -100,7 +100,7 @@ class PredictiveController:
 
     @property
     def offset(self) -> float:
-        """Observed offset of the yaw angle (rad), see `MPCSettings.observer`."""
+        """Observed angle between axle and direction of motion (rad); 0 where `MPCSettings.observer` is 0."""
         return self.c.offset
 
     @property
@@ -109,7 +109,7 @@ class PredictiveController:
         return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
-        """The optimal control problem at a measured state (6,) and base torque (N m); without the observed offset."""
+        """Optimal control problem at a measured state (6,), SI, not corrected by `offset`, and base torque (N m)."""
         h, u_d = self.horizon, u_d if self.settings.informed else 0.0
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         h.sample(x_hat, u_d, self.settings.torque_bound(u_d, limit))
@@ -129,9 +129,9 @@ class PredictiveController:
         return torque
 
     def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
-        """Address of `planner_sample` and of its memory, see `lateral.CompiledController`.
+        """Addresses of the C function of a sample and of its memory, see `lateral.CompiledController.compiled`.
 
-        None for a subclass other than `NMPC` and `LTVMPC`, whose `plan` is called, as it may be overridden.
+        None for a subclass other than `NMPC` and `LTVMPC`, whose `plan` may be overridden. The arguments are not used.
         """
         if type(self) not in (NMPC, LTVMPC):
             return None
@@ -159,7 +159,7 @@ class NMPC(PredictiveController):
         super().__post_init__()
 
     def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int] | None:
-        """Addresses as of `PredictiveController.compiled`; None with Ipopt, which is called from Python."""
+        """Addresses of the C function of a sample and of its memory; None with Ipopt, which is called from Python."""
         return None if self.solver == "ipopt" else super().compiled(loop, leader)
 
     def _torque(self, u_d: ctypes.c_double) -> float:

@@ -30,7 +30,7 @@ class NDI:
     damping: Annotated[float, above(0.0, 1e4)] = 1.0
     """Damping ratio of the complex pole pair (-)."""
     integral: Annotated[float, between(0.0, 1e4)] = 0.0
-    """Integral gain ki over `pole` k0 (-), see `gains`; 0 switches integral action off."""
+    """Integral gain as ki / (k0 pole) (-), see `gains`; 0 switches integral action off."""
     derivatives: Annotated[int, between(0, 3)] = 0
     """Number of derivatives of the set point that are fed forward, 0 (as the paper is read) to 3."""
 
@@ -41,7 +41,7 @@ class NDI:
         check_fields(self)
 
     def gains(self) -> dict[str, float]:
-        """Gains by name: k0, k1, k2 (1/s^3, 1/s^2, 1/s), integral gain ki (1/s^4), feed-forward switches ff1 to ff3."""
+        """Gains k0, k1, k2 (s^3 + k2 s^2 + k1 s + k0 has the set poles), ki (1/s^4), switches ff1 to ff3 (0 or 1)."""
         w, z, a = self.frequency, self.damping, self.pole
         k0 = a * w**2
         return {
@@ -55,9 +55,9 @@ class NDI:
         }
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Differential torque (N m) for the set error dynamics, and {"integral": next value (m s)}.
+        """Differential torque (N m) that gives y the error dynamics of these settings, {"integral": next value (m s)}.
 
-        `q` as in `LateralLaw.torque`. The integral is held while the torque is beyond its limit.
+        `q` as in `lateral.LateralLaw.torque`. The integral is held while the torque is beyond its limit.
         """
         du = inverse(wanted_jerk(q), q)
         free = ca.fabs(du) < q.tau_max
@@ -65,7 +65,7 @@ class NDI:
 
 
 def wanted_jerk(q: SimpleNamespace) -> ca.SX:
-    """Third derivative of y (m/s^3) that the error dynamics of `NDI` require; `q` as in `LateralLaw.torque`."""
+    """Third time derivative of y (m/s^3) that the error dynamics of `NDI` require; `q` as in `NDI.torque`."""
     psidot_r = q.yaw_rate - q.v * q.dpsi_dp
     ydot = q.v * q.psi
     yddot = q.v * psidot_r + q.xddot * q.psi
@@ -82,7 +82,7 @@ def wanted_jerk(q: SimpleNamespace) -> ca.SX:
 
 
 def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
-    """Differential torque (N m) that gives y the third derivative `jerk` (m/s^3); `q` as in `LateralLaw.torque`.
+    """Differential torque (N m) that gives y the third time derivative `jerk` (m/s^3); `q` as in `NDI.torque`.
 
     The yaw stiffness by gravity, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
     radii are left out.

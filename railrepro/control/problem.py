@@ -44,7 +44,7 @@ TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight
 
 
 class Tuning(NamedTuple):
-    """A tuning vector by name, numbers or CasADi expressions; `q` has 6 entries; meaning and units as `MPCSettings`."""
+    """Tuning vector by name: fields of `MPCSettings`, numbers or CasADi expressions; `q` (6,) is its `q_diag`."""
 
     q: Any
     r: Any
@@ -55,17 +55,17 @@ class Tuning(NamedTuple):
 
     @classmethod
     def of(cls, vector) -> Tuning:
-        """Name the entries of a vector in the order of `TUNING`."""
+        """`Tuning` from a vector, shape (len(TUNING),), with the entries `TUNING`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 
 
 def stage_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of a state x[6] before the last, desired x_d[6], and of its slack (m). Source: eq. (31)."""
+    """Cost (s) of a state x[6] before the last: deviation from the desired x_d[6], and slack (m). Source: eq. (31)."""
     return ca.dot(t.q * t.period, (x - x_d) ** 2) + slack_cost(slack, t)
 
 
 def terminal_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of the last state x[6], desired x_d[6], in y and psi_TrAx, and of its slack (m). Source: eq. (32)."""
+    """Cost (s) of the last state x[6]: deviation of y and psi_TrAx from x_d[6], and slack (m). Source: eq. (32)."""
     weighed = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
     return sum(weighed) + slack_cost(slack, t)
 
@@ -81,24 +81,25 @@ def slack_cost(slack, t: Tuning):
 
 
 def lateral_excess(x, t: Tuning) -> tuple:
-    """Excess of the lateral position of x[6] over its upper and its lower bound (m); slack is needed where positive."""
+    """(y - bound, -y - bound) (m) of a state x[6]: positive where y is above its upper or below its lower bound."""
     return x[Y] - t.lateral_bound, -x[Y] - t.lateral_bound
 
 
 def slack_on(side, x, t: Tuning):
-    """Slack (m) of a state x[6] beyond its upper bound (`side` 1), its lower bound (-1) or none (0: no slack)."""
+    """Slack (m) of a state x[6]: y - bound for `side` 1 (upper bound active), -y - bound for -1 (lower), 0 for 0."""
     return side * (x[Y] - side * t.lateral_bound)
 
 
 @stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
-    """One step of the prediction model with derivatives.
+    """One step of the prediction model with derivatives; `variant`, `discretisation` as in `MPCSettings`.
 
     Returns
     -------
     casadi.Function
-        (x[6], du, u_d, theta[9], par[14], T, affine) -> x_next[6], A (6, 6) sparse, B[6] by du; SI. With affine = 0,
-        x_next is the printed linear model A x + B u, which drops the affine term (D6).
+        (state x[6], differential torque du, base torque u_d, theta[9], par[14], step T, affine) -> x_next[6], its
+        derivatives A by x (6, 6), sparse, and B by du [6]; SI. With affine = 0, x_next is the printed linear model
+        A x + B u, which drops the affine term (D6), otherwise affine = 1.
     """
     step = sensitivities(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
@@ -116,7 +117,7 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
 
 @stored
 def torque_limit() -> ca.Function:
-    """CasADi function (speed (m/s), par[14], fields of `Drive`) -> torque limit of a motor (N m), see `Drive.limit`."""
+    """CasADi function (speed (m/s), par by `PARAMETERS`, fields of `Drive` (SI)) -> `Drive.limit` of a motor (N m)."""
     speed, par = ca.SX.sym("speed"), ca.SX.sym("par", len(PARAMETERS))
     numbers, drive = symbols(Drive, "drive")
     limit = drive.limit(speed / par[PARAMETERS.index("r_0")])
@@ -165,8 +166,8 @@ class MPCSettings:
     informed: bool = True
     """Whether forecast and prediction model contain the base torque; False sets it to 0 in them."""
     observer: Annotated[float, between(0.0, 1.0)] = 0.0
-    """Observer gain (-): share of the one-step prediction error of y that corrects an estimated constant angle between
-    axle and direction of motion (creep); 0 is the paper's controller, which drifts."""
+    """Observer gain (-): each sample adds gain * (y - predicted y)/(v T) to the estimated angle between axle and
+    direction of motion (creep, rad); 0 is the paper's controller, which has no such estimate and drifts."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -184,7 +185,7 @@ class MPCSettings:
         return np.array([*self.q_diag, *rest], dtype=float)
 
     def torque_bound(self, u_d: float, tau_max: float) -> float:
-        """Largest |du| (N m) at base torque and motor torque limit (N m), see `yielding`. Source: eq. (31)."""
+        """Largest |du| (N m): `tau_max`, or `tau_max` - |`u_d`|, not below 0, without `yielding`. Source: eq. (31)."""
         return tau_max if self.yielding else max(tau_max - abs(u_d), 0.0)
 
 
@@ -192,8 +193,8 @@ class MPCSettings:
 class Problem:
     """One optimal control problem with all its numbers, so that any solver can solve it again.
 
-    Measured state `x_hat` (6,), base torque `u_d` (N m), forecast `ahead`, model `parameters` (14,), torque limit of a
-    motor `tau_max` (N m).
+    Measured state `x_hat` (6,) (SI), base torque per wheel `u_d` (N m), `ahead` (`railrepro.model.forecast.Forecast`),
+    `parameters` (14,) (`railrepro.model.parameters.PARAMETERS`, SI), torque limit of a motor `tau_max` (N m).
     """
 
     settings: MPCSettings
@@ -209,7 +210,7 @@ class Problem:
         return self.settings.torque_bound(self.u_d, self.tau_max)
 
     def cost(self, states: np.ndarray, du: np.ndarray) -> float:
-        """Cost (s) of predicted states (L + 1, 6) and differential torques (L,) (N m), without that of state 0."""
+        """Cost (s) of states (L + 1, 6), SI, whose first row costs nothing, and differential torques (L,) (N m)."""
         stage, terminal, effort = _costs()
         tuning, x_d = self.settings.tuning()[:, None], self.ahead.x_d
         on_the_way = stage(states[1:-1].T, x_d[1:-1].T, np.tile(tuning, len(du) - 1))

@@ -24,8 +24,8 @@ from railrepro.model.control_model import STATES
 
 TUNED = "data/tuned"
 SETTINGS = ("paper", "equal", "loop")
-"""Settings of comparison: perfect measurements and inversions with a designer's poles; perfect measurements, all tuned
-alike; all tuned alike with sensors. See data/tuning.toml."""
+"""Settings of comparison: "paper" perfect measurements, dynamic inversions with a designer's poles; "equal" perfect
+measurements, all tuned alike; "loop" sensors, all tuned alike. See data/tuning.toml."""
 PAPER, EQUAL, LOOP = SETTINGS
 MOST_STEPS, LEAST_STEPS = 100, 5
 """Range of the horizon length L in tuning."""
@@ -50,8 +50,8 @@ class Controller:
 def mpc_settings(parameters: dict) -> MPCSettings:
     """MPC settings from tuning parameters by name.
 
-    These are q_psi_TrAx, q_psidot_Ax (see `MPCSettings.q_diag`; weight of y_TrAx is 1), period_ms, horizon_s, and
-    fields of `MPCSettings` such as r, q_terminal and observer.
+    These are q_psi_TrAx (1/rad^2) and q_psidot_Ax (s^2/rad^2), with 1/m^2 for y_TrAx and 0 for other states, period_ms
+    (ms), horizon_s (s), and fields of `railrepro.control.problem.MPCSettings` such as r, q_terminal and observer.
     """
     p = dict(parameters)
     period = 1e-3 * p.pop("period_ms")
@@ -63,7 +63,7 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Factory of predictive controllers, called with (vehicle, route, gear); `options` are (name, value) pairs."""
+    """Factory (vehicle, route, gear) -> `controller`, the class `NMPC` or `LTVMPC`; `options`: (name, value) pairs."""
 
     controller: type
     settings: MPCSettings
@@ -115,7 +115,7 @@ SHOWN = (*REPLICATED, OURS)
 PAPER_TRIO = ("nmpc", "ltv_mpc_printed", "ndi")
 """The three methods of the paper, LTV-MPC as printed."""
 COMPARED = ("nmpc", "ltv_mpc", "ltv_mpc_printed", "ndi")
-"""The paper's methods with LTV-MPC in both readings."""
+"""The paper's methods, LTV-MPC both corrected and as printed."""
 WITH_OBSERVER, OBSERVER = "nmpc_observer", 0.05
 """Name of the NMPC with an offset observer, and the observer's gain, see `MPCSettings.observer`."""
 EMPHASIS = 10.0
@@ -123,7 +123,7 @@ EMPHASIS = 10.0
 
 
 def with_r_times(parameters: dict, factor: float) -> dict:
-    """Copy of a dict of tuning parameters or changes with the weight `r` times a factor."""
+    """Copy of a dict with the entry "r", the weight R of `MPCSettings`, times a factor; other entries as they are."""
     return parameters | {"r": factor * parameters["r"]}
 
 
@@ -139,7 +139,7 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
     options : dict, optional
         Further arguments of a predictive controller, for example {"solver": "rti"}.
     changes : optional
-        Fields of the settings to replace afterwards (`MPCSettings`, `NDI`).
+        New values of fields of `MPCSettings` or `NDI`, instead of those that follow from `parameters`.
 
     Returns
     -------
@@ -165,12 +165,12 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
 
 
 def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
-    """Read the file of a tuned set from data/tuned or `folder`: dict with "controller", "setting", "parameters", ….
+    """Dict in <controller>.json of data/tuned/<setting>, or of `folder`: "controller", "setting", "parameters", ….
 
     Raises
     ------
     InputError
-        When there is no file, or when the file holds no tuned set of this controller in this setting.
+        When the file is missing, has no "parameters", or has another "controller" or "setting" than the arguments.
     """
     name = f"{controller}.json"
     file = (folder or paths.source(f"{TUNED}/{setting}")) / name
@@ -182,6 +182,7 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
     content = data.read(file)
     if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
         raise InputError(f"{name}: is {reprlib.repr(content)}, a table with the table parameters is needed")
+    data.build(dict[str, data.Free], content["parameters"], name)
     found = content.get("controller"), content.get("setting")
     if found != (controller, setting):
         raise InputError(
@@ -192,12 +193,12 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
-    """Tuned set (see `read`) of a controller in a setting of `SETTINGS`, or a designer's from data/tuning.toml.
+    """Dict "controller", "setting", "parameters": the "designed" ones of data/tuning.toml if any, else as of `read`.
 
     Raises
     ------
     InputError
-        When the setting is not known, or there is no tuned set, see `read`.
+        When the setting is not one of `SETTINGS`, or neither source has parameters.
     """
     require("controller", controller, str)
     if setting not in SETTINGS:
@@ -209,7 +210,7 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
 
 
 def parameters(controller: str, setting: str = PAPER) -> dict:
-    """Dict of the tuning parameters of a controller in a setting of `SETTINGS`, see `tuned_set`."""
+    """Tuning parameters of a controller in a setting of `SETTINGS`, dict as `guidance` takes it; see `tuned_set`."""
     return tuned_set(controller, setting)["parameters"]
 
 

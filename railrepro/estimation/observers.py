@@ -38,7 +38,8 @@ SPEEDS = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 120.0)
 _LEAST = 1e-9
 """Noise of perfect sensors, for gains that stay finite (SI)."""
 LATERAL = ("y", "psi", "r", "bias", "beta")
-"""States of the lateral filter: displacement, yaw against the track, absolute yaw rate, gyro bias, creep angle."""
+"""States of the lateral filter: displacement (m), yaw angle against the track (rad), absolute yaw rate (rad/s), gyro
+bias (rad/s), creep angle (rad)."""
 _READ = ("y", "psi", "r")
 WheelState = group("WheelState", "tau N m, w rad/s, force N")
 """States of the filter of a wheel: motor torque, angular speed, longitudinal creep force."""
@@ -96,7 +97,8 @@ def _solved(n: int, *matrices: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stationary Kalman gain (5, 3) and covariance (5, 5) of the states of `lateral_matrices` at a speed (m/s), SI."""
+    """Stationary Kalman gain (5, 3) and covariance (5, 5) after a reading, for the states of `lateral_matrices`, SI;
+    speed in m/s; noise of sensors and process from `loop`, one reading per ms."""
     rates = loop.filter
     y = max(loop.lateral.noise / np.sqrt(2), _LEAST)
     readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST) ** 2])
@@ -180,7 +182,7 @@ def observe(
 
 
 def advance(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> Any:
-    """Propagate `FilterState` x by one cycle; `commands` include those of this cycle, the rest as in `observe`."""
+    """`FilterState` 1 ms after `x`; arguments as of `observe`, but `commands` include the torques of this cycle."""
     h, model = CONTROL_PERIOD, gain.model
 
     def wheel(state: Any, line: list) -> Any:

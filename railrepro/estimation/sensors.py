@@ -34,13 +34,13 @@ SensorGains = group(
     dict.fromkeys(SIGNALS, group("Quality", dict.fromkeys(_QUALITY, Any))),
     "measurement ms, command ms, unknown_delay ms, torque_gain -, seed -, base m",
 )
-"""Run-time numbers of a gear's sensors: for each signal noise, bias, resolution (its unit), period (s), dropout (-);
-delays, gain of the inverter, seed, distance of the two planes."""
+"""Run-time numbers of a gear's sensors: for each of `Signals` noise, bias, resolution (unit of the signal), period (s),
+dropout (-); delays of readings, commands and inverter (ms), its gain (-), seed, distance `base` of the planes (m)."""
 _LINE = listed(range(LONGEST + 1))
 SensorMemory = group(
     "SensorMemory", dict.fromkeys(SIGNALS, _LINE) | {"p": Any}, dict.fromkeys(("tau_le", "tau_ri"), _LINE)
 )
-"""Delay lines of readings and torque commands, newest entry first; of the position only the last reading is needed."""
+"""Delay lines of readings and torque commands (N m), `LONGEST` + 1 entries, newest first; of p the last reading."""
 _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
@@ -55,11 +55,11 @@ _DROPOUT = Annotated[float, _upto(0.9, "-")]
 
 @data.table
 class Lateral:
-    """Displacement of the axle against the rails in two planes, `base` (m) apart.
+    """Sensors of the displacement of the axle against the rails in two planes, `base` (m) apart.
 
-    noise: standard deviation of a reading (m); bias: largest constant offset of a run (m), drawn uniformly between
-    both signs; resolution: step of rounding (m), 0 none; period: time between readings (s), a whole number of ms;
-    dropout: share of readings that are lost (-), whose predecessor holds.
+    noise: standard deviation of a reading (m); bias: largest constant offset of a run (m), drawn uniformly from [-bias,
+    bias]; resolution: step of rounding (m), 0 none; period: time between readings (s), a whole number of ms;
+    dropout: share of readings that are lost (-), in whose place the last one is held.
     """
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
@@ -72,7 +72,7 @@ class Lateral:
 
 @data.table
 class Rate:
-    """Angular velocity: yaw rate by the gyroscope of the running gear, or angular speed of a wheel.
+    """Sensor of an angular velocity: yaw rate by the gyroscope of the running gear, or angular speed of a wheel.
 
     noise: standard deviation of a reading, bias: largest offset, resolution (rad/s; not a density, not degrees);
     period (s), dropout (-); all as in `Lateral`.
@@ -87,7 +87,7 @@ class Rate:
 
 @data.table
 class Speed:
-    """Speed along the track: noise, bias and resolution (m/s), period (s), dropout (-), as in `Lateral`."""
+    """Sensor of the speed along the track: noise, bias, resolution (m/s), period (s), dropout (-), as in `Lateral`."""
 
     noise: Annotated[float, _upto(1.0, "m/s")]
     bias: Annotated[float, _upto(1.0, "m/s")]
@@ -98,7 +98,7 @@ class Speed:
 
 @data.table
 class Position:
-    """Position along the track, read without delay: noise, bias, resolution (m), period (s), dropout (-)."""
+    """Sensor of the track coordinate, no delay: noise, bias, resolution (m), period (s), dropout (-), as `Lateral`."""
 
     noise: Annotated[float, _upto(1.0, "m")]
     bias: Annotated[float, _upto(20.0, "m")]
@@ -127,8 +127,9 @@ class Inverter:
 class Filter:
     """Process noise of the filter in `observers`, as square roots of spectral densities, and its low-pass filters.
 
-    Noise of the rates of creep force (N/s^0.5), creep angle (rad/s^0.5), yaw rate (rad/s^1.5) and gyro bias
-    (rad/s^1.5); time constants (s) of the estimated creep angle and speed.
+    Noise of the time derivatives of creep force `force_rate` (N/s^0.5), creep angle `creep_rate` (rad/s^0.5), yaw rate
+    `yaw_acceleration` and gyro bias `gyro_drift` (rad/s^1.5); time constants (s) of the low-pass filters of estimated
+    creep angle `creep_lag` and read speed `speed_lag`.
     """
 
     force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
@@ -141,7 +142,7 @@ class Filter:
 
 @data.table
 class Adhesion:
-    """Fields of `railrepro.control.adhesion.AdhesionSettings` that suit noisy estimates (s, 1/s, m/s)."""
+    """Values of `control.adhesion.AdhesionSettings` with sensors: filter time (s), dead zone (1/s), speed (m/s)."""
 
     filter_time: Annotated[float, _upto(1.0, "s")]
     dead_zone: Annotated[float, _upto(10.0, "1/s")]
@@ -175,7 +176,7 @@ class Loop:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
-        """Copy without noise, bias, rounding, dropouts and latency, with adhesion settings that suit exact readings."""
+        """Copy with exact readings every ms, no latency, and adhesion settings that suit them; inverter errors stay."""
         quiet = {
             group: replace(
                 getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=CONTROL_PERIOD, dropout=0.0
@@ -185,9 +186,8 @@ class Loop:
         return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations of noise and bias of y (m), psi (rad) and r (rad/s), shape (3,) each.
-
-        y is the mean of both planes, psi their difference over `base`; a bias is drawn uniformly.
+        """Standard deviations of noise and of bias, each for displacement y (m), yaw angle psi (rad) and yaw rate r
+        (rad/s), shape (3,); y is the mean of both planes, psi their difference over `base`; a bias is drawn uniformly.
         """
         of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / self.lateral.base])
         noise = np.append(self.lateral.noise * of_planes, self.gyro.noise)
@@ -196,7 +196,7 @@ class Loop:
 
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
-    """Read and check the sensors.
+    """Read and check the data of the sensors.
 
     Parameters
     ----------
@@ -208,13 +208,13 @@ def load_loop(path: Path | str | None = None, **overrides) -> Loop:
     Raises
     ------
     InputError
-        One sentence naming file, key, what was found and what is allowed.
+        When a key or value is wrong; the message names file, key, value and what is allowed.
     """
     return loaded(Loop, data.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
-    """Sensors of a run from `load_loop(**overrides)`; `perfect`: without errors and latency, see `Loop.perfect`."""
+    """`Readings` of `load_loop(**overrides)` with a seed; `perfect`: without errors and latency, see `Loop.perfect`."""
     data.require("sensors: perfect", perfect, bool)
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
@@ -222,7 +222,7 @@ def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
 
 @dataclass(frozen=True)
 class Readings:
-    """Sensors of one run: data `loop`, and `seed`, from which noise and constant biases follow."""
+    """Sensors of one run: their data `loop`, and `seed`, from which noise and constant biases follow."""
 
     loop: Loop
     seed: int = 0
@@ -247,7 +247,7 @@ class Readings:
 
 
 def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, dict[str, Any]]:
-    """Readings (`Signals`) of a gear as they reach the controller, and the next delay lines by signal.
+    """Readings (`Signals`) of a gear as they reach the controller, and dict of the next delay lines by signal.
 
     Parameters
     ----------
@@ -258,6 +258,7 @@ def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, di
     gear : int
         0 front, 1 rear.
     gain, memory : SensorGains, SensorMemory of SX
+        Run-time numbers and delay lines of this gear.
     """
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
@@ -281,7 +282,7 @@ def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, di
 
 
 def delayed(line: list, cycles):
-    """Value of a delay line (list, newest first) that is `cycles` control cycles old, linear between entries."""
+    """Value of a delay line (list of a value per cycle, newest first) `cycles` ago, linear between entries."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
@@ -291,9 +292,9 @@ def received_torque(line: list, gain: Any):
 
 
 def gaussian(seed, channel: int, ticks):
-    """Pseudorandom noise of zero mean and unit variance in a cycle: scaled sum of four uniform numbers.
+    """Pseudorandom number of zero mean and unit variance, nearly normal: scaled sum of four uniform numbers.
 
-    A function of seed, channel and cycle `ticks` by exact operations, hence the same bits on every processor.
+    A function of seed, channel (number of the source) and control cycle `ticks`, the same bits on every processor.
     """
     total = 0.0
     for k in range(2):
@@ -304,7 +305,7 @@ def gaussian(seed, channel: int, ticks):
 
 
 def uniform(seed, channel: int, ticks):
-    """Pseudorandom number in [0, 1) by seed, channel and cycle; `gaussian` of channel c uses 2 c and 2 c + 1."""
+    """Uniform pseudorandom number in [0, 1), arguments as of `gaussian`, whose channel c uses channels 2 c, 2 c + 1."""
     return _hashed(seed, channel, ticks) / _MODULUS
 
 

@@ -86,10 +86,10 @@ METRICS = {
 
 
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
-    """Runs of the suite in the settings `equal` (exact measurements) and `loop` (sensors), without a controller yet.
+    """Runs of the suite in the settings "equal" (exact measurements) and "loop" (sensors), without guidance.
 
-    See `case`; the seed draws sensors, irregularities and cars. With `names` only the runs of these names, without the
-    group `MARGINS`; InputError when there are none.
+    See `case`; noise and biases of sensors, irregularities and parameters `MISMATCH` follow from `seed` (0 to 2^31).
+    With `names` only these runs, such as "curve_T3", without the group `MARGINS`; InputError when there are none.
     """
     data.require("seed", seed, data.between(0, 2**31), whole=True)
     found = []
@@ -106,10 +106,12 @@ def case(
     name: str, setting: str, seed: int, scenario: Scenario, irregular: dict, plant: dict,
     delay: dict | None = None, group: str = "",
 ) -> Experiment:  # fmt: skip
-    """One run of the suite as an experiment without guidance; its label has scenario (`name`), setting and group.
+    """One run of the suite as an experiment without guidance, with the label scenario (`name`), setting, group.
 
-    `irregular`: arguments of `rough_track`. `plant`: parameters of the car alone by dotted key (SI). `delay`: changed
-    values of `sensors.readings`, such as {"inverter.delay": 0.003} (s).
+    `setting`: "equal" (exact measurements) or "loop" (sensors, whose noise and biases follow from `seed`). `irregular`:
+    arguments of `rough_track` besides p, {} for ideal rails. `plant`: parameters of the car that its controller does
+    not know, by dotted key (SI). `delay`: changed values of `sensors.readings`, as {"inverter.delay": 0.003} (s). Runs
+    of one `group` (default `name`) count as one in the score.
     """
     label = {"scenario": name, "setting": setting, "group": group or name}
     sensors = {"seed": seed} if setting == LOOP else {"perfect": True} if delay else {}
@@ -136,7 +138,7 @@ def _runs(seed: int) -> dict[str, tuple[Scenario, dict, dict]]:
 
 
 def mismatch(seed: int, number: int) -> dict[str, float]:
-    """Values (SI) of the parameters `MISMATCH`, drawn uniformly over their ranges by (seed, number): name -> value."""
+    """Random values (SI) of the parameters `MISMATCH`, uniform over their ranges by (seed, number): name -> value."""
     shares, ranges = np.random.default_rng((seed, number)).random(len(MISMATCH)), sample_ranges()
     lows, highs = np.array([ranges[name] for name in MISMATCH]).T
     return dict(zip(MISMATCH, (lows + shares * (highs - lows)).tolist(), strict=True))
@@ -174,7 +176,7 @@ def entry(controller: str) -> Entry:
 
 
 def name_of(of: Entry) -> str:
-    """Name of a controller in tables: registered name, class name, or file name with suffix."""
+    """Name of a controller in tables: its registered name, class name, or file name with suffix."""
     if isinstance(of, type):
         return of.__name__
     return of.name if isinstance(of, Path) else of
@@ -205,7 +207,8 @@ def fault(error: BaseException, file: Path) -> str:
 def made(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
     """Guidance for `simulate.run` from a controller class and its keyword arguments.
 
-    An object of a class with `torque`; a factory (vehicle, `known` route, gear) -> object for a class with `plan`.
+    For a class with `torque` an object of it, own(**settings); for a class with `plan` a factory (vehicle, route, gear)
+    -> own(vehicle, `known` route, gear, **settings).
     """
     if not hasattr(own, "plan"):
         return own(**settings)
@@ -213,7 +216,7 @@ def made(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
 
 
 def known(route: Route) -> Route:
-    """Copy of a route as a scored controller may know it: irregularities and shares of poor adhesion are zero."""
+    """Copy of a route for a scored controller, which may not know irregularities and poor adhesion: these are zero."""
     cells = np.array(route.cells)
     hidden = (*CHANNELS, "poor_le", "poor_ri")
     names = [name for name in INDEX if name.lstrip("d") in hidden or name in hidden]
@@ -246,10 +249,10 @@ def description() -> str:
 
 
 def drive(of: Entry, case: Experiment) -> dict:
-    """Simulate a case under a controller and return its row: label, controller, failure and metrics (SI).
+    """Simulate a run of `cases` under a controller; return a dict of its label, controller, failure and metrics (SI).
 
-    `of` is from `entry`. `failure` is one sentence, empty for a good run; a controller that raises an error has no
-    metrics. Runs of registered controllers are stored; a file is loaded and run in a worker process.
+    `of`: from `entry`, or a class. `failure` is one sentence, empty for a good run; a controller that raises an error
+    has no metrics. Runs of registered controllers are stored; a file is loaded and run in a worker process.
     """
     head = case.label | {"controller": name_of(of), "failure": ""}
     if isinstance(of, Path):
@@ -306,9 +309,9 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points of a row of `drive` that also has the costs `nothing` and `best`; 0 for a failed run.
+    """Points (0 to 100) of a row of `drive` with `nothing` and `best` of `ends_of_the_scale` added; 0 for a failed run.
 
-    100 (q - q_nothing) / (q_best - q_nothing) between 0 and 100, with q = 1 / (1 + cost).
+    Clipped 100 (q - q_nothing) / (q_best - q_nothing), q = 1 / (1 + cost) with the costs `cost(row)`, nothing, best.
     """
     if row["failure"]:
         return 0.0
@@ -319,10 +322,10 @@ def points(row: dict) -> float:
 def ends_of_the_scale(case: Experiment) -> dict[str, float]:
     """Costs J that give 0 and 100 points in a case, keys `nothing` and `best` (-), and the error `limit` (m).
 
-    `nothing` is the cost without guidance, inf where the car derails. In the setting `loop`, limit is the
-    linear-quadratic-Gaussian bound (`uncertainty.limit`) with noise, latency and biases of the sensors, on dry rail and
-    with disturbances of the quietest run, for the mean over seeds; best is the least cost of error and torque on this
-    bound. With exact measurements best is 0 and limit nan: only the drive limits the error, and no run comes near that.
+    `nothing` is the cost without guidance, inf where the car derails. In the setting `loop` linear-quadratic-Gaussian
+    bounds of the RMS error (`uncertainty.limit`: sensors of the case, dry rail, disturbances of the quietest run, mean
+    over seeds) are computed for RMS torques above 5 Hz of 20 to 500 N m: `limit` is the least bound, `best` the least
+    bound / 1 mm + torque / 4 kN m. With exact measurements best is 0, limit nan: only the drive limits the error.
     """
     row = drive(NOTHING, case)
     found = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
@@ -352,9 +355,9 @@ def _bounds(loop: Loop, speed: float) -> dict:
 def score(of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False) -> pd.DataFrame:
     """Score a controller on the suite: one row per run and seed, as a DataFrame.
 
-    Columns scenario, setting, group, seed, controller, failure, the metrics of the run (SI, see `METRICS`), points (0
-    to 100), and nothing, best, limit of `ends_of_the_scale`. `names` restricts the runs, see `cases`; `quiet` hides the
-    progress bar. A class runs in this process, because workers cannot import it.
+    `of` is from `entry`, or a class, which runs in this process because workers cannot import it. Columns scenario,
+    setting, group, seed, controller, failure, the metrics of the run (SI, see `METRICS`), points (0 to 100), and
+    nothing, best, limit of `ends_of_the_scale`. `names` restricts the runs, see `cases`; `quiet` hides progress bars.
     """
     drawn = [replace(case, label=case.label | {"seed": seed}) for seed in seeds for case in cases(seed, names)]
     with executor() as pool:
@@ -370,8 +373,9 @@ def score(of: Entry, seeds: Sequence[int], names: Sequence[str] | None = None, q
 def card(table: pd.DataFrame) -> pd.DataFrame:
     """Summary of one controller's table from `score`, in long form.
 
-    Columns scenario (always `ALL`), controller, metric, value, unit, setting (`ALL` for the score over both), seed. Per
-    setting: score and margins (0 to 100), numbers of failures and cases, and each of `METRICS` over the runs.
+    Columns scenario (always `ALL`), controller, metric, value, unit, setting (`ALL` for their mean score), seed.
+    Metrics per setting: score, margins (points of the group `MARGINS`; both 0 to 100), cases (runs, the group counts as
+    one); over the runs outside the group failures (number of failed ones) and each of `METRICS` (mean or largest).
     """
     rows = []
     for seed, draw in table.groupby("seed", sort=False):
@@ -397,9 +401,10 @@ def _sums(rows: pd.DataFrame) -> dict[str, float]:
 def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     """Rank controllers from their concatenated `card` tables: one row per controller, the best first.
 
-    `ranked` is the mean score over all seeds but `PUBLISHED`, `spread` its standard deviation, `published` the score on
-    that seed. The other columns are means over the ranked seeds, or of the published one where there is no other: score
-    per setting, margins, failed runs; with sensors error and its limit (mm) and RMS torque (N m).
+    Columns ranked (mean score over all seeds but `PUBLISHED`), spread (standard deviation of this score between seeds),
+    published (score with the seed `PUBLISHED`); then means over the ranked seeds, or of the published one where there
+    is no other: equal, loop (score per setting), margins (all 0 to 100), "runs failed" (number per seed), and with
+    sensors "error (mm), loop", "limit (mm), loop" and "torque (N m), loop" (RMS).
     """
     found = {}
     for name, rows in cards.groupby("controller", sort=False):
@@ -422,10 +427,10 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 
 
 def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., float]:
-    """Cost function of a controller class for tuning: (gains by name, limit) -> mean `swarm.run_cost` (-).
+    """Cost function of the controller class `own`: (dict of gains, limit) -> mean of `swarm.run_cost` over `runs` (-).
 
-    `runs` are names of runs in data/tuning.toml for the setting, unknown ones are ignored. Beyond `limit` the remaining
-    runs are skipped and the result is a lower bound.
+    `runs` are names of runs in data/tuning.toml for the setting, unknown ones are ignored. Once the cost is above
+    `limit` the remaining runs are skipped and the result is a lower bound.
     """
     name = _enter(f"own {own.__name__}", partial(made, own))
     task = tuning.load_task(setting=setting)
@@ -436,7 +441,7 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[..., f
 def tune(
     own: type, setting: str, runs: Sequence[str], start: Mapping[str, float], particles: int, iterations: int
 ) -> pso.Swarm:
-    """Particle swarm after minimising `tuning_cost`, each gain from a tenth to ten times its value in `start` (> 0)."""
+    """Swarm after minimising `tuning_cost` over the gains in `start`, each from 0.1 to 10 times its value (> 0)."""
     evaluate = tuning_cost(own, setting, runs)
     bounds = [pso.Dimension(name, value / 10, value * 10, "log") for name, value in start.items()]
 
@@ -449,7 +454,7 @@ def tune(
 def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: int = PUBLISHED) -> pd.DataFrame:
     """Points (0 to 100) of several controllers, one row per (setting, scenario), one column per heading.
 
-    `controllers` maps headings to controller classes or keys of `registry.CONTROLLERS`; `names` are runs of `cases`.
+    `controllers` maps headings to controller classes or keys of `registry.CONTROLLERS`; `names`: runs of `cases`.
     """
     found = {}
     for heading, one in controllers.items():
@@ -461,7 +466,7 @@ def compare(controllers: Mapping[str, type | str], names: Sequence[str], seed: i
 
 
 def check(of: Entry) -> None:
-    """Try a controller on the first 30 m of T3 in both settings; InputError when it raises an error."""
+    """Raise InputError when a controller (see `entry`) raises an error on the first 30 m of T3 in "equal" or "loop"."""
     scenario = load_scenario("curve_entry_T3").but(end_m=30.0)
     for setting in (EQUAL, LOOP):
         row = drive(of, case("check", setting, PUBLISHED, scenario, {}, {}))

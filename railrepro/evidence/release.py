@@ -36,7 +36,8 @@ FIGURES = {
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
     """Simulate a controller with its tuned set of setting `paper`; returns one row per millisecond.
 
-    Columns t_s, four torque commands per wheel (N m) as the inputs of the car's FMU, front.y and rear.y (m).
+    Columns t_s; tau_front_le, tau_front_ri, tau_rear_le and tau_rear_ri, the torque commands (N m) as the inputs of the
+    car's FMU; front.y and rear.y, the lateral positions (m). `controller` may be `TEN_TIMES`.
     """
     name = "nmpc" if controller == TEN_TIMES else controller
     parameters = tuning.load(name, tuning.PAPER)["parameters"]

@@ -14,15 +14,16 @@ from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
 INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
+"""Names of the inputs of the car: torque commands to its four motors (N m)."""
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
     """Write the car on a route as a co-simulation FMU for this platform.
 
-    Inputs are the four motor torque commands `tau_front_le` … (N m), outputs `equations.car().outputs`. The
+    Inputs are the torque commands `INPUTS` to the motors (N m), outputs `railrepro.car.equations.car().outputs`. The
     communication step must be a whole number of ms; route and contact table are built in. Parameters are
-    `equations.CarParameters` (as "body.mass" or "adhesion.poor.mu0") and the initial speed. A torque that is no number
-    or beyond `LARGEST_TORQUE` is refused with status Error, a car that derails with status Warning.
+    `equations.CarParameters` (such as "body.mass", "adhesion.poor.mu0") and the initial "speed". A torque that is not a
+    number or beyond `component.LARGEST_TORQUE` (N m) gives status Error, a car that derails status Warning.
     The code runs on any processor of this kind, unless RAILREPRO_CFLAGS asks for more.
 
     Parameters
@@ -45,7 +46,7 @@ def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehi
 
 
 def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
-    """`Fmu` of a car with initial speed (m/s); `road`: (name, route table) -> C text of the table, see `constant`."""
+    """`Fmu` of a car with initial speed (m/s); `road`: function (name, `Route.cells`) -> C text of this array."""
     found = parameters(equations.CarParameters, car.parameters)
     found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
     outputs = equations.car().outputs

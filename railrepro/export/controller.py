@@ -31,7 +31,7 @@ from railrepro.track.route import CELL, INDEX, Route, set_point
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TORQUES = INPUTS
-"""Outputs of a controller (N m), inputs of the car."""
+"""Names of the outputs of a controller, torques (N m), which are the inputs of the car."""
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""
 _HERE = Path(__file__).parent
@@ -50,7 +50,7 @@ _LAID = (
 
 @dataclass(frozen=True)
 class Export:
-    """Controller of both gears on a route, to be written as C or FMU; InputError for an attribute of another type."""
+    """Controller of both gears on a route, to be written as C or FMU; InputError for an attribute of a wrong type."""
 
     guidance: lateral.Guidance
     """A 1 kHz law, or a factory of `NMPC` (not by Ipopt), of `LTVMPC` or of `LqgPreview`."""
@@ -65,32 +65,32 @@ class Export:
         require("export: vehicle", self.vehicle, Vehicle)
 
     def source(self) -> str:
-        """C source: controller_t with `measured`, `torque` and `parameters`, controller_reset(c), controller_step(c).
+        """C text: controller_t with arrays measured, torque, parameters; controller_reset(c), controller_step(c).
 
-        Their entries are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A
-        step takes 1 ms. Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
+        Entries are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A step
+        takes 1 ms. Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
         """
         return self.fmu().text
 
     def write_source(self, path: Path | str) -> Path:
-        """Write `source` to a file and return its path."""
+        """Write the C text of `source` to a file and return its path."""
         file = location(path)
         write(file, self.source())
         return file
 
     def write_fmu(self, path: Path | str) -> Path:
-        """Write an FMU (FMI 2.0) for this platform; inputs `interface.MEASURED`, outputs `TORQUES`.
+        """Write an FMU (FMI 2.0) for this platform and return its path.
 
-        Parameters are the gains of the law (as "lateral.k0", "adhesion.drop_step", "drive.torque_limit"), and of a
-        predictive controller weights ("cost.r") and model ("belief.J_z"). `set_point.kind` 0, 1 or 2 puts another set
-        point on the road than the route's (-1), see `railrepro.track.route.SetPoint`.
+        Inputs are `control.interface.MEASURED`, outputs `TORQUES`, parameters the gains of the law ("lateral.k0", …)
+        and, of a predictive controller, weights ("cost.r") and model ("belief.J_z"). `set_point.kind` 0, 1 or 2 puts
+        another set point on the road than the route's (-1), see `railrepro.track.route.SetPoint`.
         """
         return self.fmu().write(path)
 
     def fmu(self, road: Callable = constant) -> Fmu:
-        """`Fmu` of the controller; `road`: (name, route table) -> C text of the table, see `constant`.
+        """`Fmu` of the controller, not yet written to a file; InputError for a slower controller without C of its own.
 
-        InputError when the slower controller of the guidance is written in Python.
+        `road` writes the route as C, a function (name, array of cells) -> C text; default `export.fmu.constant`.
         """
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}

@@ -43,7 +43,7 @@ class Parameter:
 
 
 def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
-    """`Parameter` list from a dataclass of quantities, which gives names, units and ranges, and values in its order."""
+    """One `Parameter` per number of the class `of` (see `railrepro.quantities.group`); `values` (SI) in that order."""
     found = []
     for name, note, value in zip(names(of), notes(of), values, strict=True):
         allowed = note if isinstance(note, data.Quantity) else replace(_ANY, unit=note or "")
@@ -53,26 +53,29 @@ def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
 
 
 def parameters_text(of: Sequence[Parameter]) -> str:
-    """C text of start values, ranges and indices (PARAMETER_BODY_MASS, …) of parameters."""
+    """C text of parameters `of`: indices PARAMETER_BODY_MASS, …, N_PARAMETER, arrays PARAMETERS, LOWEST, HIGHEST."""
     tables = {"PARAMETERS": "value", "LOWEST": "low", "HIGHEST": "high"}
     text = "".join(constant(name, np.array([getattr(one, key) for one in of])) for name, key in tables.items())
     return index_enum("PARAMETER", [one.name for one in of]) + codegen.defines({"N_PARAMETER": len(of)}) + text
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
-    """C text of an enumeration that counts names from 0: MEASURED_FRONT_P, … for the prefix MEASURED."""
+    """C enumeration of the names `of`, counted from 0: MEASURED_FRONT_P, … for prefix MEASURED and name front.p."""
     return codegen.enumeration(f"{prefix}_{name.replace('.', '_').upper()}" for name in of)
 
 
 def constant(name: str, values: np.ndarray) -> str:
-    """C text of a constant array of double with this name, in row-major order and hexadecimal, hence exact."""
+    """C text of a constant double array `name` of the values, row by row, hexadecimal and hence exact."""
     numbers = ",".join(float(v).hex() if v else "0" for v in np.ravel(values))
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
 
 @dataclass(frozen=True)
 class Fmu:
-    """C source of a car or a controller and the content of its modelDescription.xml; `write` makes the FMU."""
+    """C source of a car or a controller and the content of its modelDescription.xml; `write` makes the FMU.
+
+    `name` is "car" or "controller"; `outputs` and `inputs` are names of FMU variables (SI) in the order of the C.
+    """
 
     name: str
     description: str
@@ -104,7 +107,7 @@ class Fmu:
         return file
 
     def model_description(self, guid: str) -> str:
-        """Text of modelDescription.xml; value references count outputs, inputs, parameters in this order."""
+        """Text of modelDescription.xml with this `guid`; value references count outputs, inputs, then parameters."""
         limits = f'min="{-self.largest:g}" max="{self.largest:g}" start="0"'
         shown = [(name, "output", "continuous", "") for name in self.outputs]
         shown += [(name, "input", "continuous", limits) for name in self.inputs]

@@ -55,11 +55,11 @@ SETTINGS = {
     "equal": "equal: all tuned alike",
 }
 FEW, FEWER = 10, 50
-"""Control cycles (ms) between embedded rows of a run; of a run to standstill."""
+"""Interval between rows of a committed run in the page (ms): FEW in general, FEWER for a run to standstill."""
 
 
 def webassembly(of: Fmu) -> bytes:
-    """Compiled WebAssembly module of a car or a controller."""
+    """Compile the C of an `Fmu` (car or controller) to a WebAssembly module and return its bytes."""
     parts = of.model, _HERE / "module.c"
     return cache.build(of.text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
 
@@ -93,10 +93,11 @@ def _module(of: Fmu) -> dict:
 
 
 def content(tell: Callable[[str], None] = print) -> dict:
-    """Content of the page as a dict for JSON; arrays and modules are zlib and base64 text.
+    """Data of the page as a dict for JSON; arrays of float64 and modules are compressed by zlib and then base64 text.
 
-    Keys: "activity" (high-pass), "columns" (of a route), "car", "settings" (labels), "controllers" (by setting and
-    name: module, parameters, label), "figures" (by scenario: route, committed runs). `tell` gets each step's name.
+    Keys: "activity" (high-pass "sections", "start"), "columns" (of "cells"), "car" (module, parameters, outputs,
+    measured), "settings" (label by setting), "controllers" (by setting and name: label, module, parameters), "figures"
+    (by scenario: title, "cells", run data, "committed": "y", "p" (m) by setting, controller). `tell` gets step names.
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = _alike(scenarios)
@@ -134,7 +135,7 @@ def _experiment(scenario: Scenario) -> dict:
 
 
 def page(found: dict) -> str:
-    """HTML text of the page with `content` embedded."""
+    """HTML text of the page; `found` is the dict of `content()`, which is embedded."""
     text = (_HERE / "page.html").read_text()
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
         text = text.replace(f"/* {name} */", (_HERE / name).read_text().replace("</script", "<\\/script"))
@@ -142,7 +143,7 @@ def page(found: dict) -> str:
 
 
 def main() -> None:
-    """Write build/live/index.html, and beside it car.mjs and content.json for other programs."""
+    """Write build/live/index.html, and beside it car.mjs and content.json, the dict of `content`."""
     found, folder = content(), paths.BUILD / "live"
     write(folder / "index.html", page(found))
     write(folder / "car.mjs", (_HERE / "car.mjs").read_text())

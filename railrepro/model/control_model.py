@@ -26,6 +26,8 @@ X, PSI_AX, XDOT, PSIDOT_AX, Y, PSI_TRAX = range(len(STATES))
 INPUTS = ("tau_ri", "tau_le")
 TAU_RI, TAU_LE = range(len(INPUTS))
 THETA = ("psi_Tr", "dpsi_dp", "phi_Tr", "dphi_dp", "eps_Tr", "deps_dp", "psi_CB", "dpsi_dp_CB", "m_CB")
+"""Heading of the track (rad) and curvature (1/m); superelevation angle and gradient (rad), each with its derivative
+along the track (rad/m); heading of the car body (rad) and its derivative (1/m); mass of the car body (kg)."""
 PSI_TR, DPSI_DP, PHI_TR, DPHI_DP, EPS_TR, DEPS_DP, PSI_CB, DPSI_DP_CB, M_CB = range(len(THETA))
 _TABLEAU = {
     "euler": ((0.0,), (1.0,)),
@@ -42,14 +44,15 @@ OUTSIDE = frozenset({"D4"})
 class ControlModel:
     """The control-oriented model of one running gear in one variant.
 
-    State x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx; input tau_ri, tau_le; theta: track and car body, see `THETA`.
+    State x (m), psi_Ax (rad), xdot (m/s), psidot_Ax (rad/s), y_TrAx (m), psi_TrAx (rad); input tau_ri, tau_le (N m);
+    theta: track and car body, see `THETA`; par: `railrepro.model.parameters.PARAMETERS`.
     """
 
     rhs: ca.Function
     """CasADi function (x[6], u[2], theta[9], par[14]) -> dx/dt[6], SI, in the order of `STATES`, `INPUTS`, `THETA`,
     `parameters`."""
     discrepancies: frozenset[str]
-    """Names of the discrepancies that are kept as the paper prints them, keys of `DISCREPANCIES`."""
+    """Names of the discrepancies kept as the paper prints them, keys of `railrepro.model.parameters.DISCREPANCIES`."""
 
     parameters = PARAMETERS
 
@@ -74,7 +77,7 @@ def control_model(variant: str = "corrected") -> ControlModel:
 
 
 def kept_as_printed(variant: str) -> frozenset[str]:
-    """Names of the discrepancies that a variant keeps, with those of the forecast; InputError for an unknown name."""
+    """Names of the discrepancies that a variant keeps, D4 of the forecast included; InputError for an unknown name."""
     if variant == "corrected":
         return frozenset()
     if variant == "printed":

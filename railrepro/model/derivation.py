@@ -42,12 +42,12 @@ _TRACK = {psi_Tr: kappa, phi_Tr: dphi}
 
 
 def along_track(expression: sp.Expr) -> sp.Expr:
-    """Partial derivative of an expression by x (per m); second derivatives of the track angles count as zero."""
+    """Derivative of an expression by the path x (per m), track angles included, whose slopes count as constant."""
     return sum((sp.diff(expression, angle) * slope for angle, slope in _TRACK.items()), sp.diff(expression, x))
 
 
 def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
-    """Total time derivative of an expression of coordinates and rates; `rate_of_rates`: acceleration by rate symbol."""
+    """Total time derivative of an expression in coordinates and rates; `rate_of_rates`: {rate symbol: acceleration}."""
     total = along_track(expression) * xd
     for coordinate, rate in zip(coordinates[1:], rates[1:], strict=True):
         total += sp.diff(expression, coordinate) * rate
@@ -55,9 +55,9 @@ def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
 
 
 def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
-    """Rates of y (m/s) and both wheel angles (rad/s) in those of x and psi, by symbol: kinematics and ideal rolling.
+    """Rates of y (m/s) and both wheel angles (rad/s) by symbol, as expressions in the rates of x and psi.
 
-    Source: eqs. (9) and (12).
+    From lateral kinematics and ideal rolling; `discrepancies` as of `equations`. Source: eqs. (9) and (12).
     """
     turning = psid + kappa * xd if "D3" in discrepancies else psid
     spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
@@ -72,7 +72,7 @@ def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy in unreduced rates (J). Source: eq. (13a)."""
+    """Kinetic energy (J) in unreduced rates; `discrepancies` as of `equations`. Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
     roll_rate = -gamma * yd + dphi * xd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
@@ -86,13 +86,13 @@ def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
 
 
 def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Potential energy of yaw spring, roll spring and weight (J). Source: eq. (13b)."""
+    """Potential energy (J) of both springs and weight; `discrepancies` as of `equations`. Source: eq. (13b)."""
     deflection = roll if "D7" in discrepancies else roll - phi_Tr
     return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
 
 
 def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
-    """Dissipation function of yaw and roll damper, half their power (W). Source: eq. (13c)."""
+    """Half the power (W) of yaw and roll damper; `discrepancies` as of `equations`. Source: eq. (13c)."""
     roll_rate = -gamma * yd + (dphi * xd if "D7" in discrepancies else 0)
     return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * roll_rate**2) / 2
 
@@ -147,8 +147,8 @@ def yaw_equation(discrepancies: frozenset[str] = frozenset()) -> dict[str, sp.Ex
     Returns
     -------
     dict
-        inertia * psidd = sum of coefficient * quantity, with the keys "inertia" and, for the quantities, "torque"
-        (differential torque), "psi", "psid", "y", "roll rate".
+        inertia * psidd = sum of coefficient * quantity, with the keys "inertia" (kg m2) and, for the quantities,
+        "torque" (differential torque; -), "psi" (N m/rad), "psid" (N m s/rad), "y" (N), "roll rate" (N m s/rad).
     """
     found, v = equations(discrepancies), sp.Symbol("v")
     small = (psi, psid, y, yd, psi_Tr, kappa, phi_Tr, dphi, psi_CB, kappa_CB, *torques)

@@ -57,7 +57,7 @@ def functions() -> tuple[ca.Function, ca.Function]:
     Returns
     -------
     position : casadi.Function
-        (x_hat[6], u_d (N m), t, nominal[3]) -> track coordinates [this gear, other gear] (m).
+        (state x_hat[6], base torque u_d, t, nominal[3] of `NOMINAL`) -> track coordinates [this gear, other gear] (m).
     stage : casadi.Function
         (x_hat[6], u_d, t, nominal, here, there) -> x_d[6], theta[9] as `Forecast`; here and there: rows of
         `Route.cells` at these two coordinates.

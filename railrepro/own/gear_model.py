@@ -26,9 +26,9 @@ STATES = ("y", "vy", "psi", "r", "E", "tau")
 """Lateral displacement (m), absolute lateral velocity (m/s), yaw angle (rad) and yaw rate (rad/s) against the track,
 half the difference E of the circumferential speeds less its share by curvature (m/s), differential torque (N m)."""
 KNOWN = ("side", "turning", "rolling", "heading", "slewing", "rail_offset", "rail_rate")
-"""Known inputs by the track at speed v: lateral acceleration g phi_Tr - v^2 kappa (m/s2), yaw acceleration of its frame
-v^2 kappa' (rad/s2), roll rate v phi_Tr' (rad/s), its heading psi_Tr - psi_CB against the car body's (rad) and the
-rate of that, v (kappa - kappa_CB) (rad/s); lateral offset of the rails from the track (m) and its rate (m/s)."""
+"""Known inputs by the track at speed v: lateral acceleration g phi_Tr - v^2 kappa (m/s2), yaw acceleration of the track
+frame v^2 kappa' (rad/s2), roll rate v phi_Tr' (rad/s), heading psi_Tr - psi_CB of the track against the car body (rad)
+and its rate v (kappa - kappa_CB) (rad/s); lateral offset of the rails from the track (m) and its rate (m/s)."""
 UNKNOWN = ("force", "moment")
 """Unknown inputs: lateral force (N) and yaw moment (N m) on the gear."""
 UNITS = (1e-3, 1e-2, 1e-3, 1e-2, 1e-2, 100.0)

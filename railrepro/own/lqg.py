@@ -72,7 +72,7 @@ class LqgSettings:
     rails: Annotated[float, between(1e-12, 1e-4, "m rad")] = 5e-8
     """Amplitude A of the spectrum of rough rails (m rad)."""
     settle: Annotated[float, between(0.01, 100.0, "s")] = 3.0
-    """Time in which the random walk of a sensor bias gains twice the variance of the bias (s)."""
+    """Time (s) in which the random walk that models a bias gains twice the variance with which the bias is drawn."""
     memory: Annotated[float, between(0.01, 100.0, "s")] = 0.5
     """Time constant with which the log-likelihoods of the filters forget old readings (s)."""
     preview: Annotated[float, between(0.02, 5.0, "s")] = 0.6
@@ -83,9 +83,9 @@ class LqgSettings:
 
 
 class Design:
-    """Kalman filters and regulator of a gear at a speed (m/s).
+    """Kalman filters and regulator of a gear at a speed (m/s), in steps of 1 ms.
 
-    Without sensors (`loop` None) both filters assume ideal rails.
+    `loop` are the sensors; without them (None) both filters assume ideal rails.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Design:
         Discrete model over 1 ms, x+ = a x + b du + e known: x are `gear_model.STATES`, unknown force and moment, offset
         of the rails (m) and its rate (m/s); du is the differential torque that acts.
     late, sent : int
-        Periods from reading to torque, 0 without sensors; number of torques under way or acting, at least one.
+        Time from reading to torque (ms), 0 without sensors; number of torques under way or acting, at least one.
     rails : tuple of float
         Amplitude A that each filter assumes (m rad).
     read, noise, drift : ndarray, shapes (3, 12), (3,), (2,)
@@ -130,8 +130,8 @@ class Design:
         self._units = np.array([*UNITS, settings.force, settings.moment, 1e-3, 1e-3 * speed])
 
     def kalman(self, rough: float) -> tuple[np.ndarray, ...]:
-        """Stationary filter for rails of amplitude A = `rough` (m rad): gain (12, 3) from readings y, psi, r to x and
-        biases; covariance (3, 3) of the innovation; smoother gain (LAGS, 2, 3) to past rail offset and direction."""
+        """Filter for rails of amplitude A = `rough` (m rad): gain (12, 3) from innovation of y, psi, r to x and biases;
+        covariance of the innovation (3, 3); smoother gain (`LAGS`, 2, 3) to past rail offset (m), direction (rad)."""
         s, h, read, drive = self.settings, CONTROL_PERIOD, self.read, np.zeros((_MODEL, 4))
         drive[_N, 0], drive[_N + 1, 1], drive[STATES.index("tau"), 2] = s.force, s.moment, s.twist
         drive[_RATE, 3] = np.sqrt(np.pi * rough * _SHORT**2 * self.speed**3)
@@ -152,7 +152,7 @@ class Design:
 
     def regulator(self) -> tuple[np.ndarray, np.ndarray]:
         """Gains to the change of torque (N m): from x and torques sent, last first, shape (10 + sent,); from known
-        inputs and set point at the points of the preview, shape (taps, 7 + 1)."""
+        inputs and set point at the points of the preview, `TAP` apart, shape (points, 7 + 1)."""
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
@@ -191,9 +191,9 @@ def _on_taps(times: np.ndarray, factors: np.ndarray, taps: int) -> np.ndarray:
 
 
 def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """Stabilising solution (n, n) of the discrete algebraic Riccati equation, by doubling.
+    """Stabilising solution p (n, n) of the discrete algebraic Riccati equation, by doubling.
 
-    For a (n, n), b (n, m), state weight q (n, n) and unit weight of the input; `units` (n,) scale the states.
+    For x+ = a x + b u, a (n, n), b (n, m), and cost x' q x + u' u, q (n, n); `units` (n,): magnitudes of the states.
 
     Source: Chu, Fan, Lin and Wang 2004, International Journal of Control 77, algorithm SDA.
     """
@@ -212,7 +212,7 @@ _DESIGNED: dict[tuple, np.ndarray] = {}
 
 
 def designs(vehicle: Vehicle, settings: LqgSettings, loop: Loop | None) -> tuple[Design, np.ndarray]:
-    """`Design` at the first of `SPEEDS`, and `Design.table` at all of them, shape (46, n); cached for one vehicle."""
+    """(`Design` at the first of `SPEEDS`, array (46, n) of `Design.table` at each of them); `loop` None: no sensors."""
     first = Design(vehicle, SPEEDS[0], settings, loop)
     key = repr(vehicle), settings, first.late, *first.noise, *first.drift
     if key not in _DESIGNED:
@@ -241,7 +241,7 @@ def _source(sizes: dict[str, int]) -> str:
 
 @lru_cache
 def library(*sizes: tuple[str, int]) -> tuple[ctypes.CDLL, Any]:
-    """Compiled lqg.c for array sizes given as (name, value) pairs, and the ctypes class of its struct `lqg_t`."""
+    """Compiled lqg.c and the ctypes class of its struct `lqg_t`; `sizes`: pairs (constant of an array size, value)."""
     loaded = codegen.library((), codegen.PREAMBLE + _source(dict(sizes)))
     loaded.lqg_sample.restype = ctypes.c_double
     return loaded, codegen.structure("lqg_t", _SOURCE, dict(sizes))
@@ -256,7 +256,10 @@ class LqgGear:
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
     def compiled(self, loop: Loop | None, leader: LqgGear | None = None) -> tuple[int, int]:
-        """Addresses of the C function of a sample and of its memory; `leader` is the controller of the front gear."""
+        """Addresses of the C function of a sample and of its memory, see `lateral.CompiledController.compiled`.
+
+        `loop`: sensors, None without; `leader`: front controller, which hands the rails that it finds to this rear one.
+        """
         (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
         self.sizes, rows = _sizes(self.settings, first), round(len(cells) * CELL / _PITCH)
@@ -282,7 +285,7 @@ class LqgGear:
         return ctypes.cast(loaded.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: list[LqgGear], loop: Loop | None) -> str:
-        """C text of the controllers of all gears and their tables, for `railrepro.export.controller`."""
+        """C text of the controllers `gears` [front, rear] with their tables, for an export; `loop` None: no sensors."""
         for gear in gears:
             gear.compiled(loop)
         text, tables = _source(gears[0].sizes), gears[0].tables

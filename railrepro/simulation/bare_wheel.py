@@ -41,7 +41,7 @@ class Traces:
     Attributes
     ----------
     adhesion, slip : ndarray
-        Adhesion f_x, longitudinal force over load, traction-positive (-), and slip s_x = (v - w r)/v (-).
+        Adhesion f_x, longitudinal force over wheel load, traction-positive (-); slip s_x = (v - w r)/v (-).
     torque : ndarray
         Motor torque on the wheel, traction-positive (N m).
     speed : ndarray
@@ -101,17 +101,18 @@ def _cycle() -> ca.Function:
 
 
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand, factor=1.0) -> Traces:
-    """Simulate single driven wheels under the 1 kHz adhesion law, which start rolling freely with zero torque.
+    """Simulate single driven wheels under the 1 kHz adhesion law and return `Traces`, a column per wheel.
 
-    Each wheel carries the nominal load and drives a mass of load over gravity. The torque limit is 1e5 N m, so that
-    in practice only adhesion limits.
+    Wheels start rolling freely with zero torque. Each carries the nominal wheel load Q and accelerates a mass of Q/g.
+    The torque limit is 1e5 N m, more than adhesion can transmit.
 
     Parameters
     ----------
     vehicle : Vehicle
         Source of wheel, load and contact patch.
     cases : sequence of Case
-    speed : array_like, broadcast to (cases,)
+        Adhesion law and rail of each wheel.
+    speed : float or array_like, shape (cases,)
         Initial running speeds (m/s).
     demand : array_like, shape (time,) or (time, cases)
         Adhesion set point f_x*, traction-positive, one row per ms (-).

@@ -30,7 +30,7 @@ _MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
 
 @lru_cache
 def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
-    """Shared object that runs `loop.c` with a control law, and the ctypes structure `loop_t` that it works on."""
+    """Compile `loop.c` with the 1 kHz law of `signature`; return the library and the ctypes class of its `loop_t`."""
     text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
     text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + ", ".join(map(str, _MEASURED)) + "}"})
     loaded = codegen.library((law.function(signature),), text + _SOURCE)
@@ -45,7 +45,9 @@ class ClosedLoop:
     Attributes
     ----------
     car : SteppedCar
+        The simulated car on its route.
     control : ControlLaw
+        The 1 kHz law of both gears, from `railrepro.control.law.control_law`.
     ended : bool
         Whether the last `run` stopped before its number of cycles.
     state : ndarray, shape (len(car.model.states),)
@@ -53,7 +55,7 @@ class ClosedLoop:
     held : ndarray, shape (2,)
         Last differential torques of slower lateral controllers, front and rear gear (N m); writable.
     memory : ndarray
-        States of the law (SI), in the order of `law.LawSignature.memory`.
+        States of the law (SI), in the order of the names `control.signature.memory`; writable.
     columns : tuple of str
         Names of the columns that `run` returns: outputs of the car, then records of the law.
     """
@@ -81,8 +83,8 @@ class ClosedLoop:
         Returns
         -------
         ndarray, shape (m, len(columns))
-            Values of `columns` (SI), one row per cycle, taken before its step. m = n, or fewer when a limit of the run
-            was reached: `ended` is then true, and the last row and `state` are those at the limit.
+            Values of `columns` (SI), one row per cycle, taken before the car advances. m = n, or fewer when a limit of
+            the run (see `margins`) was reached: `ended` is then true, and the last row and `state` are at the limit.
         """
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
@@ -96,10 +98,10 @@ class ClosedLoop:
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
-        """Call a slower controller of each gear before the law in every `every`-th control cycle of 1 ms.
+        """Register a slower controller per gear, which `run` calls before the law in each `every`-th cycle of 1 ms.
 
-        `planners` has for front and rear gear the addresses of the controller's C function, see `cycle.SAMPLE`, and of
-        its memory. A controller gets the states of `measured_states`, and with sensors the readings as well.
+        `planners` has for front and rear gear the addresses (int) of the controller's C function and of its memory, for
+        the signature see `railrepro.control.cycle.SAMPLE`; its states are the gear's row of `measured_states`.
         """
         slot, _ = cycle.structures(self.control.signature)
         self._c.every = every
@@ -113,14 +115,18 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits of a run by name of `interface.MARGINS` (m, m/s or -); a run ends at one <= 0."""
+        """Distances to the limits of a run by name; the run ends when one is <= 0.
+
+        front.lateral, rear.lateral (m, to derailing), front.torque, rear.torque (1, or 0 where the law gave no finite
+        torque), track_end (m), stop_speed (m/s).
+        """
         return dict(zip(interface.MARGINS, self._margins.tolist(), strict=True))
 
     def measured_states(self) -> np.ndarray:
         """Last measured states of front and rear gear, shape (2, 6).
 
-        Columns: track coordinate (m), heading (rad), speed (m/s), yaw rate (rad/s), displacement (m) and yaw angle
-        (rad) against the track. With sensors the estimates of the previous control cycle, in the first the true states.
+        Columns: track coordinate (m), heading (rad), speed (m/s), yaw rate (rad/s), lateral displacement (m) and yaw
+        angle (rad) against the track. With sensors: estimates of the previous cycle, in the first cycle true states.
         """
         signature = self.control.signature
         if signature.sensed and self._c.cycles:

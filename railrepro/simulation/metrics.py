@@ -30,7 +30,8 @@ ACTIVITY = 5.0
 class Part:
     """Columns of one part of the car (gear, wheel, floor point) in the series of a run, as attributes of shape (n,).
 
-    `Part(series, "front").y_ref` is the column `front.y_ref`; InputError where it is missing or not numeric.
+    `series` is `simulate.Run.series`, `of` the name of the part: `Part(series, "front").y_ref` is the column
+    `front.y_ref`. InputError for a column that is missing or not numeric.
     """
 
     def __init__(self, series: pd.DataFrame, of: str):
@@ -44,7 +45,10 @@ class Part:
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
-    """Lateral displacement of a gear from the ideal track less its set point, y - y* (m), per row of a run, (n,)."""
+    """Lateral displacement from the ideal track less its set point, y - y* (m), in each row of a run, shape (n,).
+
+    `series` is `simulate.Run.series`, `gear` "front" or "rear".
+    """
     return Part(series, gear).y - Part(series, gear).y_ref
 
 
@@ -67,9 +71,7 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
     """Whether, in each row, any wheel of the car touches its rail with the flange: booleans, shape (n,).
 
     True for a contact angle above 30 degrees or, since cones have no flange, a displacement of a gear from the rails
-    above 7 mm.
-    Flanges hold a car of S1002 wheels on the rail whatever the torque does, so this, not derailing, is where active
-    guidance ends.
+    above 7 mm. Flanges hold S1002 wheels on the rail whatever the torque does: active guidance ends there.
     """
     gears = [Part(series, gear) for gear in GEARS]
     aside = np.max([np.abs(gear.y - gear.rail_y) for gear in gears], axis=0) > FLANGEWAY
@@ -83,10 +85,10 @@ def reaches_flange(series: pd.DataFrame) -> bool:
 
 
 def delay(series: pd.DataFrame, gear: str = "front") -> float:
-    """Distance by which y trails y* (m): the lag of the largest cross-correlation of the detrended signals.
+    """Distance by which a gear's lateral displacement y trails its set point y* along the track (m).
 
-    Lags up to 60 m in both directions count, in steps of 0.1 m. Positive when y comes after y*; nan
-    when the set point or the car does not move.
+    The lag, from -60 to 60 m in steps of 0.1 m, with the largest cross-correlation of the detrended signals. Positive
+    when y comes after y*; nan when y* is constant or the car does not move.
     """
     of_gear = Part(series, gear)
     p = of_gear.p
@@ -128,7 +130,7 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
-    """Share of the rows (0 to 1) in which a motor of the gear is at its torque `limit` (N m)."""
+    """Share of the rows (0 to 1) in which the larger of a gear's two motor torques reaches `limit` (N m per motor)."""
     torque = np.abs(Part(series, gear).tau_long) + np.abs(Part(series, gear).du)
     return float(np.mean(torque >= 0.999 * limit))
 
@@ -141,8 +143,9 @@ def stopping_distance(series: pd.DataFrame) -> float:
 def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float, str]]:
     """Lateral metrics of a run, of the front gear unless named otherwise: name -> (value, unit).
 
-    rmse_y, rmse_y_rear, followed_rmse_y, rail_rmse_y, mean_error_last_third, largest_error, delay (m); effort_du,
-    activity_du, largest_du (N m); saturated_share (-) of the motors with `torque_limit` (N m).
+    rmse_y, rmse_y_rear, followed_rmse_y, rail_rmse_y, delay (m), effort_du, activity_du (N m), saturated_share (-, with
+    `torque_limit` per motor in N m): see the functions of these names. mean_error_last_third (mean of y - y* over the
+    last third of the rows), largest_error (max |y - y*|) (m); largest_du (max |du|, N m).
     """
     error = lateral_error(series)
     return {
@@ -178,9 +181,9 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
 def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
     """Metrics of traction and braking: name -> (value, unit).
 
-    Of the front gear: stopping_distance (m), final_speed (m/s), mean_longitudinal_torque (N m), and with a force demand
-    utilisation (-), mean adhesion of its wheels over `adhesion_limit` where the demand exceeds that (nan if it never
-    does). Of all wheels: largest_slip (-). Slip and utilisation count above 2 m/s.
+    Of the front gear: stopping_distance (m), final_speed (m/s), mean_longitudinal_torque (N m per motor), and with a
+    force demand utilisation (-), mean adhesion of its wheels over `adhesion_limit` in rows where the demand exceeds
+    that limit (nan without any). Of all wheels: largest_slip (max |s_x|, -). Slip and utilisation count above 2 m/s.
     """
     front = Part(series, "front")
     p, v = front.p, front.v

@@ -50,11 +50,12 @@ _OUTWARDS = {"le": -1, "ri": 1}
 
 
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """Ride and safety figures of a run: name -> (value, unit).
+    """Ride and safety figures of a run: name -> (value, unit); InputError without a column, below 20 rows or 2 m.
 
-    Largest of the run: sum_y_front, sum_y_rear (track shifting force, kN), sum_y_over_limit, y_over_q, wheel_unloading
-    (-). Sum over the wheels: flange_contacts (1/km). Means: t_gamma, creep_work (N). Per floor point: n_mv_* (-),
-    a_wk_vertical_*, a_wd_lateral_* (m/s2). Whole car: motor_energy_net (kWh).
+    Largest of the run: sum_y_front, sum_y_rear (track shifting force per gear, kN), sum_y_over_limit (the larger one
+    over Prud'homme's limit), y_over_q (Y/Q), wheel_unloading (dQ/Q0) (-). Sum over the wheels: flange_contacts (1/km).
+    Means: t_gamma, creep_work (N), see `creep_work`. Per point of `FLOOR`: n_mv_* (`mean_comfort`, -), a_wk_vertical_*,
+    a_wd_lateral_* (`weighted_rms`, m/s2). Whole car: motor_energy_net (kWh, braking energy deducted).
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
         nu_y, M_spin, spin, angle, w, tau of each wheel; ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car
         body, as an accelerometer reads them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
     vehicle : Vehicle
-        The simulated car (`plant_vehicle` of a run). InputError without a column, or below 20 rows or 2 m.
+        The simulated car (`plant_vehicle` of a run).
     """
     if len(series) < _FEWEST:
         raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
@@ -156,7 +157,7 @@ def low_pass(values, rate: float) -> np.ndarray:
 
 
 def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarray:
-    """Means of `values` over sliding windows of the distance `p` (m), both of shape (n,): shape (windows,).
+    """Means of `values` (n,) over sliding windows of the track coordinate `p` (m, shape (n,)), shape (windows,).
 
     Windows are `window` (m) long and start every `step` (m); InputError when the run is shorter than one window.
 
@@ -187,8 +188,8 @@ def flange_contacts(angle, p) -> float:
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
     """Energy dissipated in the contacts per metre, mean over the distance and the four wheels (N, that is J/m).
 
-    Keys `t_gamma`, the wear number without spin, and `creep_work`, which includes spin: with an inclined contact, as on
-    S1002, spin does a good part of the work. Columns of `series` as in `ride_summary`.
+    Keys `t_gamma`, the wear number without spin, and `creep_work`, which includes the spin moment: with an inclined
+    contact, as on S1002, spin does a good part of the work. Columns of `series` as in `ride_summary`.
 
     Source: Elkins and Eickhoff 1982 (recalled).
     """
@@ -254,9 +255,8 @@ def mean_comfort(along, across, vertical, rate: float) -> float:
 
     Longitudinal, lateral and vertical acceleration (m/s2, shape (n,), sampled at `rate` in Hz) are weighted by Wd, Wd
     and Wb; percentiles are those of the root mean squares over blocks of 5 s that start every 0.5 s. The standard asks
-    for 60 blocks of 5 minutes; the result of a shorter run compares controllers on that run, not with published values.
-    Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable (recalled); nan when the run
-    is shorter than one block.
+    for 60 blocks (5 minutes), so a shorter run compares controllers, not with published values; nan below 5 s.
+    Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable (recalled).
 
     Source: EN 12299:2009, mean comfort, standard method (formerly simplified; formula read in open software).
     """

@@ -41,9 +41,9 @@ class NoSetPoint:
 
 @data.table
 class Sine:
-    """Sinusoidal lateral set point from `start_m` to `end_m` of the track coordinate, see `route.sine`.
+    """Sinusoidal lateral set point from `start_m` to `end_m` of the track coordinate, see `railrepro.track.route.sine`.
 
-    `period_m` is the wavelength, `fade_m` the length over which the amplitude rises and falls.
+    `period_m`: wavelength; `fade_m`: length over which the amplitude rises and falls, default 30 m; no `end_m`: no end.
     """
 
     kind: Literal["sine"]
@@ -59,9 +59,9 @@ class Sine:
 
 @data.table
 class Sweep:
-    """Sine-sweep lateral set point from `start_m` to `end_m` of the track coordinate, see `route.sweep`.
+    """Sine-sweep lateral set point from `start_m` to `end_m` of the track coordinate: `railrepro.track.route.sweep`.
 
-    The periods are wavelengths at both ends, `fade_m` is the length over which the amplitude rises and falls.
+    Periods: wavelengths at start and end; `fade_m`: length over which the amplitude rises and falls, default 30 m.
     """
 
     kind: Literal["sweep"]
@@ -94,13 +94,14 @@ class Scenario:
     Attributes
     ----------
     track, paper : str
-        Name in data/tracks.toml, or path of a CSV (`table.read_table`); figure or section of the paper.
+        Name in data/tracks.toml, or path of a CSV (`railrepro.track.table.read_table`); figure or section of the paper.
     speed_kmh, stop_kmh, end_m : float
-        Initial speed; the run ends below the stop speed (km/h), or when the front gear reaches `end_m` (m).
+        Initial speed (km/h); the run ends below `stop_kmh` (km/h) or when the front gear reaches `end_m` (m).
     good, poor : str
         Names of adhesion sets of the vehicle.
     poor_share, poor_share_left, poor_share_right : tuple of pairs
-        Points of p (m) and share of the poor set (0 to 1), linear in between, of both rails or of one instead.
+        Points (p (m), share of the adhesion set `poor` (0 to 1)), linear in between; left or right replaces
+        `poor_share` on that rail.
     force_kN : tuple of pairs
         Steps of p (m) and force demand per running gear (kN), traction positive, held until the next p.
     set_point : dict
@@ -141,16 +142,16 @@ class Scenario:
 
     @property
     def poor_shares(self) -> tuple[tuple, tuple]:
-        """(p (m), share of the poor adhesion set (0 to 1)) points for the left and for the right rail; one at least."""
+        """Points (p (m), share of the poor adhesion set (0 to 1)): a tuple for the left and one for the right rail."""
         both = self.poor_share or ((0.0, 0.0),)
         return self.poor_share_left or both, self.poor_share_right or both
 
     def but(self, **changes) -> Scenario:
-        """Copy with some fields changed, checked like an entry of a file (InputError)."""
+        """Copy with changed fields, given by name; InputError for a value that data/scenarios.toml may not have."""
         return data.build(Scenario, vars(self) | changes, "scenario")
 
     def check(self, vehicle: Vehicle) -> None:
-        """Raise InputError for wrong fields, or a set point above 8 mm (flangeway) where wheels are not cones."""
+        """Raise InputError for wrong fields, or an amplitude above 8 mm (flangeway) unless `vehicle` has cones."""
         self.but()
         amplitude = abs(self.set_point.get("amplitude_mm", 0.0))
         if vehicle.contact.profile != "cone" and amplitude > FLANGEWAY:
@@ -160,7 +161,10 @@ class Scenario:
             )
 
     def route(self, irregularities=None, line=None) -> route.Route:
-        """Route of the scenario of length `end_m`, see `railrepro.track.route.lay`; InputError on a shorter track."""
+        """Lay the scenario along its track: route of length `end_m`; InputError when the track is shorter.
+
+        `irregularities` and `line` (planned set point) as in `railrepro.track.route.lay`, default none.
+        """
         left, right = self.poor_shares
         track = load_track(self.track_file())
         way = route.lay(
@@ -178,7 +182,7 @@ class Scenario:
         return replace(way, length=self.end_m)
 
     def track_file(self) -> str:
-        """Name of the track, or path of its CSV: below the checkout where that file exists, else as given."""
+        """Argument for `load_track`: name of the track, or path of its CSV, looked up in the repository first."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 

@@ -50,7 +50,7 @@ class Run:
     warnings : tuple of str
         Where the run first left the validity of a model, one sentence each.
     controllers : tuple
-        The slower lateral controllers of front and rear gear, if any; `fallbacks` counts samples without a solution.
+        Slower lateral controllers of both gears, empty without; `fallbacks` of each counts samples without solution.
     memory : dict
         States of the control law at the end by name (SI), see `law.LawSignature.memory`.
     """
@@ -91,11 +91,11 @@ def run(
     adhesion : AdhesionSettings, optional
         Settings of the adhesion law; default those of `law.control_law`.
     fixed_share : float
-        Share of the torque limit that is reserved for the differential torque (-); 0 shares it as in the paper.
+        Share of the torque limit that is reserved for the differential torque (-); 0: variable allocation (paper).
     sensors : Readings, optional
         Sensors between car and controllers; default exact measurements.
     irregularities, line : optional
-        Irregular rails and a planned set point, see `railrepro.track.route.lay`; default none.
+        Irregular rails and a planned lateral set point, see `railrepro.track.route.lay`; default none.
     substeps : int
         Integration steps of the car per millisecond, see `SteppedCar`.
 
@@ -155,7 +155,8 @@ def start(
 ) -> ClosedLoop:  # fmt: skip
     """Closed loop of car and 1 kHz law at the start of a scenario, in vertical equilibrium at its initial speed.
 
-    `route` is from `Scenario.route`, `body` has the parameters of the simulated car; other arguments as in `run`.
+    `guidance` is the 1 kHz lateral law, `route` is from `Scenario.route`; the controllers assume `vehicle`, `body` has
+    the parameters of the simulated car. Other arguments as in `run`.
     """
     limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, adhesion, fixed_share, sensors, **limits)

@@ -29,9 +29,9 @@ LENGTH, SPEED, RADIUS = above(0.0, LONGEST, "m"), above(0.0, 450.0, "km/h"), abo
 
 @dataclass(frozen=True)
 class Segment:
-    """Stretch of a length (m) with curvature, cant angle and inclination linear between (start, end).
+    """Stretch of a track, `length` in m, with pairs (value at its start, at its end), linear in between.
 
-    kappa (1/m, positive to the right), phi (rad, positive right side down), eps (rad, positive uphill).
+    Curvature kappa (1/m, to the right), cant angle phi (rad, right side down), inclination eps (rad, uphill) positive.
     """
 
     length: float

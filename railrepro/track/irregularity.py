@@ -120,9 +120,9 @@ def track_quality() -> dict[str, tuple[float, float]]:
 def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> pd.DataFrame:
     """Random realisation of track irregularities, to be superposed on a route.
 
-    A sum of cosines with random phases, whose frequencies lie one over a period apart. The period is a power of two (m)
-    that is at least as long as the track and as 32 of the longest waves: up to 4096 m, so all shorter tracks have the
-    same rails at the same p, but for the fade at their ends.
+    A sum of cosines with random phases at multiples of the frequency 1 / period. The period is the least power of two
+    (m) that covers the track and 32 of the longest waves (100 m): 4096 m for all tracks up to this length, which thus
+    have the same rails at the same p, but for the fade at their ends.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
     spectrum : str
         See `irregularity_spectrum`.
     seed : int
-        Each channel draws from its own generator (seed, channel).
+        Seed of the random phases; each channel has a generator of its own.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def _realisation(p, spectrum: str, channel: str, generator) -> np.ndarray:
 def check(frame: pd.DataFrame) -> None:
     """Raise InputError unless a frame has increasing p_m and all columns of `CHANNELS`, finite and within range.
 
-    Ranges: lateral_m -0.02 to 0.02, gauge_m -0.01 to 0.035, vertical_m and crosslevel_rad -0.1 to 0.1.
+    Ranges: lateral_m +-0.02 m, gauge_m -0.01 to 0.035 m, vertical_m +-0.1 m, crosslevel_rad +-0.1 rad.
     """
     require("irregularities", frame, pd.DataFrame)
     missing = sorted({"p_m", *CHANNELS.values()} - set(frame))

@@ -47,7 +47,11 @@ class Dip:
     kind: Literal["dip"] = "dip"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Frame of irregularities (p_m, `CHANNELS`) at track coordinates p (m), shape (n,); zero off the defect."""
+        """Irregularities due to the dip at coordinates p (m), shape (n,): DataFrame of n rows, zero off the dip.
+
+        Columns p_m, vertical_m (m), crosslevel_rad (rad); lateral_m and gauge_m are 0. InputError unless p covers the
+        dip in steps of up to length / 4.
+        """
         _check_fit(self, p, self.length)
         shape = _versine(p, self.start, self.length, self.depth)
         left, right = (shape * (self.rail in ("both", side)) for side in ("le", "ri"))
@@ -72,7 +76,11 @@ class AlignmentFault:
     kind: Literal["alignment_fault"] = "alignment_fault"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Frame of irregularities (p_m, `CHANNELS`) at track coordinates p (m), shape (n,); zero off the defect."""
+        """Irregularities due to the fault at coordinates p (m), shape (n,): DataFrame of n rows, zero off the fault.
+
+        Columns p_m, lateral_m (m); vertical_m, crosslevel_rad, gauge_m are 0. InputError unless p covers the
+        fault in steps of up to length / 4.
+        """
         _check_fit(self, p, self.length)
         return _frame(p, lateral_m=_versine(p, self.start, self.length, self.amplitude))
 
@@ -98,7 +106,11 @@ class LateralOffset:
     kind: Literal["lateral_offset"] = "lateral_offset"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Frame of irregularities (p_m, `CHANNELS`) at track coordinates p (m), shape (n,); zero off the defect."""
+        """Irregularities due to the offset at coordinates p (m), shape (n,): DataFrame of n rows, zero off the stretch.
+
+        Columns p_m, lateral_m (m); vertical_m, crosslevel_rad, gauge_m are 0. InputError unless p covers the
+        stretch in steps of up to transition / 4, or for a length below two transitions.
+        """
         _check_fit(self, p, self.transition)
         if self.length < 2 * self.transition:
             raise InputError(
@@ -129,7 +141,7 @@ def _check_fit(defect: Dip | AlignmentFault | LateralOffset, p: np.ndarray, deta
 
 @data.table
 class Rough:
-    """Random irregularities (`spectrum` and `seed` of `irregularities`), and the `defects` that are added to them."""
+    """Arguments of `rough_track`: `spectrum` (name) and random `seed` of `irregularities`, and added `defects`."""
 
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"

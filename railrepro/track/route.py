@@ -53,9 +53,10 @@ class Route:
     Attributes
     ----------
     cells : ndarray, shape (n, len(COLUMNS))
-        One row per cell, SI units: values, and their derivatives over p, at the start `p` of the cell (m).
+        One row per cell, columns `COLUMNS` (SI): values at the start `p` (m) of the cell; a name with k letters d in
+        front is the k-th derivative over p.
     length : float
-        Coordinate at which a run ends: the end of the track (m).
+        Track coordinate at which a run ends (m): from `lay` the end of the track, from `Scenario.route` its `end_m`.
     """
 
     cells: np.ndarray
@@ -67,7 +68,7 @@ class Route:
         return self.cells[0, INDEX["p"]]
 
     def rows_at(self, p: np.ndarray) -> np.ndarray:
-        """Rows of `cells` that contain the track coordinates p (m, shape (n,)), shape (n, len(COLUMNS))."""
+        """Rows of `cells` in which coordinates p (m, (n,)) lie, shape (n, len(COLUMNS)); off the route its end rows."""
         index = np.clip((np.asarray(p, dtype=float) - self.start) / CELL, 0, len(self.cells) - 1)
         return self.cells[index.astype(int)]
 
@@ -77,7 +78,7 @@ class Route:
     def track_at(self, p: np.ndarray) -> np.ndarray:
         """Yaw, roll and pitch of the track with their rates at coordinates p (m, shape (n,)), shape (6, n).
 
-        psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m).
+        Rows psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m).
         """
         return np.array(track_in(self._named(p), p))
 
@@ -89,7 +90,7 @@ class Route:
 def reference_in(cell: dict, p) -> tuple:
     """Lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the coordinate p (m) inside a cell.
 
-    `cell` maps the names `COLUMNS` to numbers, arrays or CasADi symbols; the result is of the same kind.
+    `cell` maps the names in `COLUMNS` to numbers, arrays or CasADi symbols; the result is of the same kind.
 
     Source: eq. (34), y*.
     """
@@ -126,14 +127,14 @@ def lay(
     reference : casadi.Function, optional
         Lateral set point as a scalar map p (m) -> y* (m), see `sine` and `sweep`; default y* = 0.
     poor : callable or pair of callables, optional
-        Share of the poor adhesion set in [0, 1]: p (m), (n,) -> (n,); a pair gives left and right rail.
+        Share of the poor adhesion set in [0, 1]: p (m), (n,) -> (n,); a pair gives left and right rail. Default 0.
     force : callable, optional
-        Demanded longitudinal force F_x* per running gear (N), traction positive: p (m), (n,) -> (n,).
+        Demanded longitudinal force F_x* per running gear (N), traction positive: p (m), (n,) -> (n,). Default 0.
     irregularities : DataFrame, optional
-        p_m and the channels of `railrepro.track.irregularity.CHANNELS`, joined by a cubic spline; zero outside.
+        Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m; joined by a cubic spline, zero outside.
     line : pair of ndarray, shapes (m,) and (4, m), optional
-        Coordinates (m), and a set point y (m) with its first three derivatives over p at these, a cubic from one to the
-        next, zero outside; added to the reference. See `railrepro.evidence.runs.preview`.
+        Coordinates (m), and at these a set point (m) with its first three derivatives over p (-, 1/m, 1/m2); a cubic
+        from one to the next, zero outside; added to `reference`. See `railrepro.evidence.runs.preview.plan`.
     """
     require("track", track, Track)
     if reference is not None:
@@ -224,8 +225,8 @@ def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
 def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
     """Sinusoidal lateral set point as a scalar CasADi function p (m) -> y* (m).
 
-    Amplitude, spatial period, first and last track coordinate, and the length over which the amplitude rises and falls
-    smoothly (all m).
+    `amplitude`, spatial `period`, `start` and `end` (track coordinates, y* is 0 outside), and `fade`, the length over
+    which the amplitude rises after `start` and falls before `end` (all m).
 
     Source: paper, caption of Fig. 7 (period 150 m).
     """
@@ -239,8 +240,8 @@ def sweep(
 ) -> ca.Function:
     """Sine-sweep lateral set point as a scalar CasADi function p (m) -> y* (m), with a wavenumber linear in p.
 
-    Amplitude, spatial periods at both ends, first and last track coordinate, and the length over which the amplitude
-    rises and falls smoothly (all m).
+    `amplitude`, spatial periods at `start` and `end` (track coordinates, y* is 0 outside), and `fade`, the length over
+    which the amplitude rises after `start` and falls before `end` (all m).
 
     Source: paper, Figs. 6 and 9 (parameters not printed there).
     """
@@ -253,7 +254,7 @@ SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m,
 
 
 def set_point() -> ca.Function:
-    """CasADi function (p (m), packed `SetPoint` (7,)) -> y* (m) and its first three derivatives over p, shape (4,)."""
+    """CasADi function (p (m), fields of `SetPoint` (7,)) -> (4,): y* (m), first 3 derivatives over p (-, 1/m, 1/m2)."""
     s, (numbers, of) = ca.SX.sym("p"), symbols(SetPoint, "of")
     chosen = ca.if_else(of.kind == 1, _sine(s, of), ca.if_else(of.kind == 2, _sweep(s, of), 0))
     return ca.Function("set_point", [s, numbers], [ca.densify(_differentiated(chosen, s))])

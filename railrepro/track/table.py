@@ -106,8 +106,8 @@ class Track:
     def interpolate(self, p) -> np.ndarray:
         """Track angles and rates per metre at coordinates p (m, shape (n,)), shape (6, n).
 
-        psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp are
-        right-continuous.
+        Rows psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp
+        are right-continuous.
 
         Source: eq. (3) of the paper, without the factor dp/dt.
         """
@@ -130,7 +130,7 @@ class Track:
         return total * length / 2
 
     def position(self, p) -> np.ndarray:
-        """Centre line at coordinates p (m, shape (n,)) in fixed axes x, y (right), z (down) (m), shape (3, n)."""
+        """Centre line at p (m, shape (n,)): coordinates x, y (right), z (down) in fixed axes (m), shape (3, n)."""
         p = np.atleast_1d(np.asarray(p, dtype=float))
         index, d = self._cell(p)
         reached = self.table[["x_m", "y_m", "z_m"]].to_numpy()[index].T
@@ -143,9 +143,10 @@ class Track:
 
 
 def track_in(cell: dict, p) -> tuple:
-    """Yaw, roll and pitch of the track with their rates at the coordinate p (m) inside a cell, as `Track.interpolate`.
+    """Yaw, roll and pitch of the track with their rates at the coordinate p (m) inside a cell.
 
-    `cell` maps p, psi, kappa, dkappa, phi, dphi, eps, deps at its start (SI) to numbers, arrays or CasADi symbols.
+    Tuple psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m). `cell` maps the names p, psi, kappa, dkappa, phi, dphi,
+    eps, deps to the values at the start of the cell (SI): numbers, arrays or CasADi symbols.
 
     Source: eq. (3).
     """
@@ -186,10 +187,10 @@ def read_table(path: Path | str) -> pd.DataFrame:
     Returns a table as `build_table` makes it, with heading and positions integrated. The file has one row per point;
     yaw is positive to the right, roll right side down, pitch nose up. Columns, others are ignored:
 
-    - p_m: distance along the line (m), increasing; the track begins at its first, with coordinate 0;
-    - dpsi_dp_1pm (1/m);
-    - phi_rad and eps_rad (rad), 0 where they are missing;
-    - psi_rad (rad), optional: only the first counts, the heading with which the track begins.
+    - p_m: distance along the line (m), increasing; the track begins at the first point, with coordinate 0;
+    - dpsi_dp_1pm: curvature (1/m);
+    - phi_rad, eps_rad: cant angle and inclination (rad), optional, default 0;
+    - psi_rad (rad), optional: its value in the first row is the heading with which the track begins, default 0.
 
     InputError for a missing column, a number that is not finite, points that do not increase, and magnitudes beyond
     what railways build (wrong unit).

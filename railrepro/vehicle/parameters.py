@@ -27,8 +27,8 @@ Built = TypeVar("Built")
 class Entry:
     """Table of one parameter in a file such as data/vehicle.toml: symbol in formulas, value, unit and source.
 
-    `confidence` is VV read and reproduced, V read in the source, D derived, R recalled from the literature, A assumed;
-    `range` is "fixed" or [low, high] around the value, in its unit: what robustness studies sample.
+    `confidence` is VV read in the source and reproduced, V read there, D derived, R recalled from the literature, A
+    assumed; `range` is "fixed" or [low, high] around the value, in its unit: what robustness studies sample.
     """
 
     symbol: str
@@ -129,11 +129,11 @@ class Wheel:
 
 @data.table
 class Suspension:
-    """Stage between car body and one running gear: lengths (m), linear N/m and N s/m, angular N m/rad and N m s/rad.
+    """Suspension of the car body on a running gear: lengths (m), stiffness (N/m, N m/rad), damping (N s/m, N m s/rad).
 
-    Two springs with dampers at half_spacing to each side and at a height above the rails, each with k_x, c_x and so on;
-    a longitudinal traction link, a torsion bar against roll, rods against pitch under motor torque. Stops in yaw beyond
-    yaw_stop_angle (rad) and in lateral deflection beyond bump_clearance (m), to both sides.
+    Two springs with dampers at half_spacing to each side and at a height above the rails, each with k_x, c_x along x,
+    likewise y and z; a longitudinal traction link, a torsion bar against roll, rods against pitch under motor torque.
+    Stops in yaw beyond yaw_stop_angle (rad) and in lateral deflection beyond bump_clearance (m), to either side.
     """
 
     half_spacing: Annotated[float, _above(0.1, 2.0, "m")]
@@ -267,7 +267,7 @@ class Vehicle:
         return self.roll_per_shift(math.tan(self.wheel.cone_angle))
 
     def roll_per_shift(self, slope: float) -> float:
-        """Roll of the axle per lateral displacement (rad/m) at a slope of the contact, the tangent of its angle (-)."""
+        """Roll of the axle per lateral displacement (rad/m) where the tangent of the contact angle is `slope` (-)."""
         return slope / (self.gear.contact_base / 2 - self.wheel.radius * slope)
 
     @property
@@ -309,7 +309,7 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     path : path, optional
         A TOML file like data/vehicle.toml, the default.
     overrides
-        Values by dotted key, `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})` (SI units).
+        Changed values (SI) by dotted key, as `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})`.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
 
 
 def loaded(kind: type[Built], file: Path, overrides: dict) -> tuple[Built, dict[str, dict]]:
-    """Instance of a `data.table` class from a file of `Entry` tables, and these tables as dicts by dotted key.
+    """Instance of `kind`, a `data.table` class, from a file of `Entry` tables; and dotted key -> `Entry` as a dict.
 
     `overrides` replace values of the file (SI) by dotted key such as "wheel.radius"; their range becomes "fixed".
     """
@@ -346,7 +346,10 @@ def _entries(content: dict, place: str = "") -> Iterator[tuple[str, dict]]:
 
 
 def describe(path: Path | str | None = None) -> pd.DataFrame:
-    """All parameters, one a row: key (dotted), symbol, value, unit, source, confidence, low, high (nan where fixed)."""
+    """All parameters of a vehicle file (default data/vehicle.toml), one a row.
+
+    Columns key (dotted), symbol, value, unit, source, confidence as in `Entry`; low, high in `unit`, nan where fixed.
+    """
     rows = []
     for key, entry in loaded(Vehicle, _file(path), {})[1].items():
         low, high = (math.nan, math.nan) if entry["range"] == "fixed" else entry["range"]
@@ -355,7 +358,7 @@ def describe(path: Path | str | None = None) -> pd.DataFrame:
 
 
 def sample_ranges(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
-    """Lower and upper bound (SI) of each parameter that is not fixed, by dotted key; robustness studies sample them."""
+    """Dotted key -> (low, high), bounds (SI) of each parameter that is not fixed; robustness studies sample within."""
     entries = loaded(Vehicle, _file(path), {})[1]
     return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}
 

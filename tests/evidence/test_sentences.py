@@ -47,15 +47,15 @@ def outputs(folder):
     return "".join("".join(output["data"]["text/markdown"]) for cell in cells for output in cell["outputs"])
 
 
-def test_changed_values_mark_a_sentence_and_the_chain_ends_with_their_number(tiny, capfd):
+def test_changed_values_mark_a_sentence_and_the_chain_names_it(tiny, capfd):
     commit(tiny, "value = 2", SAYS)
     assert said(capfd) == (0, "01_tiny: done; 0 left")
     assert outputs(tiny) == "- ✓ The value is 2.\n- ✓ One over it is positive."
     write_notebook(tiny / "notebooks", ["", "value = 4", SAYS])
-    assert said(capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
+    assert said(capfd) == (0, "01_tiny: does not hold with these values: The value is 4.")
     assert outputs(tiny).startswith(f"- <mark>**✗ {sentences.MARK}:**</mark> The value is 4.\n- ✓")
     write_notebook(tiny / "notebooks", ["", "value = 0", SAYS])
-    assert said(capfd)[1] == "01_tiny: 1 sentence does not hold with these values"
+    assert said(capfd)[1].startswith("01_tiny: does not hold with these values: ")
     assert "need values that are missing (ZeroDivisionError: division by zero)" in outputs(tiny)
 
 
@@ -71,7 +71,7 @@ def test_an_edited_input_marks_and_an_edited_product_of_the_chain_does_not(tiny,
     reading = SAYS.replace("value < 3", "(paths.DATA / 'in.txt').read_text() == 'a'")
     commit(tiny, "value = 2", reading)
     (tiny / "data/in.txt").write_text("b")
-    assert said(capfd) == (0, "01_tiny: 1 sentence does not hold with these values")
+    assert said(capfd) == (0, "01_tiny: does not hold with these values: The value is 2.")
     commit(tiny, "value = 2", reading)
     with pytest.raises(InputError, match="1 sentence does not hold with the committed values"):
         chain.refresh(chain.chain()["01_tiny"])

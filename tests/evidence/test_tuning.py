@@ -37,6 +37,10 @@ def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
         tuning.read("nmpc", "equal", tmp_path)
     with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'equal'"):
         tuning.read("ndi", "loop", tmp_path)
+    file = tmp_path / "ndi.json"
+    file.write_text(file.read_text().replace('"pole": ', '"pole": NaN, "other": '))
+    with pytest.raises(InputError, match=r"ndi.json: pole has .*nan, finite numbers are needed"):
+        tuning.read("ndi", "equal", tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ SLACK = 1e-3
 
 @lru_cache
 def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
-    """Multiple-shooting NLP over L = `steps` steps for `casadi.nlpsol`, symbols and expressions by name.
+    """Multiple-shooting NLP over L = `steps` steps: dict of symbols and expressions for `casadi.nlpsol`.
 
     x: deviations from the desired states over `SCALE` (6 (L + 1)), torques (kN m) (L), slacks (mm) (L); p: desired
     states, track theta (9 L), model parameters, tuning, base torque; f: `COST` times the cost of `problem`; g: scaled
@@ -65,7 +65,7 @@ def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
 
 
 def solver(settings: problem.MPCSettings) -> ca.Function:
-    """Ipopt as a CasADi function for variant, discretisation and horizon length of some settings, for `solve`."""
+    """Ipopt for the `program` of these settings, as a CasADi function, the first argument of `solve`."""
     return _solver(settings.variant, settings.discretisation, settings.steps)
 
 
@@ -77,7 +77,7 @@ def solve(function: ca.Function, horizon: Horizon, parameters: np.ndarray, du: n
     function : casadi.Function
         See `solver`.
     horizon : Horizon
-        Problem and initial states `x`, which become the states of the solution.
+        Problem and initial states `x`, which are overwritten by the states of the solution.
     parameters : ndarray, shape (14,)
         Parameters of the control model (SI).
     du : ndarray, shape (L,)
@@ -88,6 +88,7 @@ def solve(function: ca.Function, horizon: Horizon, parameters: np.ndarray, du: n
     torques : ndarray, shape (L,)
         Differential torques (N m).
     iterations : int
+        Iterations of Ipopt.
 
     Raises
     ------

@@ -50,10 +50,11 @@ def _back(matrix, vector, a, b, gap, state, torque, free=1, to_bound=0) -> tuple
 
 @stored
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Riccati recursion about a trajectory (x, u), for quadratic problems with active sets.
+    """Riccati recursion for the quadratic problem in steps (dx, du) from a trajectory (x, u), with active sets.
 
-    Halved cost-to-go dx' P dx / 2 + p' dx; gap = x_next - x_plus between model and trajectory; `side`: active lateral
-    bound (1, -1, 0 none); `fixed` not 0: the torque step is `to_bound` (N m).
+    `variant`, `discretisation`, A and B as of `problem.dynamics`, tuning: `problem.TUNING`. Halved cost-to-go
+    dx' P dx / 2 + p' dx; next state x_next by the model, x_plus of the trajectory; desired state x_d; side: active
+    lateral bound (1, -1, 0 none); fixed not 0: the torque step du is to_bound (N m), else feedback' dx + feed-forward.
 
     Returns
     -------
@@ -63,7 +64,8 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
         (P, p, x_plus, x_next, A, B, u, fixed, to_bound, x, x_d, side, tuning) -> P, p one stage earlier, feedback[6],
         feed-forward.
     forward : casadi.Function
-        (dx, feedback, feed-forward, x_next, x_plus, A, B, P, p, u, tuning) -> next dx[6], du, halved slope by torque.
+        (dx, feedback, feed-forward, x_next, x_plus, A, B, P, p, u, tuning) -> next dx[6], du, half the derivative of
+        the cost by the torque.
     """
     n, sparsity = _N, dynamics(variant, discretisation).sparsity_out(1)
     names = ("p", "x_plus", "x_next", "b", "x", "x_d", "dx", "feedback")
@@ -92,9 +94,9 @@ def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Functi
 
 @stored
 def barrier(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
-    """Riccati recursion for interior points; symbols as in `recursion`.
+    """Riccati recursion with barrier terms, for interior point methods; symbols as in `recursion`.
 
-    `terms` (4,) stand for the bounds: Hessian and gradient added for the torque, then for the lateral position.
+    `terms` (4,) stand for the bounds, added to the halved cost: Hessian and gradient by the torque, then by y.
 
     Returns
     -------

@@ -36,7 +36,7 @@ _SOURCES = [Path(__file__).with_name(name).read_text() for name in ("riccati.c",
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """CasADi functions that the hand-written C calls: those of forecast, recursion, barrier and torque limit."""
+    """CasADi functions that the C of `c_text` calls: `forecast.functions`, `recursion`, `barrier`, `torque_limit`."""
     return *forecast.functions(), *recursion(variant, discretisation), *barrier(variant, discretisation), torque_limit()
 
 
@@ -53,7 +53,7 @@ def _lanes(variant: str, discretisation: str) -> str:
 
 
 def c_text(variant: str, discretisation: str) -> str:
-    """C text of riccati.c, interior.c and planner.c with sizes, to stand after the C of `functions` and call.h."""
+    """C text of riccati.c, interior.c and planner.c with array sizes, to follow call.h and the C of `functions`."""
     names = {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}
     extra = lanes_header()
     extra += "".join(codegen.enumeration(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
@@ -74,7 +74,8 @@ def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]
 class Horizon:
     """Problem, trajectory and compiled solver of one predictive controller; arrays are views of its memory in C (SI).
 
-    Active sets are kept from one problem to the next.
+    Active sets are kept from one problem to the next. `nominal` (3,) as `railrepro.model.forecast.NOMINAL`,
+    `parameters` (14,) as `railrepro.model.parameters.PARAMETERS`.
 
     Attributes
     ----------
@@ -122,7 +123,7 @@ class Horizon:
         self.x_hat[:], self.c.u_d, self.c.bound = x_hat, u_d, bound
 
     def forecast(self) -> None:
-        """Fill `x_d` and `theta` from measured state and base torque."""
+        """Fill `x_d` and `theta` by the forecast from the measured state and base torque of `sample`."""
         self.library.horizon_forecast(self.pointer)
 
     def linearise(self) -> None:

@@ -47,7 +47,7 @@ HORIZONS = (10, 20, 40, 80, 160)
 
 @dataclass(frozen=True)
 class Recording:
-    """Successive optimal control problems that the front gear's NMPC solved in the simulation of one scenario."""
+    """Name and route of a simulated scenario, and successive optimal control problems of its front gear's NMPC."""
 
     scenario: str
     route: Route
@@ -56,20 +56,20 @@ class Recording:
 
 @dataclass
 class Recorder(NMPC):
-    """NMPC that appends each optimal control problem to its list `problems` before solving it."""
+    """NMPC that appends each optimal control problem (`Problem`) to its list `problems` before solving it."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.problems: list[Problem] = []
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Keep the problem, then plan as NMPC: torque du (N m) from measured states (6,) and base torque (N m)."""
+        """Append the problem, then plan as NMPC: torque du (N m) from states x_hat (6,) and base torque u_d (N m)."""
         self.problems.append(self.problem(x_hat, u_d))
         return super().plan(x_hat, u_d)
 
 
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW) -> Recording:
-    """Simulate a scenario under NMPC and keep `count` successive problems from the middle of the run."""
+    """Simulate a scenario (`name`) under NMPC with `settings`; keep `count` successive problems from mid-run."""
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
@@ -80,7 +80,7 @@ def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WIND
 
 
 def tightened(recording: Recording) -> Recording:
-    """Copy of a recording with bounds that act: torque 60 N m, displacement 0.6 of the largest set point in it."""
+    """Copy of a recording with bounds that act: torque |du| <= 60 N m, soft |y| <= 0.6 times the largest set point."""
     problems = recording.problems
     largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
     tight = replace(problems[0].settings, lateral_bound=0.6 * largest, yielding=True)
@@ -89,7 +89,7 @@ def tightened(recording: Recording) -> Recording:
 
 
 def controller(kind: str, recording: Recording, vehicle: Vehicle) -> LTVMPC | NMPC:
-    """Front-gear controller for a recording, with its torque limit; `kind` is one of `KINDS`, a solver or LTV-MPC."""
+    """Front-gear LTV-MPC or NMPC with route, settings and torque limit of a recording; `kind` is one of `KINDS`."""
     first = recording.problems[0]
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
     if kind == "ltv_mpc":
@@ -100,8 +100,8 @@ def controller(kind: str, recording: Recording, vehicle: Vehicle) -> LTVMPC | NM
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Solve the n problems of a recording in order, each warm-started by the previous one as in closed loop.
 
-    Returns planned differential torques over the horizon (n, L) (N m), processor time per problem with forecast and
-    preparation (n,) (s), iterations (n,), and the number of problems without a solution.
+    `kind` as in `controller`. Returns planned differential torques over the horizon (n, L) (N m), processor time per
+    problem with forecast and preparation (n,) (s), iterations (n,), and the number of problems without a solution.
     """
     solver, torques = controller(kind, recording, vehicle), []
     for problem in recording.problems:
@@ -114,8 +114,9 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
 def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
     """Compare the solvers `KINDS` on recordings of scenarios, plain and `tightened`: one row per solver and recording.
 
-    Columns solver, scenario, n, median_ms, p95_ms, max_ms (time per problem), iterations_median, ratio_to_ipopt (of
-    median times), failures, largest_torque_difference to ipopt over the torque limit, largest_cost_excess over ipopt.
+    `settings` are those of NMPC, `names` scenarios. Columns solver, scenario, n (problems), median_ms, p95_ms, max_ms
+    (time per problem), iterations_median, ratio_to_ipopt (of median times), failures (problems without a solution),
+    largest_torque_difference to ipopt over the torque limit (-), largest_cost_excess (relative, over ipopt).
     """
     rows = []
     plain = [record(name, settings, vehicle) for name in names]
@@ -146,7 +147,7 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Solution times on T3 by horizon length: columns solver, steps, median_ms (per problem), iterations_median."""
+    """Solution times on T3 by horizon length: columns solver, steps (L), median_ms (per problem), iterations_median."""
     rows = []
     for steps in tqdm(HORIZONS, desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
@@ -158,10 +159,10 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 
 
 def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
-    """Time per call of compiled functions of the car: columns function, gears, us (microseconds), ratio.
+    """Time per call of the car functions "coordinates", "output", "step": columns function, gears, us (1e-6 s), ratio.
 
-    `gears` says whether the code computes both gears "one after the other" or "side by side" (vectorised), `ratio` is
-    to the first. A time is the least mean over `calls` calls among `drives` repetitions.
+    `gears`: the code computes both gears "one after the other" or "side by side" (vectorised); `ratio`: time over that
+    of "one after the other". A time is the least of `drives` means over `calls` calls each.
     """
     car, rows = SteppedCar("T3", 70.0), []
     car.step(steps=400)

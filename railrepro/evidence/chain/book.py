@@ -64,7 +64,7 @@ def _source(folder: Path) -> Path:
 
 
 def executed(notebook: Notebook) -> dict:
-    """Content of an executed notebook (as in its JSON file), sources as single strings, its number in the title."""
+    """Content of an executed notebook as in its JSON file, sources as single strings, chapter number in the title."""
     content = json.loads(notebook.executed.read_text(encoding="utf-8"))
     for cell in content["cells"]:
         cell["source"] = "".join(cell["source"])
@@ -75,7 +75,7 @@ def executed(notebook: Notebook) -> dict:
 
 
 def chapter(notebook: Notebook, content: dict) -> dict:
-    """Turn the content of a notebook (`executed`) into a page: chapters linked, captions, and files at its end."""
+    """Content of a page of the book from that of `executed`: links to chapters, captions, links to files at the end."""
     cells: list[dict] = []
     for i, cell in enumerate(content["cells"]):
         if cell["cell_type"] == "markdown":

@@ -50,8 +50,8 @@ _COLUMNS = ("path", "sha256", "made_by", "inputs_sha256", "seed")
 class Notebook:
     """Notebook of the chain, an entry of notebooks/chain.toml: file name without ending, title, and what it writes.
 
-    `writes` are tables, `figures` names figNN_name; `parameters` and `test_parameters` are values for its parameters
-    cell in the real run and in tests; `minutes` is its run time (min), `seed` the random seed that it uses.
+    `writes` are paths of tables, `figures` names figNN_name; `parameters` and `test_parameters` are values for its
+    parameters cell in the real run and in tests; `minutes` is its run time (min), `seed` the random seed that it uses.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Notebook:
 
     @property
     def stamp(self) -> Path:
-        """Path of the record of its last successful run, a `Stamp` as JSON."""
+        """Path of the record of the notebook's last successful run, a `Stamp` as JSON."""
         return paths.BUILD / "stamps" / f"{self.name}.json"
 
 
@@ -88,7 +88,7 @@ class Notebook:
 class Stamp:
     """Record of the last successful run of a notebook in this checkout.
 
-    Files that it read, inputs with hashes, machine (`store.machine`), products with SHA-256, and run time (s).
+    Files that it read (`Reads`), its `inputs`, machine (`store.machine`), product -> SHA-256, and run time (s).
     """
 
     reads: Reads
@@ -117,7 +117,7 @@ def tolerance() -> compare.Tolerance:
 
 
 def chain(file: Path | None = None) -> dict[str, Notebook]:
-    """Read notebooks/chain.toml: name -> notebook, in order; InputError for wrong entries or a file written twice."""
+    """Read chain.toml (`file`): name -> notebook, in order; InputError for wrong entries or a file written by two."""
     found: dict[str, Notebook] = {}
     maker: dict[str, str] = {}
     for one in _file(file).notebook:
@@ -152,9 +152,10 @@ def _content(file: Path) -> bytes:
 
 
 def inputs(notebook: Notebook, taken: Reads) -> Inputs:
-    """Present hashes of all that the products of a notebook depend on, but for the machine (`store.machine`).
+    """Name -> present hash or version of each input of a notebook except the machine (`store.machine`).
 
-    These are its cells, its parameters, the files and entries of `taken`, packages, and the modules that it can import.
+    Inputs are its cells, its parameters, the files and entries of `taken` (as `run` returns them), packages, and the
+    modules of railrepro that it can import.
     """
     content = cells(notebook)
     found = {"its cells": _hash(json.dumps([cell["source"] for cell in content]).encode())}
@@ -192,7 +193,7 @@ def last_run(notebook: Notebook) -> Stamp | None:
 
 
 def why_stale(notebook: Notebook) -> str:
-    """Why a notebook is stale: the first input or product that differs from its last successful run; "" if none."""
+    """Why a notebook is stale, in words: the first input or product that changed since its last run; "" if fresh."""
     last = last_run(notebook)
     if last is None:
         return "it has not run here"
@@ -285,10 +286,11 @@ def _make_deterministic(content: Any) -> None:
 
 
 def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_going: bool = False) -> Reads:
-    """Execute a notebook and move its products below `root`; returns the files of data/ and figures/ that it read.
+    """Execute a notebook and move its products below `root`; returns as `Reads` what of data/ and figures/ it read.
 
-    InputError names the first of these: an unknown parameter, a failing cell, a false sentence with committed inputs, a
-    missing product, a product of another notebook that was read.
+    InputError when the notebook lacks a name of `parameters`, a cell fails, a product was not written, or a product of
+    another notebook was read; and when notebook, parameters and inputs are as committed, yet a sentence that it prints
+    (`report.sentences`) is false. With changed inputs a false sentence is no error.
 
     Parameters
     ----------
@@ -336,7 +338,7 @@ def run(notebook: Notebook, parameters: dict, root: Path, executed: Path, keep_g
 
 
 def false_sentences(executed: Path) -> list[str]:
-    """False sentences (`report.sentences`) in the outputs of an executed notebook; empty without the file."""
+    """Texts of the false sentences (`report.sentences`) in the executed notebook at a path; empty without the file."""
     return false_in(json.loads(executed.read_text(encoding="utf-8"))["cells"]) if executed.is_file() else []
 
 
@@ -372,7 +374,7 @@ def _taken(log: Path, notebook: Notebook) -> Reads:
 
 
 def refresh(notebook: Notebook) -> None:
-    """Run a notebook and record the run as its `Stamp`; where an input was edited meanwhile it stays stale."""
+    """Run a notebook (errors as `run`) and write its `Stamp`; if an input was edited meanwhile it stays stale."""
     begin, own = time.time(), inputs(notebook, {})
     taken = run(notebook, notebook.parameters, paths.ROOT, paths.BUILD / "notebooks")
     found = inputs(chain()[notebook.name], taken)
@@ -386,8 +388,8 @@ def refresh(notebook: Notebook) -> None:
 def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
     """Run the stale ones of some notebooks, `jobs` at a time (default one per processor, at most four).
 
-    `names` are names of notebooks or figures, or their beginnings, as "fig06"; empty takes all. Returns 1 when a
-    notebook failed, else 0.
+    `names` are names of notebooks or figures, or their beginnings, as "fig06" (InputError if none fits); empty takes
+    all. Returns 1 when a notebook failed, else 0.
     """
     notebooks = chain()
     wanted = set() if names else set(notebooks)
@@ -413,8 +415,8 @@ def figures(names: Sequence[str] = (), jobs: int | None = None) -> int:
         finally:
             _write_manifests(notebooks, fresh)
     for name in sorted(wanted):
-        if false := false_sentences(notebooks[name].executed):
-            _say(f"{name}: {_counted(false)} with these values")
+        for sentence in false_sentences(notebooks[name].executed):
+            _say(f"{name}: does not hold with these values: {sentence}")
     return int(bool(failed))
 
 
@@ -437,9 +439,9 @@ def _run_all(notebooks: Sequence[Notebook], task: Callable[[Notebook], object], 
 
     pool = ThreadPoolExecutor(jobs)
     _ENDING.clear()
+    longest_first = sorted(notebooks, key=lambda notebook: -left[notebook.name])
+    futures = {pool.submit(one, notebook): notebook.name for notebook in longest_first}
     try:
-        longest_first = sorted(notebooks, key=lambda notebook: -left[notebook.name])
-        futures = {pool.submit(one, notebook): notebook.name for notebook in longest_first}
         for future in as_completed(futures):
             name = futures[future]
             del left[name]
@@ -454,9 +456,11 @@ def _run_all(notebooks: Sequence[Notebook], task: Callable[[Notebook], object], 
     except BaseException:
         _ENDING.set()
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in psutil.Process().children(recursive=True):  # kernels, which would go on
-            with suppress(psutil.Error):
-                process.kill()
+        while not all(future.done() for future in futures):  # kernels would go on, and one may be about to start
+            for process in psutil.Process().children(recursive=True):
+                with suppress(psutil.Error):
+                    process.kill()
+            time.sleep(0.1)
         raise
     return failed
 
@@ -504,7 +508,7 @@ def drive(vehicle: Path) -> int:
 
 
 def rerun(names: Sequence[str], root: Path) -> list[str]:
-    """Run the named notebooks with products below the folder `root`, also after failures; a line per failed one."""
+    """Run notebooks by name, also past failing cells, with products below `root`; returns a message per failed one."""
 
     def again(notebook: Notebook) -> None:
         run(notebook, notebook.parameters, root, root / "notebooks", keep_going=True)

@@ -13,7 +13,7 @@ from railrepro import data
 from railrepro.data import Number, between
 
 VALUE, KINDS = "value", ("metric", "quantity")
-"""Name of the column of a tidy table with values of several metrics, and of columns that may name the metric."""
+"""Column of a tidy table that holds values of several metrics; columns of which one holds the name of the metric."""
 OUTCOMES = SAME, NEAR, DIFFERENT = ("same", "within tolerance", "different")
 _SHARE = Annotated[Number, between(0.0, 1.0)]
 
@@ -98,7 +98,10 @@ def _apart(old: pd.Series, new: pd.Series, kind: pd.Series | None) -> np.ndarray
 
 
 def limits(table: pd.DataFrame, name: str, column: str, tolerance: Tolerance) -> np.ndarray:
-    """Tolerances of the rows of a column over its largest magnitude (-), shape (n,); `name` is the table's file."""
+    """Tolerance of each row of `column` of `table` relative to the largest magnitude in that column (-), shape (n,).
+
+    `name` is the file name of the table, by which `tolerance` may have its own entries.
+    """
     found = np.full(len(table), tolerance.relative)
     for own in tolerance.own:
         if (own.table, own.column) == (name, column):

@@ -47,7 +47,7 @@ class Choice:
         Values of the uncalibrated car at the setting `paper`, and of the calibrated car, in `unit`.
     unit : str
     range : list of two numbers, or "free"
-        Range in the literature; "free" where none was found or the paper leaves the value open.
+        Range in the literature in `unit`; "free" where none was found or the paper leaves the value open.
     source : str
         Source of the range.
     statements : tuple of str
@@ -85,7 +85,7 @@ def load(path: Path | str | None = None) -> dict[str, Choice]:
 
 
 def table(*names: str) -> pd.DataFrame:
-    """Table of the named choices, all as text: uncalibrated, calibrated, unit, literature (range), chosen for."""
+    """Text table of choices, a row per name: uncalibrated, calibrated, unit, literature (range), chosen for (ids)."""
     rows = {
         name: [str(choice.nominal), str(choice.value), choice.unit, str(choice.range), ", ".join(choice.statements)]
         for name, choice in load().items()
@@ -96,12 +96,12 @@ def table(*names: str) -> pd.DataFrame:
 
 
 def cars() -> dict[str, ProbeSetup]:
-    """The cars "calibrated" and "uncalibrated" (nominal, tuned controllers of the setting `paper`), by these names."""
+    """Setups of the probe: "calibrated", and "uncalibrated" (nominal car, tuned controllers of the setting `paper`)."""
     return {"calibrated": paper_like(), "uncalibrated": setup({})}
 
 
 def paper_like(**instead: Any) -> ProbeSetup:
-    """The calibrated car with its controllers and experiments; `instead` replaces values of choices by name."""
+    """Calibrated car, controllers and experiments as setup of a probe; `instead` replaces values of choices by name."""
     return setup({name: choice.value for name, choice in load().items()} | instead)
 
 
@@ -113,11 +113,11 @@ MATCHED = (
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge a car with its controllers by the paper's statements on Figs. 6 to 9 (`MATCHED`), one row per statement.
+    """Judge a car with its controllers (`world`) by the paper's statements on Figs. 6 to 9, one row per statement.
 
-    Those for which the runs of `parts` (see `PARTS`) suffice. Columns statement (id), value and its limits above, below
-    (unit of the statement), margin (relative distance from the nearer limit, absolute from a limit of zero; positive
-    inside), holds (whether the statement is reproduced).
+    Statements are those of `MATCHED` that the runs of `parts` (see `PARTS`) decide. Columns statement (id), value and
+    its limits above, below (unit of the statement), margin (relative distance from the nearer limit, absolute from a
+    limit of zero; positive inside), holds (whether the statement is reproduced).
     """
     evidence = Evidence({(s, c, m): v for s, c, m, v in probe(world, parts)})
     rows, found = [], statements.findings(evidence)
@@ -136,21 +136,21 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 
 def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]]:
-    """Each choice put back alone: (its name, the value put back, values of all choices by name with that one)."""
+    """Undo one choice at a time: list of (name, value put back: `instead`, else `nominal`; all values by name)."""
     values = {name: choice.value for name, choice in choices.items()}
     put_back = {name: c.nominal if c.instead is None else c.instead for name, c in choices.items()}
     return [(name, back, values | {name: back}) for name, back in put_back.items() if back != values[name]]
 
 
 def conflict(wave: float) -> pd.DataFrame:
-    """Judge the calibrated car with another shortest wave (m) in Fig. 9: columns of `judged`, and wave_m (m)."""
+    """Judge the calibrated car with `wave` (m) as shortest wave in Fig. 9: columns of `judged`, and wave_m (m)."""
     return judged(paper_like(**{WAVE: wave}), ["brake"]).assign(wave_m=wave)
 
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
-    """Values of all choices by name, every `changed` number times 1 + size u with u uniform in [-1, 1].
+    """Values of all choices by name, every `Choice.changed` number times 1 + size u with u uniform in [-1, 1].
 
-    `draw` is the number of the random draw. k_a and k_s of poor rail stay at most 1.
+    `choices` are from `load`, `draw` is the seed of u. k_a and k_s of poor rail stay at most 1.
     """
     rng = np.random.default_rng([SEED, draw])
     values = {name: choice.value for name, choice in choices.items()}
@@ -159,10 +159,10 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
 
 
 def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
-    """DataFrames for data/results/paper_like*.csv by the end of the file name; `draws` are perturbations of each size.
+    """DataFrames for data/results/paper_like*.csv by the end of the file name; `draws` perturbations of each size.
 
-    "": see `judged`. "_alone": choice, put_back, holds (number of statements that hold), falls (ids that no longer do).
-    "_conflicts": see `conflict`. "_perturbed": size (relative), draw, holds, falls.
+    "": see `judged`. "_alone": choice, put_back (value), holds (number of statements that hold), falls (ids of those
+    that no longer do). "_conflicts": see `conflict`. "_perturbed": size (relative), draw (number), holds, falls.
     """
     choices = load()
     values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
@@ -185,7 +185,7 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
 
 
 def main(draws: int | None = None) -> None:
-    """Compute `tables`, write them to data/results and print a summary."""
+    """Compute `tables` (`draws` perturbations per size, default `DRAWS`), write them to data/results, print sums."""
     found = tables(DRAWS if draws is None else draws)
     for name, table in found.items():
         write(paths.product(f"data/results/paper_like{name}.csv"), table.to_csv(index=False, float_format="%.6g"))

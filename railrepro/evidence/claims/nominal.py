@@ -22,7 +22,7 @@ _SHARED = ("settings_metrics", "nominal_metrics")
 
 
 def result(name: str) -> pd.DataFrame | None:
-    """Read a table of data/results; None before it is made."""
+    """Table of data/results by its name without ending, such as "nominal_metrics"; None if there is no such file."""
     file = paths.source(f"data/results/{name}.csv")
     return pd.read_csv(file) if file.exists() else None
 
@@ -49,7 +49,7 @@ class Nominal:
         return [setting for setting in tuning.SETTINGS if setting in known]
 
     def evidence(self, setting: str) -> Evidence:
-        """Metrics and tables of a setting; "" gives only the tables that do not depend on a controller."""
+        """Metrics and tables of a setting of comparison; for "" no metrics, but tables without a column `setting`."""
         if setting not in self._known:
             metrics: dict[Key, float] = {}
             spread: dict[Key, float] = {}
@@ -63,13 +63,13 @@ class Nominal:
         return self._known[setting]
 
     def table_of(self, setting: str, scenario: str, controller: str, metric: str) -> str:
-        """Name of the table of data/results that has a metric; for a failed run the table that has its failure."""
+        """Name of the table of data/results with a metric of a run; without one, that with its `failed`, or else ""."""
         self.evidence(setting)
         failed = self._table_of.get((setting, (scenario, controller, "failed")), "")
         return self._table_of.get((setting, (scenario, controller, metric)), failed)
 
     def on_calibrated_car(self) -> dict[str, str]:
-        """Statement id -> "yes" or "no", whether it holds on the calibrated car; empty without paper_like.csv."""
+        """Statement id -> "yes" if the statement holds on the calibrated car, else "no"; {} without paper_like.csv."""
         found = self.results("paper_like")
         return {} if found is None else {row.statement: "yes" if row.holds else "no" for row in found.itertuples()}
 
@@ -82,9 +82,10 @@ def _normal(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def best_swarms(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
-    """Metrics by (scenario, controller, metric) of each controller's best swarm, averaged over the seeds of the noise.
+    """(scenario, controller, metric) -> value (SI) with each controller's best swarm, mean over the seeds of the noise.
 
-    `failed` is 1 where a run of any seed failed.
+    `rows` has the columns scenario, controller, metric, value, swarm: ranks by cost, with 0 the best, or seeds, with
+    `best_seed` the best. `failed` is 1 where a run with any seed of the noise failed.
     """
     found: dict[Key, float] = {}
     for name, own in rows.groupby("controller", sort=False):
@@ -97,15 +98,16 @@ def best_swarms(rows: pd.DataFrame, setting: str) -> dict[Key, float]:
 
 
 def best_seed(controller: str, setting: str, seeds: Sequence) -> int:
-    """Seed of the swarm with the lowest cost of a tuned set; `seeds[0]` when `seeds` does not contain it."""
+    """Seed of the swarm of lowest cost in the tuning of a controller for a setting; seeds[0] if not in `seeds`."""
     swarms = sorted(tuning.load(controller, setting).get("swarms", []), key=lambda swarm: swarm["cost"])
     return next((swarm["seed"] for swarm in swarms[:1] if swarm["seed"] in seeds), int(seeds[0]))
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
-    """Spread between seeds: log(largest / smallest absolute value) of RMSE and stopping distance over swarms and noise.
+    """(scenario, controller, metric) -> ln(largest / smallest absolute value) over the seeds of swarms and noise.
 
-    By (scenario, controller, metric); infinite where a run failed.
+    For the metrics rmse_y and stopping_distance; `rows` has the columns scenario, controller, metric, value (SI). The
+    result is inf for rmse_y where a run failed, and 0 where a value is 0 or not finite.
     """
     found: dict[Key, float] = {}
     lost = {(r.scenario, r.controller) for r in rows.itertuples() if r.metric == "failed" and r.value > 0}

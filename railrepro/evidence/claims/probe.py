@@ -1,8 +1,8 @@
 """What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
 
 The nominal results in three settings and each sample of the robustness study are probes, so that one predicate
-(`statements`) judges all of them. `python -m railrepro probe` drives the nominal ones, for all settings and swarms, and
-writes data/results/nominal_metrics.csv.
+(`statements`) judges all of them. `python -m railrepro probe` simulates the nominal ones, for all settings and swarms,
+and writes data/results/nominal_metrics.csv.
 
 Serves the paper's section Multi-Body Simulation Results.
 """
@@ -35,7 +35,7 @@ from railrepro.track.table import Track, build_table, load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
-"""Curve entry on T3, those on T1, T2, T4, sine at several speeds, poor rail, braking; the same for all who judge."""
+"""Parts of every probe: curve entry on T3; those on T1, T2, T4; sine at several speeds; loss of adhesion; braking."""
 ONCE = ("causes", "sudden", "share", "rails")
 """Parts of the nominal case alone, once per setting: creep and cones, sudden losses of adhesion, allocation and base
 torque, irregular rails with and without preview."""
@@ -44,25 +44,25 @@ SPEEDS = (80, 160, 240, 320, 400)
 PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
 """Factors on R of the runs over which Fig. 8 is averaged: at the adhesion maximum single runs are chaotic."""
 NEIGHBOURS = (0.9, 1.0, 1.1)
-"""Factors on R of NMPC and on NDI's poles over which their numbers in Fig. 9 spread: the scatter of such choices."""
+"""Factors on R of NMPC and on the poles of NDI; from runs with all of them comes the scatter of results in Fig. 9."""
 SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
-"""Fixed shares of the torque that are tried from below; too large a share lengthens the way and with it the error."""
+"""Fixed shares of torque for guidance (-), tried from below; too large a share lengthens the way and so the error."""
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
-"""Fig. 8: the climb of the law is over (1.8 kN m by 2 N m per ms), the demand exceeds the maximum, the maximum is
-reached (m)."""
+"""Track coordinates in Fig. 8 (m) where the adhesion law has climbed to its set point (1.8 kN m by 2 N m per ms), where
+the set point exceeds the adhesion maximum, and where the paper's run reaches this maximum."""
 STIFF = 12.0
 """Factor on the shear modulus of a contact in which wheels nearly roll."""
 PATCH, SUDDEN_KMH, SUDDEN_KN, CHECKED = (300.0, 500.0), 280.0, 17.0, 100.0
-"""Sudden loss: where the rail is very poor (m), speed, force per gear, in traction and in braking, and the way before
-it on which operation must be regular: the steps of the law have climbed to the set point by 160 m."""
+"""Sudden loss: begin and end of the very poor rail (m), speed (km/h), force per gear in traction and braking (kN), and
+the way before (m) on which operation must be regular: the steps of the law have climbed to the set point by 160 m."""
 ROUGH_SEEDS, ROUGH_KMH, ROUGH_END, LINE = (1, 2, 3), 300.0, 1000.0, {"share": 1.0, "smoothing_m": 3.0}
-"""Irregular straight: realisations, speed, length (m), and the line that is planned with exact preview."""
+"""Irregular straight: seeds of the rails, speed (km/h), length (m); arguments of `preview.plan` with exact preview."""
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
 RECOVERY = 0.135
 """Time within which a wheel must be back from macro slip (s): a tenth of a wave of the set point of Fig. 8."""
 APPROACH, FALL = 0.9, 0.1
-"""Share of the adhesion peak below which it is not approached, and that is lost when slip is excessive; share of the
-torque that must fall in macro slip."""
+"""Adhesion over its peak (-) from which the peak counts as approached, and below which slip beyond it is excessive;
+share of the torque (-) by which it must fall in macro slip."""
 UNITS = {
     **dict.fromkeys(("rmse_y", "largest_error", "delay", "mean_error_last_third", "shortest_wave", "shortfall"), "m"),
     **dict.fromkeys(("ndi_later", "stopping_distance", "rail_rmse_y"), "m"),
@@ -71,15 +71,16 @@ UNITS = {
 
 
 Rows = list[tuple[str, str, str, float]]
-"""Scenario, controller, metric, value."""
+"""List of (scenario, controller, metric, value in SI units)."""
 Measured = Iterator[tuple[str, str, dict[str, float]]]
 """What a part of a probe yields: scenario, controller, value by metric."""
 
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
-    """Run the named parts of the probe on a car and its controllers.
+    """Simulate parts of the probe, by name (`PARTS`, `ONCE`), with the car and the controllers of the setup `world`.
 
-    Returns rows (scenario, controller, metric, value in SI units); a failed run has the metric `failed` alone.
+    Returns rows (scenario, controller, metric, value in SI units). A failed run has few metrics and `failed` = 1, a
+    braking run without a stop has inf.
     """
     rows: Rows = []
     for part in parts:
@@ -89,7 +90,7 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """Metrics of a running gear that stays at y = 0: RMSE, largest error, shortest wave of the set point (m)."""
+    """Metrics (m) of a gear that stays at y = 0: rmse_y, largest_error; shortest_wave, shortest wavelength of y*."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
@@ -98,14 +99,15 @@ def nothing(scenario: Scenario) -> dict[str, float]:
 
 
 def following(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Store entry of a run: the metrics of `lateral`, and no series."""
+    """Entry of `store` for a run: (dict of the metrics of `lateral`, None for the series)."""
     return lateral(run), None
 
 
 def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Store entry of a run of Fig. 6, with every tenth row of the series.
+    """Entry of `store` for a run of Fig. 6: (dict of metrics, every tenth row of the series by `experiment.tidy`).
 
-    Metrics of `lateral`, delay and shortfall (m), torque step (N m), path error (-).
+    Metrics of `lateral`, delay and shortfall (m), torque_step (N m), path_error (-); of a failed run those of `lateral`
+    alone, and None for the series.
     """
     values = lateral(run)
     if run.failed:
@@ -116,9 +118,11 @@ def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
 
 
 def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Store entry of a run of Fig. 8: metrics of `lateral`, slip, adhesion utilisation and macro slips, and no series.
+    """Entry of `store` for a run of Fig. 8: (dict of metrics, None for the series).
 
-    Utilisation and macro slips count from `REACHED` on.
+    Metrics of `lateral`, of `macro_slips` and of `oscillation`; largest_slip of all wheels (-), utilisation_late (-),
+    adhesion over the adhesion maximum from `REACHED` on; flange, 1 if a flange touches a rail, else 0;
+    regular_deviation, see `deviation` (-). A failed run has only `failed` and regular_deviation.
     """
     values, series = lateral(run), tidy(run.series, 10)
     if not run.failed:
@@ -134,8 +138,10 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Store entry of a sudden loss: largest slip (-), share of its adhesion peak that the left wheel uses on the patch,
-    deviation of the adhesion from its set point before it (-), and no series.
+    """Entry of `store` for a run with a sudden loss of adhesion: (dict of metrics, None for the series).
+
+    largest_slip (-); utilisation, mean adhesion of the left front wheel on the slippery patch over the adhesion maximum
+    there (-); regular_deviation before the patch, see `deviation` (-); failed (0 or 1).
     """
     scenario, car, series = experiment.scenario, experiment.car(), tidy(run.series, 10)
     patch = series[series["p_m"].between(*PATCH)]
@@ -148,9 +154,10 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Store entry of a run on irregular rails, without series.
+    """Entry of `store` for a run on irregular rails: (dict of metrics, None for the series).
 
-    Error against the rails (m), track shifting force over its limit (-), comfort index above the front gear (-).
+    rail_rmse_y, error against the irregular rails (m); sum_y_over_limit, track shifting force over its limit (-);
+    n_mv_floor_front, comfort index above the front gear (-); failed (0 or 1). A failed run has only `failed`.
     """
     row = experiment.values(run)
     names = () if run.failed else ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")
@@ -158,7 +165,7 @@ def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Store entry of a braking run, without series: RMSE of y and stopping distance (m), inf without a stop."""
+    """Entry of `store` for a braking run: (dict of rmse_y, stopping_distance (m), both inf without a stop; None)."""
     stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
     if not stopped:
         return {"rmse_y": float("inf"), "stopping_distance": float("inf")}, None
@@ -166,9 +173,9 @@ def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
 
 
 def lateral(run: simulate.Run) -> dict[str, float]:
-    """Lateral metrics of a run: RMSE, largest and mean error (m), RMS differential torque (N m), and `failed`.
+    """Lateral metrics of the front gear by name: rmse_y, largest_error, mean_error_last_third of the run (m).
 
-    A failed run has `failed` = 1 alone.
+    Also effort_du, RMS differential torque (N m), and `failed` (0 or 1); a failed run has `failed` alone.
     """
     if run.failed:
         return {"failed": 1.0}
@@ -362,16 +369,19 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
 
 
 def gyroscopic_torque(vehicle: Vehicle, speed: float, track: Track) -> float:
-    """Differential torque that balances the rolling axle on the cant ramp of a curve entry (N m); speed in m/s."""
+    """Differential torque (N m) that balances the gyroscopic yaw moment of a gear's rolling wheels on a cant ramp.
+
+    Evaluated at p = 200 m of `track`, on T3 in the cant ramp of the curve entry; `speed` in m/s.
+    """
     dphi = track.interpolate(200.0)[3, 0]
     moment = -2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * dphi * speed
     return float(moment * vehicle.wheel.radius / vehicle.gear.contact_base)
 
 
 def torque_step(series: pd.DataFrame) -> float:
-    """Mean differential torque over the first wave of the set point less that before it (N m).
+    """Mean differential torque over the first wave of the set point less the mean before that wave (N m).
 
-    Columns y_ref_m, du_Nm of Fig. 6, where clothoid and set point begin together. Not a number without a whole wave.
+    Columns y_ref_m, du_Nm of a run of Fig. 6, where clothoid and set point begin together; nan without a whole wave.
     """
     reference = series["y_ref_m"].to_numpy()
     begin = int(np.argmax(reference != 0))
@@ -383,7 +393,11 @@ def torque_step(series: pd.DataFrame) -> float:
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """By how much the torque of a second run, NDI, comes later (m), and the correlation when it is shifted back."""
+    """Lag of the differential torque of NDI, run `second`, behind that of another controller; columns p_m, du_Nm.
+
+    Dict with ndi_later, the lag along the track at which both torques correlate best, within -15 to 40 m, and
+    ndi_alike, their correlation at this lag (-).
+    """
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["p_m"], rows["du_Nm"]) for rows in (first, second))
     shifts = np.arange(-60, 161)
@@ -393,9 +407,9 @@ def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
 
 
 def shortfall(series: pd.DataFrame) -> float:
-    """By how much y falls short of the crests of the set point, mean of the side where it does more (m).
+    """Mean amount by which y falls short of the crests of its set point to the right or left, whichever is larger (m).
 
-    A crest exceeds 5/6 of the amplitude (2.5 of 3 mm).
+    Columns y_m, y_ref_m. A crest is where the magnitude of the set point exceeds 5/6 of its maximum (2.5 of 3 mm).
     """
     reference = series["y_ref_m"]
     short, crest = reference - series["y_m"], reference.abs().max() * 5 / 6
@@ -403,19 +417,20 @@ def shortfall(series: pd.DataFrame) -> float:
 
 
 def path_error(series: pd.DataFrame) -> float:
-    """Root mean squared yaw against the track over that of the track's heading; 1 for a gear that drives straight on.
+    """RMS yaw of a gear against the track over the RMS heading of the track (-); 1 for a gear that goes straight on.
 
-    Columns psi_ax_rad, psi_trax_rad.
+    Columns psi_trax_rad, the yaw against the track, and psi_ax_rad, the heading of the gear; their difference
+    psi_ax_rad - psi_trax_rad is the heading of the track.
     """
     heading = series["psi_ax_rad"] - series["psi_trax_rad"]
     return float(np.sqrt((series["psi_trax_rad"] ** 2).mean() / (heading**2).mean()))
 
 
 def oscillation(series: pd.DataFrame) -> dict[str, float]:
-    """How y goes about a moving set point once the maximum is reached; columns p_m, y_m, y_ref_m.
+    """Dict of two measures of how y follows its set point in Fig. 8 from p = `REACHED` on; columns p_m, y_m, y_ref_m.
 
-    set_point_gain: slope of y over the set point, 0 for y = 0; error_growth: root mean squared error of the second half
-    of the way over that of the first.
+    set_point_gain: slope of the regression of y on the set point through the origin (-), 0 for y = 0. error_growth: RMS
+    error on the second half of the way over that on the first half (-).
     """
     rows = series[series["p_m"] >= REACHED]
     error, half = rows["y_m"] - rows["y_ref_m"], rows["p_m"] >= rows["p_m"].iloc[[0, -1]].mean()
@@ -425,9 +440,9 @@ def oscillation(series: pd.DataFrame) -> dict[str, float]:
 
 
 def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
-    """Mean absolute deviation of the adhesion from its set point, over the latter, between two coordinates (m).
+    """Mean of |f - f*| / |f*| (-) between two track coordinates (m), of the adhesion f of a gear and its set point f*.
 
-    Columns p_m, fx_ri, fx_le, f_star. Infinite for a run that ended before.
+    Columns p_m, fx_ri, fx_le (adhesion of its wheels, f is their mean), f_star. inf if the run ended before `begin`.
     """
     rows = series[series["p_m"].between(begin, end, inclusive="left")]
     if rows.empty:
@@ -437,21 +452,22 @@ def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
 
 
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
-    """Count macro slips and approaches to the adhesion peak from where it is reached in the paper.
+    """Count macro slips and approaches to the adhesion peak from p = `REACHED` on, where the paper's run reaches it.
 
     Parameters
     ----------
     series : DataFrame
-        Columns p_m, t_s, u_d_Nm, fx_ri, fx_le, sx_ri, sx_le of Fig. 8.
+        Run of Fig. 8 as of `experiment.tidy`: p_m, t_s, base torque u_d_Nm, adhesion fx_ri, fx_le, slip sx_ri, sx_le.
     peak, slip : float
-        Adhesion of the peak, and its slip; a macro slip begins where that of a wheel is larger.
+        Adhesion of the peak, and its slip (-); a macro slip begins where the slip of a wheel becomes larger.
 
     Returns
     -------
     dict
-        macro_slips, with time left to recover; recovered, in which the torque falls by `FALL` and the slip is back
-        within `RECOVERY`; approaches, before each macro slip and after the last; approached, those that come to
-        `APPROACH` of the peak. A last one that is shorter than the first climb in the paper counts only when it does.
+        Numbers of: macro_slips more than `RECOVERY` before the end; recovered, those of them with a fall of the torque
+        by `FALL` and the slip back within `RECOVERY`; approaches, one before each macro slip and one after the last;
+        approached, approaches that reach `APPROACH` times the peak. A last approach shorter than `REACHED - DEMANDED`
+        counts only if it reaches this.
     """
     rows = series[series["p_m"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["u_d_Nm"].to_numpy()
@@ -477,8 +493,9 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
 
 
 def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float, float]:
-    """Adhesion peak of a scenario's poor rail at nominal load, its slip, and the slip beyond it where
-    `APPROACH` of the peak is left.
+    """Adhesion peak of a scenario's poor rail at the static wheel load of the car: (peak, slip, excessive slip) (-).
+
+    The last is the slip beyond the peak at which the adhesion has fallen to `APPROACH` times the peak.
     """
     law, (a, b, kalker), shear = car.adhesion[scenario.poor], middle_patch(car), car.contact.shear_modulus
     peak, best = adhesion_maximum(law, scenario.speed, car.wheel_load, a, b, kalker, shear)
@@ -490,11 +507,15 @@ def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float, float
 
 
 SEEDS = (101, 102, 103)
-"""Noise for judging; tuning has others."""
+"""Seeds of the sensor noise in nominal runs; tuning has others."""
 
 
 def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> pd.DataFrame:
-    """Probes of the nominal car: scenario, controller, metric, value, unit, setting, swarm (rank), seed."""
+    """Simulate the probes of the nominal car in settings of comparison; one metric of a run is a row of the DataFrame.
+
+    Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank by cost, 0 the tuned set), seed
+    (of the sensor noise; 0 without sensors). `quiet` shows no progress.
+    """
     tasks = []
     for each in settings:
         seeds = SEEDS if each == tuning.LOOP else (0,)
@@ -515,7 +536,7 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> p
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Drive the nominal probes in the named settings, or all, and write their table."""
+    """Simulate the nominal probes in the named settings, or all, and write data/results/nominal_metrics.csv."""
     unknown = set(settings) - set(tuning.SETTINGS)
     if unknown:
         raise InputError(f"setting {min(unknown)!r} is not known; there are {tuning.SETTINGS}")

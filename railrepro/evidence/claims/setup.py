@@ -1,4 +1,4 @@
-"""What is probed: car, controllers and experiments, and the one mapping from names to it.
+"""Setup of a probe: car, controllers and choices for the experiments, and the one mapping from names to these.
 
 Choices of the calibrated car, answers to open questions and samples of the robustness study are values by name.
 """
@@ -21,36 +21,36 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 @dataclass(frozen=True)
 class ProbeSetup:
-    """A car, its controllers, and what the paper leaves open about its experiments.
+    """A car, its controllers, and the choices for the paper's experiments that the paper leaves open.
 
     Attributes
     ----------
     parameters : dict
-        Controller -> tuning parameters.
+        Controller -> its tuning parameters by name.
     setting : str
-        Setting of comparison that these belong to.
+        Setting of comparison that `parameters` belong to, one of `tuning.SETTINGS`.
     vehicle : dict
-        Changed parameters of car and controllers.
+        Changed vehicle parameters, dotted key -> value (SI), known to car and controllers.
     profile, good : str
-        Profiles of the car's wheels, when others than the nominal ones; adhesion set of a good rail.
+        Wheel profile of the car ("" for that of data/vehicle.toml); adhesion set of a good rail.
     variant : str
         Control model of the predictive controllers, "corrected" or "printed".
     amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
-        Set point of Fig. 6; length of the clothoid of T3 over ours.
+        Set point of Fig. 6: amplitude, first and last period (mm, m); factor on the clothoid length of T3 (-).
     sensors : dict
-        See `Experiment.sensors`.
+        Arguments of `railrepro.estimation.sensors.readings`; empty gives the controllers the true signals.
     brake_kmh : float
-        Speed at which braking begins.
+        Speed at which braking begins (km/h).
     r_factors, poles : tuple of float
-        Sweeps while braking: R of NMPC over its own there, triple poles of NDI (rad/s).
+        Sweeps in Fig. 9: factors on the weight R of NMPC, besides `r_brake` (-); triple poles of NDI (rad/s).
     r_second : float
-        Second setting of NMPC in Fig. 9, R over the first.
+        Factor on R for the second NMPC of Fig. 9, besides `r_brake` (-).
     r_loss, r_brake : float
-        R of NMPC in Figs. 8 and 9, over that of Figs. 6 and 7.
+        Factors on R of `parameters` for NMPC in Fig. 8 and in Fig. 9 (-).
     brake_sweep : dict
-        Entries of the set point of Fig. 9 that are changed.
+        Changed entries of the set point of Fig. 9, as {"period_end_m": 30.0}.
     ltv : str
-        What drives as LTV-MPC: "ltv_mpc_printed", or "ltv_mpc" which keeps its affine term.
+        Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
     """
 
     parameters: dict[str, dict]
@@ -74,9 +74,10 @@ class ProbeSetup:
     ltv: str = "ltv_mpc_printed"
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
-        """One run of a controller on this car, with the tuning parameters of this setup unless others are given.
+        """`Experiment` of a scenario with a controller on this car.
 
-        `more` are further fields of `Experiment`.
+        `controller` is a key of `registry.CONTROLLERS`, `parameters` its tuning parameters (default those of this
+        setup), `more` further fields of `Experiment`.
         """
         predictive = CONTROLLERS[controller].settings is mpc_settings
         changes = ({"variant": self.variant} if predictive else {}) | more.pop("changes", {})
@@ -89,19 +90,19 @@ class ProbeSetup:
         )  # fmt: skip
 
     def car(self) -> Vehicle:
-        """Vehicle parameters of the car that is driven."""
+        """Vehicle parameters of the simulated car, with `vehicle` and `profile`."""
         return load_vehicle(**self.vehicle, **self._plant())
 
     def _plant(self) -> dict[str, str]:
         return {"contact.profile": self.profile} if self.profile else {}
 
     def braking(self) -> Scenario:
-        """Braking to standstill with the sweep of Fig. 9."""
+        """Scenario of braking to standstill (Fig. 9) with `brake_kmh`, `good` and `brake_sweep` of this setup."""
         base = load_scenario(BRAKE)
         return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=base.set_point | self.brake_sweep)
 
     def curve(self) -> Scenario:
-        """Scenario of the curve entry on T3 with the set point of this setup; see `stretched` for its track."""
+        """Scenario of the curve entry (Fig. 6) on T3, not on `stretched`, with `good` and set point of this setup."""
         base = load_scenario(T3)
         sweep = {name: getattr(self, name) for name in ("amplitude_mm", "period_start_m", "period_end_m")}
         return base.but(good=self.good, set_point=base.set_point | sweep)
@@ -118,11 +119,11 @@ class ProbeSetup:
 
 LTV_R, POLE = "ltv_mpc_printed.r", "ndi.pole"
 FIELDS = {one.name for one in fields(ProbeSetup)} - {"parameters", "setting", "vehicle", "sensors"}
-"""Fields of `ProbeSetup` that a value may set."""
+"""Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
 
 
 def triple_pole(pole: float) -> dict[str, float]:
-    """Parameters of an inversion with a triple pole (rad/s)."""
+    """Tuning parameters of NDI with a triple pole (rad/s): `pole`, `frequency` (rad/s) and `damping` (-)."""
     return {"pole": pole, "frequency": pole, "damping": 1.0}
 
 
@@ -134,27 +135,27 @@ def setup(
     rank: int = 0,
     seed: int | None = None,
 ) -> ProbeSetup:
-    """Set up a probe with some values by name; what is not named is that of the uncalibrated car.
+    """Make a `ProbeSetup` from values by name; all that is not named is as on the uncalibrated car.
 
     Parameters
     ----------
     values : mapping
-        Fields of `ProbeSetup`, "brake_sweep:period_end_m" and its like (set point of Fig. 9), "nmpc:r" and its like
-        (parameter of a controller), "ndi.pole" (triple, rad/s), "ltv_mpc_printed.r" (LTV-MPC takes the weights of NMPC
-        with R times this), and dotted keys of the vehicle.
+        Keys: fields of `ProbeSetup`; "brake_sweep:ENTRY", as "brake_sweep:period_end_m" (set point of Fig. 9);
+        "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC takes the
+        weights of NMPC with R times this); dotted keys of the vehicle.
     setting : str
-        Setting whose tuned sets are taken.
+        Setting of comparison from which tuning parameters are taken.
     controllers : iterable of str
-        Whose.
+        Controllers whose tuning parameters are taken.
     rank : int
-        Zero for the tuned set, then the other swarms by cost; designed sets have only one.
+        0 for the tuned set, 1, 2, … for the swarm with that rank by cost; the tuned set where there is no such swarm.
     seed : int, optional
-        Of noise and biases, in the setting `loop`; without it there are no sensors.
+        Seed of noise and biases of the sensors in the setting "loop"; without it, or elsewhere, signals are true.
 
     Raises
     ------
     InputError
-        When nothing has a name. Keys of the vehicle are checked where its car is built.
+        For a key of no such kind. Dotted keys of the vehicle are checked only when the car is built.
     """
     parameters = {name: _tuned(name, setting, rank) for name in controllers}
     if LTV_R in values:

@@ -28,18 +28,18 @@ REPRODUCED, PARTLY, TIE, NOT, UNTESTABLE = "reproduced", "partly", "tie", "not r
 NOTHING = "nothing"
 """Name in place of a controller for the metrics of a running gear that stays at y = 0."""
 SOFT = f"nmpc, R x {EMPHASIS:g}"
-"""Name of NMPC with a larger R in Fig. 8."""
+"""Name of NMPC with R times `EMPHASIS` in Fig. 8."""
 SOFTEST, BETWEEN = "nmpc, second R", "nmpc, R between"
 """Names of NMPC with the second, larger R of Fig. 9, and with an R between the first and the second."""
 FIXED, GUIDES_AS_WELL = "nmpc, fixed share", 1.1
 """Name of NMPC with the smallest fixed share of torque for guidance (`allocate`) whose error is at most 1.1 times that
 with variable allocation; and this factor (-)."""
 REGULAR = {name: f"{name}, regular operation" for name in ("nmpc", SOFT)}
-"""Name of NMPC -> name with its metric of the adhesion law below the adhesion maximum, even if the run fails later."""
+"""Name of NMPC -> name that has its metric `regular_deviation` of Fig. 8, also if the run fails later."""
 NO_LAW = {name: f"{name}, no slip control" for name in ("nmpc", SOFT)}
 """Name of NMPC -> name of the same run without slip control."""
 SUDDEN = ("both rails, traction", "both rails, braking", "left rail, traction", "left rail, braking")
-"""Scenarios with a sudden loss of adhesion: where, and whether the motors pull or brake."""
+"""Names of the scenarios with a sudden loss of adhesion: on which rail, and whether the motors pull or brake."""
 UNINFORMED = "nmpc, base torque unknown"
 RAILS, PREVIEW = "irregular straight", "nmpc, preview"
 """Names of the scenario on irregular rails, and of NMPC that previews them."""
@@ -47,7 +47,7 @@ MPC, NDI = PAPER_TRIO[:2], PAPER_TRIO[2]
 T3, LOSS, BRAKE = "curve_entry_T3", "adhesion_loss", "braking"
 CASES = (T3, f"{T3} on T5", "sine of 1000 m 160", "sine of 1000 m 400")
 CONES, NO_CREEP, AS_MODELLED = "nmpc on cones", "nmpc, nearly rolling", "nmpc on cones, nearly rolling"
-"""Names of NMPC on a car with conical wheels, nearly without creep, and with both; `CASES` are the scenarios."""
+"""Names of NMPC on a car with conical wheels, with nearly no creep, and with the two together; scenarios: `CASES`."""
 CENTRED = "nmpc, y* = 0"
 """Name of NMPC in the curve entries with the set point y* = 0."""
 CURVES = tuple(f"curve_entry_T{i}" for i in (1, 2, 3, 4))
@@ -56,21 +56,22 @@ _WORST_IS_INFINITE = ("rmse_y", "largest_error", "delay", "stopping_distance", "
 
 
 class MissingEvidence(KeyError):
-    """A metric or table that a predicate needs is missing."""
+    """Exception: a metric or table that a predicate needs is missing."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of the predicate of a statement, which `Statement.judge` compares with its limits.
+    """Result of the predicate of a statement, which `Statement.judge` compares with the limits of the statement.
 
     Attributes
     ----------
     value : float
-        Number to be compared, in the unit of the statement; nan never holds.
+        Number to be compared, in `Statement.unit`; with nan the statement does not hold.
     weaker : float or None
-        Number for the weaker form of the statement (its easier part), if it has one.
+        Number for the weaker form of the statement (its easier part), in the same unit; None if there is none.
     tie : float
-        Natural logarithm of the scatter (largest over smallest value between seeds); values nearer to a limit tie.
+        Natural logarithm of the scatter (largest over smallest value between seeds); a value within a factor exp(tie)
+        of a limit is a tie.
     """
 
     value: float
@@ -89,9 +90,10 @@ class Evidence:
     spread : mapping
         (scenario, controller, metric) -> natural logarithm of largest over smallest value between seeds.
     tables : callable or None
-        Name of a table of data/results -> DataFrame, or None for a missing one; None without any tables.
+        Function from the name of a table of data/results to its DataFrame, or to None if it is missing; None instead
+        of a function if there are no tables.
     setting : str
-        Setting of comparison of metrics and tables; "" for tables that depend on no controller.
+        Setting of comparison, one of `registry.SETTINGS`, of metrics and tables; "" if they depend on no controller.
     """
 
     metrics: Mapping[tuple[str, str, str], float]
@@ -100,7 +102,7 @@ class Evidence:
     setting: str = ""
 
     def __call__(self, scenario: str, controller: str, metric: str) -> float:
-        """Value of a metric (SI); of a failed run inf where less is better, else nan; MissingEvidence if unknown."""
+        """Value of a metric (SI); of a failed run inf if less is better, else nan; MissingEvidence if not known."""
         if self.metrics.get((scenario, controller, "failed"), 0.0) > 0 and metric != "failed":
             return float("inf") if metric in _WORST_IS_INFINITE else float("nan")
         try:
@@ -127,15 +129,15 @@ class Evidence:
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 
     def tie(self, scenario: str, controllers: Iterable[str], metric: str = "rmse_y") -> float:
-        """Largest `spread` (natural logarithm) of a metric among controllers; 0 where none is known."""
+        """Largest `spread` of a metric among controllers (natural logarithm of a ratio); 0 where none is known."""
         return max(self.spread.get((scenario, name, metric), 0.0) for name in controllers)
 
     def ahead(self, scenario: str, first: str, second: str) -> bool:
-        """Whether the first controller has less RMSE of y than the second by more than seeds differ; none failed."""
+        """Whether RMSE of y of `first` times exp(`tie`) is below that of `second`; False if either run failed."""
         return self.ratio(scenario, first, second) * np.exp(self.tie(scenario, (first, second))) < 1
 
     def speeds(self) -> list[int]:
-        """Speeds (km/h, rising) of the sine on the straight with metrics of NMPC; MissingEvidence below two."""
+        """Speeds (km/h, ascending) with metrics of NMPC on the sine (Fig. 7); MissingEvidence if fewer than two."""
         found = {s for s, name, metric in self.metrics if name == "nmpc" and s.startswith("sine_tracking ")}
         speeds = sorted(int(scenario.rpartition(" ")[2]) for scenario in found)
         if len(speeds) < 2:
@@ -147,9 +149,10 @@ class Evidence:
 class Statement:
     """Statement of the paper with its rule, an entry of data/claims.toml.
 
-    A statement holds for values (in `unit`) between `above` and `below`, limits with a `reason`, and partly between
-    `partly_above` and `partly_below`. `section` and `paper` (value) are those of the paper, `evidence` the figure or
-    table that `notebook` makes. ValueError for evidence that does not exist, or a statement without limits.
+    A statement holds for values (in `unit`) between `above` and `below`, chosen for the `reason`, and partly between
+    `partly_above` and `partly_below`; a limit that is None does not bind. `statement` says what `section` of the paper
+    claims, `paper` is the number printed there. `evidence`, made by `notebook`, is a figure, as "fig06_curve_entry", or
+    the path of a table; ValueError if missing, or for kind "statement" without a limit. `control`: see `controls`.
     """
 
     section: str
@@ -175,7 +178,7 @@ class Statement:
 
     @property
     def controls(self) -> list[str]:
-        """Names of the negative controls in the tests, wrong inputs for which the statement must not hold."""
+        """Names of negative controls, `control` split at "; ": tests with wrong inputs that must refute the claim."""
         return self.control.split("; ") if self.control else []
 
     def judge(self, finding: Finding) -> str:
@@ -211,13 +214,13 @@ def load(path: Path | str | None = None) -> dict[str, Statement]:
 
 
 def find(identity: str, evidence: Evidence) -> Finding:
-    """Result of the predicate of a statement (id, as "C05"); MissingEvidence when a metric or table is missing."""
+    """Result of the predicate of statement `identity`, as "C05"; MissingEvidence when a metric or table is missing."""
     found = VALUES[identity](evidence)
     return found if isinstance(found, Finding) else Finding(float(found))
 
 
 def findings(evidence: Evidence) -> dict[str, Finding]:
-    """Statement id -> result of its predicate, for all statements whose metrics and tables are there."""
+    """Statement id -> result of its predicate, for all statements whose metrics and tables `evidence` has."""
     found = {}
     for identity in VALUES:
         with suppress(MissingEvidence):
@@ -287,7 +290,7 @@ def _gyroscope(e: Evidence) -> float:
 
 
 def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
-    """Column of solve_times.csv for a solver (as median_ms, ms) by scenario, without those with tightened bounds."""
+    """Series scenario -> `column` of table solve_times for `solver`, as "median_ms" (ms), without tightened bounds."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
@@ -546,7 +549,7 @@ VALUES: dict[str, Callable[[Evidence], Finding | float]] = {
     "C42": _less_delay,
     "C44": _similar_times,
 }
-"""Statement id -> its predicate."""
+"""Statement id -> its predicate, a function of `Evidence` that returns a `Finding` or its value."""
 TABLES = dict.fromkeys(VALUES, "nominal_metrics") | {
     **{"C01": "table1", "C26": "adhesion_map", "C27": "adhesion_law"},
     **dict.fromkeys(("C14", "C15", "C44"), "solve_times"),

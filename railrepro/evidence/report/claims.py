@@ -28,12 +28,13 @@ _CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
 
 
 def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
-    """Verdicts from the stored metrics (`nominal`), one row per statement and setting of comparison.
+    """Verdicts from the stored metrics (default `Nominal()`), one row per statement and setting of comparison.
 
-    Columns of data/results/claims.csv but `why`, and `data`, the table that was judged. `setting` is empty for
-    statements that depend on no tuned controller. `judged` is one of `ORDER`; `verdict` the same without fragile and
-    tie; `share` the share of sampled cars on which the statement holds (-), with its 95 % limits; `calibrated` whether
-    it holds on the calibrated car ("yes", "no", or empty where that car is not judged).
+    Columns id, paper_ref, statement, kind, setting ("" if it depends on no tuned controller), paper_value and
+    measured_value (in `unit`), judged (one of `ORDER`), verdict (the same, but fragile is "partly" and tie "not
+    reproduced"), share of sampled cars on which it holds (-) with 95 % limits share_low and share_high, evidence
+    (figure or table), data (path of the table judged), calibrated (whether it holds on the calibrated car: "yes",
+    "no", or "" where not judged).
     """
     nominal = nominal or Nominal()
     robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
@@ -100,7 +101,7 @@ def verdicts(table: pd.DataFrame) -> dict[str, str]:
 
 
 def counted(table: pd.DataFrame) -> str:
-    """Two sentences that count the headline verdicts of `evaluate`, of statements with and without a setting."""
+    """Two sentences with the number of each headline verdict, of statements with and without a setting (`evaluate`)."""
     found, parts = verdicts(table), []
     judged = table[table["kind"] == "statement"]
     for needed, where in (

@@ -53,7 +53,7 @@ class Comparison:
     rows: pd.DataFrame
     """One row per run: its labels and its metrics in SI units, see `Experiment.values`."""
     series: pd.DataFrame
-    """Time series of all runs below each other (`experiment.tidy`), with labels, error_m and controller."""
+    """Time series of all runs, concatenated (`experiment.tidy`), with labels, controller and error_m (y - y_ref, m)."""
     labels: tuple[str, ...]
     """Names of the columns by which the runs differ, as ("speed_kmh", "controller")."""
     headings: Mapping[str, str] = field(default_factory=dict)
@@ -66,17 +66,17 @@ class Comparison:
         return found if factor == 1.0 else factor * found
 
     def of(self, *chosen: str) -> Comparison:
-        """The comparison with only the runs of the named controllers (or of the named cases of `compare`)."""
+        """Comparison of only those runs whose controller (or case, see `compare`) is one of `chosen`."""
         name = self.labels[-1]
         rows, series = (table[table[name].isin(chosen)] for table in (self.rows, self.series))
         return replace(self, rows=rows, series=series)
 
     def table(self, *quantities: str) -> pd.DataFrame:
-        """One row per run, a column per quantity, see `__getitem__`."""
+        """One row per run (index `labels`), a column per quantity: one of `QUANTITIES` in its unit, or of `rows`."""
         return pd.DataFrame({name: self[name] for name in quantities})
 
     def data(self, *panels: str) -> pd.DataFrame:
-        """The series that `plot` draws for these `PANELS`: labels, p_m and the columns of the panels (SI)."""
+        """Series that `plot` draws for `panels` (keys of `PANELS`): labels, p_m and the columns of the panels (SI)."""
         named = [name for name in ("car", "setting", "scenario", "controller", *self.labels) if name in self.series]
         drawn = [name for panel in panels for name in (PANELS[panel][3], *PANELS[panel][1]) if name]
         return self.series[list(dict.fromkeys([*named, "p_m", *drawn]))]

@@ -33,7 +33,8 @@ def _weights() -> dict:
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:
     """Simulate NMPC with variants of its prediction model (`MPCSettings.variant`) and with the printed torque limit.
 
-    Returns the metrics (`run_all`) with `scenario`, `variant` ("D10" for the limit) and `flange` (contact or lift).
+    Returns a row of metrics per run (`run_all`), with `scenario`, `variant` ("D10" for the printed limit) and `flange`
+    (whether a wheel touched its flange or lifted).
     """
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [(s, v) for s in scenarios for v in variants] + [(s, "D10") for s in scenarios]
@@ -45,9 +46,10 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
 
 
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
-    """Simulate NMPC and both LTV-MPC with the same weights, discretised by Runge-Kutta and by Euler's method.
+    """Simulate NMPC and LTV-MPC, corrected and printed, with equal weights, by Runge-Kutta and by Euler's method.
 
-    Returns the metrics (`run_all`) with `scenario`, `kind` (key of `LINEAR`, with ", Euler") and `flange`.
+    Returns a row of metrics per run (`run_all`), with `scenario`, `kind` (key of `LINEAR`, with ", Euler" appended for
+    that method) and `flange` (whether a wheel touched its flange or lifted).
     """
     kinds = {kind: (controller, {}) for kind, controller in LINEAR.items()}
     kinds |= {f"{kind}, Euler": (controller, {"discretisation": "euler"}) for kind, controller in LINEAR.items()}
@@ -59,7 +61,7 @@ def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
 
 
 def turned(scenario: Scenario, angles: Sequence[float]) -> pd.DataFrame:
-    """RMSE of y (mm) of both LTV-MPC on the track rotated in plan: rows angle (rad), columns "ltv", "ltv printed"."""
+    """RMSE of y (mm) of LTV-MPC on the track turned in plan: row per angle (rad), columns "ltv", "ltv printed"."""
     with tempfile.TemporaryDirectory() as folder:
         curves = {angle: scenario.but(track=_turned_track(scenario.track, angle, folder)) for angle in angles}
         labels = [{"turn": angle, "kind": kind} for angle in angles for kind in ("ltv", "ltv printed")]
@@ -77,20 +79,21 @@ def _turned_track(name: str, angle: float, folder: str) -> str:
 
 
 def heights(tracks: Sequence[str], base: float) -> pd.DataFrame:
-    """Erratum D8: superelevation (m) on a base (m) by sine and by tangent of the largest cant angle of each track.
+    """Erratum D8: superelevation from sine and from tangent of the largest cant angle of each track.
 
-    Columns id, scenario (the track), sin_m, tan_m; no run depends on it.
+    `tracks` are names, `base` is the distance of the contact points (m). Columns id, scenario (name of the track),
+    sin_m, tan_m (m); no run depends on this erratum.
     """
     roll = np.array([load_track(track).table["phi_rad"].max() for track in tracks])
     return pd.DataFrame({"id": "D8", "scenario": tracks, "sin_m": base * np.sin(roll), "tan_m": base * np.tan(roll)})
 
 
 def effects(variants: pd.DataFrame, linear: pd.DataFrame, d8: pd.DataFrame) -> pd.DataFrame:
-    """Relative changes (-) of RMSE of y and RMS torque by erratum (id) and scenario, from the tables of
-    `model_variants`, `linearisations` and `heights`; written to data/results/discrepancy_effects.csv.
+    """Effect of each erratum by scenario, from the tables of `model_variants`, `linearisations` and `heights`.
 
-    An error that more than doubles has two digits, as such runs amplify rounding. A run at its flanges, or with more
-    than three times the error, is `lost` and has no numbers.
+    Columns id, scenario, rmse_y and rmse_y_corrected (m), rmse_change and effort_change (of RMSE of y and RMS torque,
+    relative, -), lost. An RMSE that more than doubles has two digits, as such runs amplify rounding. A run at its
+    flanges, or with more than three times the RMSE, is `lost` and has no numbers.
     """
     is_corrected, kind = variants["variant"] == "corrected", linear["kind"]
     parts = [
@@ -118,7 +121,7 @@ def _changes(found: pd.DataFrame, reference: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_entry(result: pd.DataFrame) -> pd.DataFrame:
-    """Change of the RMSE of y (%) from a table of `effects`: erratum by scenario; NaN where lost or not simulated."""
+    """Change of the RMSE of y (%) from `effects`: row per erratum, column per scenario; NaN where lost or not run."""
     shown = result[result["id"] != "D8"]
     return (
         100 * shown.pivot(index="id", columns="scenario", values="rmse_change")[list(dict.fromkeys(shown["scenario"]))]

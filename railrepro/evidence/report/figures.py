@@ -71,7 +71,7 @@ SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
 
 
 def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: float = WIDTH, **options):
-    """Figure and axes of `plt.subplots` in the common style; height of a row and width of a column (in)."""
+    """Figure and axes of `plt.subplots` (with `options`) in a common style; height of a row, width of a column (in)."""
     mpl.rcParams.update(_SETTINGS[_MATPLOTLIB])
     figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
     plt.close(figure)  # a notebook would show it at the end of the cell that begins it
@@ -79,21 +79,21 @@ def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: floa
 
 
 def handles(axes: Iterable[Axes]) -> dict[str, Artist]:
-    """Label -> artist over several axes, each label once, for a common legend."""
+    """Label -> artist of the legend entries of several axes, each label once, for a common legend."""
     return {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
 
 
 def points(name: str, **options) -> dict:
-    """Keyword arguments for `Axes.plot` that draw markers without a line as for a controller; `options` are added."""
+    """Keyword arguments for `Axes.plot`: markers without a line in the look `name` (key of `LOOKS`), and `options`."""
     look = LOOKS[name]
     dot = {"color": look.color, "marker": look.marker, "markersize": 7.0 if look.marker == "*" else 4.5}
     return dot | {"linestyle": "", "label": look.label} | options
 
 
 def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
-    """Write figures/NAME.png, and the plotted data as figures/NAME.csv, and show the figure in a notebook.
+    """Write figures/NAME.png, and the plotted `data` as figures/NAME.csv; in a notebook also show the figure.
 
-    NAME is of the form figNN_name; columns of `data` have their unit in the name. Several panels get letters. Equal
+    `name` is of the form figNN_name; columns of `data` have their unit in the name. Several panels get letters. Equal
     content gives equal bytes.
     """
     from IPython import get_ipython  # the library does without it
@@ -136,7 +136,7 @@ def _fix_layout(figure: Figure) -> None:
 
 
 def clip(axes: Iterable[Axes], low: float, high: float) -> None:
-    """Limit the ordinate of axes to low … high; where curves go beyond, note their largest or smallest value."""
+    """Limit the ordinate of each of `axes` to low … high; note on it the largest or smallest value of curves beyond."""
     for axis in axes:
         lines = [line for line in axis.lines if line.get_transform() == axis.transData]
         values = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
@@ -150,7 +150,7 @@ def clip(axes: Iterable[Axes], low: float, high: float) -> None:
 
 
 def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
-    """Draw dotted vertical lines (abscissa -> name) through all axes, their names at the foot of the first axes."""
+    """Draw dotted vertical lines at `places` (abscissa -> name) through all axes; the first axes also has the names."""
     for i, axis in enumerate(axes):
         for x, name in places.items():
             axis.axvline(x, color="0.4", linestyle=":", linewidth=0.7, zorder=0)

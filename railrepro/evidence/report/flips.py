@@ -28,8 +28,9 @@ from railrepro.evidence.uncertainty.robustness import shares
 class Question:
     """Open question in data/answers.toml: its text, the names of `claims.setup` that its answer sets, and the answer.
 
-    `parts` are the parts of the probe that depend on it; `answer` has a value per name of `sets`, in `unit`, repeated
-    where it has fewer, or is empty. ValueError for another number of answers or an unknown part.
+    `parts` are the parts of the probe (`probe.PARTS`) that depend on the answer; `answer` has a value per name of
+    `sets`, in `unit`, repeated where it has fewer, or is empty. ValueError if its number of values does not divide that
+    of `sets`, or for an unknown part.
     """
 
     asks: str
@@ -53,7 +54,7 @@ def load(path: Path | str | None = None) -> dict[str, Question]:
 
 
 def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) -> pd.DataFrame:
-    """Verdicts in the setting `paper` before and after answers: columns id, statement, before, after.
+    """Verdicts in the setting `paper` before and after answers: columns id, statement (text), before, after (verdicts).
 
     `answered` are questions by name, all with an answer. `driven` are the rows (scenario, controller, metric, value in
     SI units) of the probe with these answers; without them it is simulated.

@@ -32,7 +32,7 @@ def short_names() -> pd.Series:
 
 
 def over_poles(table: pd.DataFrame) -> Figure:
-    """Draw the verdict on each statement over the triple pole of NDI (rad/s); columns poles, id, verdict."""
+    """Draw verdicts by statement and NDI's triple pole; columns id, poles (rad/s or text), verdict (`claims.ORDER`)."""
     figure, axes = _marks(table["id"], table["poles"].astype(str), table["verdict"], 0.16, 0.9)
     poles = table["poles"].astype(str).unique()
     axes.set_xticks(range(len(poles)), [pole.replace("swarm", "\nswarm") for pole in poles])

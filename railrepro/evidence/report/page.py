@@ -49,7 +49,8 @@ _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 class Thesis:
     """Entry of data/theses.toml: a sentence (`says`), and the conditions (`true`) that must all hold to show it.
 
-    Both have Jinja expressions. `role` is where the sentence stands, `of` the ids of the statements that it explains.
+    `says` is text with Jinja expressions, each condition one expression (see `Page`). `role` is where the sentence
+    stands, `of` the ids of the statements that it explains.
     """
 
     says: str
@@ -64,7 +65,7 @@ def theses() -> dict[str, Thesis]:
 
 
 def main(accept: bool = False) -> int:
-    """Judge the statements, write claims.csv, REPLICATION.md, figures/README.md and the results in README.md.
+    """Judge the paper's statements, write claims.csv, REPLICATION.md, figures/README.md and the results in README.md.
 
     Where a verdict differs from claims.csv nothing is written, unless `accept`. Returns 1 in this case, and when a
     sentence of data/theses.toml is not true, else 0.
@@ -170,12 +171,12 @@ class Page:
         return {name: wrong for name, wrong in found.items() if wrong}
 
     def sentences(self, role: str) -> list[tuple[tuple[str, ...], str]]:
-        """True sentences of a role ("summary", "why", "holds_if", "readme"): (ids that it explains, rendered text)."""
+        """True sentences of a role ("summary", "why", "holds_if", "readme"): list of (ids explained, rendered text)."""
         said = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         return [(thesis.of, self.text(thesis.says)) for thesis in said]
 
     def explained(self, role: str) -> list[tuple[list[str], str]]:
-        """Sentences of a role as `sentences`, only for ids whose headline verdict is not "reproduced"."""
+        """Items of `sentences` that explain statements not "reproduced" (headline verdict), with only these ids."""
         still = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
         found = [([i for i in of if i in still], says) for of, says in self.sentences(role)]
         return [(of, says) for of, says in found if of]
@@ -190,7 +191,7 @@ class Page:
         return linked(value, self.nominal.table_of(setting, scenario, controller, metric), unit)
 
     def find(self, identity: str, setting: str) -> Finding:
-        """Result of the predicate of a statement in a setting; MissingEvidence when metrics are missing."""
+        """Measured value of a statement in a setting, as a `Finding`; MissingEvidence when metrics are missing."""
         return statements.find(identity, self._evidence(setting))
 
     def _evidence(self, setting: str) -> statements.Evidence:
@@ -199,7 +200,7 @@ class Page:
         return self.nominal.evidence(setting)
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Whether a statement is reproduced in a setting; "calibrated" asks for the calibrated car."""
+        """Whether a statement is reproduced in `setting`; "calibrated" as `setting` asks for the calibrated car."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == REPRODUCED
@@ -212,7 +213,7 @@ class Page:
         return found
 
     def cell(self, name: str, column: str, **where):
-        """Value in a column of data/results/NAME.csv, in the one row with the values of `where`, or MissingEvidence."""
+        """Value in `column` of data/results/NAME.csv, in the only row with the values `where`, or MissingEvidence."""
         table = self.table(name)
         rows = table.loc[np.logical_and.reduce([table[key] == value for key, value in where.items()]), column]
         if len(rows) != 1:
@@ -220,11 +221,11 @@ class Page:
         return rows.iloc[0]
 
     def time(self, solver: str, column: str = "median_ms") -> float:
-        """Median over the scenarios of a column of solve_times.csv (ms), for a solver in the setting `paper`."""
+        """Computation time (ms) of a solver: median over scenarios of `column` in solve_times.csv, setting `paper`."""
         return float(statements.usual_times(self.nominal.evidence(tuning.PAPER), solver, column).median())
 
     def pole_that_follows(self) -> float:
-        """Triple pole (rad/s) from which on the RMSE of y of NDI on T3 is below 0.71 times that of y = 0."""
+        """Triple pole (rad/s, interpolated) at which NDI's RMSE of y on T3 is 0.71 times that of staying at y = 0."""
         poles = self.table("ndi_poles").sort_values("pole_radps", kind="stable")
         limit = 0.71e3 * self.e(tuning.PAPER, statements.T3, statements.NOTHING, "rmse_y")
         if poles["rmse_mm"].iloc[-1] > limit or poles["rmse_mm"].iloc[0] < limit:
@@ -232,9 +233,9 @@ class Page:
         return float(np.interp(-limit, -poles["rmse_mm"], poles["pole_radps"]))
 
     def runs(self, figure: str) -> dict[str, list[tuple[float, float]]]:
-        """Car -> (RMSE of y (mm), length (m)) of each run of figures/FIGURE.csv in the setting `paper`.
+        """Car -> (RMSE of y (mm), last track coordinate (m)) of each run of figures/FIGURE.csv in the setting `paper`.
 
-        Of a figure over speed those at the highest speed, with nan for the length.
+        Of a figure over speed those at the highest speed, with nan for the coordinate.
         """
         table = pd.read_csv(paths.source(f"figures/{figure}.csv")).query("setting == 'paper'")
         if "rmse_mm" in table:
@@ -257,7 +258,12 @@ class Page:
         return linked(_number(row["measured_value"], row["unit"]), row["data"])
 
     def cells(self, identity: str) -> list[str]:
-        """Text per setting: mark of the verdict, value, share of samples (%); only the first without a setting."""
+        """Three texts, for the settings paper, equal and loop; "" where a statement is not judged.
+
+        Each has the mark of the verdict, the value with unit, and the share of sampled cars on which it holds (%; in
+        paper with 95 % limits). Only the first is filled for a statement that depends on no setting, and for an entry
+        without verdict, where it says so.
+        """
         if self.rules[identity].kind != "statement":
             return [f"no verdict ({self.rules[identity].kind})", "", ""]
         own = self.judged[self.judged["id"] == identity]
@@ -265,7 +271,7 @@ class Page:
         return [shown[""], "", ""] if "" in shown else [shown.get(setting, "") for setting in tuning.SETTINGS]
 
     def evidence(self, identity: str) -> str:
-        """Markdown links from a statement to its figure, to the notebook cell that draws it and to the judged table."""
+        """Markdown links of a statement, joined by commas: figure, the notebook cell that draws it, tables judged."""
         rule = self.rules[identity]
         figure, is_figure, _ = rule.evidence.partition("_")  # fig06_curve_entry is shown as fig06
         links = [f"[{figure}](figures/{rule.evidence}.png)"] if is_figure and rule.evidence.startswith("fig") else []
@@ -310,7 +316,7 @@ def csv(relative: str) -> pd.DataFrame:
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """Text of an SI value with three digits, in its unit or "mm" or "%"; "derailed" for inf, "n/a" for nan."""
+    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, "n/a" for nan."""
     if np.isinf(value):
         return "derailed"
     if np.isnan(value):

@@ -40,9 +40,10 @@ _UNITS = {
 
 
 def metrics(rows: pd.DataFrame, rough_cars: Sequence[str]) -> pd.DataFrame:
-    """Long table of ride metrics from one row per run: its labels, and metric, value, unit.
+    """Long table of ride metrics from `rows`, one per run: the labels of the run, and metric, value (in `unit`), unit.
 
-    Of cars in `rough_cars`, which strike their flanges, only the track shifting force over its limit, to two digits.
+    Labels are scenario, track, car, controller, preview, seed. Of cars in `rough_cars`, which strike their flanges,
+    there is only the track shifting force over its limit (-), to two digits.
     """
     keys = ["scenario", "track", "car", "controller", "preview", "seed"]
     found = rows[[*keys, *_UNITS]].melt(id_vars=keys, var_name="metric").dropna()
@@ -58,9 +59,10 @@ def draw(
 ) -> Figure:  # fmt: skip
     """Draw irregular rails, their spectra, path and distance from them of one controller, RMSE of all controllers (mm).
 
-    `rough` are the arguments of `rough_track` for the realisation, `faults` the coordinates of its single faults by
-    name (m). `one` is the series of one controller (columns preview, p_m, y_m), `table` has a row per run (controller,
-    preview, rail_rmse_y in m), `names` are the controllers to show, `end_m` is the length of the track (m).
+    `spectrum` and `seed` are those of the rails (`irregularities`) whose spectra are drawn, `rough` the arguments of
+    `rough_track` for the rails along the way, `faults` the coordinates of their single faults by name (m). `one` is the
+    series of one controller (columns preview, p_m, y_m), `table` has a row per run (controller, preview, rail_rmse_y in
+    m), `names` are the controllers to show, `end_m` is the length of the track (m).
     """
     fig, axes = figures.new_figure(5, 1, height=1.6, gridspec_kw={"height_ratios": [1, 1, 1.2, 1, 1.5]})
     p = np.arange(0.0, end_m, CELL)
@@ -126,8 +128,9 @@ def draw_knowledge(
 ) -> Figure:
     """Draw the RMSE against the rails over the localisation error of the preview, and comfort number over that RMSE.
 
-    `mean_of` has columns controller, error (as "2 m"), rail_rmse_y (m) and n_mv_floor_front (-); `without` has these
-    metrics without preview, index controller and columns (metric, preview); `localisation_m` are the errors (m).
+    `mean_of` has columns controller, error ("2 m", "half way", "line smooth over 10 m"), rail_rmse_y (m) and
+    n_mv_floor_front (-); `without` has these two metrics, index controller, columns (metric, preview = "none");
+    `names` are the controllers to draw, `localisation_m` the localisation errors (m).
     """
     fig, (axis, cost) = figures.new_figure(2, 1, height=2.1)
     places, none = [f"{error:g} m" for error in localisation_m], without.xs("none", axis=1, level="preview").loc[names]

@@ -41,7 +41,7 @@ def experiments(
     names: Sequence[str], cases: Sequence[str], noise_seeds: Sequence[int], swarms: int | None, scale: float,
     stress: Mapping[str, float],
 ) -> list[Experiment]:  # fmt: skip
-    """Experiments of all tuned sets in all settings: the best set with all noise seeds, those of other swarms with one.
+    """Experiments of all tuned sets in all settings: the best set with all noise seeds, sets of other swarms with one.
 
     `names` are controllers, `cases` keys of `CASES`, `noise_seeds` those of the sensors in the setting `loop`, `swarms`
     the number of swarms per controller (None for all), `scale` a factor on the length of the runs (-), `stress` changes
@@ -67,7 +67,10 @@ def experiments(
 
 
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
-    """Table of data/results/settings_metrics.csv from one row per run (`run_all`): a row per run and metric."""
+    """Table of data/results/settings_metrics.csv from one row per run of `experiments`: a row per run and metric.
+
+    Columns scenario (the case), controller, metric, value (in `unit`), unit, setting, swarm and seed.
+    """
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()
@@ -76,9 +79,10 @@ def metrics(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:
-    """Add columns to one row per run (`run_all`): error_mm (RMSE of y, mm), lost (failed or warning), best (swarm).
+    """Add columns to `table`, one row per run of `experiments`: error_mm (RMSE of y, mm), lost and best (booleans).
 
-    On irregular rails with sensors the error counts from the rails, because sensors measure from them.
+    A run is lost if it failed or has a warning, best if its tuned set is that of the best swarm. On irregular rails
+    with sensors the error counts from the rails, because sensors measure from them.
     """
     sensed_rough = (table["setting"] == LOOP) & (table["case"] == "T3_irregular")
     return table.assign(
@@ -89,9 +93,9 @@ def judged(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def errors(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Mean error (mm) over the noise seeds and whether guidance was lost, of the best sets in a table of `judged`.
+    """Two tables from one of `judged`, of the best sets, with index (case, setting) and a column per controller.
 
-    Two tables with index (case, setting) and a column per controller.
+    The first has the mean RMSE of y over the noise seeds (mm), the second whether guidance was lost with any of them.
     """
     best = runs[runs["best"]].groupby(["case", "setting", "controller"], sort=False)
     names = list(dict.fromkeys(runs["controller"]))
@@ -129,7 +133,9 @@ def draw_ranking(runs: pd.DataFrame) -> Figure:
 def margins() -> tuple[pd.DataFrame, pd.DataFrame]:
     """Read the stability margins of data/results: two tables with index (setting, controller).
 
-    Disk margin (-) by speed (km/h); largest delay (ms), lag (ms) and gain (-) before flange contact, by quantity, rail.
+    The first has the disk margin (-), a column per speed (km/h); the second the largest extra delay of the
+    torque (ms), drive lag (ms) and torque over command (-) without flange contact, with columns ("delay (ms)",
+    "lag (ms)" or "gain"; "dry" or "poor").
     """
     found = pd.read_csv(paths.source("data/results/margins.csv"))
     found["largest"] *= np.where(found["unit"] == "s", 1e3, 1.0)
@@ -140,9 +146,10 @@ def margins() -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def draw_margins(error: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
-    """Draw errors (mm; setting by controller) over the smallest disk margin (-) and the delay margin on poor rail (ms).
+    """Draw RMSE of y on T3 over the smallest disk margin (-) and over the delay margin on poor rail (ms).
 
-    Also returns the points as a table.
+    `error` has these RMSE (mm): index setting, a column per controller. Also returns the points as a table: setting,
+    controller, error_mm, disk_margin (-), delay_poor_ms.
     """
     disk, survived = margins()
     late = survived["delay (ms)", "poor"]
@@ -169,8 +176,9 @@ def draw_margins(error: pd.DataFrame) -> tuple[Figure, pd.DataFrame]:
 def order_ratios(shaking: float) -> pd.DataFrame:
     """RMSE of y of NMPC over that of each inversion, for all changes of the study `uncertainty.order`.
 
-    Columns ratio (-), axis (key of `order.AXES`), setting, against (the inversion), place (abscissa), other_left_rail
-    (the inversion derailed), shaking (the RMS torque of NMPC or the inversion exceeds the argument, N m).
+    Columns ratio (-), axis (key of `order.AXES`), setting, against (the inversion), place (abscissa: the changed value
+    in its unit; bandwidth in rad/s; of "car" the number of the choice), other_left_rail (the inversion derailed),
+    shaking (the RMS torque of NMPC or of the inversion is above the argument `shaking`, N m).
     """
     table = pd.read_csv(paths.source("data/results/order_turns.csv"))
     of = table.groupby(["axis", "setting", "value", "controller"], sort=False)
@@ -193,7 +201,7 @@ def order_ratios(shaking: float) -> pd.DataFrame:
 
 
 def tie(metrics: pd.DataFrame) -> float:
-    """Largest ratio (-) of the RMSE of y on T3 between seeds of one controller; nearer controllers tie.
+    """Largest ratio (-) of the RMSE of y on T3 between swarms of one controller; controllers closer than this tie.
 
     `metrics` is a table of the function `metrics`; settings and controllers are those of `uncertainty.order`.
     """
@@ -219,7 +227,7 @@ def draw_order(ratios: pd.DataFrame, band: float) -> Figure:
     """Draw the ratios (-) of `order_ratios`, a panel per axis of the study.
 
     Markers are hollow where a controller oscillates (`shaking`), crosses where NDI derailed; ratios from 1 / band to
-    band are a tie.
+    band are a tie (`band` (-) as from `tie`).
     """
     figure, axes = figures.new_figure(2, 3, height=2.15, width=7 / 3, sharey=True)
     for axis, name in zip(axes.flat, _PANELS, strict=True):

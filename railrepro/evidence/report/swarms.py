@@ -24,7 +24,10 @@ _SYMBOLS = {
 
 
 def runs(tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
-    """Runs of the cost by name, speed (km/h), length (m): "perfect" or "estimated" measurements, or "-", by setting."""
+    """Table of the runs in the tuning cost: index (run, "km/h", "m" of length), a column per setting (key of `tasks`).
+
+    Entries are "perfect" or "estimated" (measurements of the controllers), or "-" where the setting lacks the run.
+    """
     given = [
         {"run": name, "km/h": run.scenario.speed_kmh, "m": run.scenario.end_m, "setting": setting,
          "given": "estimated" if run.sensors and "perfect" not in run.sensors else "perfect"}
@@ -34,7 +37,7 @@ def runs(tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
 
 
 def tuned_sets(tasks: Mapping[str, swarm.Task], names: Sequence[str]) -> dict[tuple[str, str], dict]:
-    """(setting, controller) -> tuned set (`tuning.load`), for the settings in which a swarm tuned the controller."""
+    """(setting, controller of `names`) -> tuned set (`tuning.load`), where a swarm tuned it in the setting."""
     return {(setting, name): tuning.load(name, setting, searched=True) for setting, task in tasks.items()
             for name in names if name in task.searched}  # fmt: skip
 
@@ -44,7 +47,7 @@ def _by_pair(rows: Mapping[tuple[str, str], Mapping]) -> pd.DataFrame:
 
 
 def costs(sets: Sets) -> pd.DataFrame:
-    """Table by setting and controller: cost of the tuned set, of the worst of its swarms, and number of evaluations."""
+    """Table by setting and controller: cost (-) of the tuned set and of the worst swarm (worst_seed), evaluations."""
     return _by_pair({
         pair: {"cost": found["cost"], "worst_seed": max(one["cost"] for one in found["swarms"]),
                "evaluations": len(tuning.particles(pair[1], pair[0]))}
@@ -53,7 +56,7 @@ def costs(sets: Sets) -> pd.DataFrame:
 
 
 def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFrame]:
-    """Draw the lowest cost of every swarm over its iterations, a panel per setting; returns also the drawn data."""
+    """Draw each swarm's lowest cost (-) by iteration; returns figure and iteration, seed, cost, setting, controller."""
     lines = []
     for setting, name in sets:
         lowest = tuning.particles(name, setting).pivot_table(
@@ -81,7 +84,10 @@ def draw_courses(sets: Sets, settings: Sequence[str]) -> tuple[Figure, pd.DataFr
 
 
 def draw_sensitivity(sets: Sets, task: swarm.Task, names: Sequence[str]) -> tuple[Figure, pd.DataFrame]:
-    """Draw the cost of particles over each searched parameter, in the setting `equal`; returns also the drawn data."""
+    """Draw costs (-) of particles in the setting `equal`, up to 4 times the chosen one, over each parameter of `task`.
+
+    `names` are controllers. Returns also the drawn data: controller, parameter, value, cost.
+    """
     shown = [(name, dimension) for name in names for dimension in task.dimensions[name]]
     size = {"height": 1.35, "width": figures.WIDTH / 3, "sharey": "row", "squeeze": False}
     figure, axes = figures.new_figure(-(-len(shown) // 3), 3, **size)
@@ -141,7 +147,7 @@ def beyond_bounds(sets: Sets, tasks: Mapping[str, swarm.Task]) -> pd.DataFrame:
 
 
 def recomputed(sets: Sets, tasks: Mapping[str, swarm.Task], names: Sequence[str]) -> pd.DataFrame:
-    """Table by setting and controller (of `names`): the stored cost of the tuned set, and the cost computed again."""
+    """Table by setting and controller (of `names`): cost (-) of the tuned set as `stored`, and as `recomputed`."""
     pairs = [pair for pair in sets if pair[1] in names]
     again = _evaluated([(*pair, sets[pair]["parameters"]) for pair in pairs], tasks, "recomputed")
     return _by_pair(

@@ -20,7 +20,8 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 def gain_ratio(controller: str, setting: str, speed: float) -> float:
     """Return k1 / k0 (s) of a tuned controller at a speed (m/s): torque per lateral rate over torque per displacement.
 
-    Both are gains of NDI; a predictive controller plans once from a displaced and once from a turned running gear.
+    `controller` is NDI, which has these gains, or a predictive one: k1 and k0 follow from the torques that it first
+    plans for a turned and for a displaced running gear. `setting` ("paper", "equal" or "loop") chooses its tuned set.
     """
     guidance = tuned(controller, setting=setting)
     if isinstance(guidance, NDI):
@@ -34,9 +35,10 @@ def gain_ratio(controller: str, setting: str, speed: float) -> float:
 
 
 def creep_angle(vehicle: Vehicle, scenario: Scenario) -> float:
-    """Return the creep angle (rad) at which centred wheels carry the unbalanced side force 20 m before a scenario ends.
+    """Return the creep angle (rad) at which centred wheels carry the unbalanced side force of a curve.
 
-    Kalker's linear law with Polach's reduction for small creepage, on the rail `scenario.good`.
+    The curve is that 20 m before the end of the scenario, the rail `scenario.good`; Kalker's linear law with Polach's
+    reduction for small creepage.
     """
     _, curvature, cant, *_ = scenario.route().track_at(np.array([scenario.end_m - 20.0]))[:, 0]
     side = (vehicle.body.mass / 2 + vehicle.gear.mass) * (scenario.speed**2 * curvature - vehicle.gravity * cant)

@@ -105,11 +105,11 @@ def _follow_the_parent() -> None:
 
 
 def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
-    """Call `task` with each argument, side by side; returns the results in the order of the arguments.
+    """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
     Each call has a thread of its own; what it hands to `work` is computed by a process of `pool` (see `executor`).
     `title` names the progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process
-    ended or runs other code.
+    ended or imported another version of railrepro.
     """
     assert not hasattr(_around, "pool"), "a task would wait for itself"
 
@@ -134,7 +134,7 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
 
 
 def work(function: Callable, *arguments):
-    """Return `function(*arguments)`: computed by a process of the pool in a task of `ordered_map`, else by this one."""
+    """Return `function(*arguments)`; in a task of `ordered_map` a process of the pool computes it, else this one."""
     pool = getattr(_around, "pool", None)
     if pool is None:
         return function(*arguments)

@@ -53,7 +53,7 @@ class Experiment:
     options: dict = field(default_factory=dict)
     """Arguments of a predictive controller, as {"solver": "rti"}, see `registry.guidance`."""
     changes: dict = field(default_factory=dict)
-    """Changed fields of the controller's settings (`MPCSettings`, `NDI`), see `registry.guidance`."""
+    """Changed fields of the controller's settings (`problem.MPCSettings`, `ndi.NDI`), see `registry.guidance`."""
     vehicle: dict = field(default_factory=dict)
     """Changed vehicle parameters, dotted key -> value as in `load_vehicle`, known to car and controllers."""
     plant: dict = field(default_factory=dict)
@@ -61,7 +61,7 @@ class Experiment:
     adhesion: AdhesionSettings | None = None
     """Settings of the adhesion law (slip control); None takes its defaults, or those that the sensors need."""
     fixed_share: float = 0.0
-    """Share of the torque limit reserved for guidance (-), see `allocate`; 0 is the paper's variable allocation."""
+    """Share of the torque limit reserved for guidance (-), see `allocation.allocate`; 0 is the paper's allocation."""
     alignment: Alignment | None = None
     """Alignment of a track in place of the scenario's own track; None keeps that."""
     irregular: dict = field(default_factory=dict)
@@ -96,9 +96,9 @@ class Experiment:
         return registry.parameters(self.controller, self.setting)
 
     def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
-        """Irregularities up to the end of the scenario (`rough_track`), and the line planned on them (`preview.plan`).
+        """Irregularities up to the end of the scenario (`rough_track`), and the planned line (p, y) of `preview.plan`.
 
-        None on an ideal track, None without preview; InputError for a preview on an ideal track.
+        The first is None on an ideal track, the second without preview; InputError for a preview on an ideal track.
         """
         if not self.irregular and not self.preview:
             return None, None
@@ -138,7 +138,7 @@ class Experiment:
             yield self.scenario.but(track=str(file))
 
     def key(self, measure: Measure) -> str | None:
-        """Key under which `store` has what `measure` returns for this run; None when it cannot be stored.
+        """Key under which `store` has the result of `measure` (see `measured`) for this run; None if not to be stored.
 
         A hash of the code and of all resolved values of vehicle, tuning parameters, track and sensors, not of their
         names; labels do not count. None for a controller from a user's file.
@@ -162,19 +162,19 @@ class Experiment:
     def measured(self, measure: Measure) -> store.Entry:
         """Return measure(run, experiment) of this run: read from the store, else simulated by `executor.work`.
 
-        `measure` is a function of a module, (Run, Experiment) -> dict of plain values and DataFrame of numbers or None,
-        that reads no label of the experiment.
+        `measure` is a module-level function (Run, Experiment) -> (dict of plain values, DataFrame of numbers or None);
+        it must not use labels of the experiment.
         """
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
-        """Row of scenario, controller, labels and `values`, and the kept series (`tidy`, with labels) or None."""
+        """Row (dict) of scenario, controller, labels and metrics (`values`); and the kept series (`tidy`) or None."""
         values, series = self.measured(_values)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
         return row, None if series is None else series.assign(**self.label)
 
     def values(self, run: simulate.Run) -> dict:
-        """Metrics of a run by name (SI): those of `metrics.summary`, `longitudinal` and, with `ride`, `ride_summary`.
+        """Metrics of a run (SI): `metrics.summary`, `metrics.longitudinal` and, with `ride`, `ride.ride_summary`.
 
         Also `failed_at_m` (nan unless failed), `failed`, `ended`, `warnings` and `fallbacks` (samples of both gears
         without a solution of the predictive controller). A failed run has nan for the metrics of `summary`.
@@ -202,10 +202,11 @@ def _rails(end: float, irregular: str, known: str) -> tuple[pd.DataFrame, tuple[
 
 
 def tidy(series: pd.DataFrame, stride: int) -> pd.DataFrame:
-    """Every `stride`-th row of the series of a run, front gear only, with units in the column names.
+    """Every `stride`-th row of the series of a run (`Run.series`), front gear only.
 
-    Columns t_s, p_m, v_mps, y_ref_m, y_m, …, torque, adhesion and longitudinal slip of the right (ri) and left (le)
-    wheel, and creep_rad, the angle between heading and motion.
+    Columns t_s, p_m and v_mps along the track, lateral y_ref_m and y_m, yaw psi_ax_rad (gear) and psi_trax_rad (against
+    the track), torques du_Nm, u_d_Nm, tau_long_Nm, adhesion set point f_star (-), segment (of the adhesion law),
+    creep_rad (between heading and motion); right wheel: torque tau_ri_Nm, adhesion fx_ri, slip sx_ri (-); le: left.
     """
     rows = series.iloc[::stride]
     columns = {"t_s": rows["t_s"]} | {new: rows[f"front.{old}"] for old, new in _SERIES.items()}
@@ -244,9 +245,9 @@ def run_all(
     Returns
     -------
     table : DataFrame
-        One row of metrics per experiment, in order, see `Experiment.values`.
+        One row per experiment, in order: scenario, controller, labels and metrics (SI) of `Experiment.values`.
     series : DataFrame or None
-        Kept series below each other, with their labels and the column `controller`; None when no experiment keeps one.
+        Series (`tidy`) below each other, with labels and the column `controller`; None when no experiment keeps one.
     """
     with executor() as pool:
         results = ordered_map(pool, call, experiments, title, quiet)

@@ -14,10 +14,11 @@ from railrepro.data import InputError, above, between, require
 
 
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
-    """Irregularities as a controller believes them: a table like `frame` (evenly spaced p_m, any channels in m).
+    """Irregularities as a controller believes them: a table with the columns of `frame` (true ones, `rough_track`).
 
-    `amplitude_error` is relative: 0.1 believes them ten per cent too large. `localisation_error_m` is the believed less
-    the true coordinate of a feature (m); what would come from beyond the frame is zero.
+    `frame` has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: 0.1 believes them ten per cent
+    too large. `localisation_error_m` is the believed less the true coordinate of a feature (m); beyond the frame they
+    are zero.
     """
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     place = p - localisation_error_m
@@ -37,8 +38,8 @@ def plan(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Track coordinates p (m), shape (n,), and the `planned_line`, shape (4, n), from irregularities known with errors.
 
-    `frame` has the true irregularities (`rough_track`); the errors are those of `known`, the rest that of
-    `planned_line`.
+    `frame` has the true irregularities (`rough_track`); both errors are as in `known`, `share` (-), `smoothing_m` (m)
+    and `limit` (m) as in `planned_line`.
     """
     believed = known(frame, amplitude_error, localisation_error_m)
     return believed["p_m"].to_numpy(), planned_line(believed, share, smoothing_m, limit)

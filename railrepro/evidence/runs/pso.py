@@ -35,14 +35,14 @@ class Dimension:
             raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
 
     def value(self, position: float) -> float:
-        """Parameter value at a position in [0, 1]."""
+        """Parameter value at a position: 0 is `low`, 1 is `high`, between by `scale`."""
         if self.scale == "log":
             return float(self.low * (self.high / self.low) ** position)
         value = self.low + position * (self.high - self.low)
         return round(value) if self.scale == "integer" else float(value)
 
     def position(self, value: float) -> float:
-        """Position in [0, 1] of a parameter value; InputError when it lies outside of the bounds."""
+        """Position (0 at `low`, 1 at `high`) of a parameter value; InputError when it lies outside of the bounds."""
         if not self.low <= value <= self.high:
             raise InputError(f"dimension {self.name}: start {value!r} is not in {self.low}..{self.high}")
         if self.scale == "log":
@@ -72,7 +72,7 @@ class Swarm:
         return np.random.default_rng((self.seed, self.iteration, particle)).random(count)
 
     def ask(self) -> list[dict[str, float]]:
-        """Parameter sets to be evaluated, one per particle: name -> value."""
+        """Return the parameter sets to be evaluated: per particle a dict, name -> value."""
         return [self._values(particle) for particle in self.position]
 
     def _values(self, position: np.ndarray) -> dict[str, float]:
@@ -101,8 +101,8 @@ class Swarm:
 
     @property
     def limits(self) -> list[float]:
-        """Lowest cost of each particle so far. A parameter set that costs more leaves the swarm as it is, so its
-        evaluation may stop there."""
+        """Lowest cost of each particle so far (inf before its first); the evaluation of its next parameter set may stop
+        above this cost, as a set that costs more has no influence on the swarm."""
         return self.own_cost.tolist()
 
     @property
@@ -145,8 +145,8 @@ def minimise(
     Parameters
     ----------
     evaluate : callable
-        (parameter sets, limits) -> costs, one per particle, in order; a cost that is not finite counts as worst. Of a
-        set that costs more than its limit any number above the limit will do.
+        (parameter sets, limits) -> costs, one per particle, in order; a cost that is not finite counts as worst. For a
+        set that costs more than its limit (`Swarm.limits`) any number above the limit will do.
     patience : int
         Iterations without improvement (1e-4 relative) after which it stops.
     start : dict, optional

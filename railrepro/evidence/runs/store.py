@@ -58,7 +58,7 @@ def key(module: str, *parts) -> str | None:
 
     `module` is the module that computes; nothing is stored for modules outside of railrepro or after an edit of its
     files. `parts` are the name of the computation and all that it reads: numbers, text, arrays, DataFrames,
-    dataclasses, and lists and dictionaries of these. With a part of another type, such as a function, it is None.
+    dataclasses, and lists and dictionaries of these. Also None with a part of another type, such as a function.
     """
     made_by = code.version(), code.reached(f"from {module} import {module}")
     if not module.startswith("railrepro.") or None in made_by or not code.unchanged():
@@ -76,7 +76,7 @@ def digest(*parts) -> str:
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
-    """Name -> version or value of what decides the last digits: compiler, its flags, kernels, packages, processor."""
+    """Name -> version or value of what decides the last digits of results: compiler, flags, packages, processor."""
     found = {f"environment {name}": os.environ.get(name, "") for name in _NUMERICS}
     found |= {"the compiler": cache.identity(cache.compiler())}
     found |= {"Python": sys.version, "the processor": platform.machine()}

@@ -24,7 +24,7 @@ from railrepro.vehicle.parameters import load_vehicle
 
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run that its cost needs (`run_cost`), as a store entry: (dict, None).
+    """Metrics of a run from which `run_cost` computes its cost, as a `store.Entry`: (dict, None).
 
     Mean over both gears of the RMSE of y (`rmse_y`, m), the RMS of du (`effort_du`, N m) and of its part above 5 Hz
     (`activity_du`, N m; nan when failed); `done`, the share of the distance before flange contact or failure (-); and
@@ -46,7 +46,7 @@ def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def run_cost(parts: dict, cost: dict) -> float:
-    """Cost of a run (-) from the metrics of `driven` and the table [cost] of data/tuning.toml.
+    """Cost of a run (-) from its metrics `parts` (of `driven`) and the table [cost] of data/tuning.toml, `cost`.
 
     1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0); a
     failed run costs failure (2 - done).
@@ -59,7 +59,7 @@ def run_cost(parts: dict, cost: dict) -> float:
 
 
 def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
-    """Mean cost (-) of tuning parameters over the runs of a task, and per run its name, cost and metrics of `driven`.
+    """Mean cost (-) of tuning `parameters` over the runs of a task, and per run a dict: run, cost, metrics of `driven`.
 
     The hardest run, the last of the task, is simulated first. Once the mean is above `limit` the other runs are left
     out and count as zero: the cost is then a lower bound.
@@ -84,8 +84,9 @@ def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.in
 def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
     """Tune one controller with a swarm per seed on a `pool` of `executor`; finished runs are read from the store.
 
-    Returns the tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost`, `runs`), the result of
-    each swarm (`swarms`), `origin`, and under `history` a DataFrame of all evaluated particles with their seed.
+    Returns a dict: the tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost` (-), `runs` as
+    from `evaluate`), `swarms` (per swarm seed, cost, evaluations, parameters), `origin` (hash, version, budget), and
+    `history`, a DataFrame of all evaluated particles (`Swarm.history` and seed).
     """
     budget, evaluated, found = task.budget, partial(evaluate, controller, task), {}
 
@@ -117,7 +118,7 @@ def tune(controller: str, task: Task, pool, quiet: bool = False) -> dict:
 
 
 def main(names: list[str]) -> None:
-    """Tune the controllers in the settings of comparison that `names` has (all if it has none); writes data/tuned."""
+    """Tune the controllers among `names` (none: all) in the settings among them (none: all) and write data/tuned."""
     known = load_task().dimensions
     settings = [name for name in names if name in SETTINGS] or SETTINGS
     wanted = [name for name in names if name not in SETTINGS]

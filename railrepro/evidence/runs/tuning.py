@@ -64,7 +64,7 @@ class Task:
 
 @data.table
 class Budget:
-    """Size of a search: particles per swarm, iterations, iterations without improvement, and a seed per swarm."""
+    """Size of a search: particles per swarm, iterations, those without improvement until it stops, a seed per swarm."""
 
     particles: COUNT
     iterations: COUNT
@@ -86,9 +86,9 @@ class Cost:
 
 @data.table
 class RunEntry:
-    """A run in data/tuning.toml: a scenario by name, its end (m), the seed of its sensors, and optional changes.
+    """A run in data/tuning.toml: name of a scenario, its end (m), random seed of its sensors, and optional changes.
 
-    These are its speed (km/h), irregular rails, car (`Experiment.irregular`, `plant`) and inverter (data/sensors.toml).
+    `speed_kmh` is in km/h, `irregular` and `plant` are as in `Experiment`, `inverter` as in data/sensors.toml.
     """
 
     scenario: str
@@ -102,7 +102,7 @@ class RunEntry:
 
 @data.table
 class SettingEntry:
-    """Setting of comparison in data/tuning.toml: with sensors or without, names of runs, the rest as in `Task`."""
+    """Setting of comparison in data/tuning.toml: whether runs have sensors, names of runs, the rest as in `Task`."""
 
     sensors: Flag
     runs: Annotated[tuple[str, ...], NOT_EMPTY, DISTINCT]
@@ -121,7 +121,7 @@ _BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, AfterVa
 
 @data.table
 class TaskFile:
-    """Content of data/tuning.toml; `controller` has the bounds and scale of each searched parameter."""
+    """Content of data/tuning.toml; `controller` maps a controller to the `pso.Dimension` of each searched parameter."""
 
     budget: Annotated[Budget, AS_GIVEN]
     cost: Annotated[Cost, AS_GIVEN]
@@ -178,8 +178,8 @@ def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
 def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
     """Hash (16 hexadecimal digits) of all given numbers on which the tuning of a controller depends.
 
-    These are scenarios, tracks, rails, vehicle, sensors, cost, budget and its own bounds, without names and remarks and
-    equal on every machine. A tuned set of another origin is used all the same; notebook 05_tuning recomputes its cost.
+    These are scenarios, tracks, rails, vehicle, sensors, cost, budget, bounds and start of the searched parameters; not
+    names, remarks or machine. A tuned set of another origin is still used; notebook 05_tuning recomputes its cost.
     """
     tracks, rails = (data.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
     sets = sorted({name for run in task.runs.values() for name in (run.scenario.good, run.scenario.poor)})
@@ -195,7 +195,7 @@ def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
 
 
 def save(found: dict, folder: Path) -> None:
-    """Write a result of `swarm.tune` to a folder: CONTROLLER.json, and its history as CONTROLLER_particles.csv."""
+    """Write `found`, a result of `swarm.tune`, to a folder: CONTROLLER.json, its history CONTROLLER_particles.csv."""
     content = {key: value for key, value in found.items() if key != "history"}
     particles = found["history"].to_csv(index=False, float_format="%.6g")
     data.write(folder / f"{found['controller']}_particles.csv", particles)
@@ -203,7 +203,7 @@ def save(found: dict, folder: Path) -> None:
 
 
 def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
-    """Evaluated particles of a controller, a row each: iteration, particle, cost, parameters, and seed of the swarm."""
+    """Read a row per evaluated particle: iteration, particle, cost (-), a column per parameter, seed of the swarm."""
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
 
 

@@ -47,13 +47,13 @@ class Limit:
     """Bound of the lateral error of a gear at one weight of the torque, found by `limit`."""
 
     error: float
-    """Standard deviation of the displacement from the set point at the position that sensors report (m)."""
+    """Standard deviation of y from the set point of the track coordinate that sensors report (m)."""
     known: float
-    """Part of `error` that no torque removes: standard deviation of the error of the filtered displacement (m)."""
+    """Part of `error` that no torque removes: standard deviation of the Kalman filter's error in y (m)."""
     activity: float
     """Standard deviation of the differential torque above 5 Hz (N m)."""
     weight: float
-    """Weight rho of (du_k - du_(k-1))^2 in (N m)^2, against the squared displacement in its unit of `System.units`."""
+    """Weight rho of (du_k - du_(k-1))^2 (N^-2 m^-2); y^2 has weight 1, y as multiple of `System.units`[`Y`]."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class System:
     b: np.ndarray
     """Input vector B of the change of differential torque in a period (per N m), shape (n,)."""
     c: np.ndarray
-    """Output matrix C of the readings y, psi, r, each in standard deviations of its noise, shape (3, n)."""
+    """Output matrix C, shape (3, n): readings of displacement y, yaw psi, yaw rate r, in units of their noise (RMS)."""
     q: np.ndarray
     """Covariance of the process noise w per period, shape (n, n); that of the measurement noise is the unit matrix."""
     torque: int
@@ -82,10 +82,10 @@ Y = STATES.index("y")
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
-    """Build the linear system of a gear at a constant speed (m/s) with the noise, biases and latency of a sensor loop.
+    """Build the linear system of a gear at a constant speed (m/s) with noise, biases and latency of the sensors `loop`.
 
     `walks` are the intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: those
-    of `gear_model`, force and moment, biases of y, psi and r, torque commands on their way, newest first.
+    of `railrepro.own.gear_model`, force and moment, biases of y, psi, r, torque commands on their way, newest first.
     """
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
@@ -116,9 +116,9 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
 
 
 def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> Limit:
-    """Least lateral error of any causal law whose differential torque above 5 Hz has the RMS `activity` (N m).
+    """Bound of the lateral error of all causal laws whose differential torque above 5 Hz has the RMS `activity` (N m).
 
-    Other parameters as in `system`.
+    Other parameters as in `system`: car, sensors, speed (m/s), random walks of the disturbances.
     """
     of = system(vehicle, loop, speed, walks)
     p, m = np.zeros_like(of.a), of.torque  # the torques are known
@@ -140,9 +140,9 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 
 
 def feedback(of: System, weight: float) -> np.ndarray:
-    """Optimal gain L, shape (n,), of du_k - du_(k-1) = -L x (N m, x in `System.units`).
+    """Optimal gain L (N m), shape (n,), of the law du_k - du_(k-1) = -L x for a system, x in multiples of its units.
 
-    It minimises E[y^2] + weight E[(du_k - du_(k-1))^2], see `Limit.weight`.
+    L minimises E[y^2] + weight E[(du_k - du_(k-1))^2], see `Limit.weight`.
     """
     cost, unit = np.zeros_like(of.a), of.units[of.torque]
     cost[Y, Y] = 1.0
@@ -152,9 +152,10 @@ def feedback(of: System, weight: float) -> np.ndarray:
 
 
 def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """Bound (m) of the error from the set point at the true position, from that at the reported position, `error` (m).
+    """Add the bias of the measured track coordinate p, which shifts the set point y*(p), to a bound `error` (m).
 
-    Adds the unobservable bias of the position sensor times the RMS of `slopes`, dy*/dp (-) along the way, shape (n,).
+    Returns the bound (m) with y* at the true p: root of the sum of squares of `error`, which has y* at the measured p,
+    and of the standard deviation of the bias (sensors `loop`) times the RMS of `slopes`, dy*/dp (-), shape (n,).
     """
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 

@@ -1,9 +1,9 @@
-"""The closed loop with sensors over unseen seeds: our controller, rivals, and the limit of `uncertainty.limit`.
+"""The closed loop with sensors over unseen seeds: the project's controller, rivals, and the bound of `limit`.
 
 `python -m railrepro loop` writes data/results/loop_table.csv; runs that were made before are in the store. Kinds:
 `loop` are the runs of tuning with other seeds, `stressed` has what tuning's stressed run has, `held out` is what tuning
 never sees, `irregular` are rails of two classes from 80 to 400 km/h, whose draw goes with the seed. Errors count from
-the set point at the true place.
+the set point at the true position of a gear.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _PATCH = ((0.0, 0.0), (200.0, 0.0), (201.0, 1.0), (300.0, 1.0), (301.0, 0.0))
 
 
 def experiments() -> list[Experiment]:
-    """All runs of data/results/loop_table.csv, row by row; the label of a run has kind and case."""
+    """All runs of data/results/loop_table.csv, concatenated results of `row`; the label of a run has kind and case."""
     ends = {"curve_entry_T1": 50.0, "curve_entry_T2": 200.0, _CURVE: 280.0, "curve_entry_T4": 330.0, _FAST: 250.0}
     runs = [run for name, end in ends.items() for run in row("loop", name, name, {"end_m": end})]
     short, sine, curve = {"end_m": 500.0}, {"end_m": 250.0}, {"end_m": 280.0}
@@ -75,9 +75,10 @@ def experiments() -> list[Experiment]:
 
 
 def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Experiment]:
-    """Runs of one row of the table: a scenario with changed fields, for all of `COMPARED` and the seeds of the kind.
+    """Runs of one row of loop_table.csv: a scenario (its name) for all controllers `COMPARED` and all `SEEDS`.
 
-    `kind` and `case` label the row; `more` are fields of `Experiment` such as irregular, plant and sensors.
+    `change` has changed fields of the scenario; `kind` ("irregular": seeds `FEW` only) and `case` label the runs;
+    `more` are fields of `Experiment` such as irregular, plant and sensors.
     """
     driven, label = load_scenario(scenario).but(**change), {"kind": kind, "case": case}
     runs = []
@@ -91,9 +92,10 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
 
 
 def limit_of(run: Experiment) -> dict:
-    """Bounds of the RMS error of a run by its sensors, see `uncertainty.limit`; empty but for dry ideal rails.
+    """Lower bounds of the RMS lateral error y - y* that the sensors allow in a run, see `uncertainty.limit.limit`.
 
-    Keys limit_mm, error at the true position, and limit_at_believed_place_mm, at the reported position (mm).
+    Keys limit_mm, set point y* at the true track coordinate, and limit_at_believed_place_mm, y* at the measured track
+    coordinate (mm). Empty unless the run is of kind "loop" on ideal dry rails.
     """
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
@@ -104,10 +106,10 @@ def limit_of(run: Experiment) -> dict:
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Store entry of a run, without a series: error_mm, rear_mm, activity_Nm, failed.
+    """Store entry (dict, None) of a run with the keys error_mm, rear_mm, activity_Nm, failed.
 
     RMS error of front and rear gear against the actual rails (mm), front torque above 5 Hz (N m, RMS), and whether the
-    run failed or reached the flanges, where the numbers are nan.
+    run failed or reached the flanges; the numbers of such a run are nan.
     """
     failed = run.failed or metrics.reaches_flange(run.series)
     errors = {} if failed else {g: 1e3 * metrics.followed_rmse(run.series, g) for g in simulate.GEARS}
@@ -123,8 +125,9 @@ def _rms(values: pd.Series) -> float:
 def table(runs: Sequence[Experiment], pool) -> pd.DataFrame:
     """Run experiments on an executor (`pool`) and summarise them over the seeds, one row per case and controller.
 
-    Columns kind, case, controller, seeds (number of runs), failed (runs that reached the flanges), and over the other
-    runs error_mm, rear_mm (RMS), spread_mm (standard deviation of error_mm), activity_Nm (mean).
+    Columns kind, case, controller, seeds (number of runs), failed (number of runs that failed or reached the flanges);
+    over the other runs error_mm, rear_mm (RMS error of front and rear gear, mm), spread_mm (standard deviation of the
+    front error between seeds, mm), activity_Nm (mean RMS of the front torque above 5 Hz, N m).
     """
 
     def driven(run: Experiment) -> dict:
@@ -144,9 +147,11 @@ def table(runs: Sequence[Experiment], pool) -> pd.DataFrame:
 def standing(measured: pd.DataFrame) -> pd.DataFrame:
     """Compare the controller `OURS` with its best rival: one row per kind and case, those where it is behind first.
 
-    `measured` is data/results/loop_table.csv. Columns ours_mm, other_mm (RMS errors), other (the rival's name),
-    spread_mm (the larger standard deviation), limit_mm, over_limit (ours over limit, -), lost and other_lost (runs that
-    reached the flanges), standing: "behind", "tied" (within the spread) or "ahead". Fewer lost runs decide first.
+    `measured` is data/results/loop_table.csv. Columns: ours_mm, other_mm (RMS error of `OURS` and of the rival, mm),
+    other (name of the rival), spread_mm (larger of their standard deviations between seeds, mm), limit_mm (bound by the
+    sensors, see `limit_of`), over_limit (ours_mm / limit_mm), lost, other_lost (number of runs of `OURS` and of the
+    rival that failed or reached the flanges), standing ("behind", "tied", "ahead"): by lost runs, and between equal
+    numbers by error, "tied" when the errors differ by at most spread_mm.
     """
     ours = measured["controller"] == OURS
     own = measured[ours].set_index(_ROW)

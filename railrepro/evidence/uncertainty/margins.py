@@ -46,21 +46,18 @@ _KMH = (100.0, 200.0, 300.0, 400.0)
 
 
 class ProbedLaw:
-    """`lateral.LateralLaw` that adds `multisine` to the differential torque of a guidance.
-
-    `amplitude` (N m) is that of each sine.
-    """
+    """`lateral.LateralLaw` that adds `multisine` times `amplitude` (N m) to the differential torque of a guidance."""
 
     def __init__(self, guidance: lateral.Guidance, amplitude: float):
         (self._law, self._factory), self._amplitude = lateral.split(guidance), amplitude
         self.memory = (*getattr(self._law, "memory", ()), "probe_ticks")
 
     def gains(self) -> dict[str, float]:
-        """Run-time numbers by name: the gains of the guidance, and probe_amplitude (N m)."""
+        """Gains by name: those of the 1 kHz law of the guidance, and probe_amplitude (N m)."""
         return {**lateral.gains_of(self._law), "probe_amplitude": self._amplitude}
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
-        """Disturbed differential torque (N m) and next states of the law by name, see `LateralLaw.torque`."""
+        """Disturbed differential torque (N m) and next states of the law by name; `q` as in `LateralLaw.torque`."""
         du, following = lateral.answer(self._law, q)
         signal = q.probe_amplitude * multisine(q.probe_ticks * CONTROL_PERIOD, ca.sin)
         return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
@@ -74,18 +71,18 @@ class _WithControllers(ProbedLaw):
 
 
 def multisine(t, sine: Callable = np.sin):
-    """Sum of unit sines of `FREQUENCIES` at times t (s), in the shape of t. Source: Schroeder 1970 (phases)."""
+    """Sum over `FREQUENCIES` of sine(2 pi f t - phase), t in s, in the shape of t. Source: Schroeder 1970 (phases)."""
     count = len(FREQUENCIES)
     return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
 
 
 def probed(guidance: lateral.Guidance, amplitude: float) -> lateral.Guidance:
-    """Guidance whose differential torque is disturbed by sines of an amplitude (N m) each, see `ProbedLaw`."""
+    """Guidance with `multisine` times `amplitude` (N m) added to its differential torque, see `ProbedLaw`."""
     return (_WithControllers if callable(guidance) else ProbedLaw)(guidance, amplitude)
 
 
 def disk_margin(values: np.ndarray) -> float:
-    """Symmetric disk margin a (-) of a complex `sensitivity` over frequency, a = 1 / max |S - 1/2|.
+    """Symmetric disk margin a (-) of the complex `sensitivity` S at several frequencies, a = 1 / max |S - 1/2|.
 
     The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad).
 
@@ -97,11 +94,11 @@ def disk_margin(values: np.ndarray) -> float:
 def sensitivity(
     guidance, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
 ) -> np.ndarray | None:
-    """Measure the sensitivity S = 1 / (1 + L) of the front gear's loop at its torque, on straight dry track.
+    """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track.
 
     Complex, shape (len(FREQUENCIES),): differential torque over disturbance, from the difference of a run with and one
-    without disturbance. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs and cancels.
-    None when a run fails, or when the loop is unstable and does not respond at the frequencies of the disturbance.
+    without disturbance at `speed_kmh`. `guidance` and `vehicle` as in `simulate.run`, `sensors` are arguments of
+    `sensors.readings`; their noise is equal in both runs and cancels. None when a run fails or the loop is unstable.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
@@ -134,7 +131,8 @@ its command. Each with its key, begin and end of the search, resolution and unit
 def survived(fails: Callable[[float], bool], nominal: float, largest: float, resolution: float) -> float:
     """Largest value of a quantity for which `fails(value)` is false, by bisection between `nominal` and `largest`.
 
-    All are in the unit of the quantity; nan when `nominal` fails, `largest` when that does not.
+    Bisection ends at `resolution`; all numbers have the unit of the quantity. Returns nan when `nominal` fails,
+    `largest` when this value does not fail.
     """
     if fails(nominal):
         return float("nan")
@@ -151,7 +149,8 @@ def survived(fails: Callable[[float], bool], nominal: float, largest: float, res
 def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
     """Largest value of a quantity (key of `QUANTITIES`, in its unit) with which a tuned controller avoids the flanges.
 
-    `setting` and `controller` select the tuned parameters, `rail` is a key of `RAILS`; see `survived`.
+    `setting` ("paper", "equal", "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned parameters,
+    `rail` is a key of `RAILS`. nan when the controller fails at the start of the search, see `survived`.
     """
     name, end = RAILS[rail]
     key, *bounds, _ = QUANTITIES[quantity]
@@ -167,7 +166,7 @@ def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
 
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
-    """Keys peak_sensitivity (max |S|) and disk_margin (-) of a tuned controller at a speed; inf and 0 if unstable."""
+    """Keys peak_sensitivity (max |S|), disk_margin (-) of a tuned controller; inf, 0 where `sensitivity` is None."""
     around = load_loop() if setting == tuning.LOOP else None
     read = controller, speed_kmh, tuning.load(controller, setting)["parameters"], around, load_vehicle()
     key = store.key(__name__, "sensitivity", read)

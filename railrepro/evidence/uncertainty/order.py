@@ -58,7 +58,7 @@ noise come behind the filter of the realistic loop: their zero is the choice "S1
 
 
 def changed(axis: str, value) -> dict:
-    """Fields of `Experiment` that put an axis (key of `AXES`) at a value; empty for "bandwidth", a tuning parameter."""
+    """Fields of `Experiment` (dict) that set an axis, a key of `AXES`, to a value in its unit; {} for "bandwidth"."""
     if axis == "unbalanced acceleration":
         return {"alignment": canted(alignments()["T3"], value)}
     if axis == "creep stiffness":
@@ -71,7 +71,7 @@ def changed(axis: str, value) -> dict:
 
 
 def experiments(axis: str, value, setting: str, controller: str) -> list[Experiment]:
-    """Runs of a tuned controller on T3 with one axis (key of `AXES`) at a value in the axis's unit.
+    """Runs of a controller, tuned in a setting, on T3 with one axis (key of `AXES`) at a value in the unit given there.
 
     One run, or one per seed of `SEEDS` where there is noise.
     """
@@ -89,7 +89,7 @@ def experiments(axis: str, value, setting: str, controller: str) -> list[Experim
 
 
 def canted(track: Alignment, acceleration: float) -> Alignment:
-    """Copy of a curve entry (straight, clothoid, arc) canted to leave an acceleration (m/s2) at its design speed."""
+    """Copy of a curve entry (straight, clothoid, arc) canted for an unbalanced acceleration (m/s2) at design speed."""
     start, ramp, arc = track.segments
     angle = superelevation_angle(track.design_speed, 1 / arc.kappa[0], acceleration)
     return replace(track, segments=(start, replace(ramp, phi=(0.0, angle)), replace(arc, phi=(angle, angle))))

@@ -65,14 +65,14 @@ class Sample:
     """One sampled combination of the parameters that the paper does not publish."""
 
     number: int
-    """Index in the Sobol sequence."""
+    """Index in the Sobol sequence of `draw`, or in a list of samples of one's own."""
     setting: str
     """Setting of comparison, one of `tuning.SETTINGS`."""
     values: tuple[tuple[str, float], ...]
-    """Pairs of dimension name (see `prior`) and value in its unit; others stay nominal."""
+    """Pairs of dimension name (see `prior`) and value in its unit; dimensions not named stay nominal."""
 
     def world(self) -> ProbeSetup:
-        """Car, experiments and tuned controllers of the setting, with the values of the sample."""
+        """Setup of the probe: tuned controllers of the setting, with car and experiments changed by the sample."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
@@ -85,7 +85,7 @@ class Sample:
 
 
 def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
-    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence), the same ones for each setting."""
+    """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence) per setting, the same values in each."""
     dimensions = prior()
     points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
     values = [tuple((d.name, d.value(float(u))) for d, u in zip(dimensions, point, strict=True)) for point in points]
@@ -93,10 +93,10 @@ def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> lis
 
 
 def evaluate(sample: Sample) -> dict:
-    """Retune each controller slightly on a sampled car, then run the probe with other seeds of the noise.
+    """Retune the paper's three controllers slightly on a sampled car, then run the probe with another noise seed.
 
-    Returns a row: `LABELS` (number, setting, wheel profile, variant of LTV-MPC), the sampled values by dimension, and
-    "scenario/controller/metric" -> value (SI).
+    Returns a row as dict: number and setting of the sample, profile ("cone", "s1002"), ltv (variant of LTV-MPC), values
+    of the sample by dimension name, and metrics "scenario/controller/metric" -> value (SI) of `claims.probe.probe`.
     """
     world = sample.world()
     tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
@@ -131,9 +131,9 @@ def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
 
 
 def ties(settings: Iterable[str]) -> dict[str, Mapping]:
-    """Spread between seeds of the nominal car, which decides what is a tie in all samples.
+    """Spread of the metrics of the nominal car between noise seeds, by which `Statement.judge` finds ties.
 
-    Setting -> {(scenario, controller, metric): logarithm of largest over smallest value among seeds}.
+    Setting -> {(scenario, controller, metric): natural logarithm of largest over smallest value among seeds (-)}.
     """
     nominal = Nominal()
     return {setting: nominal.evidence(setting).spread for setting in settings}
@@ -142,8 +142,8 @@ def ties(settings: Iterable[str]) -> dict[str, Mapping]:
 def holds(table: pd.DataFrame) -> pd.DataFrame:
     """Judge the paper's statements on each sample; `table` has the rows of `evaluate`.
 
-    Returns one row per sample: `LABELS`, and a boolean column per statement (named by id such as "C04") that is true
-    where it is reproduced, missing where metrics are. A failed run counts by the rule of its statement.
+    Returns one row per sample: columns `LABELS`, and one per statement (named by its id, such as "C04"): True where the
+    sample reproduces the statement, False where not, nan where metrics for it are missing.
     """
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     spread = ties(table["setting"].unique())
@@ -159,8 +159,8 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
     """Share of samples (0 to 1) in which each statement holds, by setting, with a 95 % interval (Clopper-Pearson).
 
-    `table` has the rows of `evaluate`. Columns id, setting, share, low, high, samples (number), and the shares by wheel
-    profile cone, s1002. Empty without a table.
+    `table` has the rows of `evaluate`; without it (None) the result is empty. Columns id (of the statement), setting,
+    share, low, high (ends of the interval), samples (number judged), cone, s1002 (share among samples of this profile).
     """
     columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
     if table is None:
@@ -178,9 +178,9 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
-    """`shares` of one setting with a column `candidates`: at most three parameters that may decide each statement.
+    """Table of `shares` with a column `candidates`: list of at most three parameters that may decide the statement.
 
-    A list of dimension names by rank correlation; the rows of `table` belong to `samples`.
+    Entries are names of `prior`, by rank correlation. `table` has the rows of `evaluate` for `samples` in one setting.
     """
     found, judged = shares(table), holds(table)
     factors, deciding = pd.DataFrame([dict(sample.values) for sample in samples]), []
@@ -194,7 +194,7 @@ def confirmed(found: pd.DataFrame, setting: str, run: Callable[[list[Sample]], l
     """Replace the column `candidates` by `decided_by`, the parameters that change a verdict on their own.
 
     Each candidate is set to both ends of its range while all others stay nominal; names are joined by commas.
-    `found` is from `candidates` in this setting of comparison; `run` maps samples to their rows of `evaluate`.
+    `found` is the table of `candidates` in this setting of comparison; `run` maps samples to their rows of `evaluate`.
     """
     ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
     names = list(dict.fromkeys(name for each in found["candidates"] for name in each))
@@ -238,8 +238,8 @@ BY_POLE = ("C04", "C05", "C17", "C20", "C31")
 def over_poles(quiet: bool = False) -> pd.DataFrame:
     """Verdicts on the statements `BY_POLE` for each triple pole of NDI in `POLES`, nominal car, setting `paper`.
 
-    Columns poles (rad/s, as text, or "swarm" for parameters found by the swarm), id, value (compared with the limits
-    of the statement), verdict.
+    Columns poles (rad/s, as text, or "swarm" for parameters found by the swarm), id (of the statement), value (in the
+    unit of the statement, compared with its limits), verdict (text of `Statement.judge`). `quiet` hides progress bars.
     """
     spread, known = ties([tuning.PAPER])[tuning.PAPER], statements.load()
     nominal, swarm = setup({}), tuning.load(statements.NDI, tuning.PAPER, searched=True)["parameters"]
@@ -259,7 +259,7 @@ def over_poles(quiet: bool = False) -> pd.DataFrame:
 
 
 def study(setting: str, count: int) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Evaluate `count` samples in a setting; returns the table of `evaluate` rows and `shares` with `decided_by`."""
+    """Evaluate `count` samples in a setting: DataFrame of `evaluate` rows, and that of `shares` with `decided_by`."""
     samples = draw(count, settings=(setting,))
     with executor() as pool:
         table = pd.DataFrame(ordered_map(pool, evaluate, samples, f"robustness, {setting}"))
@@ -268,7 +268,7 @@ def study(setting: str, count: int) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def main(samples: int | None = None) -> None:
-    """Run the study in all settings with `samples` (default `SAMPLES`) each, and write its tables to data/results."""
+    """Run `over_poles`, and `study` with `samples` (default `SAMPLES`) per setting; write tables to data/results."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in tuning.SETTINGS:
