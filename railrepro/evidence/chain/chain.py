@@ -254,8 +254,8 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path, keep_going: bo
             # a busy machine may let a kernel wait: without these nbclient gives up after 4 s and loses outputs
             papermill.execute_notebook(
                 notebook.path, output, parameters, kernel_name="python3", kernel_manager_class=kernel,
-                progress_bar=False,
-                start_timeout=300, iopub_timeout=300, allow_errors=keep_going, extra_arguments=["--log-level=50"],
+                progress_bar=False, start_timeout=300, iopub_timeout=300, allow_errors=keep_going,
+                extra_arguments=["--log-level=50"],
             )  # fmt: skip
         except papermill.PapermillExecutionError as error:
             failure = f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]

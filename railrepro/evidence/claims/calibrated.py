@@ -78,10 +78,15 @@ def load(path: Path | str | None = None) -> dict[str, Choice]:
     file = data.location(path, paths.source("data/paper_like.toml"))
     choices = data.build(dict[str, Choice], data.read(file), file.name)
     try:
-        setup({name: choice.value for name, choice in choices.items()}).car()
+        setup(_values(choices)).car()
     except (InputError, TypeError) as error:
         raise InputError(f"{file.name}: {error}") from None
     return choices
+
+
+def _values(choices: Mapping[str, Choice]) -> dict[str, Any]:
+    """Value of each choice by its name."""
+    return {name: choice.value for name, choice in choices.items()}
 
 
 def table(*names: str) -> pd.DataFrame:
@@ -102,7 +107,7 @@ def cars() -> dict[str, ProbeSetup]:
 
 def paper_like(**instead: Any) -> ProbeSetup:
     """Calibrated car, controllers and experiments as setup of a probe; `instead` replaces values of choices by name."""
-    return setup({name: choice.value for name, choice in load().items()} | instead)
+    return setup(_values(load()) | instead)
 
 
 MATCHED = (
@@ -137,7 +142,7 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 def alone(choices: Mapping[str, Choice]) -> list[tuple[str, Any, dict[str, Any]]]:
     """Undo one choice at a time: list of (name, value put back: `instead`, else `nominal`; all values by name)."""
-    values = {name: choice.value for name, choice in choices.items()}
+    values = _values(choices)
     put_back = {name: c.nominal if c.instead is None else c.instead for name, c in choices.items()}
     return [(name, back, values | {name: back}) for name, back in put_back.items() if back != values[name]]
 
@@ -153,7 +158,7 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
     `choices` are from `load`, `draw` is the seed of u. k_a and k_s of poor rail stay at most 1.
     """
     rng = np.random.default_rng([SEED, draw])
-    values = {name: choice.value for name, choice in choices.items()}
+    values = _values(choices)
     moved = {name: values[name] * (1 + size * rng.uniform(-1, 1)) for name, choice in choices.items() if choice.changed}
     return values | {name: min(value, _LARGEST.get(name, np.inf)) for name, value in moved.items()}
 
@@ -165,7 +170,7 @@ def tables(draws: int = DRAWS, quiet: bool = False) -> dict[str, pd.DataFrame]:
     that no longer do). "_conflicts": see `conflict`. "_perturbed": size (relative), draw (number), holds, falls.
     """
     choices = load()
-    values, one_back = {name: choice.value for name, choice in choices.items()}, alone(choices)
+    values, one_back = _values(choices), alone(choices)
     moves = [(size, draw) for size in SIZES for draw in range(draws)]
     cases = [values, *(case for *_, case in one_back), *(perturbed(choices, size, draw) for size, draw in moves)]
     with executor() as pool:

@@ -132,7 +132,7 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
             for rows in (run.series, run.series[run.series["front.p"] >= REACHED])
         )
         values |= {"largest_slip": whole["largest_slip"][0], "utilisation_late": late["utilisation"][0]}
-        values |= macro_slips(series, *adhesion_peak(scenario, car)[:2]) | oscillation(series)
+        values |= macro_slips(series, *adhesion_peak(scenario, car)) | oscillation(series)
         values["flange"] = float(metrics.reaches_flange(run.series))
     return values | {"regular_deviation": deviation(series, REGULAR_END, DEMANDED)}, None
 
@@ -233,7 +233,7 @@ def _curve(world: ProbeSetup) -> Measured:
 def _loss(world: ProbeSetup) -> Measured:
     """Fig. 8: NMPC as tuned and with R x 10, each over `PERTURBED` and once without slip control; NDI."""
     scenario, car = load_scenario(LOSS).but(end_m=700.0), world.car()
-    yield LOSS, NOTHING, nothing(scenario) | {"excessive_slip": adhesion_peak(scenario, car)[2]}
+    yield LOSS, NOTHING, nothing(scenario) | {"excessive_slip": excessive_slip(scenario, car)}
     tuned = {"nmpc": with_r_times(world.parameters["nmpc"], world.r_loss)}
     tuned[SOFT] = with_r_times(tuned["nmpc"], EMPHASIS)
     cases = {
@@ -492,18 +492,24 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
     }
 
 
-def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float, float]:
-    """Adhesion peak of a scenario's poor rail at the static wheel load of the car: (peak, slip, excessive slip) (-).
+def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float]:
+    """Adhesion maximum of a scenario's poor rail at its initial speed and the static wheel load, and its slip (-)."""
+    return adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *_patch(car))
 
-    The last is the slip beyond the peak at which the adhesion has fallen to `APPROACH` times the peak.
-    """
-    law, (a, b, kalker), shear = car.adhesion[scenario.poor], middle_patch(car), car.contact.shear_modulus
-    peak, best = adhesion_maximum(law, scenario.speed, car.wheel_load, a, b, kalker, shear)
+
+def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
+    """Slip (-) beyond that of `adhesion_peak` down to which `APPROACH` of the peak is left on the falling branch."""
+    peak, best = adhesion_peak(scenario, car)
+    load, a, b, kalker, shear = _patch(car)
     slips = np.geomspace(best, 1.0, 2000)
-    contact = car.wheel_load, a, b, *kalker, shear, *astuple(law)
+    contact = load, a, b, *kalker, shear, *astuple(car.adhesion[scenario.poor])
     force, _ = polach(-slips, 0.0, 0.0, *contact, slip_speed=slips * scenario.speed)
-    left = force / car.wheel_load > APPROACH * peak
-    return peak, best, float(slips[left].max())
+    return float(slips[force / load > APPROACH * peak].max())
+
+
+def _patch(car: Vehicle) -> tuple:
+    """Static wheel load (N), semi-axes (m), Kalker's coefficients (-), shear modulus (Pa)."""
+    return car.wheel_load, *middle_patch(car), car.contact.shear_modulus
 
 
 SEEDS = (101, 102, 103)
