@@ -1,8 +1,5 @@
 # Two commands matter: `make figures` and `make test`; each sets up .venv by itself. `make help` lists the rest.
 SHELL := /bin/bash
-ifeq ($(filter grouped-target,$(.FEATURES)),)
-  $(error GNU Make 4.3 or newer is needed, this is $(MAKE_VERSION))
-endif
 
 PYTHON ?= python3
 PY := .venv/bin/python
@@ -11,17 +8,10 @@ export PYTHONHASHSEED := 0
 # What decides the last digits: threads, kernels of NumPy and linear algebra.
 $(foreach variable,$(shell $(PYTHON) -IS railrepro/numerics.py),$(eval export $(variable)))
 export SOURCE_DATE_EPOCH := 1700000000
-export IPYTHONDIR := $(CURDIR)/build/ipython
-export MPLCONFIGDIR := $(CURDIR)/build/matplotlib
 export JUPYTER_CONFIG_DIR := $(CURDIR)/build/jupyter/config
 export JUPYTER_DATA_DIR := $(CURDIR)/build/jupyter/data
 # Without stored byte code each of some hundred processes would compile the libraries that it imports, for seconds.
 unexport JUPYTER_PATH PYTHONPATH PYTHONDONTWRITEBYTECODE
-
-# Where the cache of uv cannot be written, as without a home, there is one in build; pip says so itself and does without.
-ifneq ($(shell d="$${UV_CACHE_DIR:-$${XDG_CACHE_HOME:-$$HOME}}"; test -d "$$d" -a -w "$$d" && echo yes),yes)
-  export UV_CACHE_DIR := $(CURDIR)/build/uv
-endif
 
 # What make starts ends with it, also when only make is killed.
 ifndef RAILREPRO_LEADER
@@ -41,16 +31,13 @@ help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s%s\n", $$1, $$2}' Makefile | sort
 	@echo "figNN       one figure with what it needs, for example make fig06"
 
-# As many notebooks at a time as the caller says with -j.
-CHAIN = @$(PY) -m railrepro figures $(patsubst -j%,--jobs %,$(filter-out -j,$(filter -j%,$(MAKEFLAGS))))
-
 setup: $(VENV)  ## set up the environment in .venv
 
 figures: $(VENV)  ## run the notebooks whose inputs changed; writes data/ and figures/; VEHICLE=mine.toml tries 00 to 09 on your own car
-	$(if $(VEHICLE),$(PY) -m railrepro drive "$(VEHICLE)",$(CHAIN))
+	@$(PY) -m railrepro $(if $(VEHICLE),drive "$(VEHICLE)",figures)
 
 fig%: $(VENV)
-	$(CHAIN) $@
+	@$(PY) -m railrepro figures $@
 
 check: $(VENV)  ## lint, format, types, order of imports
 	$(PY) -m ruff check
@@ -64,16 +51,15 @@ test: $(VENV)  ## run the tests, the notebooks with small parameters among them
 test-slow: $(VENV)  ## run the tests that take minutes
 	$(PY) -m pytest -m slow $(PYTEST_JOBS)
 
-test-extras: $(call READY,bench) $(call READY,compiler)  ## install two groups and run their tests: Exudyn, Gymnasium, live page
+test-extras: $(call READY,bench) $(call READY,compiler)  ## install two groups and run their tests: Exudyn, live page
 	$(PY) -m pytest -m "not slow" $(PYTEST_JOBS) tests/validation tests/export/test_live.py
 
-faults: $(VENV)  ## fault injection in a small chain of notebooks: kills, Ctrl-C, full disk
+faults: $(VENV)  ## fault injection in a chain of one notebook: kills and Ctrl-C
 	$(PY) -m pytest -m slow tests/evidence/test_faults.py
 
 lab: $(VENV)  ## open the chapters in JupyterLab; LAB="--no-browser --ip=0.0.0.0" passes options on, as in a container
 	@mkdir -p $(JUPYTER_CONFIG_DIR)/labconfig
 	@cp .binder/lab.json $(JUPYTER_CONFIG_DIR)/labconfig/default_setting_overrides.json
-	@echo "What chapters write goes to build/tried. Nothing is saved by itself; \`make strip\` takes the outputs out of saved ones."
 	$(PY) -m jupyterlab --notebook-dir=. --LabApp.default_url="/lab/tree/notebooks/00_first_run.ipynb?file-browser-path=/" \
 	  --LanguageServerManager.autodetect=False $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB)
 
@@ -98,8 +84,8 @@ bench: $(VENV)  ## measure speed, as ratios in one run; with the group `bench` a
 	@if $(PY) -c "import exudyn" 2>/dev/null; then $(PY) tests/validation/second_opinion.py && \
 	  $(PY) tests/validation/second_plant.py; else echo "no second car: \`make test-extras\` installs Exudyn"; fi
 
-study: $(VENV)  ## nominal probes, robustness, margins, ranking sensitivity (long, resumes)
-	for name in probe calibrated robustness margins loop order; do $(PY) -m railrepro $$name || exit 1; done
+study: $(VENV)  ## nominal probes, robustness, margins, loop (long, resumes)
+	for name in probe calibrated robustness margins loop; do $(PY) -m railrepro $$name || exit 1; done
 
 strip: $(VENV)  ## remove outputs from the notebooks
 	.venv/bin/nbstripout --keep-id --extra-keys "metadata.vscode metadata.widgets metadata.language_info.version" notebooks/*.ipynb
@@ -108,14 +94,13 @@ lock:  ## renew environment.lock from pyproject.toml; pins stay, but for those o
 	@.ci/lock $(NEWER)
 
 clean:  ## remove executed notebooks, stamps and reports of runs
-	rm -rf build/stamps build/notebooks build/staging build/book build/html build/verify
+	rm -rf build/stamps build/notebooks build/book build/html build/verify
 
 distclean: clean  ## also remove the environment, compiled code and stored results
 	rm -rf build .venv
 
 $(VENV): environment.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; (3,11) <= sys.version_info[:2] < (3,15) or sys.exit("Python 3.11 to 3.14 is needed, $(PYTHON) is " + sys.version.split()[0])'
-	@test -w . || { echo "no write permission in $(CURDIR); clone into a folder of your own"; exit 1; }
 	@echo "setting up .venv (once, about a minute)"
 	@rm -f .venv/ready-*
 	@test -x .venv/bin/uv || $(PYTHON) -m venv --clear .venv

@@ -20,11 +20,13 @@ from __future__ import annotations
 import gymnasium
 import numpy as np
 
+from railrepro.car.outputs import GearStates
 from railrepro.control import lateral
 from railrepro.control.law import GEARS
 from railrepro.data import InputError
 from railrepro.estimation.sensors import readings
-from railrepro.model.control_model import PSI_TRAX, PSIDOT_AX, XDOT, X, Y
+from railrepro.model.control_model import PSI_TRAX, PSIDOT_AX, STATES, XDOT, X, Y
+from railrepro.quantities import names
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -47,7 +49,6 @@ class GuidanceEnv(gymnasium.Env):
     def __init__(self, scenario="curve_entry_T3", sensors: bool = False):
         self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
         self.vehicle, self.sensors, self.loop = load_vehicle(), sensors, None
-        self.scenario.check(self.vehicle)
         self.route = self.scenario.route()
         slower = 5.0 if self.scenario.force_kN else 1.25
         self.duration = slower * self.route.length / self.scenario.speed  # s, of the longest episode
@@ -61,10 +62,11 @@ class GuidanceEnv(gymnasium.Env):
         noisy = readings(seed=int(self.np_random.integers(2**31))) if self.sensors else None
         cars = self.vehicle, self.vehicle
         self.loop = simulate.start(self.scenario, lateral.ZeroOrderHold(), self.route, *cars, sensors=noisy)
-        names = self.loop.car.model.states
+        states = self.loop.car.model.states
         for gear in GEARS:
-            self.loop.state[names.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)
+            self.loop.state[states.index(f"{gear}.y")] += self.np_random.uniform(-OFFSET, OFFSET)
         self.loop.car.measure()
+        self.time = 0.0
         return self._observation(), self._info()
 
     def step(self, action):
@@ -74,10 +76,11 @@ class GuidanceEnv(gymnasium.Env):
             raise InputError("reset() is needed before a step")
         if torque.shape != (len(GEARS),) or not np.isfinite(torque).all():
             raise InputError(f"the action is {action!r}, two numbers from -1 to 1 are needed")
-        left = self.duration - loop.time
+        left = self.duration - self.time
         loop.held[:] = np.clip(torque, -1.0, 1.0) * self.vehicle.drive.torque_limit
         loop.run(CYCLES)
         loop.car.measure()
+        self.time = round(self.time + STEP, 6)
         observation, info = self._observation(), self._info()
         if not np.isfinite(observation).all() or min(loop.margins[f"{gear}.lateral"] for gear in GEARS) <= 0:
             return np.nan_to_num(observation, posinf=0.0, neginf=0.0), -WORST * left, True, False, info
@@ -85,16 +88,25 @@ class GuidanceEnv(gymnasium.Env):
         return observation, -STEP * min(float(cost), WORST), False, self._over(), info
 
     def _over(self) -> bool:
-        return bool(self.loop.ended or self.duration - self.loop.time < STEP / 2)
+        return bool(self.loop.ended or self.duration - self.time < STEP / 2)
+
+    def _states(self) -> np.ndarray:
+        """Measured states of both gears, shape (2, 6), SI: the true ones; with sensors estimates, but at the start."""
+        loop = self.loop
+        if self.sensors and self.time:
+            known = dict(zip(loop.control.signature.memory, loop.memory, strict=True))
+            return np.array([[known[f"{gear}.estimated.{name}"] for name in STATES] for gear in GEARS])
+        known = loop.car.outputs
+        return np.array([[known[f"{gear}.{name}"] for name in names(GearStates)] for gear in GEARS])
 
     def _info(self) -> dict:
         """Lateral error (m) and torque (N m) of both gears, arc length (m), speed (m/s) and time (s)."""
-        x, torque = self.loop.measured_states(), self.loop.held.copy()
+        x, torque = self._states(), self.loop.held.copy()
         error = np.array([self.route.reference_at(gear[X])[0].item() - gear[Y] for gear in x])
-        return {"error": error, "torque": torque, "p": x[0, X], "v": x[0, XDOT], "time": self.loop.time}
+        return {"error": error, "torque": torque, "p": x[0, X], "v": x[0, XDOT], "time": self.time}
 
     def _observation(self) -> np.ndarray:
-        limit, x = self.vehicle.drive.torque_limit, self.loop.measured_states()
+        limit, x = self.vehicle.drive.torque_limit, self._states()
         gears = [self._of_gear(*pair) for pair in zip(x, self.loop.held / limit, strict=True)]
         return np.append(gears, x[0, XDOT] / 100).astype(np.float32)
 

@@ -1,6 +1,6 @@
 """The smallest entry: one class with one method, which reads nothing but position and set point.
 
-Error, its integral and two filtered derivatives. `q` has the quantities that `python -m railrepro score --describe`
+Error, its integral and two filtered derivatives. `q` has the quantities that `railrepro/control/lateral.py`
 lists, and the law's own memory, which starts at 0 and is returned anew each millisecond.
 """
 

@@ -16,7 +16,7 @@ the import costs nothing:
 - `InputError`: exception for wrong input, its message one sentence
 """
 
-import importlib
+import pkgutil
 import sys
 from typing import Any
 
@@ -55,9 +55,8 @@ __all__ = ["FACADE", "__version__", *FACADE]
 def __getattr__(name: str) -> Any:
     if name not in FACADE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    room, _, own = FACADE[name].rpartition(".")
-    found = globals()[name] = getattr(importlib.import_module(room), own, None) or importlib.import_module(FACADE[name])
-    return found
+    globals()[name] = pkgutil.resolve_name(FACADE[name])
+    return globals()[name]
 
 
 def __dir__() -> list[str]:

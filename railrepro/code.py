@@ -1,9 +1,9 @@
 """The code that this process runs: one version of the library, the content of each module, and what they compute with.
 
-A process imports modules over minutes, and its files may be edited meanwhile. So their sizes and times are noted when
-the package is imported, and looked at again before anything is read from a cache or stored in one: what an edited
-checkout computes belongs to no version. The content of a module is its text without comments, docstrings and empty
-lines; it is cut out by one pattern and not by Python's parser, so that all versions of Python agree on it.
+A process imports modules over minutes, and its files may be edited meanwhile. So they are read when the package is
+imported, and their sizes and times are looked at again before anything is read from a cache or stored in one: what an
+edited checkout computes belongs to no version. The content of a module is its text without comments, docstrings and
+empty lines; it is cut out by one pattern and not by Python's parser, so that all versions of Python agree on it.
 """
 
 from __future__ import annotations
@@ -12,21 +12,18 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow")
 """Packages whose version may change a number or a figure; others only check, start or show the computations."""
-_FOLDER = str(Path(__file__).parent)
+_FOLDER = os.path.dirname(__file__)
 _ABOVE = "railrepro/evidence/"
 """Folder of modules that import the library and are not imported by it."""
-_LONG = r'"""[^"\\]*(?:(?:\\.|"(?!""))[^"\\]*)*"""' + r"|'{3}[^'\\]*(?:(?:\\.|'(?!''))[^'\\]*)*'{3}"
-_TOKEN = re.compile(
-    rf"(?P<statement>(?<!\\\n)^[ \t]*[rR]?(?:{_LONG})[ \t]*(?=$|\#))"
-    rf"""|(?P<string>{_LONG}|"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')"""
-    r"|(?P<comment>#[^\n]*)|(?P<open>[(\[{])|(?P<close>[)\]}])",
+_TOKEN = re.compile(  # `++`, for a quote that nothing closes would take exponential time
+    r"""(?P<start>(?<!\\\n)^[ \t]*[rR]?)?(?P<quote>"{3}|'{3}|"|')(?:[^\\"']++|\\.|(?!(?P=quote))["'])*+(?P=quote)"""
+    r"(?P<end>(?=[ \t]*(?:$|\#)))?|(?P<comment>\#[^\n]*)|(?P<open>[(\[{])|(?P<close>[)\]}])",
     re.DOTALL | re.MULTILINE,
 )
 _EMPTY = re.compile(r"[ \t]*\n(?:[ \t]*\n)*")
@@ -38,11 +35,10 @@ _DOTTED = re.compile(r"\brailrepro(?:\.\w+)+")
 
 def _signature(file: str) -> tuple[int, int] | None:
     """Size and time of the last change (ns); None when there is no such file."""
-    try:
+    with suppress(OSError):
         status = os.stat(file)
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns
+        return status.st_size, status.st_mtime_ns
+    return None
 
 
 _FILES = {
@@ -52,7 +48,8 @@ _FILES = {
     if name.endswith((".py", ".c", ".h"))
 }
 """Sources by their names from the package on."""
-_IMPORTED = {file: _signature(file) for file in _FILES.values()}
+_SIGNATURES = {file: _signature(file) for file in _FILES.values()}
+_BYTES = {name: Path(file).read_bytes() for name, file in sorted(_FILES.items())}
 _edited = False
 
 
@@ -62,7 +59,7 @@ def unchanged() -> bool:
     Once False it stays so, also when a file is put back: a module may have been imported in between.
     """
     global _edited
-    if not _edited and any(_signature(file) != signature for file, signature in _IMPORTED.items()):
+    if not _edited and any(_signature(file) != signature for file, signature in _SIGNATURES.items()):
         _edited = True
         print(
             "railrepro was edited after this process imported it: nothing is read from its caches or stored there; "
@@ -73,15 +70,8 @@ def unchanged() -> bool:
     return not _edited
 
 
-@cache
-def _bytes() -> dict[str, bytes] | None:
-    """Sources that were imported; None when they had been edited before they were read."""
-    read = {name: Path(file).read_bytes() for name, file in _FILES.items()} if unchanged() else {}
-    return read if unchanged() else None
-
-
 def content(text: str) -> str:
-    """Python source `text` without comments, docstrings (triple-quoted strings that are statements) and empty lines.
+    """Python source `text` without comments, docstrings (strings that are statements) and empty lines.
 
     Trailing blanks go, too; other strings stay as they are.
     """
@@ -91,16 +81,18 @@ def content(text: str) -> str:
         code += text[end : match.start()]
         end = match.end()
         depth += bool(match["open"]) - bool(match["close"])
-        if match["string"] or (match["statement"] and depth):
+        if match["comment"] or (depth == 0 and match["start"] is not None and match["end"] is not None):
+            continue
+        if match["quote"]:
             parts += [_EMPTY.sub("\n", code), match[0]]
             code = ""
-        elif not (match["comment"] or match["statement"]):
+        else:
             code += match[0]
     return "".join([*parts, _EMPTY.sub("\n", code + text[end:])]).strip("\n")
 
 
-def imports(content: str) -> set[str]:
-    """Dotted names of this package, as "railrepro.data.write", that Python source `content` imports or mentions."""
+def _imported(content: str) -> set[str]:
+    """Sources that Python source `content` imports or names, with those of the packages that they are in."""
     from railrepro import FACADE  # the package imports this module first
 
     joined = content.replace("\\\n", " ")
@@ -109,18 +101,21 @@ def imports(content: str) -> set[str]:
         found |= {f"{module}.{name}" for name in re.findall(r"(?:^|[(,])\s*(\w+|\*)", names)}
     if _IMPORT.search(joined) or "railrepro.*" in found:  # any name of the facade may follow
         found |= {f"railrepro.{name}" for name in FACADE}
-    return found | {home for name, home in FACADE.items() if f"railrepro.{name}" in found}
+    found |= {home for name, home in FACADE.items() if f"railrepro.{name}" in found}
+    parts = [name.split(".") for name in found]  # where the last part is no module, it is a name within one
+    bases = {"/".join(part[:n]) for part in parts for n in range(1, len(part) + 1)}
+    return {file for base in bases for file in (f"{base}.py", f"{base}/__init__.py") if file in _BYTES}
 
 
 @cache
 def _text(name: str) -> str:
     """Content of a module, as this process imported it."""
-    return content((_bytes() or {})[name].decode())
+    return content(_BYTES[name].decode())
 
 
 @cache
 def _source_hash(name: str) -> str:
-    return _hash(_text(name).encode() if name.endswith(".py") else (_bytes() or {})[name])
+    return hashlib.sha256(_text(name).encode() if name.endswith(".py") else _BYTES[name]).hexdigest()
 
 
 @cache
@@ -129,30 +124,14 @@ def _next(name: str) -> frozenset[str]:
     if not name.endswith(".py") or name == "railrepro/__init__.py":
         return frozenset()
     folder = name.rpartition("/")[0]
-    beside = {file for file in _FILES if file.rpartition("/")[0] == folder and not file.endswith(".py")}
-    return frozenset(_modules(imports(_text(name))) | beside)
+    beside = {file for file in _BYTES if file.rpartition("/")[0] == folder and not file.endswith(".py")}
+    return frozenset(_imported(_text(name)) | beside)
 
 
-def _modules(names: Iterable[str]) -> set[str]:
-    """Sources of dotted names, with those of the packages that they are in; a name within a module is that module."""
-    parts = [name.split(".") for name in names]
-    bases = {"/".join(part[:n]) for part in parts for n in range(1, len(part) + 1)}
-    return {file for base in bases for file in (f"{base}.py", f"{base}/__init__.py") if file in _FILES}
-
-
-def _hash(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def reached(*texts: str) -> dict[str, str] | None:
-    """File of this package, as "railrepro/clock.py" -> SHA-256, for all that sources `texts` import, directly or not.
-
-    Returns None when the files were edited before this process had read them.
-    """
-    if _bytes() is None:
-        return None
+def reached(*texts: str) -> dict[str, str]:
+    """File of this package ("railrepro/clock.py") -> SHA-256, of all that sources `texts` import, directly or not."""
     found: dict[str, str] = {}
-    pending = [file for text in texts for file in _modules(imports(content(text)))]
+    pending = [file for text in texts for file in _imported(content(text))]
     while pending:
         file = pending.pop()
         if file not in found:
@@ -162,16 +141,13 @@ def reached(*texts: str) -> dict[str, str] | None:
 
 
 @cache
-def version() -> str | None:
+def version() -> str:
     """SHA-256 over all sources of this package but `railrepro.evidence`, as imported; the same on all machines.
 
-    Returns None when the files were edited before this process had read them. Call `unchanged` before reading from a
-    cache or storing in one under this key.
+    Call `unchanged` before reading from a cache or storing in one under this key.
     """
-    if _bytes() is None:
-        return None
-    names = sorted(name for name in _FILES if not name.startswith(_ABOVE))
-    return _hash("\n".join(f"{name} {_source_hash(name)}" for name in names).encode())
+    lines = [f"{name} {_source_hash(name)}" for name in _BYTES if not name.startswith(_ABOVE)]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @cache

@@ -1,6 +1,6 @@
 """Data in and out: TOML and JSON to checked, frozen dataclasses, and files that are written whole or not at all.
 
-A class marked with `table` states keys, types and defaults once; `above`, `between` and `steps` add unit and range to a
+A class marked with `table` states keys, types and defaults once; `above` and `between` add unit and range to a
 number, `__post_init__` what holds between keys. pydantic checks. Wrong input of any kind is an `InputError`: one
 sentence with file, key, what was found and what is needed.
 """
@@ -14,7 +14,6 @@ import json
 import math
 import numbers
 import os
-import pickle
 import reprlib
 import sys
 import threading
@@ -49,16 +48,11 @@ def is_number(value: Any) -> bool:
 class Quantity:
     """Unit and range of a number, as metadata of an annotated `float`, `int` (whole) or `Number` (kept as it is).
 
-    Attributes
-    ----------
-    low, high : float
-        Bounds in `unit`; `high` itself is allowed.
-    unit : str
-        As "m/s"; "" for none.
-    closed : bool
-        Whether `low` itself is allowed.
-    signed : bool
-        Whether the bounds hold for the magnitude, so that the number may have either sign.
+    Attributes:
+        low, high (float): Bounds in `unit`; `high` itself is allowed.
+        unit (str): As "m/s"; "" for none.
+        closed (bool): Whether `low` itself is allowed.
+        signed (bool): Whether the bounds hold for the magnitude, so that the number may have either sign.
     """
 
     low: float
@@ -76,16 +70,15 @@ class Quantity:
 
     def check(self, value: Any, whole: bool = False) -> None:
         """Raise ValueError unless a value is a number, or for `whole` an integer, within the range."""
-        real = isinstance(value, numbers.Integral if whole else numbers.Real) and not isinstance(value, bool)
-        too_long = isinstance(value, int) and not is_number(value)
-        size: Any = abs(value) if real and self.signed else value
-        if not real or too_long or not self.low <= size <= self.high or (size == self.low and not self.closed):
-            raise ValueError(f"is {reprlib.repr(value)}, {self._needed(whole)} is needed")
-
-    def _needed(self, whole: bool) -> str:
+        kind = numbers.Integral if whole else numbers.Real
+        if isinstance(value, kind) and (is_number(value) or abs(value) == math.inf):
+            size: Any = abs(value) if self.signed else value
+            if self.low < size <= self.high or (self.closed and size == self.low):
+                return
         number = f"a{' whole' * whole} number{' of either sign' * self.signed}"
-        upto = f" up to {self.high:g}" if math.isfinite(self.high) else ""
-        return f"{number} {'from' if self.closed else 'above'} {self.low:g}{upto} {self.unit}".rstrip()
+        bounds = f"{'from' if self.closed else 'above'} {self.low:g}"
+        bounds += f" up to {self.high:g}" if math.isfinite(self.high) else ""
+        raise ValueError(f"is {reprlib.repr(value)}, {number} {bounds} {self.unit}".rstrip() + " is needed")
 
 
 def above(low: float, high: float, unit: str = "", signed: bool = False) -> Quantity:
@@ -98,10 +91,10 @@ def between(low: float, high: float, unit: str = "") -> Quantity:
     return Quantity(low, high, unit, closed=True)
 
 
-def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole: bool = False) -> None:
+def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> None:
     """Raise InputError unless a value is a number (`whole`: an integer) in a range, or an instance of a class.
 
-    `allowed` is the range as a `Quantity`, the class, or a tuple of classes; `what` names the value in the message.
+    `allowed` is the range as a `Quantity`, or the class; `what` names the value in the message.
     """
     if isinstance(allowed, Quantity):
         try:
@@ -109,44 +102,25 @@ def require(what: str, value, allowed: Quantity | type | tuple[type, ...], whole
         except ValueError as fault:
             raise InputError(f"{what} {fault}") from None
     elif not isinstance(value, allowed):
-        names = " or ".join(kind.__name__ for kind in (allowed if isinstance(allowed, tuple) else (allowed,)))
-        raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {names} is needed")
+        raise InputError(f"{what} is {reprlib.repr(value)}, an object of the class {allowed.__name__} is needed")
 
 
 def check_fields(settings: Any) -> None:
     """Raise InputError if a field of a dataclass is beyond its annotated `Quantity`, or not of its type bool or str."""
     kind: Any = type(settings)
-    for name, hint in _hints(kind).items():
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
         base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
         for allowed in notes:
             if isinstance(allowed, Quantity) or allowed in (bool, str):
                 require(f"{kind.__name__}: {name}", getattr(settings, name), allowed, whole=base is int)
 
 
-@functools.cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return typing.get_type_hints(kind, include_extras=True)
-
-
 Plain = Annotated[Number, between(-1e12, 1e12)]
 """Annotation of a number without unit, within +-1e12."""
 NOT_EMPTY = pydantic.Field(min_length=1)
 """Annotation of a list or table with at least one entry."""
-Flag = Annotated[bool, pydantic.Strict()]
-"""Annotation of a bool; numbers and strings that may stand for one are refused."""
 AS_GIVEN = pydantic.WrapValidator(lambda value, validate: (validate(value), value)[1])
 """Annotation of a table that is checked against the annotated class, but kept as a dict."""
-
-
-def _distinct(values):
-    for value in values:
-        if values.count(value) > 1:
-            raise ValueError(f"has {value!r} {values.count(value)} times, once is needed")
-    return values
-
-
-DISTINCT = pydantic.AfterValidator(_distinct)
-"""Annotation of a list without repetitions."""
 
 
 def _finite(value):
@@ -189,19 +163,16 @@ def table(cls: type) -> type:
 
 
 def location(path: Path | str | None, default: Path | None = None) -> Path:
-    """`path` as a Path, or `default` where it is None; InputError for anything that is neither str nor Path."""
-    if path is None and default is not None:
-        return default
-    if not isinstance(path, str | Path):
-        raise InputError(f"{reprlib.repr(path)} is no path of a file")
-    return Path(path)
+    """`path` as a Path, or `default` where it is None."""
+    return Path(default if path is None else path)  # type: ignore[arg-type]
 
 
 def read(path: Path) -> Any:
     """Content of a TOML or (by its suffix) JSON file, dicts and lists; InputError if it is unreadable or empty."""
-    kind = "JSON" if path.suffix == ".json" else "TOML"
+    kind = "JSON" if path.suffix in (".json", ".ipynb") else "TOML"
     try:
-        content = pickle.loads(_parsed(path.read_text(encoding="utf-8"), kind))
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text) if kind == "JSON" else tomllib.loads(text)
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path.name}: cannot be read as {kind} ({error})") from error
     if not content:
@@ -209,33 +180,20 @@ def read(path: Path) -> Any:
     return content
 
 
-@functools.lru_cache(maxsize=32)
-def _parsed(text: str, kind: str) -> bytes:
-    """Content of a file, packed: its reader may change what it gets, and every run reads the same few files."""
-    return pickle.dumps(json.loads(text) if kind == "JSON" else tomllib.loads(text))
-
-
-@functools.lru_cache
-def _adapter(kind: type) -> pydantic.TypeAdapter:
-    return pydantic.TypeAdapter(kind)
+_adapter = functools.lru_cache(pydantic.TypeAdapter)
 
 
 def build(kind: type, content: Any, where: str) -> Any:
     """Check the content of a file and make an instance of a class from it.
 
-    Parameters
-    ----------
-    kind : type
-        Class marked with `table`, or `dict[str, such a class]` for a file of named tables, which gives a dict.
-    content : Any
-        Dicts and lists as `read` returns them, possibly changed.
-    where : str
-        Name of the file for the message.
+    Args:
+        kind (type): Class marked with `table`, or `dict[str, such a class]` for a file of named tables, which gives a
+            dict.
+        content (Any): Dicts and lists as `read` returns them, possibly changed.
+        where (str): Name of the file for the message.
 
-    Raises
-    ------
-    InputError
-        One sentence on the first fault: file, key, what was found, what is allowed.
+    Raises:
+        InputError: One sentence on the first fault: file, key, what was found, what is allowed.
     """
     try:
         return _adapter(kind).validate_python(content)
@@ -267,10 +225,8 @@ def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
 def write(path: Path, content: str | bytes) -> None:
     """Write text (as UTF-8) or bytes to a file, whole or not at all; makes its folders.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be written; an older one of that name is intact.
+    Raises:
+        InputError: When the file cannot be written; an older one of that name is intact.
     """
     scratch = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:

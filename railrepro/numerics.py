@@ -8,6 +8,7 @@ OpenBLAS to share them out among threads, so a run without these commands has th
 
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 ALWAYS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -20,10 +21,15 @@ WITH_AVX2 = {
 _PROCESSOR = Path("/proc/cpuinfo")
 
 
+@cache
+def has_avx2() -> bool:
+    """Whether the processor has AVX2, registers for four numbers, as far as the system tells."""
+    return _PROCESSOR.exists() and "avx2" in _PROCESSOR.read_text().split()
+
+
 def variables() -> dict[str, str]:
     """Environment variables by name: `ALWAYS`, and on a processor with AVX2 those of `WITH_AVX2` that are not set."""
-    words = _PROCESSOR.read_text().split() if _PROCESSOR.exists() else []
-    return ALWAYS | {name: value for name, value in WITH_AVX2.items() if "avx2" in words and name not in os.environ}
+    return ALWAYS | {name: value for name, value in WITH_AVX2.items() if has_avx2() and name not in os.environ}
 
 
 def fix() -> None:

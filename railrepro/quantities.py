@@ -30,14 +30,12 @@ def listed(labels: Iterable) -> Any:
 def group(name: str, *members: str | Mapping[str, Any]) -> Any:
     """Make a frozen dataclass of quantities and return it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the class.
-    members : str or mapping
-        Fields in order. A string has names with units, as "y m, psi rad". A mapping has for each name a unit, a list
-        `listed(…)`, or a dataclass for a group of further fields. With `Annotated[dataclass, prefix]` the function
-        `names` gives "prefix.y" for the field y of that group, else "name.y".
+    Args:
+        name (str): Name of the class.
+        members (str or mapping): Fields in order. A string has names with units, as "y m, psi rad". A mapping has for
+            each name a unit, a list `listed(…)`, or a dataclass for a group of further fields. With
+            `Annotated[dataclass, prefix]` the function `names` gives "prefix.y" for the field y of that group, else
+            "name.y".
     """
     types: dict[str, Any] = {}
     for some in members:
@@ -47,36 +45,34 @@ def group(name: str, *members: str | Mapping[str, Any]) -> Any:
 
 
 @cache
-def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, str]]:
-    """Each field with its class if it is a group, its labels if it is a list, and the name that its entries show."""
+def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, Any]]:
+    """Each field with its class if it is a group, its labels if it is a list, and its annotation if it has one."""
     hints = get_type_hints(of, include_extras=True)
     found: list = []
     for field in fields(of):
         inner, *more = get_args(hints[field.name]) or (hints[field.name],)
+        note = more[0] if more else None
         if is_dataclass(inner):
-            found.append((field.name, inner, None, more[0] if more else field.name))
+            found.append((field.name, inner, None, note))
         elif inner is not str:
-            found.append((field.name, None, more[0] if inner is list else None, field.name))
+            found.append((field.name, None, note if inner is list else None, note))
+    return found
+
+
+def notes(of: type) -> list[tuple[str, Any]]:
+    """Pairs (name as in `names`, unit (str) or `data.Quantity`) of all entries of a `group` class; None for lists."""
+    found: list[tuple[str, Any]] = []
+    for name, inner, labels, note in _members(of):
+        if inner:
+            found += [(f"{note or name}.{entry}", unit) for entry, unit in notes(inner)]
+        else:
+            found += [(name, note)] if labels is None else [(f"{name}.{label}", None) for label in labels]
     return found
 
 
 def names(of: type) -> tuple[str, ...]:
     """Names of all entries of a dataclass of `group` in the order of definition, as "front.y" or "tau.front_le"."""
-    found: list[str] = []
-    for _, inner, labels, shown in _members(of):
-        below = names(inner) if inner else labels
-        found += [shown] if below is None else [f"{shown}.{name}" for name in below]
-    return tuple(found)
-
-
-def notes(of: type) -> tuple:
-    """Unit (str) or `data.Quantity` per entry of a `group` class, in the order of `names`; None for list elements."""
-    hints = get_type_hints(of, include_extras=True)
-    found: list = []
-    for name, inner, labels, _ in _members(of):
-        note = get_args(hints[name])[1:] or (None,)
-        found += notes(inner) if inner else note[:1] if labels is None else [None] * len(labels)
-    return tuple(found)
+    return tuple(name for name, _ in notes(of))
 
 
 def pack(values: Any) -> list:

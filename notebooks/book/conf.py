@@ -73,16 +73,18 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
 autodoc_mock_imports = ["distributed"]
-napoleon_google_docstring = False
+napoleon_numpy_docstring = False
+napoleon_custom_sections = [("Returns", "params_style")]
 # Attributes as fields: one that is also a property is described once.
 napoleon_use_ivar = True
 
 
 def _literal(app, what, name, obj, options, lines):
-    """`name` is code in docstrings, not a title, and |y| a magnitude, not a substitution."""
+    """`name` is code in docstrings, not a title, |y| a magnitude, not a substitution, **keywords are not bold."""
     text = re.sub(r"(?<![`:\w])`([^`\n<>]+)`(?![`_])", r"``\1``", "\n".join(lines))
     parts = re.split(r"(``.*?``)", text)
-    lines[:] = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in parts).split("\n")
+    text = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in parts)
+    lines[:] = text.replace("(**", r"(\*\*").replace(", **", r", \*\*").split("\n")
 
 
 def setup(app):

@@ -21,15 +21,11 @@ void car_look_up(car_t *car) {
   const double *in[] = {car->state, *car->rows, car->parameters};
   double *out[] = {at};
   car_coordinates(in, out, 0, 0, 0);
-  for (int i = 0; i < BODIES; ++i) {
-    const double *row = row_at(car->track, at[i], car->track_start, car->track_step, car->track_cells, N_CELL);
-    memcpy(car->rows[i], row, sizeof car->rows[i]);
-  }
-  for (int i = 0; i < WHEELS; ++i) {
-    const double *row =
-        row_at(car->profile, at[BODIES + i], car->profile_start, car->profile_step, car->profile_cells, N_CONTACT);
-    memcpy(car->contacts[i], row, sizeof car->contacts[i]);
-  }
+  for (int i = 0; i < BODIES; ++i)
+    memcpy(car->rows[i], row_at(car->track, at[i], car->track_start, car->track_step, car->track_cells, N_CELL), sizeof *car->rows);
+  const double start = car->profile_start, step = car->profile_step, *shift = at + BODIES;
+  for (int i = 0; i < WHEELS; ++i)
+    memcpy(car->contacts[i], row_at(car->profile, shift[i], start, step, car->profile_cells, N_CONTACT), sizeof *car->contacts);
 }
 
 /* Outputs at the present state. */
@@ -40,9 +36,10 @@ void car_measure(car_t *car) {
   car_output(in, out, 0, 0, 0);
 }
 
-static void next_state(car_t *car) {
+/* The state after a step from where the car was looked up last, into `next`. */
+void car_next(car_t *car) {
   const double *in[] = {car->state, car->torque, *car->rows, *car->contacts, car->parameters, &car->period};
-  double *out[] = {car->next, 0};  /* not the estimate of the error */
+  double *out[] = {car->next};
   car_step(in, out, 0, 0, 0);
 }
 
@@ -50,19 +47,7 @@ static void next_state(car_t *car) {
 void car_advance(car_t *car) {
   for (casadi_int k = 0; k < car->substeps; ++k) {
     if (k) car_look_up(car);
-    next_state(car);
+    car_next(car);
     memcpy(car->state, car->next, sizeof car->state);
   }
-}
-
-/* Steps with held inputs, as long as each state stays below `largest`; returns how many were taken. */
-casadi_int car_run(car_t *car, casadi_int n, double largest) {
-  for (casadi_int k = 0; k < n; ++k) {
-    car_look_up(car);
-    next_state(car);
-    for (int i = 0; i < N_STATE; ++i)
-      if (!(fabs(car->next[i]) < largest)) return k;
-    memcpy(car->state, car->next, sizeof car->state);
-  }
-  return n;
 }

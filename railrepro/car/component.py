@@ -1,7 +1,6 @@
 """The car as a component: step it with four motor torques, read named outputs and energies, linearise it.
 
-`car.c` runs over the generated functions of `equations`. `railrepro.simulation.closed_loop` couples the car to a
-control law; controllers and loops of one's own step it. Serves the paper's section Simulation Environment.
+`railrepro.simulation.closed_loop` couples it to a control law. Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -10,8 +9,9 @@ import ctypes
 import math
 import reprlib
 import warnings
-from dataclasses import dataclass
+from collections import namedtuple
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 
 import casadi as ca
@@ -23,7 +23,7 @@ from railrepro.car.outputs import Outputs
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import cache, codegen
 from railrepro.compile.lanes import lanes_header, pairs_text
-from railrepro.contact.table import ContactTable, contact_table
+from railrepro.contact.table import CELL_COLUMNS, ContactTable, contact_table
 from railrepro.data import InputError, above, between, require
 from railrepro.quantities import names
 from railrepro.track.route import CELL, COLUMNS, Route, lay
@@ -46,7 +46,7 @@ ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
 _SOURCE = Path(__file__).with_name("car.c").read_text()
 _SIZES = {"N_STATE": len(equations.STATES), "N_OUTPUT": len(names(Outputs)), "N_PAR": len(equations.PARAMETERS)}
 _SIZES |= {"BODIES": len(equations.BODIES), "WHEELS": len(equations.WHEELS)}
-_SIZES |= {"N_CELL": len(COLUMNS), "N_CONTACT": equations.CONTACT_COLUMNS}
+_SIZES |= {"N_CELL": len(COLUMNS), "N_CONTACT": len(CELL_COLUMNS)}
 _Car = codegen.structure("car_t", _SOURCE, _SIZES)
 
 
@@ -65,74 +65,42 @@ def c_text(*more: ca.Function) -> str:
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
-    """Loaded shared object of `c_text()`, compiled or from the cache, with the functions of car.c such as `car_run`."""
-    loaded = ctypes.CDLL(str(cache.build(c_text())))
-    loaded.car_run.restype = ctypes.c_longlong
-    return loaded
+    """Loaded shared object of `c_text()`, compiled or from the cache, with the functions of car.c."""
+    return ctypes.CDLL(str(cache.build(c_text())))
 
 
-@dataclass(frozen=True)
-class Linearisation:
-    """Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point, SI units.
+Linearisation = namedtuple("Linearisation", "a b c d")
+"""Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point, SI units.
 
-    Attributes
-    ----------
-    a, b, c, d : DataFrame
-        Rows and columns by name: n states `Car.states`, 4 motor torque commands `equations.WHEELS` (N m), m outputs
-        `Car.outputs`; shapes (n, n), (n, 4), (m, n), (m, 4).
-    """
-
-    a: pd.DataFrame
-    b: pd.DataFrame
-    c: pd.DataFrame
-    d: pd.DataFrame
+DataFrames of shapes (n, n), (n, 4), (m, n), (m, 4), rows and columns by name: n states `Car.states`, 4 motor torque
+commands `equations.WHEELS` (N m), m outputs `Car.outputs`."""
 
 
 class SteppedCar:
     """The multibody car on a route, advanced by the caller.
 
-    Parameters
-    ----------
-    route : Route or str
-        A str is the name of a track in data/tracks.toml, which is laid without set point and irregularities.
-    speed : float
-        Initial speed (m/s).
-    vehicle : Vehicle, optional
-        Default: data/vehicle.toml.
-    good, poor : str
-        Names in `vehicle.adhesion` for the rail and for its slippery places.
-    table : ContactTable, optional
-        Wheel-rail contact of all wheels; default that of the vehicle's profile. Its semi-axes hold at the vehicle's
-        `contact.nominal_load`.
-    substeps : int
-        Integration steps per control cycle (1 ms) in a `ClosedLoop`. One is enough for the motion and for ideal rails.
-        On irregular rails it overestimates the largest unloading of a wheel below 20 Hz by up to 1.3 %, two by 0.1 %.
+    Args:
+        route (Route or str): A str is the name of a track in data/tracks.toml, laid without irregularities.
+        speed (float): Initial speed (m/s).
+        vehicle (Vehicle, optional): Default: data/vehicle.toml.
+        good, poor (str): Names in `vehicle.adhesion` for the rail and for its slippery places.
+        table (ContactTable, optional): Wheel-rail contact of all wheels at the vehicle's `contact.nominal_load`;
+            default that of its profile.
+        substeps (int): Integration steps per control cycle (1 ms) in a `ClosedLoop`. On irregular rails one
+            overestimates the largest unloading of a wheel below 20 Hz by up to 1.3 %, two by 0.1 %.
 
-    Attributes
-    ----------
-    model : Car
-        The equations, with the names of states and outputs.
-    state, next_state : ndarray, shape (len(model.states),)
-        Present state (SI), writable, and the buffer for the next one.
-    torque : ndarray, shape (4,)
-        Motor torque commands in the order of `equations.WHEELS`, traction-positive (N m); writable.
-    parameters : ndarray, shape (len(equations.PARAMETERS),)
-        See `equations.parameter_vector`; writable.
-    rows, contacts : ndarray, shapes (3, len(route.COLUMNS)) and (4, len(CELL_COLUMNS))
-        Track cells of `equations.BODIES` and contact cells of `equations.WHEELS`, as last looked up.
-    measured : ndarray, shape (len(model.outputs),)
-        Values of `model.outputs` as last measured (SI).
-    c : ctypes.Structure
-        `car_t` of car.c, which holds these arrays.
-    time : float
-        Simulated time (s).
-    left_rail : str
-        Which gear derailed first, when and where, one sentence; "" while none has.
+    Attributes:
+        model (Car): The equations, with the names of states and outputs.
+        state (ndarray, shape (len(model.states),)): Present state (SI); writable.
+        torque (ndarray, shape (4,)): Torque commands of `equations.WHEELS`, traction-positive (N m); writable.
+        parameters (ndarray, shape (len(equations.PARAMETERS),)): See `equations.parameter_vector`; writable.
+        measured (ndarray, shape (len(model.outputs),)): Values of `model.outputs` as last measured (SI).
+        c (ctypes.Structure): `car_t` of car.c, which holds the arrays.
+        time (float): Simulated time (s).
+        left_rail (str): Which gear derailed first, when and where, one sentence; "" while none has.
 
-    Raises
-    ------
-    InputError
-        Unknown track or adhesion set, impossible speed, or anything but a route and a vehicle.
+    Raises:
+        InputError: Unknown track or adhesion set, impossible speed, or anything but a route and a vehicle.
     """
 
     def __init__(
@@ -164,24 +132,20 @@ class SteppedCar:
             track_step=CELL,
             track_cells=len(track),
             profile=profile.ctypes.data,
-            profile_start=self.table.start,
-            profile_step=self.table.step,
+            profile_start=profile[0, CELL_COLUMNS.index("shift")],
+            profile_step=profile[0, CELL_COLUMNS.index("width")],
             profile_cells=len(profile),
         )
         found, self._pointer = codegen.arrays(self.c), ctypes.byref(self.c)
-        self.state, self.next_state, self.torque = found["state"], found["next"], found["torque"]
-        self.measured, self.parameters = found["measured"], found["parameters"]
-        self.rows, self.contacts = found["rows"], found["contacts"]
+        self.state, self.torque, self.measured = found["state"], found["torque"], found["measured"]
+        self.parameters, self._arrays = found["parameters"], found
         self.parameters[:] = parameters
-        self.state[:] = equations.rest_state(vehicle, self.table, speed)
+        self.state[:] = equations.rest(self.table)(parameters, speed).nonzeros()
         self.look_up()
 
     def look_up(self) -> None:
-        """Renew `rows` and `contacts` after the caller has set `state`.
-
-        The look-up is done twice, since the contact cells depend on the irregularities in the track cells.
-        """
-        for _ in range(2):
+        """Renew the cells of track and contact table after the caller has set `state`."""
+        for _ in range(2):  # contact cells depend on the irregularities in the track cells
             self._library.car_look_up(self._pointer)
 
     def measure(self) -> np.ndarray:
@@ -192,39 +156,40 @@ class SteppedCar:
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
         """Integrate the car over some steps with constant torque commands; warns the first time that a gear derails.
 
-        Parameters
-        ----------
-        torque : array_like, shape (4,), optional
-            Motor torque commands (N m), magnitudes at most `LARGEST_TORQUE`; default the attribute `torque`.
-        steps : int
-            Number of steps.
-        period : float
-            Length of a step (s), up to 10 control cycles of 1 ms.
+        Args:
+            torque (array_like, shape (4,), optional): Motor torque commands (N m), magnitudes at most `LARGEST_TORQUE`;
+                default the attribute `torque`.
+            steps (int): Number of steps.
+            period (float): Length of a step (s), up to 10 control cycles of 1 ms.
 
-        Raises
-        ------
-        InputError
-            For an argument of a wrong kind or beyond its range.
-        ArithmeticError
-            One sentence with time, state and track coordinate when a state is not finite or reaches `LARGEST_STATE`;
-            `state` is that of the last good step.
+        Raises:
+            InputError: For an argument of a wrong kind or beyond its range.
+            ArithmeticError: When a state is not finite or reaches `LARGEST_STATE`; `state` is that before the step.
         """
         require("steps", steps, between(0, math.inf), whole=True)
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:
-            self.torque[:] = _torques(torque)
+            asked = np.array(torque, dtype=float)
+            if asked.shape != self.torque.shape or not (np.abs(asked) <= LARGEST_TORQUE).all():
+                needed = f"{len(self.torque)} numbers of at most {LARGEST_TORQUE:g} N m are needed"
+                raise InputError(f"torque is {reprlib.repr(torque)}, {needed}")
+            self.torque[:] = asked
         self.c.period = period
         start = self.time
         for done in range(steps):
-            if not self._library.car_run(self._pointer, ctypes.c_longlong(1), ctypes.c_double(LARGEST_STATE)):
-                worst = int(np.argmax(~(np.abs(self.next_state) < LARGEST_STATE)))
-                found = f"{self.model.states[worst]} = {self.next_state[worst]:.3g}"
+            self._library.car_look_up(self._pointer)
+            self._library.car_next(self._pointer)
+            following = self._arrays["next"]
+            beyond = ~(np.abs(following) < LARGEST_STATE)
+            if beyond.any():
+                found = f"{self.model.states[beyond.argmax()]} = {following[beyond.argmax()]:.3g}"
                 raise ArithmeticError(f"{found} left all bounds {self._at('front')}")
+            self.state[:] = following
             self.time = start + (done + 1) * period
             aside = np.abs(self.state[_LATERAL])
-            if not self.left_rail and (aside >= DERAILED).any():
-                gear, y = next(pair for pair in zip(equations.GEARS, aside, strict=True) if pair[1] >= DERAILED)
-                self.left_rail = f"{gear} gear derailed, |y| = {1e3 * y:.1f} mm {self._at(gear)}"
+            if not self.left_rail and aside.max() >= DERAILED:
+                gear = equations.GEARS[aside.argmax()]
+                self.left_rail = f"{gear} gear derailed, |y| = {1e3 * aside.max():.1f} mm {self._at(gear)}"
                 warnings.warn(self.left_rail, stacklevel=2)
 
     def _at(self, gear: str) -> str:
@@ -243,31 +208,16 @@ class SteppedCar:
     def inputs(self) -> tuple[np.ndarray, ...]:
         """Arguments x, u, rows, contacts, par of functions of `equations.Car` at the present state, as copies."""
         self._library.car_look_up(self._pointer)
-        return tuple(a.copy() for a in (self.state, self.torque, self.rows.T, self.contacts.T, self.parameters))
+        rows, contacts = self._arrays["rows"].T, self._arrays["contacts"].T
+        return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))
 
     def linearise(self) -> Linearisation:
         """Linearise the car about the present state and torque commands, with track and contact cells held."""
         car, inputs = self.model, self.inputs()
         x, u = ca.SX.sym("x", len(car.states)), ca.SX.sym("u", len(equations.WHEELS))
         rate, output = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])
-        jacobians = [ca.jacobian(f, v) for f in (rate, output) for v in (x, u)]
-        a, b, c, d = (np.array(m) for m in ca.Function("linear", [x, u], jacobians)(*inputs[:2]))
-        states, wheels, outputs = list(car.states), list(equations.WHEELS), list(car.outputs)
-        return Linearisation(
-            pd.DataFrame(a, states, states),
-            pd.DataFrame(b, states, wheels),
-            pd.DataFrame(c, outputs, states),
-            pd.DataFrame(d, outputs, wheels),
-        )
-
-
-def _torques(torque) -> np.ndarray:
-    """Torque commands as an array; InputError when they are not four numbers within `LARGEST_TORQUE`."""
-    try:
-        found = np.array(torque, dtype=float)
-    except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.shape != (len(equations.WHEELS),) or not (np.abs(found) <= LARGEST_TORQUE).all():
-        needed = f"{len(equations.WHEELS)} numbers of at most {LARGEST_TORQUE:g} N m are needed"
-        raise InputError(f"torque is {reprlib.repr(torque)}, {needed}")
-    return found
+        jacobians = [ca.jacobian(f, v) for f, v in product((rate, output), (x, u))]
+        matrices = ca.Function("linear", [x, u], jacobians)(*inputs[:2])
+        labels = product((car.states, car.outputs), (car.states, equations.WHEELS))
+        found = zip(matrices, labels, strict=True)
+        return Linearisation(*(pd.DataFrame(m.full(), list(row), list(column)) for m, (row, column) in found))

@@ -4,17 +4,12 @@ Bodies are the car body, two wheel carriers (6 degrees of freedom each) and four
 absolute, in track-frame components; angular velocities are absolute, in body axes. With these quasi-velocities
 centrifugal, Coriolis, cant, inclination and gyroscopic terms are exact and no second derivative of the track is needed.
 
-State: per body the coordinates of `kinematics.COORDINATES`, wheel speeds `w` (traction-positive, rad/s), motor torques
-`tau` (traction-positive, N m); `INDEX` has the index of each. Input: torque commands of `WHEELS` (N m). Output: named
-in `Car.outputs`. Signs as in the documentation: x forward, y right, z down; yaw to the right, pitch nose up, roll right
-side down.
-
-Serves the paper's section Simulation Environment. The parts: `kinematics`, `suspension`, `wheel_rail`, `integrator`.
+x forward, y right, z down; yaw to the right, pitch nose up, roll right side down. Serves the paper's section Simulation
+Environment.
 """
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -37,21 +32,13 @@ from railrepro.vehicle.parameters import AdhesionSet, CarBody, Drive, Gear, Vehi
 from railrepro.vehicle.parameters import Suspension as SuspensionData
 
 BODIES = ("body", *GEARS)
-CarState = group(
-    "CarState",
-    dict.fromkeys(BODIES, Coordinates),
-    {"w": listed(WHEELS), "tau": listed(WHEELS)},
-)
-"""State of the car: coordinates of `body`, `front` and `rear`, wheel speeds `w` (rad/s) and motor torques `tau` (N m),
-traction-positive."""
+CarState = group("CarState", dict.fromkeys(BODIES, Coordinates), dict.fromkeys(("w", "tau"), listed(WHEELS)))
+"""Coordinates of `body`, `front`, `rear`; wheel speeds `w` (rad/s), motor torques `tau` (N m), traction-positive."""
 STATES = names(CarState)
 INDEX = {name: i for i, name in enumerate(STATES)}
 """Index of each state in the state vector by name."""
 FLOOR = {"floor_front": 0.5, "floor_centre": 0.0, "floor_rear": -0.5}
 """Points of the car body floor: distance ahead of the body's centre of gravity over the distance of the gears (-)."""
-CONTACT_COLUMNS = len(CELL_COLUMNS)
-"""Number of columns of a contact cell."""
-
 
 CarParameters = group(
     "CarParameters",
@@ -73,15 +60,12 @@ def mirrored() -> dict[str, list[int]]:
     Element i is the index of the counterpart at the other gear of entry i of the input (matrices column by column), or
     i itself for an entry of the car body. Argument `mirrored` of `compile.lanes.pairs_text`.
     """
-    other = {"front": "rear", "rear": "front"}
-    entries: dict[str, list[str]] = {"x": list(STATES), "u": list(WHEELS)}
-    entries["rows"] = [f"{body} {column}" for body in BODIES for column in route.COLUMNS]
-    entries["contacts"] = [f"{wheel} {column}" for wheel in WHEELS for column in CELL_COLUMNS]
-
-    def partner(entry: str) -> str:
-        return re.sub("front|rear", lambda gear: other[gear[0]], entry)
-
-    return {name: [of.index(partner(entry)) for entry in of] for name, of in entries.items()}
+    at, wheels = unpack(CarState, range(len(STATES))), [2, 3, 0, 1]
+    exchanged = CarState(at.body, at.rear, at.front, [at.w[i] for i in wheels], [at.tau[i] for i in wheels])
+    rows = np.arange(len(BODIES) * len(route.COLUMNS)).reshape(len(BODIES), -1)[[0, 2, 1]]
+    contacts = np.arange(len(WHEELS) * len(CELL_COLUMNS)).reshape(len(WHEELS), -1)[wheels]
+    columns = {"rows": rows.ravel().tolist(), "contacts": contacts.ravel().tolist()}
+    return {"x": pack(exchanged), "u": wheels} | columns
 
 
 def indices(*names: str) -> list[int]:
@@ -92,12 +76,7 @@ def indices(*names: str) -> list[int]:
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
     """Run-time parameters of the car in the order of `PARAMETERS` (SI), shape (len(PARAMETERS),).
 
-    `good` and `poor` are names in `vehicle.adhesion`, of the rail and of its slippery places.
-
-    Raises
-    ------
-    InputError
-        When the vehicle lacks an adhesion set.
+    `good` and `poor` are names in `vehicle.adhesion`, of the rail and of its slippery places; InputError for another.
     """
     for name in (good, poor):
         if name not in tuple(vehicle.adhesion):
@@ -111,27 +90,18 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
 class Car:
     """CasADi functions of the car, in SI units.
 
-    Arguments: state x by `states`; u, motor torque commands of the 4 `WHEELS` (N m); rows, track cells of the 3
-    `BODIES`, shape (len(route.COLUMNS), 3); contacts, contact cells of the wheels, shape (len(CELL_COLUMNS), 4); par by
-    `PARAMETERS`.
+    Arguments: state x by `states`; u, torque commands of the `WHEELS` (N m); rows, track cells of the `BODIES`, shape
+    (len(route.COLUMNS), 3); contacts, cells of the wheels, shape (len(CELL_COLUMNS), 4); par by `PARAMETERS`.
 
-    Attributes
-    ----------
-    states : tuple of str
-        `STATES`.
-    rate : Function
-        (x, u, rows, contacts, par) -> dx/dt.
-    step : Function
-        (x, u, rows, contacts, par, h) -> state after one step of h (s) by Rodas3, and its embedded error estimate.
-    coordinates : Function
-        (x, rows, par) -> where to look up cells, shape (7, 1): track coordinate s of 3 bodies, then shift of 4 wheels
-        (m). Of the rows only the irregularities count, so those of the previous cycle serve.
-    output : Function
-        (x, u, rows, contacts, par) -> values of `outputs`.
-    energy : Function
-        (x, u, rows, contacts, par) -> [mechanical energy (J), motor power, damping loss, creep loss (W)].
-    outputs : tuple of str
-        Names of the entries of the output vector, those of `outputs.Outputs`.
+    Attributes:
+        states (tuple of str): `STATES`.
+        rate (Function): (x, u, rows, contacts, par) -> dx/dt.
+        step (Function): (x, u, rows, contacts, par, h) -> state after one step of h (s) by Rodas3.
+        coordinates (Function): (x, rows, par) -> where to look up cells, shape (7, 1): track coordinate s of 3 bodies,
+            then shift of 4 wheels (m). Of the rows only the irregularities count, so those of the previous cycle serve.
+        output (Function): (x, u, rows, contacts, par) -> values of `outputs`.
+        energy (Function): (x, u, rows, contacts, par) -> mechanical energy (J), power of motors, dampers, creep (W).
+        outputs (tuple of str): Names of the entries of the output vector, those of `outputs.Outputs`.
     """
 
     states: tuple[str, ...]
@@ -143,30 +113,17 @@ class Car:
     outputs: tuple[str, ...]
 
 
-@dataclass(frozen=True)
 class _Elements:
     """Bodies of a car and what acts between them; wheels, their speeds and torques in the order of `WHEELS`."""
 
-    body: Body
-    gears: list[Body]
-    suspensions: list[Suspension]
-    wheels: list[Contact]
-    speeds: list[ca.SX]
-    torques: list[ca.SX]
-
-    @property
-    def forces(self) -> tuple:
-        """All elements that store energy."""
-        return (*self.suspensions, *self.wheels)
-
-
-def _elements(state: Any, rows: ca.SX, contacts: ca.SX, par: Any, stages: Stages) -> _Elements:
-    states = zip((state.body, state.front, state.rear), ca.horzsplit(rows), strict=True)
-    body, *gears = (Body(of, row) for of, row in states)
-    suspensions = [Suspension(body, gear, end, par, stages) for gear, end in zip(gears, (1, -1), strict=True)]
-    cells = zip(state.w, ca.horzsplit(contacts), product(gears, SIDES), strict=True)
-    wheels = [Contact(gear, side, speed, cell, par, stages) for speed, cell, (gear, side) in cells]
-    return _Elements(body, gears, suspensions, wheels, state.w, state.tau)
+    def __init__(self, state: Any, rows: ca.SX, contacts: ca.SX, par: Any, stages: Stages):
+        states = zip((state.body, state.front, state.rear), ca.horzsplit(rows), strict=True)
+        self.body, *self.gears = (Body(of, row) for of, row in states)
+        ends = zip(self.gears, (1, -1), strict=True)
+        self.suspensions = [Suspension(self.body, gear, end, par, stages) for gear, end in ends]
+        cells = zip(state.w, ca.horzsplit(contacts), product(self.gears, SIDES), strict=True)
+        self.wheels = [Contact(gear, side, speed, cell, par, stages) for speed, cell, (gear, side) in cells]
+        self.speeds, self.torques = state.w, state.tau
 
 
 @stored
@@ -176,19 +133,18 @@ def car() -> Car:
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
     (par_, par), h, stages = symbols(CarParameters, "par"), ca.SX.sym("h"), Stages()
-    elements = _elements(state, rows, contacts, par, stages)
+    elements = _Elements(state, rows, contacts, par, stages)
     staged, felt_force, felt_rotation = _motion(elements, ca.vertsplit(u), par)
     rate = ca.cse(stages.resolve(staged))
 
-    body = elements.body
-    x_next, error = rodas3(rate, stages.jacobian(staged, x), x, h)
-    outputs = _outputs(elements, _floor(body, felt_force, felt_rotation, par))
+    x_next = rodas3(rate, stages.jacobian(staged, x), x, h)
+    outputs = _outputs(elements, _floor(elements.body, felt_force, felt_rotation, par))
     energies = _energies(elements, par)
     shifts = [shift_to_flange(gear, side, par) for gear, side in product(elements.gears, SIDES)]
-    look_up = ca.vertcat(body.s, *(gear.s for gear in elements.gears), *shifts)
+    look_up = ca.vertcat(elements.body.s, *(gear.s for gear in elements.gears), *shifts)
     inputs, arguments, cse = [x, u, rows, contacts, par_], ["x", "u", "rows", "contacts", "par"], {"cse": True}
-    step = ca.Function("car_step", [*inputs, h], [x_next, error], [*arguments, "h"], ["x_next", "error"], cse)
-    y, energy = stages.resolve(ca.vertcat(*pack(outputs))), stages.resolve(ca.vertcat(*energies))
+    step = ca.Function("car_step", [*inputs, h], [x_next], [*arguments, "h"], ["x_next"], cse)
+    y, energy = stages.resolve(ca.vertcat(*outputs)), stages.resolve(ca.vertcat(*energies))
     return Car(
         states=STATES,
         rate=ca.Function("car_rate", inputs, [rate], arguments, ["dx"]),
@@ -206,7 +162,7 @@ def _motion(elements: _Elements, commands: list, par: Any) -> tuple[ca.SX, ca.SX
     gravity = ca.vertcat(0, 0, par.gravity)
     carried, moment = ca.SX.zeros(3), ca.SX.zeros(3)
     for gear, suspension in zip(elements.gears, elements.suspensions, strict=True):
-        carried += body.section.rotation.T @ gear.attitude @ suspension.force_on_upper
+        carried -= body.section.rotation.T @ gear.attitude @ suspension.force_on_lower
         moment += suspension.moment_on_upper
     force = carried + par.body.mass * body.section.rotation.T @ gravity
     derivatives = [body.derivatives(force, moment, *_inertia(par.body))]
@@ -256,7 +212,8 @@ def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: Any) -> ca.SX
     return turning * (wanted - torque) / par.drive.lag
 
 
-def _outputs(elements: _Elements, floor: list) -> Any:
+def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:
+    """Entries of `Outputs` in their order."""
     gears = [
         GearOutputs(
             p=gear.s,
@@ -290,7 +247,7 @@ def _outputs(elements: _Elements, floor: list) -> Any:
     suspensions = [SuspensionOutputs(ca.asin(of.yaw_sine), of.sway) for of in elements.suspensions]
     body = elements.body
     of_body = BodyOutputs(body.s, body.y, body.z, body.psi, body.pitch, body.phi, body.vx)
-    return unpack(Outputs, [entry for of in (*gears, *wheels, *suspensions, of_body, *floor) for entry in pack(of)])
+    return [entry for of in (*gears, *wheels, *suspensions, of_body, *floor) for entry in pack(of)]
 
 
 def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: Any) -> list:
@@ -309,7 +266,8 @@ def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: Any) -> list:
 def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
     """Mechanical energy, motor power and losses, for the energy balance."""
     speeds, torques, wheels = elements.speeds, elements.torques, elements.wheels
-    energy = sum(force.energy for force in elements.forces)
+    forces: list[Any] = [*elements.suspensions, *wheels]
+    energy = sum(force.energy for force in forces)
     parts: list[tuple[Body, Any]] = [(elements.body, par.body), *((gear, par.gear) for gear in elements.gears)]
     for body, of in parts:
         mass, inertia = _inertia(of)
@@ -318,30 +276,20 @@ def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
     energy += par.wheel.spin_inertia * ca.sumsqr(ca.vertcat(*speeds)) / 2
     motor = sum(torque * (w + wheel.gear.wy) for torque, w, wheel in zip(torques, speeds, wheels, strict=True))
     creep = sum(wheel.friction_loss for wheel in wheels)
-    damping = sum(force.dissipation for force in elements.forces)
+    damping = sum(force.dissipation for force in forces)
     damping += par.gear.axle_damping * sum((speeds[i] - speeds[i + 1]) ** 2 for i in (0, 2))
     return [energy, motor, damping, creep]
 
 
-def rest_state(vehicle: Vehicle, table: ContactTable, speed: float) -> np.ndarray:
-    """State of steady rolling at a speed (m/s) on straight level track with the front gear at s = 0, by `STATES` (SI).
+def rest(table: ContactTable) -> ca.Function:
+    """Steady rolling on straight level track, front gear at s = 0, wheels as a contact table says for the shift 0.
 
-    All four wheels touch as the contact table `table` says for the shift 0.
+    CasADi function: (parameters by `PARAMETERS`, speed (m/s)) -> state by `STATES`, SI.
 
     Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
     """
-    return np.array(pack(_rest(vehicle, table, speed)))
-
-
-def rest(table: ContactTable) -> ca.Function:
-    """`rest_state` with a contact table as a CasADi function: (parameters by `PARAMETERS`, speed (m/s)) -> state."""
     (par, vehicle), speed = symbols(CarParameters, "par"), ca.SX.sym("speed")
-    return ca.Function("car_rest", [par, speed], [ca.vertcat(*pack(_rest(vehicle, table, speed)))])
-
-
-def _rest(vehicle: Any, table: ContactTable, speed: Any) -> Any:
-    """State of `rest_state` from numbers or symbols."""
-    cell = dict(zip(CELL_COLUMNS, table.cells()[round((0.0 - table.start) / table.step)], strict=True))
+    cell = dict(zip(CELL_COLUMNS, table.cells()[table.frame["shift_m"].abs().argmin()], strict=True))
     contact = in_cell(cell, 0.0 - cell["shift"])
     cos_angle = 1 / np.hypot(1, contact["slope"])
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle
@@ -349,13 +297,9 @@ def _rest(vehicle: Any, table: ContactTable, speed: Any) -> Any:
     half, radius = vehicle.body.gear_spacing / 2, contact["effective_radius"]
     sink, axle = vehicle.wheel.radius - radius + drop, drop - radius
 
-    def rolling(s: float, z: float) -> Any:
+    def rolling(s: ca.SX | float, z: ca.SX) -> Any:
         return Coordinates(s, 0.0, z, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    return CarState(
-        body=rolling(-half, sink - vehicle.body.cg_height),
-        front=rolling(0.0, axle),
-        rear=rolling(-(2 * half), axle),
-        w=[speed / (contact["rolling_radius"] - drop)] * len(WHEELS),
-        tau=[0.0] * len(WHEELS),
-    )
+    bodies = rolling(-half, sink - vehicle.body.cg_height), rolling(0.0, axle), rolling(-(2 * half), axle)
+    wheels = [speed / (contact["rolling_radius"] - drop)] * len(WHEELS), [0.0] * len(WHEELS)
+    return ca.Function("car_rest", [par, speed], [ca.densify(ca.vertcat(*pack(CarState(*bodies, *wheels))))])

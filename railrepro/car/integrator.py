@@ -3,7 +3,7 @@
 The wheel-spin creep lag shrinks with speed (0.2 ms at 40 km/h, towards zero at standstill), so explicit steps of 1 ms
 fail; this L-stable method of order 3 takes one Jacobian and one factorisation per step at every speed.
 
-Source: Sandu et al., Atmospheric Environment 31 (1997) 3459 (Rodas3); Hairer and Wanner, Solving ODEs II, sec. IV.7.
+Source: Sandu et al., Atmospheric Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II.
 """
 
 from __future__ import annotations
@@ -49,39 +49,21 @@ class Stages:
         return self.resolve(totals[-1])
 
 
-def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """One Rodas3 step of x' = f(x).
+def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
+    """State (n, 1) after one Rodas3 step of x' = f(x), with a local error O(h^4).
 
-    Parameters
-    ----------
-    f, jacobian : SX, shapes (n, 1) and (n, n)
-        Right-hand side as an expression of the symbolic state `x`, and df/dx.
-    x : SX, shape (n, 1)
-        State, symbols only.
-    h : SX or float
-        Step (s).
-
-    Returns
-    -------
-    x_next, error : SX, shape (n, 1)
-        State after the step, local error O(h^4), and its difference to the embedded method of order 2.
-
-    Source: Sandu et al. 1997 (Rodas3), scaled as in Hairer and Wanner, Solving ODEs II, sec. IV.7.
+    Args:
+        f, jacobian (SX, shapes (n, 1) and (n, n)): Right-hand side as an expression of the symbolic state `x`, and
+            df/dx.
+        x (SX, shape (n, 1)): State, symbols only.
+        h (SX or float): Step (s).
     """
-    parameters = _others(f, x)
-    rate = ca.Function("rate", [x, *parameters], [f])
     solve = factorise(2 / h * ca.SX.eye(x.numel()) - jacobian)
     k1 = solve(f)
     k2 = solve(f + 4 / h * k1)
-    k3 = solve(rate(x + 2 * k1, *parameters) + (k1 - k2) / h)
-    k4 = solve(rate(x + 2 * k1 + k3, *parameters) + (k1 - k2 - 8 / 3 * k3) / h)
-    return x + 2 * k1 + k3 + k4, k4
-
-
-def _others(f: ca.SX, x: ca.SX) -> list[ca.SX]:
-    """Symbols of `f` that are not entries of `x`."""
-    own = {element.element_hash() for element in ca.vertsplit(x)}
-    return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
+    k3 = solve(ca.substitute(f, x, x + 2 * k1) + (k1 - k2) / h)
+    k4 = solve(ca.substitute(f, x, x + 2 * k1 + k3) + (k1 - k2 - 8 / 3 * k3) / h)
+    return x + 2 * k1 + k3 + k4
 
 
 def factorise(matrix: ca.SX):

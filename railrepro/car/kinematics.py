@@ -23,10 +23,7 @@ COORDINATES = names(Coordinates)
 
 
 def rotation(axis: str, angle: ca.SX) -> ca.SX:
-    """Rotation matrix about the axis "x", "y" or "z" by an angle (rad), shape (3, 3).
-
-    It maps components in the turned frame to those in the frame before the turn.
-    """
+    """Rotation matrix (3, 3) about "x", "y" or "z" by an angle (rad): from components in the turned frame to others."""
     c, s = ca.cos(angle), ca.sin(angle)
     entries: Any = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
@@ -37,10 +34,7 @@ def rotation(axis: str, angle: ca.SX) -> ca.SX:
 
 
 def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
-    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3).
-
-    Source: eq. (1).
-    """
+    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll) of angles in rad, shape (3, 3). Source: eq. (1)."""
     return rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
 
 
@@ -120,16 +114,11 @@ class Body(Coordinates):  # type: ignore[valid-type, misc]
     def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
         """Time derivatives of `COORDINATES` by the equations of Newton and Euler, SI, shape (12, 1).
 
-        Parameters
-        ----------
-        force : SX, shape (3, 1)
-            In track-frame components (N).
-        moment : SX, shape (3, 1)
-            About the centre of gravity, in body axes (N m).
-        mass, inertia : SX, scalar and shape (3, 1)
-            Mass (kg) and principal moments of inertia (kg m2).
-        spin : SX
-            Angular momentum about the y axis of rotors that the body carries (kg m2/s).
+        Args:
+            force (SX, shape (3, 1)): In track-frame components (N).
+            moment (SX, shape (3, 1)): About the centre of gravity, in body axes (N m).
+            mass, inertia (SX, scalar and shape (3, 1)): Mass (kg) and principal moments of inertia (kg m2).
+            spin (SX): Angular momentum about the y axis of rotors that the body carries (kg m2/s).
 
         Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
         """

@@ -26,8 +26,7 @@ the normal; moment of spin M_spin (N m); contact angle (rad)."""
 SuspensionOutputs = group("SuspensionOutputs", "yaw_to_body rad, sway m")
 """Yaw of a gear against the car body (rad), and lateral deflection of its suspension `sway` (m)."""
 BodyOutputs = group("BodyOutputs", "s m, y m, z m, psi rad, pitch rad, phi rad, vx m/s")
-"""Track coordinate s and displacements y, z (m), angles psi, pitch, phi (rad) and speed vx (m/s) of the car body, see
-`kinematics.Coordinates`."""
+"""Track coordinate s, displacements y, z (m), angles psi, pitch, phi (rad) and speed vx (m/s) of the car body."""
 FloorOutputs = group("FloorOutputs", "ax m/s2, ay m/s2, az m/s2")
 """Acceleration ax, ay, az of a point of the floor in axes of the car body (m/s2) as an accelerometer reads it: at
 rest az is -g."""

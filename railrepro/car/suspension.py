@@ -26,8 +26,8 @@ class Suspension:
 
     Attachment points coincide at rest, and both bodies feel a force at the point of the body, so that no angular
     momentum leaks. `force_on_lower` (N) and `moment_on_lower` (N m, about the centre of gravity) act on the carrier,
-    shape (3, 1); potential `energy` (J), `dissipation` (W); sine of the carrier's yaw against the body `yaw_sine` (-),
-    lateral deflection `sway` (m).
+    the opposite force and `moment_on_upper` (in its own axes) on the body, shape (3, 1); potential `energy` (J),
+    `dissipation` (W); sine of the carrier's yaw against the body `yaw_sine` (-), lateral deflection `sway` (m).
 
     `body` is the car body, `lower` the carrier, `end` +1 for the front carrier, -1 for the rear one; `par` is as in
     `equations.CarParameters`. The pitch reaction of a carrier to its motors is carried by rods whose lever stands on
@@ -62,17 +62,8 @@ class Suspension:
         self.sway = mean[1]
         # kept as symbols, since each acts on both bodies
         held = stages.hold(self.force_on_lower, self.moment_on_lower, self._on_upper)
-        self.force_on_lower, self.moment_on_lower, self._on_upper = held
-
-    @property
-    def force_on_upper(self) -> ca.SX:
-        """Force on the car body in axes of the carrier (N), shape (3, 1)."""
-        return -self.force_on_lower
-
-    @property
-    def moment_on_upper(self) -> ca.SX:
-        """Moment on the car body about its centre of gravity, in its own axes (N m), shape (3, 1)."""
-        return -self._relative.T @ self._on_upper
+        self.force_on_lower, self.moment_on_lower, on_upper = held
+        self.moment_on_upper = -self._relative.T @ on_upper
 
     def _deflection(self, on_upper: ca.SX, on_lower: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Arm on the upper body, relative displacement of two points and its rate."""

@@ -11,7 +11,7 @@ import casadi as ca
 
 from railrepro.car.integrator import Stages
 from railrepro.car.kinematics import Body, rotation
-from railrepro.contact.creep import polach, spin_moment
+from railrepro.contact.creep import polach
 from railrepro.contact.table import CELL_COLUMNS, in_cell
 from railrepro.quantities import named, pack
 
@@ -95,9 +95,8 @@ class Contact:
 
         creep_force = tangent * self.tangential[0] + lateral * self.tangential[1]
         normal_force = -normal * self.normal
-        self.friction_loss = -ca.dot(
-            ca.vertcat(*self.tangential, self.spin_moment), ca.vertcat(*self.sliding, self.turn)
-        )
+        given = ca.vertcat(*self.tangential, self.spin_moment)
+        self.friction_loss = -ca.dot(given, ca.vertcat(*self.sliding, self.turn))
         # Of this moment about the gear's centre of gravity the bearings pass the y component to the wheel alone.
         moment = ca.cross(at_contact, creep_force) + ca.cross(at_normal, normal_force) + normal * self.spin_moment
         self.force, self.moment = upright @ (creep_force + normal_force), to_body @ moment
@@ -124,8 +123,8 @@ class Contact:
             *self.creepage, self.spin, normal, at["semi_axis_x"] * scale, at["semi_axis_y"] * scale,
             at["c11"], at["c22"], at["c23"], at["c33"], par.contact.shear_modulus, *adhesion, slip_speed,
         )  # fmt: skip
-        tangential = polach(*creep)
-        return [normal, spin_moment(*creep), *tangential]
+        *tangential, moment = polach(*creep)
+        return [normal, moment, *tangential]
 
     def _penetration_rate(self, gear: Body, sign: int, par: Any) -> ca.SX:
         """Time derivative of the penetration along the motion of the carrier over the rail (m/s)."""

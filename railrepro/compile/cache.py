@@ -1,13 +1,13 @@
 """From C source text to a shared object, cached by content.
 
-The key of the cache is the full source text, the compiler with its version and flags, and the CPU where the flags ask
-for this very one, so that neither a changed model nor a moved build folder can meet a stale object. Processes that need
-the same object at the same time wait for the one that compiles it.
+The key of the cache is the full source text, the compiler with its version and flags, and the architecture, so that a
+changed model meets no stale object. Processes that need the same object at the same time wait for the one that compiles
+it.
 
 By default nothing but 256-bit registers is asked of the processor, where it has them, and products and sums are not
 fused, so that compilers and processors round alike. Very long sources are optimised less: a tenth of the time to
-compile, for a tenth more to run. `RAILREPRO_CFLAGS` replaces these flags, for example by "-O2 -march=native". The
-source stays beside its object, to be read.
+compile, for a tenth more to run. `RAILREPRO_CFLAGS` replaces these flags, for example by "-O0 -g". The source stays
+beside its object, to be read.
 """
 
 from __future__ import annotations
@@ -20,11 +20,13 @@ import shutil
 import stat
 import subprocess
 import sys
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
 from railrepro import paths
 from railrepro.data import InputError, alone, write
+from railrepro.numerics import has_avx2
 
 _LONG = 1_500_000
 """Length from which a source counts as long: cars with frames, and units, which hold their tables."""
@@ -41,25 +43,22 @@ WEBASSEMBLY = (
 
 
 class CompilerError(InputError):
-    """Exception: the C compiler is missing or fails, or its objects cannot be stored."""
+    """Exception: the C compiler is missing or fails, or there is no folder for its objects."""
 
 
 @lru_cache(maxsize=1)
 def compiler() -> str:
     """Path of the C compiler, or `PACKAGED`: the one that `CC` names, else the first found of cc, gcc and `PACKAGED`.
 
-    Raises
-    ------
-    CompilerError
-        When there is none.
+    Raises:
+        CompilerError: When there is none.
     """
     asked = os.environ.get("CC")
-    command = next(filter(None, map(found, [asked] if asked else ["cc", "gcc", PACKAGED])), None)
-    if command is None and asked:
-        raise CompilerError(f"CC={asked!r} is no compiler that can be found; without CC the first of cc, gcc is used")
-    if command is None:
-        raise CompilerError("no C compiler was found (CC, cc, gcc): `pip install railrepro[compiler]` brings one")
-    return command
+    for name in [asked] if asked else ["cc", "gcc", PACKAGED]:
+        if command := found(name):
+            return command
+    tried = f"CC={asked!r}" if asked else "cc, gcc"
+    raise CompilerError(f"no C compiler was found ({tried}): `pip install railrepro[compiler]` brings one")
 
 
 def found(name: str) -> str | None:
@@ -81,83 +80,59 @@ def _call(command: str) -> list[str]:
     return ["env", *environment, sys.executable, "-m", PACKAGED, "cc", *portable]
 
 
-@lru_cache(maxsize=1)
-def _processor() -> str:
-    """What the system reports of the processor: model and features, sorted lines; empty where it does not."""
-    file = Path("/proc/cpuinfo")
-    lines = file.read_text().splitlines() if file.exists() else []
-    return "\n".join(sorted({line for line in lines if line.startswith(("flags", "model name", "Features"))}))
-
-
 def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
     """Compiler flags for a source of `length` characters: `RAILREPRO_CFLAGS`, else the default, and those always given.
 
     `portable` code runs on any processor of the architecture, unless `RAILREPRO_CFLAGS` asks for more.
     """
-    wide = not portable and platform.machine() in ("x86_64", "AMD64") and "avx2" in _processor().split()
-    default = f"{'-O2' if length < _LONG else '-Og'} -ffp-contract=off" + (" -mavx2" if wide else "")
+    wide = " -mavx2" if has_avx2() and not portable else ""
+    default = f"{'-O2' if length < _LONG else '-Og'} -ffp-contract=off{wide}"
     return (*os.environ.get("RAILREPRO_CFLAGS", default).split(), *_ALWAYS)
 
 
 @lru_cache
-def _version(command: str) -> str:
-    """First line of what a compiler reports of itself."""
+def identity(command: str, options: tuple[str, ...]) -> str:
+    """Text of all that an object depends on besides its source: version of the compiler, its flags, the architecture.
+
+    Raises:
+        CompilerError: When the compiler does not tell its version.
+    """
     try:
         done = subprocess.run([*_call(command), "--version"], capture_output=True, text=True, check=True, timeout=30)
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError) as error:
         raise CompilerError(f"the C compiler {command} does not answer to --version ({error})") from error
-    return done.stdout.partition("\n")[0]
-
-
-def identity(command: str, options: tuple[str, ...] | None = None) -> str:
-    """Text of all that a compiled object depends on besides its source: version of the compiler `command`, its flags
-    `options` (default `flags()`), the architecture, and the processor where a flag is native to it.
-    """
-    options = flags() if options is None else options
-    cpu = _processor() if any("native" in flag for flag in options) else ""
-    return "\n".join((_version(command), " ".join(options), platform.machine(), cpu))
+    return "\n".join((done.stdout.partition("\n")[0], " ".join(options), platform.machine()))
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled objects: `build/compiled` of a checkout, else in the user's cache.
+    """Folder of the compiled objects: `build/compiled` of a checkout, without one in the user's cache.
 
     What lies in it is run, so it has to be the user's own, and nobody else may write it.
 
-    Raises
-    ------
-    CompilerError
-        When there is no such folder.
+    Raises:
+        CompilerError: When there is no such folder.
     """
     home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "railrepro" / "compiled"
-    for folder in (home,) if paths.INSTALLED else (paths.BUILD / "compiled", home):
-        try:
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            folder.mkdir(mode=0o700, exist_ok=True)
-        except OSError:
-            continue  # a checkout that cannot be written is nothing wrong
+    folder = home if paths.INSTALLED else paths.BUILD / "compiled"
+    with suppress(OSError):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
-        if own and os.access(folder, os.W_OK):
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022:
             return folder
-    raise CompilerError(f"{home}: a folder that you alone can write is needed for compiled code")
+    raise CompilerError(f"{folder}: a folder that you alone can write is needed for compiled code")
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
     """Path of the shared object, or module of WebAssembly, of a C source text: from the cache, or compiled into it.
 
-    Parameters
-    ----------
-    text : str
-        Complete C source.
-    portable : bool
-        For any processor of the architecture, see `flags`.
-    webassembly : bool
-        A module of WebAssembly, by the packaged compiler with the flags `WEBASSEMBLY`.
+    Args:
+        text (str): Complete C source.
+        portable (bool): For any processor of the architecture, see `flags`.
+        webassembly (bool): A module of WebAssembly, by the packaged compiler with the flags `WEBASSEMBLY`.
 
-    Raises
-    ------
-    CompilerError
-        When there is no compiler, when it refuses the source, or when the object cannot be stored.
+    Raises:
+        CompilerError: When there is no compiler or no folder, or when the compiler refuses the source.
     """
     if webassembly and not found(PACKAGED):
         raise CompilerError("modules of WebAssembly need `pip install railrepro[compiler]`")
@@ -166,14 +141,11 @@ def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
     key = hashlib.sha256((text + "\0" + identity(command, options)).encode()).hexdigest()[:24]
     target = cache_folder() / f"{key}.so"
     lock = target.with_suffix(".lock")
-    try:
-        if not target.is_file():
-            with alone(lock):
-                if not target.is_file():  # another process may have compiled it meanwhile
-                    _compile([*_call(command), *options], text, target)
-                lock.unlink(missing_ok=True)  # who waits for it finds the object
-    except OSError as error:
-        raise CompilerError(f"{target}: cannot be written ({error.strerror or error})") from error
+    if not target.is_file():
+        with alone(lock):
+            if not target.is_file():  # another process may have compiled it meanwhile
+                _compile([*_call(command), *options], text, target)
+            lock.unlink(missing_ok=True)  # who waits for it finds the object
     return target
 
 

@@ -58,17 +58,12 @@ def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
 def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
     """Make the subclass of `ctypes.Structure` for a struct that hand-written C defines.
 
-    Parameters
-    ----------
-    name : str
-        Name of the struct, as in `typedef struct { … } name;`. Its members are double, casadi_int, one of `kinds`,
-        pointers, or arrays of these.
-    text : str
-        C source that contains the struct.
-    sizes : mapping
-        C constant -> its value, for constants in the lengths of array members.
-    kinds : type
-        ctypes type of each further C type of members, by its name in C.
+    Args:
+        name (str): Name of the struct, as in `typedef struct { … } name;`. Its members are double, casadi_int, one of
+            `kinds`, pointers, or arrays of these.
+        text (str): C source that contains the struct.
+        sizes (mapping): C constant -> its value, for constants in the lengths of array members.
+        kinds (type): ctypes type of each further C type of members, by its name in C.
     """
     known = {"double": ctypes.c_double, "casadi_int": ctypes.c_longlong} | kinds
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
@@ -105,32 +100,21 @@ class CompiledFunction:
     """
 
     def __init__(self, library: ctypes.CDLL, function: ca.Function):
-        self.name = function.name()
-        self._symbol = getattr(library, self.name)
-        self._symbol.restype = ctypes.c_int
+        self._symbol = getattr(library, function.name())
         taken = [function.nnz_in(i) for i in range(function.n_in())]
         given = [function.nnz_out(i) for i in range(function.n_out())]
         self.arguments, self.results = list(map(np.zeros, taken)), list(map(np.zeros, given))
         work = [ctypes.c_longlong() for _ in range(4)]
-        getattr(library, self.name + "_work")(*map(ctypes.byref, work))
+        getattr(library, function.name() + "_work")(*map(ctypes.byref, work))
         n_arg, n_res, n_iw, n_w = (max(1, size.value) for size in work)
-        self._memory = (
-            _pointers(self.arguments, n_arg),
-            _pointers(self.results, n_res),
-            (ctypes.c_longlong * n_iw)(),
-            (ctypes.c_double * n_w)(),
-        )
+        arguments, results = ([array.ctypes.data for array in of] for of in (self.arguments, self.results))
+        pointers = (ctypes.c_void_p * n_arg)(*arguments), (ctypes.c_void_p * n_res)(*results)
+        self._memory = *pointers, (ctypes.c_longlong * n_iw)(), (ctypes.c_double * n_w)()
 
     def __call__(self) -> list[np.ndarray]:
-        """Evaluate `arguments` into `results`, which is returned; ArithmeticError when the function fails."""
-        if self._symbol(*self._memory, 0):
-            raise ArithmeticError(f"compiled function {self.name} reported a failure")
+        """Evaluate `arguments` into `results`, which is returned; what has no value becomes nan."""
+        self._symbol(*self._memory, 0)
         return self.results
-
-
-def _pointers(arrays: Sequence[np.ndarray], length: int) -> ctypes.Array:
-    """C array of `length` pointers to the given float64 arrays (the rest null)."""
-    return (ctypes.c_void_p * length)(*(array.ctypes.data for array in arrays))
 
 
 def compiled(function: ca.Function) -> CompiledFunction:
@@ -144,29 +128,20 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     The key on disk is the version of the library (`code.version`), those of Python and of the packages that compute,
     and the arguments. A result with another key, or that cannot be read, is computed again.
 
-    Parameters
-    ----------
-    build : callable
-        Function of the library outside `railrepro.evidence`, of positional arguments whose `repr` distinguishes them;
-        its result depends on these and on code only, and can be pickled (CasADi functions can).
-
-    Raises
-    ------
-    ValueError
-        For a function from elsewhere: the key would not know its code.
+    Args:
+        build (callable): Function of the library, but not of `railrepro.evidence`, whose code the key does not know;
+            of positional arguments whose `repr` distinguishes them. Its result depends on these and on code only, and
+            can be pickled (CasADi functions can).
     """
     name = f"{build.__module__}.{build.__qualname__}"
-    if not name.startswith("railrepro.") or name.startswith("railrepro.evidence"):
-        raise ValueError(f"{name} is not of the library; what it builds cannot be stored")
 
     @lru_cache
     @wraps(build)
     def look(*arguments):
-        version = code.version()
-        if version is None or not code.unchanged():
+        if not code.unchanged():
             return build(*arguments)
         asked = f"{name}{arguments!r}"
-        key = hashlib.sha256(f"{version, sys.version, code.packages()}{asked}".encode()).digest()
+        key = hashlib.sha256(f"{code.version(), sys.version, code.packages()}{asked}".encode()).digest()
         file = cache.cache_folder() / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.graph"
         with suppress(OSError, zlib.error):
             content = file.read_bytes()

@@ -17,7 +17,6 @@ static inline WORD own_word(double x) { WORD w; return memcpy(&w, &x, sizeof w),
 static inline double own_number(WORD w) { double x; return memcpy(&x, &w, sizeof x), x; }
 static inline double own_pick(int yes, double one, double other) { return yes ? one : other; }
 static inline double own_sqrt(double x) { return sqrt(x); }
-static inline double own_floor(double x) { return floor(x); }
 #else
 #undef NUMBER
 #undef WORD

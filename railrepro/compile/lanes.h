@@ -14,9 +14,7 @@ static inline lanes_t lanes_all(double value) {
   for (int i = 0; i < LANES; ++i) all[i] = value;
   return all;
 }
-#if LANES == 2
 static inline lanes_t lanes_of(double one, double other) { return (lanes_t){one, other}; }
-#endif
 static inline words_t lanes_word(lanes_t x) { return (words_t)x; }
 static inline lanes_t lanes_number(words_t w) { return (lanes_t)w; }
 
@@ -25,10 +23,7 @@ static inline lanes_t lanes_chosen(words_t yes, lanes_t one, lanes_t other) {
   return (lanes_t)((yes & (words_t)one) | (~yes & (words_t)other));
 }
 
-#define LANES_FUNCTION(name) \
-  static inline lanes_t lanes_##name(lanes_t at) { \
-    for (int i = 0; i < LANES; ++i) at[i] = name(at[i]); \
-    return at; \
-  }
-LANES_FUNCTION(sqrt)
-LANES_FUNCTION(floor)
+static inline lanes_t lanes_sqrt(lanes_t x) {
+  for (int i = 0; i < LANES; ++i) x[i] = sqrt(x[i]);
+  return x;
+}

@@ -1,5 +1,6 @@
 """C for vector registers: several sets of arguments side by side, or mirrored operations of one set.
 
+Functions consist of scalar operations (SX) that `_OPERATIONS` translates; a KeyError says which one it does not.
 `lanes_text` evaluates a function for several sets of arguments. `pairs_text` writes a function whose inputs come in
 pairs, as those of two running gears. Two operations are twins where one does with the mirrored operands what the other
 does with its own. Twins become one operation of two lanes, so that nearly half of them go; each rounds as it does
@@ -16,23 +17,18 @@ import casadi as ca
 
 from railrepro.compile.codegen import ELEMENTARY
 
+_CALLS = ("tan", "asin", "atan", "exp", "log", "sqrt", "fabs", "sign", "pow", "fmin", "fmax")
 _OPERATIONS = {
     **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
-    **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{one} / {}"},
-    **{kind: f"{{own}}{name}({{}})" for kind, name in (
-        (ca.OP_TAN, "tan"), (ca.OP_ASIN, "asin"), (ca.OP_ATAN, "atan"),
-        (ca.OP_EXP, "exp"), (ca.OP_LOG, "log"), (ca.OP_SQRT, "sqrt"), (ca.OP_FLOOR, "floor"), (ca.OP_FABS, "fabs"),
-        (ca.OP_SIGN, "sign"),
-    )},
-    **{kind: f"{{own}}{name}({{}}, {{}})" for kind, name in (
-        (ca.OP_POW, "pow"), (ca.OP_CONSTPOW, "pow"), (ca.OP_FMIN, "fmin"), (ca.OP_FMAX, "fmax"),
-    )},
-    **{kind: f"{{own}}pick({condition}, {{one}}, {{zero}})" for kind, condition in (
+    **{ca.OP_NEG: "-{}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "{own}all(1.0) / {}"},
+    **{getattr(ca, f"OP_{name.upper()}"): f"{{own}}{name}({{all}})" for name in _CALLS},
+    **{ca.OP_CONSTPOW: "{own}pow({all})", ca.OP_IF_ELSE_ZERO: "{own}pick({} != 0, {}, {own}all(0.0))"},
+    **{kind: f"{{own}}pick({condition}, {{own}}all(1.0), {{own}}all(0.0))" for kind, condition in (
         (ca.OP_LT, "{} < {}"), (ca.OP_LE, "{} <= {}"), (ca.OP_EQ, "{} == {}"), (ca.OP_NE, "{} != {}"),
         (ca.OP_NOT, "{} == 0"), (ca.OP_AND, "({} != 0) & ({} != 0)"), (ca.OP_OR, "({} != 0) | ({} != 0)"),
     )},
-    ca.OP_IF_ELSE_ZERO: "{own}pick({} != 0, {}, {zero})",
 }  # fmt: skip
+"""C of an operation (`ca.OP_…`) on operands, which `all` lists; `own` is the prefix of functions of elementary.c."""
 
 
 class Statements:
@@ -52,10 +48,7 @@ class Statements:
         return found
 
     def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Append an operation `kind` (`ca.OP_…`) on named operands, lanes_t if `wide`; returns the name of its result.
-
-        ValueError for an operation that has no translation to C in `_OPERATIONS`.
-        """
+        """Append an operation `kind` (`ca.OP_…`) on named operands, lanes_t if `wide`; returns its name."""
         own = "lanes_" if wide else "own_"
         if kind in (ca.OP_SIN, ca.OP_COS):
             (angle,) = values
@@ -64,9 +57,7 @@ class Statements:
                 self.lines.append(f"const {own}pair_t {self._turned[angle]} = {own}both({angle});")
             part = (".sin", ".cos") if wide else ("[0]", "[1]")
             return self.name(self._turned[angle] + part[kind == ca.OP_COS], wide)
-        if kind not in _OPERATIONS:
-            raise ValueError(f"operation {kind} is not translated to lanes")
-        return self.name(_OPERATIONS[kind].format(*values, own=own, one=f"{own}all(1.0)", zero=f"{own}all(0.0)"), wide)
+        return self.name(_OPERATIONS[kind].format(*values, own=own, all=", ".join(values)), wide)
 
 
 def lanes_header(lanes: int = 4) -> str:
@@ -77,29 +68,19 @@ def lanes_header(lanes: int = 4) -> str:
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     """C source of a function that is evaluated for LANES sets of arguments side by side, in vector registers.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of scalar operations (SX).
-    common : sequence of str
-        Names of the inputs that all sets share; what depends on these alone is computed once.
+    Args:
+        function (casadi.Function): Of the operations above.
+        common (sequence of str): Names of the inputs that all sets share; what depends on these alone is computed once.
 
-    Returns
-    -------
-    str
-        `static void NAME_lanes(inputs, outputs)` with one pointer each, in CasADi's order: to lanes_t (lanes.h), one
-        set of arguments per lane, or to double for the common inputs.
-
-    Raises
-    ------
-    ValueError
-        When the function uses an operation that is not translated here.
+    Returns:
+        str: `static void NAME_lanes(inputs, outputs)` with one pointer each, in CasADi's order: to lanes_t (lanes.h),
+        one set of arguments per lane, or to double for the common inputs.
     """
     inputs, outputs = function.name_in(), function.name_out()
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
     signature = [f"const {kind} *in_{name}" for kind, name in zip(kinds, inputs, strict=True)]
     signature += [f"lanes_t *out_{name}" for name in outputs]
-    nodes, results = _graph(function)
+    nodes, results = graph(function)
     body, found = Statements(), list[tuple[str, bool]]()
     for kind, *of in nodes:
         if kind == ca.OP_CONST:
@@ -129,20 +110,12 @@ def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> 
 
     It is called like the C that CasADi generates, and each result rounds as there. See the head of this module.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of scalar operations (SX).
-    mirrored : mapping
-        Name of an input -> list with the index of the partner of each of its entries, their own where they have none.
-        Constants of opposite sign count as partners, too.
-
-    Raises
-    ------
-    ValueError
-        When the function uses an operation that is not translated to lanes.
+    Args:
+        function (casadi.Function): Of the operations above.
+        mirrored (mapping): Name of an input -> list with the index of the partner of each of its entries, their own
+            where they have none. Constants of opposite sign count as partners, too.
     """
-    nodes, outputs = _graph(function)
+    nodes, outputs = graph(function)
     twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])
     body, found = Statements(), dict[int, str]()
     lanes: dict[str, str] = {}  # by their first number
@@ -169,7 +142,7 @@ def _leaf(node: tuple) -> str:
     return f"arg[{of[0]}][{of[1]}]" if kind == ca.OP_INPUT else repr(of[0])
 
 
-def _graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
+def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
     """Nodes, each once: (kind, operands), (kind, input, entry) or (kind, constant). Outputs: (output, entry, node)."""
     nodes: list[tuple] = []
     index: dict[tuple, int] = {}

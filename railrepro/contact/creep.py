@@ -14,44 +14,31 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-# Kalker's table: semi-axis ratio a/b, then C11, C22, C23, each for Poisson's ratio 0, 0.25 and 0.5.
+# Kalker's table: semi-axis ratio a/b, then C11, C22, C23, C33, each for Poisson's ratio 0, 0.25 and 0.5.
 _POISSON = (0.0, 0.25, 0.5)
 _TABLE = np.array(
     [
-        (0.1, 2.51, 3.31, 4.85, 2.51, 2.52, 2.53, 0.334, 0.473, 0.731),
-        (0.2, 2.59, 3.37, 4.81, 2.59, 2.63, 2.66, 0.483, 0.603, 0.809),
-        (0.3, 2.68, 3.44, 4.80, 2.68, 2.75, 2.81, 0.607, 0.715, 0.889),
-        (0.4, 2.78, 3.53, 4.82, 2.78, 2.88, 2.98, 0.720, 0.823, 0.977),
-        (0.5, 2.88, 3.62, 4.83, 2.88, 3.01, 3.14, 0.827, 0.929, 1.07),
-        (0.6, 2.98, 3.72, 4.91, 2.98, 3.14, 3.31, 0.930, 1.03, 1.18),
-        (0.7, 3.09, 3.81, 4.97, 3.09, 3.28, 3.48, 1.03, 1.14, 1.29),
-        (0.8, 3.19, 3.91, 5.05, 3.19, 3.41, 3.65, 1.13, 1.25, 1.40),
-        (0.9, 3.29, 4.01, 5.12, 3.29, 3.54, 3.82, 1.23, 1.36, 1.51),
-        (1.0, 3.40, 4.12, 5.20, 3.40, 3.67, 3.98, 1.33, 1.47, 1.63),
-        (1 / 0.9, 3.51, 4.22, 5.30, 3.51, 3.81, 4.16, 1.44, 1.59, 1.77),
-        (1 / 0.8, 3.65, 4.36, 5.42, 3.65, 3.99, 4.39, 1.58, 1.75, 1.94),
-        (1 / 0.7, 3.82, 4.54, 5.58, 3.82, 4.21, 4.67, 1.76, 1.95, 2.18),
-        (1 / 0.6, 4.06, 4.78, 5.80, 4.06, 4.50, 5.04, 2.01, 2.23, 2.50),
-        (2.0, 4.37, 5.10, 6.11, 4.37, 4.90, 5.56, 2.35, 2.62, 2.96),
-        (2.5, 4.84, 5.57, 6.57, 4.84, 5.48, 6.31, 2.88, 3.24, 3.70),
-        (10 / 3, 5.57, 6.34, 7.34, 5.57, 6.40, 7.51, 3.79, 4.32, 5.01),
-        (5.0, 6.96, 7.78, 8.82, 6.96, 8.14, 9.79, 5.72, 6.63, 7.89),
-        (10.0, 10.7, 11.7, 12.9, 10.7, 12.8, 16.0, 12.2, 14.6, 18.0),
+        (0.1, 2.51, 3.31, 4.85, 2.51, 2.52, 2.53, 0.334, 0.473, 0.731, 6.42, 8.28, 11.7),
+        (0.2, 2.59, 3.37, 4.81, 2.59, 2.63, 2.66, 0.483, 0.603, 0.809, 3.46, 4.27, 5.66),
+        (0.3, 2.68, 3.44, 4.80, 2.68, 2.75, 2.81, 0.607, 0.715, 0.889, 2.49, 2.96, 3.72),
+        (0.4, 2.78, 3.53, 4.82, 2.78, 2.88, 2.98, 0.720, 0.823, 0.977, 2.02, 2.32, 2.77),
+        (0.5, 2.88, 3.62, 4.83, 2.88, 3.01, 3.14, 0.827, 0.929, 1.07, 1.74, 1.93, 2.22),
+        (0.6, 2.98, 3.72, 4.91, 2.98, 3.14, 3.31, 0.930, 1.03, 1.18, 1.56, 1.68, 1.86),
+        (0.7, 3.09, 3.81, 4.97, 3.09, 3.28, 3.48, 1.03, 1.14, 1.29, 1.43, 1.50, 1.60),
+        (0.8, 3.19, 3.91, 5.05, 3.19, 3.41, 3.65, 1.13, 1.25, 1.40, 1.34, 1.37, 1.42),
+        (0.9, 3.29, 4.01, 5.12, 3.29, 3.54, 3.82, 1.23, 1.36, 1.51, 1.27, 1.27, 1.27),
+        (1.0, 3.40, 4.12, 5.20, 3.40, 3.67, 3.98, 1.33, 1.47, 1.63, 1.21, 1.19, 1.16),
+        (1 / 0.9, 3.51, 4.22, 5.30, 3.51, 3.81, 4.16, 1.44, 1.59, 1.77, 1.16, 1.11, 1.06),
+        (1 / 0.8, 3.65, 4.36, 5.42, 3.65, 3.99, 4.39, 1.58, 1.75, 1.94, 1.10, 1.04, 0.954),
+        (1 / 0.7, 3.82, 4.54, 5.58, 3.82, 4.21, 4.67, 1.76, 1.95, 2.18, 1.05, 0.965, 0.852),
+        (1 / 0.6, 4.06, 4.78, 5.80, 4.06, 4.50, 5.04, 2.01, 2.23, 2.50, 1.01, 0.892, 0.751),
+        (2.0, 4.37, 5.10, 6.11, 4.37, 4.90, 5.56, 2.35, 2.62, 2.96, 0.958, 0.819, 0.650),
+        (2.5, 4.84, 5.57, 6.57, 4.84, 5.48, 6.31, 2.88, 3.24, 3.70, 0.912, 0.747, 0.549),
+        (10 / 3, 5.57, 6.34, 7.34, 5.57, 6.40, 7.51, 3.79, 4.32, 5.01, 0.868, 0.674, 0.446),
+        (5.0, 6.96, 7.78, 8.82, 6.96, 8.14, 9.79, 5.72, 6.63, 7.89, 0.828, 0.601, 0.341),
+        (10.0, 10.7, 11.7, 12.9, 10.7, 12.8, 16.0, 12.2, 14.6, 18.0, 0.795, 0.526, 0.228),
     ]
 )
-_SPIN_TABLE = np.array(
-    [
-        *((6.42, 8.28, 11.7), (3.46, 4.27, 5.66), (2.49, 2.96, 3.72), (2.02, 2.32, 2.77), (1.74, 1.93, 2.22)),
-        *((1.56, 1.68, 1.86), (1.43, 1.50, 1.60), (1.34, 1.37, 1.42), (1.27, 1.27, 1.27), (1.21, 1.19, 1.16)),
-        *((1.16, 1.11, 1.06), (1.10, 1.04, 0.954), (1.05, 0.965, 0.852), (1.01, 0.892, 0.751), (0.958, 0.819, 0.650)),
-        *((0.912, 0.747, 0.549), (0.868, 0.674, 0.446), (0.828, 0.601, 0.341), (0.795, 0.526, 0.228)),
-    ]
-)
-"""C33 for the semi-axis ratios and Poisson's ratios of the table."""
-STEEL = 0.28
-"""Poisson's ratio of steel (-)."""
-
-
 _SPINNING = 1.4
 """Friction that spin alone uses, squared, over its linear moment per turn, c33 a b spin^2 (-): fitted to half spaces in
 steady rolling, a/b .5 to 1. A wide patch uses more than its resultant, for tractions of spin cancel in it."""
@@ -59,16 +46,16 @@ _PLAIN = 0.4, 2.0
 """Semi-axis ratios of the straight lines in `strip_coefficients`: those of S1002 on 60E1."""
 
 
-def kalker_coefficients(ratio, poisson: float = STEEL) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def kalker_coefficients(ratio, poisson: float = 0.28) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact, each of the shape of `ratio`.
 
-    The semi-axis ratio a/b (a along, b across the rail) is clipped to 0.1 to 10, Poisson's ratio is 0 to 0.5. c33 is
-    that of the moment which spin makes about the contact normal.
+    The semi-axis ratio a/b (a along, b across the rail) is clipped to 0.1 to 10, Poisson's ratio is 0 to 0.5, by
+    default that of steel. c33 is that of the moment which spin makes about the contact normal.
 
     Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
     """
     weights = [np.prod([(poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
-    table = np.stack([*np.split(_TABLE[:, 1:], 3, axis=1), _SPIN_TABLE]) @ weights
+    table = np.stack(np.split(_TABLE[:, 1:], 4, axis=1)) @ weights
     spline = CubicSpline(np.log(_TABLE[:, 0]), np.log(table.T))
     c11, c22, c23, c33 = np.moveaxis(np.exp(spline(np.log(np.clip(ratio, 0.1, 10.0)))), -1, 0)
     return c11, c22, c23, c33
@@ -93,17 +80,14 @@ def strip_coefficients(half_length: np.ndarray, position: np.ndarray):
     the strips, so that each lobe of a patch has ends. In c33 strips count by their squared distance from the middle. An
     elliptic patch gets the coefficients of Kalker's table.
 
-    Parameters
-    ----------
-    half_length, position : ndarray, shape (n,)
-        Half-length (0 without contact) and lateral position of strips of equal width (m), 0 at the centre of pressure.
+    Args:
+        half_length, position (ndarray, shape (n,)): Half-length (0 without contact) and lateral position of strips of
+            equal width (m), 0 at the centre of pressure.
 
-    Returns
-    -------
-    a, b : float
-        Half the longest strip, and the lateral semi-axis that gives the ellipse the area of the patch (m).
-    coefficients : tuple of float
-        c11, c22, c23, c33 that go with this ellipse (-).
+    Returns:
+        a, b (float): Half the longest strip, and the lateral semi-axis that gives the ellipse the area of the patch
+            (m).
+        coefficients (tuple of float): c11, c22, c23, c33 that go with this ellipse (-).
     """
     width = position[1] - position[0]
     a = half_length.max()
@@ -124,76 +108,43 @@ def polach(
 ):  # fmt: skip
     """Creep forces on a wheel: Polach's resultant, with falling friction, along the force of Kalker's linear theory.
 
-    Spin is part of the linear force, so that small creepages of any mixture meet linear theory. Works on floats, CasADi
-    SX and (elementwise) arrays; values and derivatives stay finite at zero creepage and load.
-
-    Parameters
-    ----------
-    nu_x, nu_y : longitudinal and lateral creepage (-)
-    spin : spin creepage (1/m)
-    load : normal force (N)
-    a, b : semi-axes of the contact along and across the rail (m)
-    c11, c22, c23, c33 : Kalker coefficients (-)
-    shear_modulus : G (Pa)
-    k_a, k_s : reduction factors in the area of adhesion and of slip (-); k_s counts up to k_a
-    mu0, a_ratio, b_decay : friction at rest (-), its ratio at high slip speed (-) and decay (s/m)
-    slip_speed : sliding speed of the contact (m/s)
-
-    Returns
-    -------
-    F_x, F_y : tangential force on the wheel (N); never longer than the friction force.
-
-    Source: Polach 2005, eqs. (2) and (3) (resultant), Shen, Hedrick and Elkins 1983 (direction).
-    """
-    m = elementary(nu_x, nu_y, spin, load)
-    friction = falling_friction(m, mu0, a_ratio, b_decay, slip_speed)
-    along, across = c11 * nu_x, c22 * nu_y
-    turning, rolled = c23 * m.sqrt(a * b) * spin, c33 * a * b * spin**2
-    secant, _ = _resultant(m, along, across, turning, rolled, load, shear_modulus * a * b, k_a, k_s, friction)
-    return -secant * along, -secant * (across + turning)
-
-
-def spin_moment(
-    nu_x, nu_y, spin, load, a, b, c11, c22, c23, c33, shear_modulus, k_a, k_s, mu0, a_ratio, b_decay, slip_speed
-):  # fmt: skip
-    """Moment of the creep forces on a wheel about the contact normal (N m), normal pointing into the rail.
-
-    Kalker's linear moment f23 nu_y - f33 spin, reduced as `polach` reduces the linear force. A contact that slides as a
-    whole has the same traction ahead of its centre as behind, so the term of the lateral creepage is also multiplied by
+    Spin is part of the linear force, so that small creepages of any mixture meet linear theory. The moment about the
+    contact normal is Kalker's linear one, f23 nu_y - f33 spin, reduced like the force. A contact that slides as a whole
+    has the same traction ahead of its centre as behind, so the term of the lateral creepage is also multiplied by
     1 - used + 2 used^2 (1 - used)^2, where `used` is the share of the friction in use: fitted to half spaces in steady
-    rolling. Parameters as in `polach`.
+    rolling. Works on floats, CasADi SX and (elementwise) arrays; values and derivatives stay finite at zero creepage
+    and load.
 
-    Source: Kalker 1990 (linear moment), Polach 2005, eqs. (2) and (3) (reduction).
+    Args:
+        nu_x, nu_y: longitudinal and lateral creepage (-)
+        spin: spin creepage (1/m)
+        load: normal force (N)
+        a, b: semi-axes of the contact along and across the rail (m)
+        c11, c22, c23, c33: Kalker coefficients (-)
+        shear_modulus: G (Pa)
+        k_a, k_s: reduction factors in the area of adhesion and of slip (-); k_s counts up to k_a
+        mu0, a_ratio, b_decay: friction at rest (-), its ratio at high slip speed (-) and decay (s/m)
+        slip_speed: sliding speed of the contact (m/s)
+
+    Returns:
+        F_x, F_y, M: tangential force on the wheel (N), never longer than the friction force, and its moment about the
+            contact normal, which points into the rail (N m).
+
+    Source: Polach 2005, eqs. (2) and (3) (resultant), Shen, Hedrick and Elkins 1983 (direction), Kalker 1990 (moment).
     """
     m = elementary(nu_x, nu_y, spin, load)
-    friction, root = falling_friction(m, mu0, a_ratio, b_decay, slip_speed), m.sqrt(a * b)
-    linear = c11 * nu_x, c22 * nu_y, c23 * root * spin, c33 * a * b * spin**2
-    secant, used = _resultant(m, *linear, load, shear_modulus * a * b, k_a, k_s, friction)
-    fade = (1 - used) * (1 + 2 * used**2 * (1 - used))
-    return secant * root * (fade * c23 * nu_y - root * c33 * spin)
-
-
-def falling_friction(m, mu0, a_ratio, b_decay, slip_speed):
-    """Coefficient of friction (-) that falls exponentially with the slip speed (m/s) from mu0 (-) to a_ratio mu0.
-
-    `b_decay` is the decay (s/m), `m` the module casadi or numpy that the function `elementary` returns.
-    """
-    return mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio)
-
-
-def _resultant(m, along, across, turning, rolled, load, stiffness, k_a, k_s, friction):
-    """Creep force over Kalker's linear one in units of G a b (N), and the share of friction that it uses (-).
-
-    Spin uses friction as its resultant and as its moment do, whichever is larger; a fourth power rounds the corner.
-
-    Source: Polach 2005, eqs. (2) and (3).
-    """
+    friction, root = mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio), m.sqrt(a * b)
+    along, across, turning, rolled = c11 * nu_x, c22 * nu_y, c23 * root * spin, c33 * a * b * spin**2
+    # Spin uses friction as its resultant and as its moment do, whichever is larger; a fourth power rounds the corner.
     spinning = m.sqrt(turning**4 + (_SPINNING * rolled) ** 2 + 1e-26)
     linear = m.sqrt(along**2 + across**2 + 2 * across * turning + spinning)
+    stiffness = shear_modulus * a * b
     gradient = np.pi / 4 * stiffness * linear / ((load + 1.0) * (friction + 1e-9))
     adhering = k_a * gradient
     used = 2 / np.pi * (adhering / (1 + adhering**2) + m.arctan(m.fmin(k_s, k_a) * gradient))
-    return load * friction * used / linear, used
+    secant = load * friction * used / linear
+    fade = (1 - used) * (1 + 2 * used**2 * (1 - used))
+    return -secant * along, -secant * (across + turning), secant * root * (fade * c23 * nu_y - root * c33 * spin)
 
 
 def elementary(*values):
@@ -209,6 +160,6 @@ def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, co
     """
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = astuple(adhesion)
-    force, _ = polach(-slip, 0.0, 0.0, load, a, b, *coefficients, shear_modulus, *law, slip * speed)
+    force, *_ = polach(-slip, 0.0, 0.0, load, a, b, *coefficients, shear_modulus, *law, slip * speed)
     best = int(np.argmax(force))
     return float(force[best] / load), float(slip[best])

@@ -1,6 +1,7 @@
 """Normal contact of wheel and rail: Hertz's ellipse, and the elastic half space for real profiles.
 
-Serves the paper's section Simulation Environment.
+The contact modulus of two bodies of one material is E* = E / (2 (1 - nu^2)) (Johnson 1985, Contact Mechanics, section
+4.2). Serves the paper's section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -17,72 +18,49 @@ _CELLS = 24, 72
 _REACH = 1.3e-4
 """Distance of the undeformed profiles up to which they may touch; more than the approach of any wheel here (m)."""
 _TOLERANCE = 1e-4
+"""Change of the pressure per iteration, relative to the load, at which it has settled (-)."""
 _TURNS, _TURNED = 4, 0.05
 """Solutions in turned planes, and the turn that ends them (rad)."""
 
 
-def contact_modulus(young: float, poisson: float) -> float:
-    """Contact modulus E* = E / (2 (1 - nu^2)) (Pa) of two bodies of one material: `young` is E (Pa), `poisson` nu (-).
+def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -> tuple[float, float]:
+    """Semi-axes along and across the rail (m) of the contact of two bodies, their ratio held within 0.1 to 10.
+
+    Args:
+        curvature_x, curvature_y (float): Sum of both bodies' curvatures along and across the rail (1/m), positive: the
+            distance of the bodies is curvature_x x^2/2 + curvature_y y^2/2.
+        load, modulus (float): Normal force (N), contact modulus E* (Pa).
 
     Source: Johnson 1985, Contact Mechanics, section 4.2.
     """
-    return young / (2 * (1 - poisson**2))
-
-
-def hertz(curvature_x, curvature_y, load, modulus) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Contact ellipse of two bodies whose distance is curvature_x x^2/2 + curvature_y y^2/2.
-
-    Parameters
-    ----------
-    curvature_x, curvature_y : array_like
-        Sum of both bodies' curvatures along and across the rail (1/m), positive.
-    load, modulus : float
-        Normal force (N), contact modulus E* (Pa).
-
-    Returns
-    -------
-    a, b, approach : ndarray
-        Semi-axes along and across the rail, their ratio held within 0.1 to 10, and approach of the bodies (m).
-
-    Source: Johnson 1985, Contact Mechanics, section 4.2.
-    """
-    curvature_x, curvature_y = np.asarray(curvature_x, dtype=float), np.asarray(curvature_y, dtype=float)
     m = 1 - _FLAT**2
     with np.errstate(invalid="ignore"):
         known = np.where(m > 0, (ellipe(m) / _FLAT**2 - ellipk(m)) / (ellipk(m) - ellipe(m)), 1.0)
-    across = np.maximum(curvature_x, curvature_y) / np.minimum(curvature_x, curvature_y)
+    across = max(curvature_x, curvature_y) / min(curvature_x, curvature_y)
     flat = np.exp(np.interp(np.log(across), np.log(known[::-1]), np.log(_FLAT[::-1])))
     m = 1 - flat**2
     major = (3 * load * ellipe(m) / (np.pi * modulus * flat**2 * (curvature_x + curvature_y))) ** (1 / 3)
-    minor = flat * major
-    along = curvature_x <= curvature_y
-    approach = 3 * load * ellipk(m) / (2 * np.pi * modulus * major)
-    return np.where(along, major, minor), np.where(along, minor, major), approach
+    axes = float(major), float(flat * major)
+    return axes if curvature_x <= curvature_y else axes[::-1]
 
 
 @dataclass(frozen=True)
 class Patch:
     """Contact patch of a wheel on a rail: means over the patch, and its strips along the rail.
 
-    Attributes
-    ----------
-    position, slope : float
-        Means over the pressure: distance from the track centre (m), and slope of the wheel profile (-), which is the
-        tangent of the angle of the resultant force.
-    height : float
-        Rolling radius at which the patch rolls without longitudinal force, less the nominal one (m): mean height of the
-        wheel profile with each strip weighted by the power 2/3 of its load, as its creep stiffness is.
-    approach : float
-        Elastic approach along the contact normal (m).
-    strips, half_lengths : ndarray, shape (n,)
-        Lateral distance of each strip from the centre of pressure, in the plane of the contact, and half its length
-        along the rail (m); arguments of `creep.strip_coefficients`.
+    Attributes:
+        position, slope (float): Means over the pressure: distance from the track centre (m), and slope of the wheel
+            profile (-), which is the tangent of the angle of the resultant force.
+        height (float): Rolling radius at which the patch rolls without longitudinal force, less the nominal one (m):
+            mean height of the wheel profile with each strip weighted by the power 2/3 of its load, as its creep
+            stiffness is.
+        strips, half_lengths (ndarray, shape (n,)): Lateral distance of each strip from the centre of pressure, in the
+            plane of the contact, and half its length along the rail (m); arguments of `creep.strip_coefficients`.
     """
 
     position: float
     height: float
     slope: float
-    approach: float
     strips: np.ndarray
     half_lengths: np.ndarray
 
@@ -93,13 +71,10 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     A coarse grid finds where the bodies touch, starting where the undeformed profiles are close. A fine grid covers
     just that area, so that it has the same number of cells whatever the size of the patch.
 
-    Parameters
-    ----------
-    position, height, slope, rail_depth : ndarray, shape (n,)
-        Uniform lateral grid (m); on it height of the wheel profile, radius less the nominal one (m), its slope (-), and
-        depth of the rail below its top (m).
-    radius, load, modulus : float
-        Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
+    Args:
+        position, height, slope, rail_depth (ndarray, shape (n,)): Uniform lateral grid (m); on it height of the wheel
+            profile, radius less the nominal one (m), its slope (-), and depth of the rail below its top (m).
+        radius, load, modulus (float): Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
 
     Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4 (contact of half spaces).
     """
@@ -113,7 +88,7 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
         x, y = np.linspace(-reach_x, reach_x, cells[0]), np.linspace(*reach_y, cells[1])
         cell = x[1] - x[0], (y[1] - y[0]) / cos
         distance = cos * (x[:, None] ** 2 / (2 * rolling) + np.interp(y, position, gap))
-        pressure, approach = half_space_pressure(distance, load, cell, modulus, _TOLERANCE)
+        pressure = half_space_pressure(distance, load, cell, modulus)
         across = pressure.sum(axis=0) / pressure.sum()
         mean = across @ np.interp(y, position, slope)
         if turn and abs(np.arctan(mean) - angle) < _TURNED:
@@ -125,40 +100,24 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
     variance = np.divide(x**2 @ pressure, pressure.sum(axis=0), out=np.zeros(len(y)), where=across > 0)
     stiffness = across ** (2 / 3)
     rolling = stiffness @ np.interp(y, position, height) / stiffness.sum()
-    return Patch(across @ y, rolling, mean, approach, (y - across @ y) / cos, 2 * np.sqrt(variance))
+    return Patch(across @ y, rolling, mean, (y - across @ y) / cos, 2 * np.sqrt(variance))
 
 
-def half_space_pressure(gap: np.ndarray, load: float, cell, modulus: float, tolerance: float = 1e-6):
-    """Pressure between elastic half spaces that are pressed together, by conjugate gradients.
+def half_space_pressure(gap: np.ndarray, load: float, sides: tuple[float, float], modulus: float) -> np.ndarray:
+    """Normal pressure (Pa) between elastic half spaces, 0 without contact, in the shape (nx, ny) of `gap`.
 
-    Parameters
-    ----------
-    gap : ndarray, shape (nx, ny)
-        Distance of the undeformed surfaces on a uniform grid (m).
-    load : float
-        Normal force (N).
-    cell : float or tuple of float
-        Grid step, or steps along both axes (m).
-    modulus : float
-        Contact modulus E* (Pa).
-    tolerance : float
-        Change of the pressure per iteration, relative to the load, at which to stop (-).
+    Args:
+        gap (ndarray, shape (nx, ny)): Distance of the undeformed surfaces on a uniform grid (m).
+        load (float): Normal force (N).
+        sides (tuple of float): Grid steps along both axes (m).
+        modulus (float): Contact modulus E* (Pa).
 
-    Returns
-    -------
-    pressure : ndarray, shape (nx, ny)
-        Normal pressure at the grid points (Pa), 0 without contact.
-    approach : float
-        Approach of the bodies (m).
+    Raises:
+        ArithmeticError: When 500 iterations are not enough.
 
-    Raises
-    ------
-    ArithmeticError
-        When 500 iterations are not enough.
-
-    Source: Polonsky and Keer 1999; deflection under a square cell: Love 1929.
+    Source: Polonsky and Keer 1999 (conjugate gradients).
     """
-    shape, sides = [2 * n for n in gap.shape], np.broadcast_to(cell, 2)
+    shape = [2 * n for n in gap.shape]
     transform = fft.rfft2(_influence(gap.shape, sides, modulus))
 
     def deflection(pressure):
@@ -185,12 +144,12 @@ def half_space_pressure(gap: np.ndarray, load: float, cell, modulus: float, tole
         updated *= load / (updated.sum() * area)
         moved = np.abs(updated - pressure).sum() * area / load
         pressure = updated
-        if moved < tolerance:
-            return pressure, float((deflection(pressure) + gap)[pressure > 0].mean())
+        if moved < _TOLERANCE:
+            return pressure
     raise ArithmeticError("the contact pressure has not settled after 500 iterations")
 
 
-def _influence(shape: tuple[int, int], sides: np.ndarray, modulus: float) -> np.ndarray:
+def _influence(shape: tuple[int, ...], sides: tuple[float, float], modulus: float) -> np.ndarray:
     """Deflection of the half spaces at grid distances under unit pressure on one cell (m/Pa), wrapped for the FFT.
 
     Source: Love 1929.

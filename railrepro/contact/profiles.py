@@ -13,14 +13,10 @@ from numpy.polynomial import Polynomial
 MM = 1e-3
 TAPE_CIRCLE = 0.75
 """Distance of the tape circle from the track centre, centred wheels (m): half of 1360 mm back to back, plus 70 mm."""
-GAUGE = 1.435
-"""Track gauge (m), measured `GAUGE_DEPTH` below the top of the rails."""
-GAUGE_DEPTH = 0.014
-"""Depth below the top of the rails at which the gauge is measured (m)."""
+GAUGE, GAUGE_DEPTH = 1.435, 0.014
+"""Track gauge, and the depth below the top of the rails at which it is measured (m)."""
 INCLINATION = np.arctan(1 / 40)
 """Inclination of the rail towards the track centre (rad)."""
-FLANGE_ANGLE = np.arctan(2.747477419)
-"""Steepest angle of the S1002 flange (rad)."""
 
 _TREAD = Polynomial(
     (0, -3.358537058e-2, 1.565681624e-3, -2.810427944e-5, 5.844240864e-8, -1.562379023e-8)
@@ -43,17 +39,13 @@ def _arc(centre: tuple[float, float], radius: float, side: int):
     return lambda s: centre[1] + side * root(s), lambda s: -side * (s - centre[0]) / root(s)
 
 
-def _polynomial(p: Polynomial):
-    return p, p.deriv()
-
-
 # From the field side to the back of the flange: lower limit of the lateral coordinate (mm), height and slope.
 _S1002 = (
-    (32.15796, *_polynomial(_CHAMFER)),
-    (-26.0, *_polynomial(_TREAD)),
-    (-35.0, *_polynomial(_ROOT)),
+    (32.15796, _CHAMFER, _CHAMFER.deriv()),
+    (-26.0, _TREAD, _TREAD.deriv()),
+    (-35.0, _ROOT, _ROOT.deriv()),
     (-38.426669071, *_arc((-26.210665, 16.446), 13.0, -1)),
-    (-39.764473993, *_polynomial(_FLANK)),
+    (-39.764473993, _FLANK, _FLANK.deriv()),
     (-49.662510381, *_arc((-58.558326413, 8.834924130), 20.0, 1)),
     (-62.764705882, *_arc((-55.0, 16.0), 12.0, 1)),
     (-70.0, *_arc((-49.5, 9.519259302), 20.5, 1)),
@@ -80,17 +72,6 @@ _HEAD = ((CROWN_RADIUS / MM, 10.5), (80.0, 26.0), (13.0, None))
 _SIDE_SLOPE = 20.0
 
 
-def _head_arcs() -> list[tuple[float, float, float, float]]:
-    """Centre (y, z), radius and end of each arc of the half head (mm)."""
-    arcs, centre = [], (0.0, _HEAD[0][0])
-    for (radius, end), following in zip(_HEAD, (*_HEAD[1:], (0.0, None)), strict=True):
-        sine = (end - centre[0]) / radius if end else np.sin(np.arctan(_SIDE_SLOPE))
-        arcs.append((*centre, radius, centre[0] + radius * sine))
-        inwards = radius - following[0]
-        centre = centre[0] + inwards * sine, centre[1] - inwards * np.sqrt(1 - sine**2)
-    return arcs
-
-
 def rail_head(lateral) -> np.ndarray:
     """Depth of the 60E1 head below its crown (m), in the rail's own axes, shape of `lateral`.
 
@@ -99,21 +80,24 @@ def rail_head(lateral) -> np.ndarray:
     Source: EN 13674-1, radii 300, 80 and 13 mm; junctions fitted to measured points to 2 micrometres.
     """
     y = np.abs(np.asarray(lateral, dtype=float)) / MM
-    arcs = _head_arcs()
-    limits = [y <= end for *_, end in arcs]
-    depths = [z - np.sqrt(np.maximum(radius**2 - (y - centre) ** 2, 0)) for centre, z, radius, _ in arcs]
-    return np.select(limits, depths, np.nan) * MM
+    inside, depths = [], []
+    centre, z = 0.0, _HEAD[0][0]
+    for (radius, end), (following, _) in zip(_HEAD, (*_HEAD[1:], (0.0, None)), strict=True):
+        sine = (end - centre) / radius if end else np.sin(np.arctan(_SIDE_SLOPE))
+        inside.append(y <= centre + radius * sine)
+        depths.append(z - np.sqrt(np.maximum(radius**2 - (y - centre) ** 2, 0)))
+        centre, z = centre + (radius - following) * sine, z - (radius - following) * np.sqrt(1 - sine**2)
+    return np.select(inside, depths, np.nan) * MM
 
 
-def inclined_rail(count: int = 20_001) -> tuple[np.ndarray, np.ndarray]:
-    """`count` points of the right 60E1 rail head as laid: inclined, gauge face at half the gauge.
+def inclined_rail() -> tuple[np.ndarray, np.ndarray]:
+    """The right 60E1 rail head as laid: inclined, gauge face at half the gauge.
 
-    Returns
-    -------
-    position, depth : ndarray, shape (count,)
-        Distance from the track centre, increasing, and depth below the highest point of the rail (m).
+    Returns:
+        position, depth (ndarray, shape (20001,)): Distance from the track centre, increasing, and depth below the
+            highest point of the rail (m).
     """
-    y = np.linspace(-36.0, 36.0, count) * MM
+    y = np.linspace(-36.0, 36.0, 20_001) * MM
     z = rail_head(y)
     turned = y * np.cos(INCLINATION) + z * np.sin(INCLINATION)
     depth = -y * np.sin(INCLINATION) + z * np.cos(INCLINATION)

@@ -22,7 +22,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from railrepro.compile.codegen import stored
 from railrepro.contact import normal, profiles
@@ -41,38 +41,22 @@ CELL_COLUMNS = (
 """Entries of a cell of the table (SI): shift at its start, its width, the coefficients of the effective radius as a
 cubic in the offset from the start, and of each other quantity the value at the start and its slope (d…) over the
 shift."""
-SHIFTS = np.arange(-150, 121) * 1e-4
-"""Shifts towards the flange of the table of S1002 on 60E1 (m)."""
 _BEYOND = 1e-12
 """How far a cell goes on beyond its ends (m): at a node, also a rounded one, derivatives are those of the cell."""
 _PATCH = ("semi_axis_x_m", "semi_axis_y_m", "c11", "c22", "c23", "c33")
-_LATERAL_STEP = 2e-5
-"""Step of the profiles across the rail (m)."""
 
 
 @dataclass(frozen=True)
 class ContactTable:
     """Contact quantities over the lateral shift of a wheel towards its flange.
 
-    Attributes
-    ----------
-    frame : DataFrame
-        Uniform grid `shift_m` with effective_radius_m, angle_rad (contact angle), rolling_radius_m, rail_contact_m
-        (lateral position on the rail, from half the contact base, positive to the field side), semi_axis_x_m,
-        semi_axis_y_m (at nominal load), Kalker's c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
+    Attributes:
+        frame (DataFrame): Uniform grid `shift_m` with effective_radius_m, angle_rad (contact angle), rolling_radius_m,
+            rail_contact_m (lateral position on the rail, from half the contact base, positive to the field side),
+            semi_axis_x_m, semi_axis_y_m (at nominal load), Kalker's c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
     """
 
     frame: pd.DataFrame
-
-    @property
-    def start(self) -> float:
-        """Smallest shift of the grid (m)."""
-        return float(self.frame["shift_m"].iloc[0])
-
-    @property
-    def step(self) -> float:
-        """Step of the grid of shifts (m)."""
-        return float(self.frame["shift_m"].iloc[1] - self.start)
 
     def cells(self) -> np.ndarray:
         """Cells between the n grid points, one a row, columns `CELL_COLUMNS` (SI), shape (n - 1, len(CELL_COLUMNS)).
@@ -106,11 +90,9 @@ def in_cell(cell: dict, offset) -> dict:
     energy, the rolling radius goes with it, as on a cone, and all else keeps its value, so that no ellipse grows a
     negative axis.
 
-    Returns
-    -------
-    dict
-        effective_radius (m) and its slope (-), which is the tangent of the contact angle, rolling_radius, rail_contact,
-        semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
+    Returns:
+        dict: effective_radius (m) and its slope (-), which is the tangent of the contact angle, rolling_radius,
+        rail_contact, semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
     """
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)
@@ -124,41 +106,38 @@ def in_cell(cell: dict, offset) -> dict:
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
     """`ContactTable` of a vehicle for the profile "cone" or "s1002"; InputError for another name."""
+    material = vehicle.contact
+    modulus = material.young / (2 * (1 - material.poisson**2))
     if profile == "cone":
-        return _cone(vehicle)
+        return _cone(vehicle, modulus)
     if profile != "s1002":
         raise InputError(f"profile {profile!r} is not known; there are cone and s1002")
-    material = vehicle.contact
-    modulus = normal.contact_modulus(material.young, material.poisson)
     return pair_table(vehicle.wheel.radius, material.nominal_load, modulus, material.normal_stiffness)
 
 
-def cone_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the cone at nominal load: semi-axes a along, b across the rail (m), (c11, c22, c23, c33) (-).
+def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
+    """Contact ellipse of the vehicle's own wheel profile in the middle of the track, at nominal load.
+
+    Returns:
+        a, b (float): Semi-axes along and across the rail (m).
+        coefficients (tuple of float): c11, c22, c23, c33 (-).
+    """
+    frame = contact_table(vehicle.contact.profile, vehicle).frame
+    a, b, *coefficients = frame.loc[frame["shift_m"].abs().argmin(), [*_PATCH]].tolist()
+    return a, b, tuple(coefficients)
+
+
+def _cone(vehicle: Vehicle, modulus: float) -> ContactTable:
+    """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse, with the contact modulus E* (Pa).
 
     A cone of 1:40 stands upright on a rail that is inclined 1:40 and touches its crown; its generating line is
     straight, so the crown alone curves the contact across the rail.
 
-    Source: Johnson 1985, Contact Mechanics, section 4.2.
+    Source: paper, eqs. (10), (11); Johnson 1985, Contact Mechanics, section 4.2 (ellipse).
     """
-    material, along = vehicle.contact, np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
-    modulus = normal.contact_modulus(material.young, material.poisson)
-    a, b, _ = normal.hertz(along, 1 / profiles.CROWN_RADIUS, material.nominal_load, modulus)
-    return float(a), float(b), tuple(float(c) for c in kalker_coefficients(a / b))
-
-
-def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the vehicle's own wheel profile at shift 0 and nominal load, returned as by `cone_patch`."""
-    frame = contact_table(vehicle.contact.profile, vehicle).frame
-    middle = frame.iloc[frame["shift_m"].abs().argmin()]
-    a, b, *coefficients = (float(middle[name]) for name in _PATCH)
-    return a, b, tuple(coefficients)
-
-
-def _cone(vehicle: Vehicle) -> ContactTable:
-    """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse. Source: paper, eqs. (10), (11)."""
+    along = np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
+    a, b = normal.hertz(along, 1 / profiles.CROWN_RADIUS, vehicle.contact.nominal_load, modulus)
     shift = np.arange(-400, 401) * 1e-4
-    a, b, coefficients = cone_patch(vehicle)
     radius = vehicle.wheel.radius + np.tan(vehicle.wheel.cone_angle) * shift
     columns = {
         "shift_m": shift,
@@ -166,7 +145,7 @@ def _cone(vehicle: Vehicle) -> ContactTable:
         "rolling_radius_m": radius,
         "angle_rad": vehicle.wheel.cone_angle,
         "rail_contact_m": 0.0,
-        **dict(zip(_PATCH, (a, b, *coefficients), strict=True)),
+        **dict(zip(_PATCH, (a, b, *kalker_coefficients(a / b)), strict=True)),
         "normal_stiffness": vehicle.contact.normal_stiffness,
     }
     return ContactTable(pd.DataFrame(columns))
@@ -176,7 +155,8 @@ def _cone(vehicle: Vehicle) -> ContactTable:
 def _rail() -> tuple[np.ndarray, np.ndarray]:
     """Uniform lateral grid over the rail head and its depth (m)."""
     points, depth = profiles.inclined_rail()
-    position = np.arange(np.ceil(points[0] / _LATERAL_STEP), np.floor(points[-1] / _LATERAL_STEP)) * _LATERAL_STEP
+    step = 2e-5
+    position = np.arange(np.ceil(points[0] / step), np.floor(points[-1] / step)) * step
     return position, np.interp(position, points, depth)
 
 
@@ -191,57 +171,55 @@ def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     return position, height, -slope, depth
 
 
-def elastic_patch(shift: float, radius: float, load: float, modulus: float) -> normal.Patch:
-    """Elastic contact of an S1002 wheel on 60E1 at 1:40, shifted towards its flange by `shift` (m).
-
-    `radius` is the nominal rolling radius (m), `load` the normal force (N), `modulus` the contact modulus E* (Pa).
-    """
-    return normal.elastic_contact(*section(shift), radius, load, modulus)
-
-
 @stored
 def pair_table(radius: float, load: float, modulus: float, stiffness: float) -> ContactTable:
-    """Contact table of S1002 on 60E1 at 1:40 over `SHIFTS`, averaged over the elastic patch.
+    """Contact table of S1002 on 60E1 at 1:40, averaged over the elastic patch, each tenth of a millimetre.
 
     The effective radius is the integral of the mean slope, so that at nominal load the normal forces of the patch have
     the resultant that the table gives. The Hertz stiffness is the same at every shift: one that changed with the shift
     would need a lateral force of its own, or the contact would make energy.
 
-    Parameters
-    ----------
-    radius : float
-        Nominal rolling radius (m).
-    load : float
-        Normal force (N).
-    modulus : float
-        Contact modulus E* (Pa).
-    stiffness : float
-        Hertz stiffness (N/m^1.5).
-
-    Returns
-    -------
-    ContactTable
-        With the elastic approach at nominal load (`approach_m`) as a further column.
+    Args:
+        radius (float): Nominal rolling radius (m).
+        load, modulus (float): Normal force (N), contact modulus E* (Pa).
+        stiffness (float): Hertz stiffness (N/m^1.5).
 
     Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (half spaces, coefficients).
     """
-    patches = [elastic_patch(shift, radius, load, modulus) for shift in SHIFTS]
-    position, height, slope, approach = (
-        np.array([getattr(patch, name) for patch in patches]) for name in ("position", "height", "slope", "approach")
-    )
+    shifts = np.arange(-150, 121) * 1e-4
+    patches = [normal.elastic_contact(*section(shift), radius, load, modulus) for shift in shifts]
+    position, height, slope = np.array([(patch.position, patch.height, patch.slope) for patch in patches]).T
     a, b, coefficients = zip(*(strip_coefficients(patch.half_lengths, patch.strips) for patch in patches), strict=True)
-    centre = int(np.argmin(np.abs(SHIFTS)))
+    centre = int(np.argmin(np.abs(shifts)))
     depth_at_contact = np.interp(position[centre], *_rail())
-    climb = PchipInterpolator(SHIFTS, slope).antiderivative()(SHIFTS)
+    climb = PchipInterpolator(shifts, slope).antiderivative()(shifts)
     rolling = radius + height
     columns = {
-        "shift_m": SHIFTS,
+        "shift_m": shifts,
         "effective_radius_m": rolling[centre] - depth_at_contact + climb - climb[centre],
         "angle_rad": np.arctan(slope),
         "rolling_radius_m": rolling,
         "rail_contact_m": position - profiles.TAPE_CIRCLE,
         **dict(zip(_PATCH, (a, b, *np.transpose(coefficients)), strict=True)),
         "normal_stiffness": stiffness,
-        "approach_m": approach,
     }
     return ContactTable(pd.DataFrame(columns))
+
+
+def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
+    """Equivalent conicity (-): of the cone on which a wheelset oscillates by `amplitude` (m) with the same wavelength.
+
+    The wheelset follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll. `frame` has columns shift_m, at
+    least over the amplitude to both sides, and rolling_radius_m. 0 where the radii do not bring the wheelset back.
+
+    Source: EN 15302, by integration of the equation of motion (quarter of a wave from its energy integral).
+    """
+    y = np.linspace(0.0, amplitude, 4001)
+    right, left = (np.interp(side * y, frame["shift_m"], frame["rolling_radius_m"]) for side in (1, -1))
+    potential = CubicSpline(y, right - left).antiderivative()
+    phase = (np.arange(4000) + 0.5) * np.pi / 8000
+    energy = potential(amplitude) - potential(amplitude * np.sin(phase))
+    if energy.min() <= 0:
+        return 0.0
+    quarter = np.mean(amplitude * np.cos(phase) / np.sqrt(2 * energy)) * np.pi / 2
+    return float((np.pi / 2 / quarter) ** 2 / 2)

@@ -15,20 +15,15 @@ def allocate(u_d, du, tau_max, fixed_share=0.0):
     The differential torque is kept whole and the longitudinal torque takes the remainder, so a sharp change of `u_d`
     between two lateral updates cannot disturb the guidance.
 
-    Parameters
-    ----------
-    u_d, du : SX or float
-        Base and differential torque per wheel (N m).
-    tau_max : SX or float
-        Torque limit of a motor, used for both signs (N m).
-    fixed_share : SX or float
-        0 for the variable allocation of the paper; a share in (0, 1) reserves that part of the limit for `du` and the
-        rest for `u_d`, as used before variable allocation.
+    Args:
+        u_d, du (SX or float): Base and differential torque per wheel (N m).
+        tau_max (SX or float): Torque limit of a motor, used for both signs (N m).
+        fixed_share (SX or float): 0 for the variable allocation of the paper; a share in (0, 1) reserves that part of
+            the limit for `du` and the rest for `u_d`, as used before variable allocation.
 
-    Returns
-    -------
-    tau_le, tau_ri, tau_long, du : SX
-        Commands of left and right motor, their common longitudinal part, limited differential torque (N m).
+    Returns:
+        tau_le, tau_ri, tau_long, du (SX): Commands of left and right motor, their common longitudinal part, limited
+            differential torque (N m).
 
     Source: eqs. (41), (42) of the paper.
     """

@@ -7,8 +7,7 @@ typedef struct {
   double measured[N_INPUT], torque[N_OUTPUT];
   /* by PARAMETER_..., the gains of the law first */
   double parameters[N_PARAMETER];
-  /* the road, a table that the caller may exchange */
-  const double *cells;
+  const double *cells;  /* the road, a table that the caller may exchange */
   double cell_start, cell_step;
   casadi_int n_cells;
   double rows[GEARS * N_CELL_COLUMNS], held[GEARS], memory[N_MEMORY], next[N_MEMORY];

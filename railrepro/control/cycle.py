@@ -25,9 +25,9 @@ _SOURCE = Path(__file__).with_suffix(".c").read_text()
 
 
 def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
-    sizes = {"N_INPUT": len(interface.MEASURED), "N_OUTPUT": len(WHEELS), "N_PARAMETER": parameters}
-    sizes |= {"N_MEMORY": len(signature.memory), "N_RECORD": len(signature.record), "N_MARGIN": len(interface.MARGINS)}
-    return sizes | {"GEARS": len(GEARS), "N_CELL_COLUMNS": len(COLUMNS)}
+    counted = {"N_INPUT": interface.MEASURED, "N_OUTPUT": WHEELS, "N_MEMORY": signature.memory, "GEARS": GEARS}
+    counted |= {"N_RECORD": signature.record, "N_MARGIN": interface.MARGINS, "N_CELL_COLUMNS": COLUMNS}
+    return {size: len(names) for size, names in counted.items()} | {"N_PARAMETER": parameters}
 
 
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:

@@ -27,6 +27,6 @@ and the lateral set point at the true position of the gear, from which errors ar
 EstimatedRecord = group("EstimatedRecord", STATE_UNITS, "f_le -, f_ri -, s_le -, s_ri -, y_ref m")
 """Further log of one gear with sensors: estimated states, adhesion and slip; set point at the estimated position."""
 Model = group("Model", {name: unit for name, (unit, _) in lateral.MODEL.items() if name != "tau_max"})
-"""Numbers of the nominal vehicle: fields and units of `lateral.MODEL` but `tau_max`, which may depend on the speed."""
+"""Numbers of the nominal vehicle: fields and units of `lateral.MODEL` but `tau_max`, which is the drive's."""
 Track = group("Track", {name: unit for name, (unit, _) in lateral.ROAD.items()})
 MEASURED, MARGINS = names(Measured), names(Margins)

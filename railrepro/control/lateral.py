@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
 from railrepro.data import InputError, is_number
-from railrepro.estimation.sensors import Loop
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
 
@@ -83,6 +82,10 @@ class SlowController(Protocol):
     A controller with a filter of its own also has `read(readings, delay) -> None`. With sensors it comes before `plan`:
     `readings` are displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as read, `delay` is the time
     from the reading to the moment when a torque acts (s).
+
+    One in compiled C has `compiled(loop, leader=None)`, called once before a run, and may lack `plan`: the address of
+    the C function of a sample, see `control.cycle.SAMPLE`, and that of its memory, or None where `plan` shall be called
+    instead. `loop` is the `Loop` of its sensors or None; `leader` is for the rear gear the front gear's controller.
     """
 
     period: float
@@ -96,20 +99,8 @@ class SlowController(Protocol):
         """
 
 
-class CompiledController(Protocol):
-    """A slower controller of one gear as compiled C, which the loop calls every `period` (s), a multiple of 1 ms."""
-
-    period: float
-
-    def compiled(self, loop: Loop | None, leader: CompiledController | None = None) -> tuple[int, int] | None:
-        """Address of the C function of a sample, see `control.cycle.SAMPLE`, and address of that function's memory.
-
-        None where `plan` shall be called instead. Called once before a run: `loop` is the `Loop` of its sensors, None
-        without sensors; `leader` is the front gear's controller when this one is the rear gear's, None otherwise.
-        """
-
-
-Factory = Callable[[Vehicle, Route, int], SlowController | CompiledController]
+Factory = Callable[[Vehicle, Route, int], Any]
+"""Function (vehicle, route, gear) -> `SlowController`."""
 Guidance = LateralLaw | Factory
 
 
@@ -125,13 +116,8 @@ class ZeroOrderHold:
 def split(guidance) -> tuple[LateralLaw, Factory | None]:
     """Split a guidance into its 1 kHz law and the factory of its slower controllers (None without them).
 
-    A factory is a function (vehicle, route, gear) -> slower controller; one without `torque` goes with `ZeroOrderHold`.
-    An object with `torque` that can also be called is law and factory.
-
-    Raises
-    ------
-    InputError
-        When `guidance` neither has `torque` nor can be called, or is a class with `torque` instead of an object.
+    A factory without `torque` goes with `ZeroOrderHold`; an object with `torque` that can also be called is law and
+    factory. InputError for anything else, also for a class with `torque` in place of an object.
     """
     if isinstance(guidance, type) and hasattr(guidance, "torque"):
         name = guidance.__name__
@@ -176,11 +162,10 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 def signature(law: LateralLaw) -> Signature:
     """`Signature` of a 1 kHz law: its equations from `law.torque(q)` for CasADi symbols q, names of gains and states.
 
-    Raises
-    ------
-    InputError
-        When a gain is no finite number or has the name of another quantity, torque or a state is no scalar expression,
-        the states returned are not those declared in `memory`, or the law uses a quantity or symbol that is not in `q`.
+    Raises:
+        InputError: When a gain is no finite number or has the name of another quantity, torque or a state is no scalar
+        expression, the states returned are not those declared in `memory`, or the law uses a quantity or symbol that is
+        not in `q`.
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
@@ -209,7 +194,7 @@ def _owner(law: LateralLaw) -> str:
 def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Call `law.torque(q)`: differential torque (N m) and dict of the next states by name, empty without memory.
 
-    InputError when the law asks for an attribute that `q` lacks, or uses an expression as a truth value.
+    InputError when the law asks for an attribute that `q` lacks.
     """
     try:
         result = law.torque(q)

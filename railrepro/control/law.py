@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import casadi as ca
@@ -88,15 +89,10 @@ class LawSignature:
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law of both gears as a signature and the vector `gains` in the order of `signature.Gains` (SI)."""
+    """The 1 kHz law of both gears: input of `function`, and the vector `gains` in the order of `signature.Gains`."""
 
     signature: LawSignature
     gains: np.ndarray
-
-    @property
-    def function(self) -> ca.Function:
-        """The law as a CasADi function, which takes the gains as an input; see `railrepro.control.law.function`."""
-        return function(self.signature)
 
 
 def control_law(
@@ -112,26 +108,19 @@ def control_law(
 ) -> ControlLaw:
     """The 1 kHz law of both gears for a vehicle.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Nominal vehicle of the controllers.
-    guidance : LateralLaw, optional
-        Lateral law; default `ZeroOrderHold`, the last torque of a slower controller.
-    adhesion : AdhesionSettings, optional
-        Parameters of the adhesion law; default `AdhesionSettings()`, with sensors those of `sensors.loop.adhesion`.
-    fixed_share : float
-        Share of the torque limit reserved for differential torque, 0 for variable allocation (-); see `allocate`.
-    sensors : Readings, optional
-        Sensors and latencies between car and controllers; default none.
-    lateral_limit, track_end, stop_speed : float
-        A run ends beyond this |lateral displacement| of a gear (m), or when the front gear passes this coordinate (m)
-        or falls below this speed (m/s).
+    Args:
+        vehicle (Vehicle): Nominal vehicle of the controllers.
+        guidance (LateralLaw, optional): Lateral law; default `ZeroOrderHold`, the last torque of a slower controller.
+        adhesion (AdhesionSettings, optional): Parameters of the adhesion law; default `AdhesionSettings()`, with
+            sensors those of `sensors.loop.adhesion`.
+        fixed_share (float): Share of the torque limit reserved for differential torque, 0 for variable allocation (-);
+            see `allocate`.
+        sensors (Readings, optional): Sensors and latencies between car and controllers; default none.
+        lateral_limit, track_end, stop_speed (float): A run ends beyond this |lateral displacement| of a gear (m), or
+            when the front gear passes this coordinate (m) or falls below this speed (m/s).
 
-    Raises
-    ------
-    InputError
-        When an argument is of another type or beyond its range, or the lateral law is not well formed, see
+    Raises:
+        InputError: When an argument is of another type or beyond its range, or the lateral law is not well formed, see
         `lateral.signature`.
     """
     require("fixed_share", fixed_share, between(0.0, 1.0))
@@ -178,95 +167,57 @@ def _model(vehicle: Vehicle) -> Any:
     )
 
 
-class MeasuredGear:
-    """CasADi symbols of one gear without sensors: its controllers get true states, adhesion and slip.
+def _gear(g: int, sensed: bool, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any) -> SimpleNamespace:
+    """CasADi symbols of gear `g` (0 front, 1 rear) from those of the inputs of `function`.
 
-    Arguments: gear `g` (0 front, 1 rear), `measured` (`interface.Measured`), `cell` of the route at the gear (by names
-    `track.route.COLUMNS`), `gain` and `memory` of both gears (`LawSignature.Gains`, `LawSignature.Memory`).
+    truth: its true `States`; wheels: `interface.MeasuredWheel` of [left, right]; memory: its states; cell: of the route
+    at the gear, by `track.route.COLUMNS`; position (m): where its controllers get track and set point. That is the true
+    position, or with sensors the one by their readings at the time when a torque of this cycle acts. With sensors also
+    `SensorGains`, `Signals` as read, and the next delay lines.
     """
-
-    def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
-        self.cell, self.gain = cell, gain
-        self.truth = States(*pack(getattr(measured, GEARS[g])))
-        self.wheels = [getattr(measured, wheel) for wheel in WHEELS[2 * g : 2 * g + 2]]
-        self.memory, self.ticks, self.position = getattr(memory, GEARS[g]), memory.ticks, self.truth.x
-
-    def look(self, track: Any) -> tuple[Any, list, list]:
-        """True `States` (SI), lists of used adhesion F_x/F_z and slip (-) of [left, right] wheel; `track` is unused."""
-        return self.truth, [wheel.adhesion for wheel in self.wheels], [wheel.sx for wheel in self.wheels]
-
-    def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
-        """(`torques`, {}): commands [left, right] (N m) act at the motors at once, unchanged; `track` is not used."""
-        return torques, {}
-
-
-class SensedGear(MeasuredGear):
-    """`MeasuredGear` with sensors: controllers get estimates, commands reach the motors late; `look` before `send`."""
-
-    def __init__(self, g: int, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any):
-        super().__init__(g, measured, cell, gain, memory)
-        truth, (left, right) = self.truth, self.wheels
-        self._sensor = getattr(gain, GEARS[g])
-        rail, rail_yaw = irregularity_in(cell, "lateral", truth.x)
-        offset = truth.y_TrAx - rail
-        lever = self._sensor.base / 2 * (truth.psi_TrAx - rail_yaw)
-        exact = Signals(offset + lever, offset - lever, truth.psidot_Ax, left.w, right.w, truth.xdot, truth.x)
-        self._readings, self._lines = sense(exact, self.ticks, g, self._sensor, self.memory.sensor)
-        self.position = self._readings.p + CONTROL_PERIOD * self._sensor.command * self._readings.v
-
-    def look(self, track: Any) -> tuple[Any, list, list]:
-        """Estimated `States` (SI) at the time when a torque of this cycle acts, list of adhesions (-) and list of slips
-        (-) of [left, right] wheel; `track`: `interface.Track` at the estimated position."""
-        sensor, lines, readings, gain = self._sensor, self.memory.sensor, self._readings, self.gain
-        before = lines.tau_le[:-1], lines.tau_ri[:-1]
-        found, self._filter = observers.observe(readings, before, track, self.ticks, sensor, gain, self.memory.filter)
-        heading = track.psi_Tr + found.psi_TrAx
-        state = States(self.position, heading, found.xdot, found.psidot_Ax, found.y_TrAx, found.psi_TrAx)
-        planes = readings.y_ahead, readings.y_behind
-        read = interface.ReadGear(sum(planes) / 2, (planes[0] - planes[1]) / sensor.base, readings.psidot_Ax)
-        self._stored = {"estimated": state, "read": read}
-        return state, found.f, found.s
-
-    def send(self, torques: list, track: Any) -> tuple[list, dict[str, Any]]:
-        """Delayed torques [left, right] at the motors (N m), dict of the next sensor and filter states by names of
-        `LawSignature.Memory`; `torques`: commands [left, right] of this cycle (N m); `track` as in `look`."""
-        before = self.memory.sensor.tau_le, self.memory.sensor.tau_ri
-        lines = [[torque, *line[:-1]] for torque, line in zip(torques, before, strict=True)]
-        following = observers.advance(self._filter, lines, track, self._sensor, self.gain)
-        memory = SensorMemory(**self._lines, tau_le=lines[0], tau_ri=lines[1])
-        stored = {"sensor": memory, "filter": following, **self._stored}
-        return [received_torque(line, self._sensor) for line in lines], stored
+    truth = States(*pack(getattr(measured, GEARS[g])))
+    left, right = wheels = [getattr(measured, wheel) for wheel in WHEELS[2 * g : 2 * g + 2]]
+    of_gear = {"truth": truth, "wheels": wheels, "memory": getattr(memory, GEARS[g]), "cell": cell, "gain": gain}
+    if not sensed:
+        return SimpleNamespace(**of_gear, position=truth.x)
+    sensor = getattr(gain, GEARS[g])
+    rail, rail_yaw = irregularity_in(cell, "lateral", truth.x)
+    offset = truth.y_TrAx - rail
+    lever = sensor.base / 2 * (truth.psi_TrAx - rail_yaw)
+    exact = Signals(offset + lever, offset - lever, truth.psidot_Ax, left.w, right.w, truth.xdot, truth.x)
+    readings, lines = sense(exact, memory.ticks, g, sensor, of_gear["memory"].sensor)
+    position = readings.p + CONTROL_PERIOD * sensor.command * readings.v
+    return SimpleNamespace(
+        **of_gear, position=position, sensor=sensor, readings=readings, lines=lines, ticks=memory.ticks
+    )
 
 
 @codegen.stored
 def function(signature: LawSignature) -> ca.Function:
     """The 1 kHz law of both gears as a CasADi function.
 
-    Returns
-    -------
-    casadi.Function
-        (y, rows, held, gains, memory) -> command, memory_next, record, margins; vectors, SI. y: `interface.Measured`;
-        rows: route cells at [front, rear] gear, shape (len(COLUMNS), 2); held: last torques of their slower controllers
-        (N m), shape (2,); gains, memory, record: as `signature.Gains`, `Memory`, `Records`; command: motor torques
-        (N m) as `WHEELS`, shape (4,); margins: `interface.Margins`.
+    Returns:
+        casadi.Function: (y, rows, held, gains, memory) -> command, memory_next, record, margins; vectors, SI. y:
+        `interface.Measured`; rows: route cells at [front, rear] gear, shape (len(COLUMNS), 2); held: last torques of
+        their slower controllers (N m), shape (2,); gains, memory, record: as `signature.Gains`, `Memory`, `Records`;
+        command: motor torques (N m) as `WHEELS`, shape (4,); margins: `interface.Margins`.
     """
     y, measured = symbols(interface.Measured, "y")
     gains, gain = symbols(signature.Gains, "gains")
     old, memory = symbols(signature.Memory, "memory")
     rows, held = ca.SX.sym("rows", len(COLUMNS), len(GEARS)), ca.SX.sym("held", len(GEARS))
-    view = SensedGear if signature.sensed else MeasuredGear
-    gears = [view(g, measured, named(COLUMNS, rows[:, g]), gain, memory) for g in range(len(GEARS))]
+    cells = [named(COLUMNS, rows[:, g]) for g in range(len(GEARS))]
+    gears = [_gear(g, signature.sensed, measured, cell, gain, memory) for g, cell in enumerate(cells)]
     given = zip(gears, _tracks(gears), ca.vertsplit(held), strict=True)
     results = [_cycle(signature, *of_gear) for of_gear in given]
-    command = [torque for torques, *_ in results for torque in torques]
-    following = signature.Memory(memory.ticks + 1, *(stored for _, stored, *_ in results))
-    record = signature.Records(
-        *(entry for entries in zip(*(kept for _, _, kept, _ in results), strict=True) for entry in entries)
-    )
+    command = [torque for of_gear in results for torque in of_gear.torques]
+    following = signature.Memory(memory.ticks + 1, *(of_gear.memory for of_gear in results))
+    estimated = [of_gear.estimated for of_gear in results if signature.sensed]
+    record = signature.Records(*(of_gear.record for of_gear in results), *estimated)
     truth, limit = gears[0].truth, gain.limit
-    of_gears = [(limit.lateral - ca.fabs(gear.truth.y_TrAx), end[-1]) for gear, end in zip(gears, results, strict=True)]
-    ends = limit.track_end - truth.x, truth.xdot - limit.stop_speed
-    margins = unpack(interface.Margins, [*of_gears[0], *of_gears[1], *ends])
+    margins = interface.Margins(
+        *(of_gear.margin for of_gear in results), limit.track_end - truth.x, truth.xdot - limit.stop_speed
+    )
     outputs = {"command": command, "memory_next": pack(following), "record": pack(record), "margins": pack(margins)}
     return ca.Function(
         "control_law",
@@ -278,7 +229,7 @@ def function(signature: LawSignature) -> ca.Function:
     )
 
 
-def _tracks(gears: list[MeasuredGear]) -> list:
+def _tracks(gears: list[SimpleNamespace]) -> list:
     """Track and set point at both gears, see `lateral.ROAD`."""
     tracks = [track_in(gear.cell, gear.position) for gear in gears]
     # heading and curvature at the car body are the mean of those at its gears
@@ -291,10 +242,18 @@ def _tracks(gears: list[MeasuredGear]) -> list:
     ]
 
 
-def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX) -> tuple[list, Any, list, ca.SX]:
-    """Torques of both wheels of a gear (N m), its next memory, what the log keeps of it, and `GearMargin.torque`."""
-    gain, model, old = gear.gain, gear.gain.model, gear.memory
-    state, f, s = gear.look(track)
+def _cycle(signature: LawSignature, gear: SimpleNamespace, track: Any, held: ca.SX) -> SimpleNamespace:
+    """What a gear of `_gear` does with the `interface.Track` at its position: torques of both wheels (N m), its next
+    memory, record (`interface.Record`; with sensors also estimated: `interface.EstimatedRecord`) and margin."""
+    gain, model, old, estimated = gear.gain, gear.gain.model, gear.memory, None
+    state, f, s = gear.truth, [wheel.adhesion for wheel in gear.wheels], [wheel.sx for wheel in gear.wheels]
+    if signature.sensed:
+        sent = old.sensor.tau_le, old.sensor.tau_ri
+        past = [line[:-1] for line in sent]
+        found, filtered = observers.observe(gear.readings, past, track, gear.ticks, gear.sensor, gain, old.filter)
+        heading, f, s = track.psi_Tr + found.psi_TrAx, found.f, found.s
+        state = States(gear.position, heading, found.xdot, found.psidot_Ax, found.y_TrAx, found.psi_TrAx)
+        estimated = unpack(interface.EstimatedRecord, [*pack(state), *f, *s, track.y_ref])
     f_star = gear.cell["force"] / (2 * gain.nominal_load)
     tau_max = gain.drive.limit(state.xdot / model.r_0)
     inputs = AdhesionInputs(f, s, f_star, state.xdot, old.u, gain.nominal_load, tau_max, model.r_0)
@@ -304,13 +263,19 @@ def _cycle(signature: LawSignature, gear: MeasuredGear, track: Any, held: ca.SX)
     groups = [*pack(state), xddot, held], pack(track), old.lateral, gain.lateral, [*pack(model), tau_max]
     lateral_law = ca.Function.deserialize(signature.lateral.text)
     du, following = lateral_law(*(ca.vertcat(*entries) for entries in groups))
-    is_finite = ca.fabs(du) < np.inf
+    y, y_ref = gear.truth.y_TrAx, reference_in(gear.cell, gear.truth.x)[0]  # at the true position
+    margin = interface.GearMargin(gain.limit.lateral - ca.fabs(y), ca.fabs(du) < np.inf)
     du *= ca.fmin(ca.fmax(state.xdot / GUIDANCE_FADE, 0), 1)
-    tau_le, tau_ri, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
-    torques, sensed = gear.send([tau_le, tau_ri], track)
+    *torques, tau_long, du = allocate(u_d, du, tau_max, gain.fixed_share)
     stored = {"u": u_d, "adhesion": adhesion, "lateral": ca.vertsplit(following)}
-    y_ref = reference_in(gear.cell, gear.truth.x)[0]  # at the true position
-    record: list[Any] = [interface.Record(u_d, du, tau_long, f_star, segment, y_ref)]
     if signature.sensed:
-        record.append(unpack(interface.EstimatedRecord, [*pack(state), *f, *s, track.y_ref]))
-    return torques, type(old)(**stored, **sensed), record, is_finite
+        lines = [[torque, *line] for torque, line in zip(torques, past, strict=True)]
+        torques = [received_torque(line, gear.sensor) for line in lines]
+        stored["sensor"] = SensorMemory(**gear.lines, tau_le=lines[0], tau_ri=lines[1])
+        stored["filter"] = observers.advance(filtered, lines, track, gear.sensor, gain)
+        ahead, behind = gear.readings.y_ahead, gear.readings.y_behind
+        read = (ahead + behind) / 2, (ahead - behind) / gear.sensor.base, gear.readings.psidot_Ax
+        stored |= {"estimated": state, "read": interface.ReadGear(*read)}
+    record = interface.Record(u_d, du, tau_long, f_star, segment, y_ref)
+    kept = type(old)(**stored)
+    return SimpleNamespace(torques=torques, memory=kept, record=record, estimated=estimated, margin=margin)

@@ -19,8 +19,8 @@ from railrepro.control.solvers import ipopt
 from railrepro.control.solvers.riccati import Horizon
 from railrepro.data import InputError, require
 from railrepro.estimation.sensors import Loop
-from railrepro.model.control_model import XDOT, control_model, kept_as_printed
-from railrepro.model.forecast import Forecast, nominal_values
+from railrepro.model.control_model import XDOT, kept_as_printed, parameter_vector
+from railrepro.model.forecast import nominal_values
 from railrepro.quantities import pack
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle
@@ -31,24 +31,10 @@ SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
 
 
 class Solve(NamedTuple):
-    """Record of one call of `PredictiveController.plan`.
-
-    Attributes
-    ----------
-    seconds : float
-        Processor time of this thread from measured state to torque, forecast included (s).
-    iterations : int
-        Iterations of the solver.
-    fallback : bool
-        Whether the problem was not solved and the torque comes from the plan of the sample before.
-    preparation : float
-        Processor time after the torque, spent on preparing the next sample (s).
-    """
+    """A call of `PredictiveController.plan`: processor time with all preparation (s), iterations of the solver."""
 
     seconds: float
     iterations: int
-    fallback: bool
-    preparation: float = 0.0
 
 
 @dataclass
@@ -57,20 +43,14 @@ class PredictiveController:
 
     A sample whose problem is not solved falls back on the plan of the sample before, one step later, and is counted.
 
-    Attributes
-    ----------
-    stats : list of Solve
-        One record per call of `plan`; compiled samples leave none.
-    plan_du : ndarray, shape (L,)
-        Differential torques of the last plan (N m).
-    horizon : Horizon
-        Problem, trajectory and solver in compiled code.
-    parameters, nominal : ndarray, shape (14,) and (3,)
-        Parameters `model.parameters.PARAMETERS` and vehicle data of the forecast `model.forecast.NOMINAL` (SI).
-    mode : int
-        `LINEAR`, `REAL_TIME` or `CONVERGED`.
-    drive : ndarray
-        Fields of `railrepro.vehicle.parameters.Drive` (SI), from which the torque limit follows.
+    Attributes:
+        stats (list of Solve): One record per call of `plan`; compiled samples leave none.
+        plan_du (ndarray, shape (L,)): Differential torques of the last plan (N m).
+        horizon (Horizon): Problem, trajectory and solver in compiled code.
+        nominal (ndarray, shape (3,)): Vehicle data of the forecast `model.forecast.NOMINAL` (SI).
+        c (ctypes.Structure): Memory in C, `horizon_t` of riccati.c.
+        mode (int): `LINEAR`, `REAL_TIME` or `CONVERGED`.
+        drive (ndarray): Fields of `railrepro.vehicle.parameters.Drive` (SI), from which the torque limit follows.
     """
 
     mode = CONVERGED  # not an argument, so without annotation
@@ -84,14 +64,13 @@ class PredictiveController:
         require("MPC: settings", self.settings, MPCSettings)
         self.stats: list[Solve] = []
         s = self.settings
-        self.parameters = control_model(s.variant).parameter_vector(self.vehicle)
+        self.parameters = parameter_vector(self.vehicle)
         self.nominal = nominal_values(self.vehicle, self.gear, printed="D4" in kept_as_printed(s.variant))
         self.horizon = Horizon(s, self.nominal, self.parameters, self.route)
         self.plan_du, self._measured = self.horizon.plan, np.zeros_like(self.horizon.x_hat)
+        self.c, self._library, self._pointer = self.horizon.c, self.horizon.library, self.horizon.pointer
         self.drive = np.array(pack(self.vehicle.drive), dtype=float)
-        self.c, self._library = self.horizon.c, self.horizon.library
         self.c.drive, self.c.mode = self.drive.ctypes.data, self.mode
-        self._pointer, self._at = self.horizon.pointer, ctypes.c_void_p(self._measured.ctypes.data)
 
     @property
     def period(self) -> float:
@@ -99,46 +78,36 @@ class PredictiveController:
         return self.settings.period
 
     @property
-    def offset(self) -> float:
-        """Observed angle between axle and direction of motion (rad); 0 where `MPCSettings.observer` is 0."""
-        return self.c.offset
-
-    @property
     def fallbacks(self) -> int:
         """Number of samples so far whose problem was not solved."""
         return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
-        """Optimal control problem at a measured state (6,), SI, not corrected by `offset`, and base torque (N m)."""
-        h, u_d = self.horizon, u_d if self.settings.informed else 0.0
+        """Optimal control problem at a measured state (6,), SI, without observer, and base torque (N m)."""
+        u_d = u_d if self.settings.informed else 0.0
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
-        h.sample(x_hat, u_d, self.settings.torque_bound(u_d, limit))
-        h.forecast()
-        ahead = Forecast(h.x_d.copy(), h.theta.copy())
-        return Problem(self.settings, h.x_hat.copy(), u_d, ahead, self.parameters, limit)
+        return Problem(self.settings, x_hat.copy(), u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
         """Solve one sample: differential torque (N m) from a measured state (6,) and base torque per wheel (N m)."""
         begin = time.thread_time()
         self._measured[:] = x_hat
-        torque = self._torque(ctypes.c_double(u_d))
-        ready = time.thread_time()
-        self._library.planner_prepare(self._pointer)
-        spent = ready - begin, self.c.iterations, not self.c.started
-        self.stats.append(Solve(*spent, time.thread_time() - ready))
+        torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))
+        self.stats.append(Solve(time.thread_time() - begin, self.c.iterations))
         return torque
 
     def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
-        """Addresses of the C function of a sample and of its memory, see `lateral.CompiledController.compiled`.
+        """Addresses of the C function of a sample and of its memory, see `lateral.SlowController`.
 
-        None for a subclass other than `NMPC` and `LTVMPC`, whose `plan` may be overridden. The arguments are not used.
+        None with Ipopt, which is called from Python, and for a subclass other than `NMPC` and `LTVMPC`, whose `plan`
+        may be overridden. The arguments are not used.
         """
-        if type(self) not in (NMPC, LTVMPC):
+        if type(self) not in (NMPC, LTVMPC) or getattr(self, "solver", "") == "ipopt":
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
 
-    def _torque(self, u_d: ctypes.c_double) -> float:
-        return self._library.planner_plan(self._pointer, self._at, u_d)
+    def _torque(self, measured: ctypes.c_void_p, u_d: ctypes.c_double) -> float:
+        return self._library.planner_sample(self._pointer, measured, None, u_d)
 
 
 @dataclass
@@ -158,22 +127,13 @@ class NMPC(PredictiveController):
         self.mode = SOLVERS[self.solver]
         super().__post_init__()
 
-    def compiled(self, loop: Loop | None, leader: object = None) -> tuple[int, int] | None:
-        """Addresses of the C function of a sample and of its memory; None with Ipopt, which is called from Python."""
-        return None if self.solver == "ipopt" else super().compiled(loop, leader)
-
-    def _torque(self, u_d: ctypes.c_double) -> float:
+    def _torque(self, measured: ctypes.c_void_p, u_d: ctypes.c_double) -> float:
         if self.solver != "ipopt":
-            return super()._torque(u_d)
-        self._library.planner_begin(self._pointer, self._at, u_d)
-        horizon = self.horizon
-        try:
-            du, self.c.iterations = ipopt.solve(ipopt.solver(self.settings), horizon, self.parameters, horizon.u)
-            failed = not np.isfinite(du).all()
-            horizon.u[:] = du
-        except ArithmeticError:
-            self.c.iterations, failed = 0, True
-        return self._library.planner_take(self._pointer, failed)
+            return super()._torque(measured, u_d)
+        self._library.planner_begin(self._pointer, measured, u_d)
+        iterations = ipopt.solve(self.horizon)
+        self.c.iterations = iterations or 0
+        return self._library.planner_take(self._pointer, iterations is None)
 
 
 @dataclass

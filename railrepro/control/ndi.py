@@ -31,8 +31,8 @@ class NDI:
     """Damping ratio of the complex pole pair (-)."""
     integral: Annotated[float, between(0.0, 1e4)] = 0.0
     """Integral gain as ki / (k0 pole) (-), see `gains`; 0 switches integral action off."""
-    derivatives: Annotated[int, between(0, 3)] = 0
-    """Number of derivatives of the set point that are fed forward, 0 (as the paper is read) to 3."""
+    rates: bool = False
+    """Whether the three derivatives of the set point are fed forward; False: as the paper is read."""
 
     memory = ("integral",)
     """Names of the states: integral of the lateral error y* - y (m s)."""
@@ -41,7 +41,7 @@ class NDI:
         check_fields(self)
 
     def gains(self) -> dict[str, float]:
-        """Gains k0, k1, k2 (s^3 + k2 s^2 + k1 s + k0 has the set poles), ki (1/s^4), switches ff1 to ff3 (0 or 1)."""
+        """Gains k0, k1, k2 (s^3 + k2 s^2 + k1 s + k0 has the set poles), ki (1/s^4), switch ff (0 or 1)."""
         w, z, a = self.frequency, self.damping, self.pole
         k0 = a * w**2
         return {
@@ -49,9 +49,7 @@ class NDI:
             "k1": w**2 + 2 * z * w * a,
             "k2": 2 * z * w + a,
             "ki": self.integral * self.pole * k0,
-            "ff1": float(self.derivatives >= 1),
-            "ff2": float(self.derivatives >= 2),
-            "ff3": float(self.derivatives >= 3),
+            "ff": float(self.rates),
         }
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
@@ -74,9 +72,9 @@ def wanted_jerk(q: SimpleNamespace) -> ca.SX:
     ref3 = q.v**3 * q.dddy_ref + 3 * q.v * q.xddot * q.ddy_ref
     return (
         q.k0 * (q.y_ref - q.y)
-        + q.k1 * (q.ff1 * ref1 - ydot)
-        + q.k2 * (q.ff2 * ref2 - yddot)
-        + q.ff3 * ref3
+        + q.k1 * (q.ff * ref1 - ydot)
+        + q.k2 * (q.ff * ref2 - yddot)
+        + q.ff * ref3
         + q.ki * q.integral
     )
 
@@ -87,7 +85,7 @@ def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
     The yaw stiffness by gravity, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
     radii are left out.
 
-    Source: corrected yaw equation to first order (`railrepro.model.derivation.yaw_equation`).
+    Source: corrected yaw equation to first order (`railrepro.model.derivation.equations`).
     """
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)

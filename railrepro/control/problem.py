@@ -12,7 +12,6 @@ eqs. (31) and (32) of the paper.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
@@ -31,7 +30,7 @@ from railrepro.model.control_model import (
     THETA,
     Y,
     control_model,
-    sensitivities,
+    discretise,
 )
 from railrepro.model.forecast import Forecast
 from railrepro.model.parameters import PARAMETERS
@@ -94,14 +93,12 @@ def slack_on(side, x, t: Tuning):
 def dynamics(variant: str, discretisation: str) -> ca.Function:
     """One step of the prediction model with derivatives; `variant`, `discretisation` as in `MPCSettings`.
 
-    Returns
-    -------
-    casadi.Function
-        (state x[6], differential torque du, base torque u_d, theta[9], par[14], step T, affine) -> x_next[6], its
-        derivatives A by x (6, 6), sparse, and B by du [6]; SI. With affine = 0, x_next is the printed linear model
-        A x + B u, which drops the affine term (D6), otherwise affine = 1.
+    Returns:
+        casadi.Function: (state x[6], differential torque du, base torque u_d, theta[9], par[14], step T, affine) ->
+        x_next[6], its derivatives A by x (6, 6), sparse, and B by du [6]; SI. With affine = 0, x_next is the printed
+        linear model A x + B u, which drops the affine term (D6), otherwise affine = 1.
     """
-    step = sensitivities(control_model(variant), discretisation)
+    step = discretise(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
     theta, par, period = ca.SX.sym("theta", len(THETA)), ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
     torques = {"tau_ri": u_d - du, "tau_le": u_d + du}
@@ -122,20 +119,6 @@ def torque_limit() -> ca.Function:
     numbers, drive = symbols(Drive, "drive")
     limit = drive.limit(speed / par[PARAMETERS.index("r_0")])
     return ca.Function("torque_limit", [speed, par, numbers], [ca.SX(limit)])
-
-
-@lru_cache
-def _costs() -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Costs of a state on the way and of the last one, both with the least slack, and of a torque, as functions."""
-    x, x_d, du = ca.SX.sym("x", len(STATES)), ca.SX.sym("x_d", len(STATES)), ca.SX.sym("du")
-    vector = ca.SX.sym("tuning", len(TUNING))
-    tuning = Tuning.of(vector)
-    slack = ca.fmax(ca.fmax(*lateral_excess(x, tuning)), 0)
-    stage, terminal = (
-        ca.Function(cost.__name__, [x, x_d, vector], [cost(x, x_d, slack, tuning)])
-        for cost in (stage_cost, terminal_cost)
-    )
-    return stage, terminal, ca.Function("effort_cost", [du, vector], [effort_cost(du, tuning)])
 
 
 @dataclass(frozen=True)
@@ -184,10 +167,6 @@ class MPCSettings:
         rest = (getattr(self, name) for name in TUNING[len(STATES) :])
         return np.array([*self.q_diag, *rest], dtype=float)
 
-    def torque_bound(self, u_d: float, tau_max: float) -> float:
-        """Largest |du| (N m): `tau_max`, or `tau_max` - |`u_d`|, not below 0, without `yielding`. Source: eq. (31)."""
-        return tau_max if self.yielding else max(tau_max - abs(u_d), 0.0)
-
 
 @dataclass(frozen=True)
 class Problem:
@@ -206,22 +185,5 @@ class Problem:
 
     @property
     def bound(self) -> float:
-        """Largest |du| allowed (N m)."""
-        return self.settings.torque_bound(self.u_d, self.tau_max)
-
-    def cost(self, states: np.ndarray, du: np.ndarray) -> float:
-        """Cost (s) of states (L + 1, 6), SI, whose first row costs nothing, and differential torques (L,) (N m)."""
-        stage, terminal, effort = _costs()
-        tuning, x_d = self.settings.tuning()[:, None], self.ahead.x_d
-        on_the_way = stage(states[1:-1].T, x_d[1:-1].T, np.tile(tuning, len(du) - 1))
-        torques = effort(np.reshape(du, (1, -1)), np.tile(tuning, len(du)))
-        return float(ca.sum2(on_the_way) + terminal(states[-1], x_d[-1], tuning) + ca.sum2(torques))
-
-    def roll_out(self, du: np.ndarray) -> np.ndarray:
-        """Predicted states (L + 1, 6), SI, from the measured state on under differential torques (L,) (N m)."""
-        s = self.settings
-        step, states = dynamics(s.variant, s.discretisation), [self.x_hat]
-        for torque, theta in zip(du, self.ahead.theta[:-1], strict=True):
-            x_next, *_ = step(states[-1], torque, self.u_d, theta, self.parameters, s.period, 1.0)
-            states.append(np.array(x_next).ravel())
-        return np.array(states)
+        """Largest |du| (N m): `tau_max`, or without `yielding` what |`u_d`| leaves of it. Source: eq. (31)."""
+        return self.tau_max if self.settings.yielding else max(self.tau_max - abs(self.u_d), 0.0)

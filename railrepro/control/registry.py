@@ -1,8 +1,7 @@
 """The lateral controllers by name, and their tuned parameters: from a name to a guidance law.
 
 A new controller is one entry in `CONTROLLERS`. Its parameters are those of data/tuned, one file per setting and
-controller, or those that data/tuning.toml gives; it needs none in a setting where it is not asked for. Serves the
-paper's section Multi-Body Simulation Results (which methods are compared).
+controller, or those that data/tuning.toml gives. Serves the paper's section Multi-Body Simulation Results.
 """
 
 from __future__ import annotations
@@ -27,8 +26,6 @@ SETTINGS = ("paper", "equal", "loop")
 """Settings of comparison: "paper" perfect measurements, dynamic inversions with a designer's poles; "equal" perfect
 measurements, all tuned alike; "loop" sensors, all tuned alike. See data/tuning.toml."""
 PAPER, EQUAL, LOOP = SETTINGS
-MOST_STEPS, LEAST_STEPS = 100, 5
-"""Range of the horizon length L in tuning."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +38,6 @@ class Controller:
     """Function: dict of tuning parameters -> settings, such as `MPCSettings` or `NDI`."""
     preview: bool
     """Whether the controller knows set point and track ahead."""
-    information: str
-    """Inputs of the controller in one phrase, for tables."""
     quick: dict = field(default_factory=dict)
     """`options` of `guidance` for many runs: a faster solver, nearly the same torques."""
 
@@ -51,12 +46,12 @@ def mpc_settings(parameters: dict) -> MPCSettings:
     """MPC settings from tuning parameters by name.
 
     These are q_psi_TrAx (1/rad^2) and q_psidot_Ax (s^2/rad^2), with 1/m^2 for y_TrAx and 0 for other states, period_ms
-    (ms), horizon_s (s), and fields of `railrepro.control.problem.MPCSettings` such as r, q_terminal and observer.
+    (ms), horizon_s (s; cut to 5 to 100 steps), and fields of `railrepro.control.problem.MPCSettings` such as r.
     """
     p = dict(parameters)
     period = 1e-3 * p.pop("period_ms")
     require("MPC: horizon_s", p["horizon_s"], above(0.0, 100.0, "s"))
-    steps = min(max(round(p.pop("horizon_s") / period), LEAST_STEPS), MOST_STEPS)
+    steps = min(max(round(p.pop("horizon_s") / period), 5), 100)
     weights = {"psidot_Ax": p.pop("q_psidot_Ax"), "y_TrAx": 1.0, "psi_TrAx": p.pop("q_psi_TrAx")}
     return MPCSettings(tuple(weights.get(name, 0.0) for name in STATES), period=period, steps=steps, **p)
 
@@ -73,18 +68,12 @@ class Predictive:
         return self.controller(vehicle, route, gear, self.settings, **dict(self.options))
 
 
-_STATE = "states of its own gear, track at its position"
-_AHEAD = _STATE + ", track and set point over the horizon"
-_RATES = _STATE + ", set point and its rates now"
-
-
 def _predictive(kind: type, quick: dict | None = None, **options) -> Controller:
-    build = partial(Predictive, kind, options=tuple(options.items()))
-    return Controller(build, mpc_settings, True, _AHEAD, quick or {})
+    return Controller(partial(Predictive, kind, options=tuple(options.items())), mpc_settings, True, quick or {})
 
 
-def _inversion(information: str, **fixed) -> Controller:
-    return Controller(lambda settings: settings, lambda parameters: NDI(**parameters, **fixed), False, information)
+def _inversion(**fixed) -> Controller:
+    return Controller(lambda settings: settings, lambda parameters: NDI(**parameters, **fixed), False)
 
 
 NOTHING = "nothing"
@@ -96,17 +85,16 @@ CONTROLLERS = {
     "nmpc_observer": _predictive(NMPC, {"solver": "rti"}),
     "ltv_mpc": _predictive(LTVMPC),
     "ltv_mpc_printed": _predictive(LTVMPC, printed=True),
-    "ndi": _inversion(_STATE + ", set point now"),
-    "ndi_feedforward": _inversion(_RATES, derivatives=3),
-    "ndi_integral": _inversion(_RATES, derivatives=3),
+    "ndi": _inversion(),
+    "ndi_feedforward": _inversion(rates=True),
+    "ndi_integral": _inversion(rates=True),
     # imported when it is asked for, so that the paper's controllers do not stand on ours
     OURS: Controller(
-        lambda settings: resolve_name("railrepro.own.lqg:LqgPreview")(settings),
-        lambda parameters: resolve_name("railrepro.own.lqg:LqgSettings")(**parameters),
+        lambda settings: settings,
+        lambda parameters: resolve_name("railrepro.own.lqg:LqgPreview")(**parameters),
         True,
-        _AHEAD + "; readings of its own gear",
     ),
-    NOTHING: Controller(lambda settings: ZeroOrderHold(), dict, False, "nothing"),  # the torque of none, which is 0
+    NOTHING: Controller(lambda settings: ZeroOrderHold(), dict, False),  # the torque of none, which is 0
 }
 INVERSIONS = ("ndi", "ndi_feedforward", "ndi_integral")
 REPLICATED = ("nmpc", "nmpc_observer", "ltv_mpc", "ltv_mpc_printed", *INVERSIONS)
@@ -130,26 +118,18 @@ def with_r_times(parameters: dict, factor: float) -> dict:
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
     """Build a guidance law for `simulate.run`.
 
-    Parameters
-    ----------
-    name : str
-        Key of `CONTROLLERS`.
-    parameters : dict
-        Tuning parameters, see data/tuning.toml.
-    options : dict, optional
-        Further arguments of a predictive controller, for example {"solver": "rti"}.
-    changes : optional
-        New values of fields of `MPCSettings` or `NDI`, instead of those that follow from `parameters`.
+    Args:
+        name (str): Key of `CONTROLLERS`.
+        parameters (dict): Tuning parameters, see data/tuning.toml.
+        options (dict, optional): Further arguments of a predictive controller, for example {"solver": "rti"}.
+        changes (optional): New values of fields of `MPCSettings` or `NDI`, instead of those that follow from
+            `parameters`.
 
-    Returns
-    -------
-    LateralLaw or callable
-        Object with `torque(q)`, or factory (vehicle, route, gear) -> slower controller.
+    Returns:
+        LateralLaw or callable: Object with `torque(q)`, or factory (vehicle, route, gear) -> slower controller.
 
-    Raises
-    ------
-    InputError
-        For an unknown name, or parameters, options or changes that this controller does not take.
+    Raises:
+        InputError: For an unknown name, or parameters, options or changes that this controller does not take.
     """
     if name not in tuple(CONTROLLERS):
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
@@ -167,38 +147,29 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
 def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
     """Dict in <controller>.json of data/tuned/<setting>, or of `folder`: "controller", "setting", "parameters", ….
 
-    Raises
-    ------
-    InputError
-        When the file is missing, has no "parameters", or has another "controller" or "setting" than the arguments.
+    Raises:
+        InputError: When the file is missing, has no "parameters", or has another "controller" or "setting" than the
+        arguments.
     """
-    name = f"{controller}.json"
-    file = (folder or paths.source(f"{TUNED}/{setting}")) / name
+    file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
     if not file.exists():
-        known = [other for other in SETTINGS if paths.source(f"{TUNED}/{other}/{name}").exists()]
-        others = " and ".join(other for other in known if other != setting)
-        where = f", but in the setting {others}" if others else "; `make tune` makes it"
-        raise InputError(f"{setting}/{name}: there is no tuned set for {controller!r}{where}")
+        raise InputError(f"{setting}/{file.name}: there is no tuned set for {controller!r}; `make tune` makes it")
     content = data.read(file)
     if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
-        raise InputError(f"{name}: is {reprlib.repr(content)}, a table with the table parameters is needed")
-    data.build(dict[str, data.Free], content["parameters"], name)
+        raise InputError(f"{file.name}: is {reprlib.repr(content)}, a table with the table parameters is needed")
+    for part in (content["parameters"], content):  # so that a message names the parameter
+        data.build(dict[str, data.Free], part, file.name)
     found = content.get("controller"), content.get("setting")
     if found != (controller, setting):
-        raise InputError(
-            f"{name}: holds a tuned set of {found[0]!r} in the setting {found[1]!r}, {controller!r} in "
-            f"{setting!r} is needed"
-        )
+        raise InputError(f"{file.name}: holds a tuned set of {found[0]!r} in the setting {found[1]!r}")
     return content
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
     """Dict "controller", "setting", "parameters": the "designed" ones of data/tuning.toml if any, else as of `read`.
 
-    Raises
-    ------
-    InputError
-        When the setting is not one of `SETTINGS`, or neither source has parameters.
+    Raises:
+        InputError: When the setting is not one of `SETTINGS`, or neither source has parameters.
     """
     require("controller", controller, str)
     if setting not in SETTINGS:

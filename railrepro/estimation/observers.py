@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -43,7 +42,7 @@ bias (rad/s), creep angle (rad)."""
 _READ = ("y", "psi", "r")
 WheelState = group("WheelState", "tau N m, w rad/s, force N")
 """States of the filter of a wheel: motor torque, angular speed, longitudinal creep force."""
-_WHEELS = {"le": WheelState, "ri": WheelState}
+_WHEELS = dict.fromkeys(SIDES, WheelState)
 FilterState = group("FilterState", "y m, psi rad, r rad/s, bias rad/s, beta rad", _WHEELS, "v m/s, creep rad")
 """States of the filter of a gear: `LATERAL`, left and right wheel, low-pass filtered speed and creep angle."""
 _LateralGain = group("LateralGain", dict.fromkeys(_READ, listed(range(len(SPEEDS)))))
@@ -60,18 +59,18 @@ Estimates = group("Estimates", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s, xdot m/
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
     """Continuous system matrix (5, 5) and output matrix (3, 5) of the lateral filter at a speed (m/s), SI.
 
-    States: lateral displacement, yaw angle, yaw rate, gyro bias, creep angle; outputs: readings of the first three.
+    States: `LATERAL`; outputs: readings of the first three.
     """
-    index = {name: i for i, name in enumerate(LATERAL)}
+    y, psi, r, bias, beta = range(len(LATERAL))
     a, c = np.zeros((5, 5)), np.zeros((3, 5))
     inertia = vehicle.gear.inertia_z
     rolling = 2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius
-    a[index["y"], [index["psi"], index["beta"]]] = speed
-    a[index["psi"], index["r"]] = 1.0
-    a[index["r"], index["psi"]] = -(vehicle.suspension.yaw_stiffness + rolling * vehicle.gamma * speed) / inertia
-    a[index["r"], index["beta"]] = -rolling * vehicle.gamma * speed / inertia
-    a[index["r"], index["r"]] = -vehicle.suspension.yaw_damping / inertia
-    c[0, index["y"]] = c[1, index["psi"]] = c[2, index["r"]] = c[2, index["bias"]] = 1.0
+    a[y, [psi, beta]] = speed
+    a[psi, r] = 1.0
+    a[r, psi] = -(vehicle.suspension.yaw_stiffness + rolling * vehicle.gamma * speed) / inertia
+    a[r, beta] = -rolling * vehicle.gamma * speed / inertia
+    a[r, r] = -vehicle.suspension.yaw_damping / inertia
+    c[0, y] = c[1, psi] = c[2, r] = c[2, bias] = 1.0
     return a, c
 
 
@@ -81,15 +80,8 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 
     Source: Van Loan 1978 (discretisation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
     """
-    return _solved(len(a), *(matrix.tobytes() for matrix in (a, c, q, r)))
-
-
-@lru_cache(maxsize=128)
-def _solved(n: int, *matrices: bytes) -> tuple[np.ndarray, np.ndarray]:
-    a, c, q, r = (np.frombuffer(matrix) for matrix in matrices)
-    a, c, q = a.reshape(n, n), c.reshape(-1, n), q.reshape(n, n)
-    r, h = r.reshape(len(c), len(c)), CONTROL_PERIOD
-    both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * h)
+    n = len(a)
+    both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * CONTROL_PERIOD)
     step = both[n:, n:].T
     p = solve_discrete_are(step.T, c.T, step @ both[:n, n:], r)
     gain = p @ c.T @ np.linalg.inv(c @ p @ c.T + r)
@@ -131,28 +123,17 @@ def observe(
 ) -> tuple[Any, Any]:
     """Correct the filter of a gear by new readings.
 
-    Parameters
-    ----------
-    readings : Signals of SX
-        Delayed readings.
-    commands : two lists of SX
-        Torques sent to left and right wheel before this cycle (N m), newest first.
-    track : object with dpsi_dp, dphi_dp, psi_Tr, psi_CB, dpsi_dp_CB
-        Track at the gear, see `railrepro.control.lateral.ROAD`.
-    ticks : SX
-        Control cycles since the start; at 0 the filter takes its states from the readings.
-    sensor : SensorGains of SX
-        Run-time numbers of the sensors of this gear.
-    gain : Gains of SX
-        Gains of the law, see `LawSignature.Gains`: `filter`, `model`, `drive` and `nominal_load` are used.
-    memory : FilterState of SX
-        States of the filter, predicted to the time of the readings.
+    Args:
+        readings (Signals of SX): Delayed readings.
+        commands (two lists of SX): Torques sent to left and right wheel before this cycle (N m), newest first.
+        track (interface.Track of SX): Track at the gear.
+        ticks (SX): Control cycles since the start; at 0 the filter takes its states from the readings.
+        sensor (SensorGains of SX): Run-time numbers of the sensors of this gear.
+        gain (LawSignature.Gains of SX): `filter`, `model`, `drive` and `nominal_load` are used.
+        memory (FilterState of SX): States of the filter, predicted to the time of the readings.
 
-    Returns
-    -------
-    estimates : Estimates of SX
-    state : FilterState of SX
-        Corrected states at the time of the readings, for `advance`.
+    Returns:
+        Estimates of SX; and FilterState of SX, corrected states at the time of the readings, for `advance`.
     """
     planes = readings.y_ahead, readings.y_behind
     read = {"y": sum(planes) / 2, "psi": (planes[0] - planes[1]) / sensor.base, "r": readings.psidot_Ax}

@@ -1,4 +1,4 @@
-"""Sensors of a running gear: noise, bias, resolution, period, dropouts and age of readings; latency of commands.
+"""Sensors of a running gear, read every ms: noise, bias, resolution and age of readings; latency of commands.
 
 Noise is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor.
 The paper names lateral position and yaw difficult or costly to measure; its own loop measures them exactly.
@@ -28,19 +28,17 @@ SIGNALS = names(Signals)
 _GROUP = dict(
     zip(SIGNALS, ("lateral", "lateral", "gyro", "wheel_speed", "wheel_speed", "speed", "position"), strict=True)
 )
-_QUALITY = ("noise", "bias", "resolution", "period", "dropout")
+_QUALITY = ("noise", "bias", "resolution")
 SensorGains = group(
     "SensorGains",
     dict.fromkeys(SIGNALS, group("Quality", dict.fromkeys(_QUALITY, Any))),
     "measurement ms, command ms, unknown_delay ms, torque_gain -, seed -, base m",
 )
-"""Run-time numbers of a gear's sensors: for each of `Signals` noise, bias, resolution (unit of the signal), period (s),
-dropout (-); delays of readings, commands and inverter (ms), its gain (-), seed, distance `base` of the planes (m)."""
+"""Run-time numbers of a gear's sensors: for each of `Signals` noise, bias, resolution (unit of the signal); delays of
+readings, commands and inverter (ms), its gain (-), seed, distance `base` of the planes (m)."""
 _LINE = listed(range(LONGEST + 1))
-SensorMemory = group(
-    "SensorMemory", dict.fromkeys(SIGNALS, _LINE) | {"p": Any}, dict.fromkeys(("tau_le", "tau_ri"), _LINE)
-)
-"""Delay lines of readings and torque commands (N m), `LONGEST` + 1 entries, newest first; of p the last reading."""
+SensorMemory = group("SensorMemory", dict.fromkeys([*SIGNALS[:-1], "tau_le", "tau_ri"], _LINE))
+"""Delay lines of readings, but for p, and of torque commands (N m), `LONGEST` + 1 entries, newest first."""
 _MODULUS = 67108859.0
 """Largest prime below 2^26: squares of smaller whole numbers are exact in double precision."""
 
@@ -49,62 +47,48 @@ def _upto(high: float, unit: str) -> Parameter:
     return Parameter(0.0, high, unit, closed=True)
 
 
-_PERIOD = Annotated[float, _upto(0.1, "s")]
-_DROPOUT = Annotated[float, _upto(0.9, "-")]
-
-
 @data.table
 class Lateral:
     """Sensors of the displacement of the axle against the rails in two planes, `base` (m) apart.
 
     noise: standard deviation of a reading (m); bias: largest constant offset of a run (m), drawn uniformly from [-bias,
-    bias]; resolution: step of rounding (m), 0 none; period: time between readings (s), a whole number of ms;
-    dropout: share of readings that are lost (-), in whose place the last one is held.
+    bias]; resolution: step of rounding (m), 0 none.
     """
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
     noise: Annotated[float, _upto(0.01, "m")]
     bias: Annotated[float, _upto(0.01, "m")]
     resolution: Annotated[float, _upto(0.001, "m")]
-    period: _PERIOD
-    dropout: _DROPOUT
 
 
 @data.table
 class Rate:
     """Sensor of an angular velocity: yaw rate by the gyroscope of the running gear, or angular speed of a wheel.
 
-    noise: standard deviation of a reading, bias: largest offset, resolution (rad/s; not a density, not degrees);
-    period (s), dropout (-); all as in `Lateral`.
+    noise, bias, resolution (rad/s), as in `Lateral`; noise is no density.
     """
 
     noise: Annotated[float, _upto(0.1, "rad/s")]
     bias: Annotated[float, _upto(0.1, "rad/s")]
     resolution: Annotated[float, _upto(0.1, "rad/s")]
-    period: _PERIOD
-    dropout: _DROPOUT
 
 
 @data.table
 class Speed:
-    """Sensor of the speed along the track: noise, bias, resolution (m/s), period (s), dropout (-), as in `Lateral`."""
+    """Sensor of the speed along the track: noise, bias, resolution (m/s), as in `Lateral`."""
 
     noise: Annotated[float, _upto(1.0, "m/s")]
     bias: Annotated[float, _upto(1.0, "m/s")]
     resolution: Annotated[float, _upto(0.1, "m/s")]
-    period: _PERIOD
-    dropout: _DROPOUT
 
 
 @data.table
 class Position:
-    """Sensor of the track coordinate, no delay: noise, bias, resolution (m), period (s), dropout (-), as `Lateral`."""
+    """Sensor of the track coordinate, no delay: noise, bias, resolution (m), as in `Lateral`."""
 
     noise: Annotated[float, _upto(1.0, "m")]
     bias: Annotated[float, _upto(20.0, "m")]
     resolution: Annotated[float, _upto(1.0, "m")]
-    period: _PERIOD
-    dropout: _DROPOUT
 
 
 @data.table
@@ -164,25 +148,14 @@ class Loop:
     adhesion: Adhesion
 
     def __post_init__(self) -> None:
-        for sensor in dict.fromkeys(_GROUP.values()):
-            ratio = getattr(self, sensor).period / CONTROL_PERIOD
-            if ratio < 1 or abs(ratio - round(ratio)) > 1e-6:
-                raise ValueError(
-                    f"{sensor}.period is {1e3 * CONTROL_PERIOD * ratio:g} ms, a whole number of ms is needed"
-                )
-
         total = self.latency.measurement + self.latency.command + self.inverter.delay
         if total > LONGEST * CONTROL_PERIOD + 1e-9:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
-        """Copy with exact readings every ms, no latency, and adhesion settings that suit them; inverter errors stay."""
-        quiet = {
-            group: replace(
-                getattr(self, group), noise=0.0, bias=0.0, resolution=0.0, period=CONTROL_PERIOD, dropout=0.0
-            )
-            for group in dict.fromkeys(_GROUP.values())
-        }
+        """Copy with exact readings, no latency, and adhesion settings that suit them; inverter errors stay."""
+        exact = dict.fromkeys(_QUALITY, 0.0)
+        quiet = {sensor: replace(getattr(self, sensor), **exact) for sensor in _GROUP.values()}
         return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
@@ -196,51 +169,36 @@ class Loop:
 
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
-    """Read and check the data of the sensors.
+    """Read and check a TOML file like data/sensors.toml, the default; InputError for a wrong key or value.
 
-    Parameters
-    ----------
-    path : path, optional
-        A TOML file like data/sensors.toml, the default.
-    overrides
-        Values by dotted key, `load_loop(**{"gyro.noise": 0.002})` (SI units).
-
-    Raises
-    ------
-    InputError
-        When a key or value is wrong; the message names file, key, value and what is allowed.
+    `overrides` are values by dotted key, as `load_loop(**{"gyro.noise": 0.002})` (SI).
     """
     return loaded(Loop, data.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
     """`Readings` of `load_loop(**overrides)` with a seed; `perfect`: without errors and latency, see `Loop.perfect`."""
-    data.require("sensors: perfect", perfect, bool)
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Sensors of one run: their data `loop`, and `seed`, from which noise and constant biases follow."""
+    """Sensors of one run: their data `loop`, and `seed`, a whole number from 0, which draws noise and biases."""
 
     loop: Loop
     seed: int = 0
-    """Whole number from 0; other seeds give independent noise and biases."""
 
     def __post_init__(self) -> None:
-        data.require("Readings: loop", self.loop, Loop)
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> Any:
         """`SensorGains` of a gear (0 front, 1 rear), its biases drawn from the seed."""
-        data.require("Readings: gear", gear, data.between(0, 1), whole=True)
-        draw, loop = np.random.default_rng((self.seed, gear)), self.loop
-        sensors = {signal: getattr(loop, group) for signal, group in _GROUP.items()}
-        biases = {signal: sensor.bias * draw.uniform(-1.0, 1.0) for signal, sensor in sensors.items()}
-        entries = [
-            {**vars(sensor), "bias": biases[signal]}[name] for signal, sensor in sensors.items() for name in _QUALITY
-        ]
+        draw, loop, entries = np.random.default_rng((self.seed, gear)), self.loop, []
+        for of_signal in _GROUP.values():
+            sensor = getattr(loop, of_signal)
+            sensor = replace(sensor, bias=sensor.bias * draw.uniform(-1.0, 1.0))
+            entries += [getattr(sensor, name) for name in _QUALITY]
         delays = loop.latency.measurement, loop.latency.command, loop.inverter.delay
         entries += [delay / CONTROL_PERIOD for delay in delays]
         return unpack(SensorGains, [*entries, loop.inverter.gain, float(self.seed % 1_000_003), loop.lateral.base])
@@ -249,34 +207,24 @@ class Readings:
 def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, dict[str, Any]]:
     """Readings (`Signals`) of a gear as they reach the controller, and dict of the next delay lines by signal.
 
-    Parameters
-    ----------
-    truth : Signals of SX
-        Exact values.
-    ticks : SX
-        Control cycles since the start; at 0 the delay lines are filled with the first readings.
-    gear : int
-        0 front, 1 rear.
-    gain, memory : SensorGains, SensorMemory of SX
-        Run-time numbers and delay lines of this gear.
+    Args:
+        truth (Signals of SX): Exact values.
+        ticks (SX): Control cycles since the start; at 0 the delay lines are filled with the first readings.
+        gear (int): 0 front, 1 rear.
+        gain, memory (SensorGains, SensorMemory of SX): Run-time numbers and delay lines of this gear.
     """
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
         quality = getattr(gain, signal)
-        before = getattr(memory, signal)
         noisy = getattr(truth, signal) + quality.bias
         noisy += quality.noise * gaussian(gain.seed, len(SIGNALS) * gear + i, ticks)
         step = quality.resolution
         coarse = ca.if_else(step > 0, step * ca.floor(noisy / ca.fmax(step, 1e-12) + 0.5), noisy)
-        due, due_before = (ca.floor(tick * CONTROL_PERIOD / quality.period + 1e-6) for tick in (ticks, ticks - 1))
-        chance = uniform(gain.seed, 2 * (2 * len(SIGNALS) + len(SIGNALS) * gear + i), ticks)
-        lost = chance < quality.dropout
-        fresh = ca.logic_or(ticks < 0.5, ca.logic_and(due > due_before, ca.logic_not(lost)))
         if signal == "p":
-            readings[signal] = lines[signal] = ca.if_else(fresh, coarse, before)
+            readings[signal] = coarse
             continue
-        newest = ca.if_else(fresh, coarse, before[0])
-        line = lines[signal] = [newest, *(ca.if_else(ticks < 0.5, newest, old) for old in before[:-1])]
+        before = getattr(memory, signal)[:-1]
+        line = lines[signal] = [coarse, *(ca.if_else(ticks < 0.5, coarse, old) for old in before)]
         readings[signal] = delayed(line, gain.measurement)
     return Signals(**readings), lines
 
@@ -302,11 +250,6 @@ def gaussian(seed, channel: int, ticks):
         high = ca.floor(x / 8192.0)
         total += (x - 8192.0 * high) / 8192.0 + high / 8192.0 - 1.0
     return np.sqrt(3.0) * total
-
-
-def uniform(seed, channel: int, ticks):
-    """Uniform pseudorandom number in [0, 1), arguments as of `gaussian`, whose channel c uses channels 2 c, 2 c + 1."""
-    return _hashed(seed, channel, ticks) / _MODULUS
 
 
 def _hashed(seed, channel: int, ticks):

@@ -21,8 +21,6 @@ from typing import NoReturn
 from railrepro import numerics
 from railrepro.data import InputError
 
-PROGRAM = "python -m railrepro"
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command, as ["tune", "nmpc"] (default `sys.argv`); returns its exit code. Wrong arguments exit with 2."""
@@ -42,7 +40,7 @@ def report_errors(command: Callable[[], object]) -> int:
     """Call `command` and return an exit code; an error is printed to stderr in one sentence.
 
     The code is the integer that `command` returned, else 0, and another value than None is printed; 1 after an
-    `InputError` or `OSError`, 130 after Ctrl-C.
+    `InputError` or `OSError`. Ctrl-C ends this process and all that it started, with the code 130.
     """
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see `railrepro.__main__`
@@ -64,46 +62,36 @@ def report_errors(command: Callable[[], object]) -> int:
         print(f"error: {where}: {error.strerror or error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("interrupted; nothing half-written, run again to resume", file=sys.stderr)
-        return 130
+        print("interrupted; nothing half-written, run again to resume", file=sys.stderr, flush=True)
+        end(130)
+
+
+def end(code: int) -> NoReturn:
+    """Kill all that this process started, and end it at once; files are written whole or not at all."""
+    import psutil
+
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            process.kill()
+    os._exit(code)
 
 
 def end_with(leader: int) -> None:
-    """Wait for the end of the process with the id `leader` (make), then kill this process and all that it started.
-
-    Files are written whole or not at all, so none is left half-written.
-    """
+    """Wait for the end of the process with the id `leader` (make), then `end`."""
     import psutil
 
     with suppress(psutil.NoSuchProcess):
         process = psutil.Process(leader)
         while process.is_running() and process.status() != psutil.STATUS_ZOMBIE:
             time.sleep(0.5)
-    for process in psutil.Process().children(recursive=True):
-        with suppress(psutil.Error):
-            process.kill()
-    os._exit(1)
+    end(1)
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports wrong arguments in one sentence; takes no abbreviations."""
-
-    def __init__(self, **options):
-        super().__init__(**options, allow_abbrev=False)
+    """Reports wrong arguments in one sentence."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"error: {message}; `{self.prog} --help` shows what is allowed\n")
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    """Reader of a whole number from `low` to `high`."""
-
-    def read(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and low <= int(text) <= high):
-            raise argparse.ArgumentTypeError(f"{text!r} is no whole number from {low} to {high}")
-        return int(text)
-
-    return read
 
 
 _CALLS = {
@@ -111,13 +99,12 @@ _CALLS = {
     "drive": ("evidence.chain.chain:drive", "run the chapters 00 to 09 with a car of one's own"),
     "verify": ("evidence.chain.chain:verify", "rerun all notebooks and compare with the committed products"),
     "html": ("evidence.chain.book:html", "executed notebooks as a book in build/html"),
-    "tune": ("evidence.runs.swarm:main", "tune controllers by particle swarm, write data/tuned (long, resumes)"),
+    "tune": ("evidence.runs.tuning:main", "tune controllers by particle swarm, write data/tuned (long, resumes)"),
     "probe": ("evidence.report.flips:main", "metrics of the nominal car (long), or verdicts that answers flip"),
     "calibrated": ("evidence.claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)"),
     "robustness": ("evidence.uncertainty.robustness:main", "robustness of the verdicts over samples (long, resumes)"),
     "margins": ("evidence.uncertainty.margins:main", "stability margins of all tuned sets (long)"),
     "loop": ("evidence.uncertainty.loop:main", "closed loop over unseen seeds, and its limit (long, resumes)"),
-    "order": ("evidence.uncertainty.order:main", "sensitivity of the controller ranking (long, resumes)"),
     "bench": ("evidence.bench.speed:main", "measure speed, write data/results"),
     "report": ("evidence.report.page:main", "judge the statements, write REPLICATION.md, numbers of README.md"),
     "score": ("evidence.benchmark:main", "score a controller on the benchmark, write build/score"),
@@ -128,25 +115,21 @@ _CALLS = {
 """Commands with the function that each calls, as "module:name", and what it does."""
 _ARGUMENTS: list[tuple[str, str, dict]] = [
     ("figures", "names", {"nargs": "*", "metavar": "NAME", "help": "notebooks or figures, as fig06; default all"}),
-    ("figures", "--jobs", {"type": _whole(1, 64), "help": "notebooks at a time; default one per processor"}),
     ("drive", "vehicle", {"type": Path, "help": "a file like data/vehicle.toml"}),
     ("tune", "names", {"nargs": "*", "metavar": "NAME", "help": "settings and controllers; default all"}),
     ("probe", "settings", {"nargs": "*", "metavar": "SETTING", "help": "paper, equal, loop; default all; or FILE.toml, "
                            "a filled data/answers.toml"}),
-    ("calibrated", "--draws", {"type": _whole(0, 1000), "help": "perturbations of each size, default 20"}),
-    ("robustness", "--samples", {"type": _whole(1, 4096), "help": "samples of the robustness study, default 128"}),
-    ("report", "--accept", {"action": "store_true", "help": "write verdicts that changed, too"}),
-    ("score", "controller", {"nargs": "?", "help": "a Python file with one controller class, or a registered name"}),
-    ("score", "--seed", {"type": _whole(0, 2**31), "help": "a different random seed of noise, rails and cars"}),
-    ("score", "--describe", {"action": "store_true", "help": "only print what a law may use, with unit and meaning"}),
-    ("score", "--small", {"action": "store_true", "help": "only the quick runs of the published draw, no margins"}),
+    ("score", "controller", {"help": "a Python file with one controller class, or a registered name"}),
+    ("score", "--seed", {"type": int, "help": "a different random seed of noise, rails and cars"}),
 ]  # fmt: skip
 """Command, name of an argument, options of `add_argument`."""
 
 
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line; the parsed `call` is the function of the command as "module:name"."""
-    top = _Parser(prog=PROGRAM, description="Model predictive control of railway running gears, replicated.")
+    top = _Parser(
+        prog="python -m railrepro", description="Model predictive control of railway running gears, replicated."
+    )
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     added = {name: commands.add_parser(name, help=words, description=words) for name, (_, words) in _CALLS.items()}
     for name, (call, _) in _CALLS.items():

@@ -14,19 +14,6 @@ void controller_reset(controller_t *c) {
   controller_start(c);
 }
 
-/* Road with set point and force demand of the parameters, in memory of the caller. */
-void controller_lay(controller_t *c, double cells[N_CELLS * N_CELL_COLUMNS]) {
-  const double *asked = c->parameters + PARAMETER_SET_POINT_KIND;
-  memcpy(cells, CELLS, sizeof CELLS);
-  for (double *row = cells; row < cells + N_CELLS * N_CELL_COLUMNS; row += N_CELL_COLUMNS) {
-    const double *in[] = {row + AT_P, asked};
-    double *out[] = {row + AT_Y_REF};
-    row[AT_FORCE] *= c->parameters[PARAMETER_FORCE_FACTOR];
-    if (*asked >= 0) set_point(in, out, 0, 0, 0);
-  }
-  c->cells = cells;
-}
-
 /* One control cycle: from `measured` to `torque`; not 0 when the law fails. */
 int controller_step(controller_t *c) {
   if (controller_command(c)) return 1;

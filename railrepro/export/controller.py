@@ -17,7 +17,7 @@ from railrepro.car.component import DERAILED
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import cycle, interface, lateral, law
-from railrepro.control.mpc import LTVMPC, NMPC, PredictiveController
+from railrepro.control.mpc import PredictiveController
 from railrepro.control.problem import TUNING
 from railrepro.control.solvers import riccati
 from railrepro.data import InputError, location, require, write
@@ -27,7 +27,7 @@ from railrepro.export.fmu import Fmu, Parameter, constant, index_enum, parameter
 from railrepro.model.forecast import NOMINAL
 from railrepro.model.parameters import PARAMETERS
 from railrepro.quantities import GEARS, indices
-from railrepro.track.route import CELL, INDEX, Route, set_point
+from railrepro.track.route import CELL, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TORQUES = INPUTS
@@ -35,17 +35,7 @@ TORQUES = INPUTS
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""
 _HERE = Path(__file__).parent
-_LAID = (
-    Parameter("set_point.kind", -1.0, "", -1.0, 2.0),  # -1: as the route has it, else see `SetPoint`
-    Parameter("set_point.amplitude", 3e-3, "m", -0.02, 0.02),
-    Parameter("set_point.period_start", 150.0, "m", 1.0, 1e5),
-    Parameter("set_point.period_end", 40.0, "m", 1.0, 1e5),
-    Parameter("set_point.start", 0.0, "m", -1e5, 1e5),
-    Parameter("set_point.end", 1e5, "m", -1e5, 1e6),
-    Parameter("set_point.fade", 30.0, "m", 0.1, 1e5),
-    Parameter("force_factor", 1.0, "", -10.0, 10.0),
-)
-"""What `controller_lay` puts on the road, in the order of `SetPoint`, and a factor on the force demand."""
+_AS_FMU = (_HERE / "controller_fmu.c").read_text()
 
 
 @dataclass(frozen=True)
@@ -64,26 +54,22 @@ class Export:
         require("export: route", self.route, Route)
         require("export: vehicle", self.vehicle, Vehicle)
 
-    def source(self) -> str:
-        """C text: controller_t with arrays measured, torque, parameters; controller_reset(c), controller_step(c).
-
-        Entries are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A step
-        takes 1 ms. Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
-        """
-        return self.fmu().text
-
     def write_source(self, path: Path | str) -> Path:
-        """Write the C text of `source` to a file and return its path."""
+        """Write C text that needs nothing else and return its path.
+
+        It has controller_t with arrays measured, torque, parameters; controller_reset(c), controller_step(c). Entries
+        are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A step takes 1 ms.
+        Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
+        """
         file = location(path)
-        write(file, self.source())
+        write(file, self.fmu().text.removesuffix(_AS_FMU))
         return file
 
     def write_fmu(self, path: Path | str) -> Path:
         """Write an FMU (FMI 2.0) for this platform and return its path.
 
         Inputs are `control.interface.MEASURED`, outputs `TORQUES`, parameters the gains of the law ("lateral.k0", …)
-        and, of a predictive controller, weights ("cost.r") and model ("belief.J_z"). `set_point.kind` 0, 1 or 2 puts
-        another set point on the road than the route's (-1), see `railrepro.track.route.SetPoint`.
+        and, of a predictive controller, weights ("cost.r") and model ("belief.J_z").
         """
         return self.fmu().write(path)
 
@@ -95,51 +81,43 @@ class Export:
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)
-        planners: list = []
-        if factory:
-            planners += [_checked(factory(self.vehicle, self.route, gear)) for gear in range(len(GEARS))]
-        predictive = bool(planners) and isinstance(planners[0], PredictiveController)
-        functions = [control.function, set_point()]
-        if predictive:
-            functions += riccati.functions(planners[0].settings.variant, planners[0].settings.discretisation)
-        found = parameters(control.signature.Gains, control.gains) + list(_LAID)
-        if predictive:
-            found += self._solver_parameters(planners)
-        text = codegen.source_text(functions) + codegen.PREAMBLE + codegen.defines(self._numbers())
+        planners: list = [factory(self.vehicle, self.route, gear) for gear in range(len(GEARS))] if factory else []
+        found, functions = parameters(control.signature.Gains, control.gains), [law.function(control.signature)]
+        slower, first = cycle.SLOTS, planners[0] if planners else None
+        if isinstance(first, PredictiveController) and getattr(first, "solver", None) != "ipopt":
+            functions += riccati.functions(first.settings.variant, first.settings.discretisation)
+            found += _parameters(planners)
+            slower = _solver(planners, control.signature)
+        elif first and hasattr(first, "exported"):
+            slower = first.exported(planners, self.sensors.loop if self.sensors else None)
+        elif planners:
+            raise InputError(
+                f"export: {type(first).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or "
+                "LqgPreview, which alone have C of their own"
+            )
+        numbers = {"N_CELLS": len(self.route.cells), "CELL_START": self.route.start, "CELL_STEP": CELL}
+        numbers["PLAN_STEPS"] = round(first.period / CONTROL_PERIOD) if first else 0
+        text = codegen.source_text(functions) + codegen.PREAMBLE + codegen.defines(numbers)
         text += index_enum("MEASURED", interface.MEASURED) + index_enum("TORQUE", TORQUES)
         text += road("CELLS", self.route.cells) + parameters_text(found)
-        text += codegen.defines({"PLAN_STEPS": round(planners[0].period / CONTROL_PERIOD) if planners else 0})
-        slower = cycle.SLOTS
-        if predictive:
-            slower = _solver(planners, control.signature)
-        elif planners:
-            slower = planners[0].exported(planners, self.sensors.loop if self.sensors else None)
-        text += cycle.c_text(control.signature, len(found), slower) + (_HERE / "controller.c").read_text()
+        text += cycle.c_text(control.signature, len(found), slower) + (_HERE / "controller.c").read_text() + _AS_FMU
         description = "Controller of two running gears with independently rotating wheels"
-        named = "controller", description, TORQUES, interface.MEASURED, _LARGEST
-        return Fmu(*named, found, text, _HERE / "controller_fmu.c")
+        return Fmu("controller", description, TORQUES, interface.MEASURED, _LARGEST, found, text)
 
-    def _numbers(self) -> dict[str, float | int | str]:
-        """Grid of the road, and what is said of inputs."""
-        numbers: dict[str, float | int | str] = {"N_CELLS": len(self.route.cells), "CELL_START": self.route.start}
-        numbers |= {"CELL_STEP": CELL, "PERIOD": CONTROL_PERIOD}
-        numbers |= {f"AT_{name.upper()}": INDEX[name] for name in ("p", "y_ref", "force")}
-        said = f'"what is measured must be a number of at most {_LARGEST:g}"'
-        return numbers | {"INPUTS_TEXT": '"what is measured"', "INPUT_TEXT": said}
 
-    def _solver_parameters(self, planners: list[PredictiveController]) -> list[Parameter]:
-        """Numbers of the predictive controllers of both gears; what fixes a size keeps its value."""
-        first, large = planners[0], 1e15
-        tables = {"cost": (TUNING, first.settings.tuning()), "belief": (PARAMETERS, first.parameters)}
-        for gear, name in enumerate(GEARS):
-            tables[f"forecast.{name}"] = NOMINAL, planners[gear].nominal
-        found = [
-            Parameter(f"{below}.{name}", float(value), "", -large, large)
-            for below, (of, values) in tables.items()
-            for name, value in zip(of, values, strict=True)
-        ]
-        found.append(Parameter("observer", first.settings.observer, "", 0.0, 1.0))
-        return [replace(one, low=one.value, high=one.value) if one.name == "cost.period" else one for one in found]
+def _parameters(planners: list[PredictiveController]) -> list[Parameter]:
+    """Numbers of the predictive controllers of both gears; what fixes a size keeps its value."""
+    first, large = planners[0], 1e15
+    tables = {"cost": (TUNING, first.settings.tuning()), "belief": (PARAMETERS, first.parameters)}
+    for gear, name in enumerate(GEARS):
+        tables[f"forecast.{name}"] = NOMINAL, planners[gear].nominal
+    found = [
+        Parameter(f"{below}.{name}", float(value), "", -large, large)
+        for below, (of, values) in tables.items()
+        for name, value in zip(of, values, strict=True)
+    ]
+    found.append(Parameter("observer", first.settings.observer, "", 0.0, 1.0))
+    return [replace(one, low=one.value, high=one.value) if one.name == "cost.period" else one for one in found]
 
 
 def _solver(planners: list[PredictiveController], signature: law.LawSignature) -> str:
@@ -149,14 +127,3 @@ def _solver(planners: list[PredictiveController], signature: law.LawSignature) -
     text += riccati.c_text(settings.variant, settings.discretisation)
     gears = ", ".join(codegen.initialiser(planner.c) for planner in planners)
     return text + f"static const horizon_t PLANNERS[] = {{{gears}}};\n" + (_HERE / "planner_memory.c").read_text()
-
-
-def _checked(planner: lateral.SlowController | lateral.CompiledController):
-    """A controller that has C of its own; InputError for any other one."""
-    solved = isinstance(planner, LTVMPC) or (isinstance(planner, NMPC) and planner.solver != "ipopt")
-    if solved or hasattr(planner, "exported"):
-        return planner
-    raise InputError(
-        f"export: {type(planner).__name__} is no 1 kHz law, LTV-MPC, NMPC by another solver than Ipopt or LqgPreview, "
-        "which alone have C of their own"
-    )

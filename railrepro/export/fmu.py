@@ -11,10 +11,9 @@ import sys
 import uuid
 import zipfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -22,13 +21,11 @@ from railrepro import data
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import cache, codegen
 from railrepro.data import location, write
-from railrepro.quantities import names, notes
+from railrepro.quantities import notes
 
 _HERE = Path(__file__).parent
 _FOLDER, _SUFFIX = {"darwin": ("darwin64", "dylib")}.get(sys.platform, ("linux64", "so"))
 """Name of this platform in FMI 2.0, and suffix of its shared objects."""
-_ANY = data.Quantity(-1e12, 1e12, "", closed=True)
-"""Range of what states none."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +42,17 @@ class Parameter:
 def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
     """One `Parameter` per number of the class `of` (see `railrepro.quantities.group`); `values` (SI) in that order."""
     found = []
-    for name, note, value in zip(names(of), notes(of), values, strict=True):
-        allowed = note if isinstance(note, data.Quantity) else replace(_ANY, unit=note or "")
+    for (name, note), value in zip(notes(of), values, strict=True):
+        allowed = note if isinstance(note, data.Quantity) else data.Quantity(-1e12, 1e12, note or "", closed=True)
         low = -allowed.high if allowed.signed else allowed.low
         found.append(Parameter(name, float(value), allowed.unit, low, allowed.high))
     return found
 
 
 def parameters_text(of: Sequence[Parameter]) -> str:
-    """C text of parameters `of`: indices PARAMETER_BODY_MASS, …, N_PARAMETER, arrays PARAMETERS, LOWEST, HIGHEST."""
-    tables = {"PARAMETERS": "value", "LOWEST": "low", "HIGHEST": "high"}
-    text = "".join(constant(name, np.array([getattr(one, key) for one in of])) for name, key in tables.items())
-    return index_enum("PARAMETER", [one.name for one in of]) + codegen.defines({"N_PARAMETER": len(of)}) + text
+    """C text of parameters `of`: indices PARAMETER_BODY_MASS, …, their number N_PARAMETER, and array PARAMETERS."""
+    text = index_enum("PARAMETER", [one.name for one in of]) + codegen.defines({"N_PARAMETER": len(of)})
+    return text + constant("PARAMETERS", np.array([one.value for one in of]))
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
@@ -85,19 +81,18 @@ class Fmu:
     """Largest magnitude of an input (SI)."""
     parameters: Sequence[Parameter]
     text: str
-    """C source with call.h, generated functions and constants. It defines INPUTS_TEXT (names of the inputs, for error
-    messages) and INPUT_TEXT (message for an input out of range)."""
-    model: Path
-    """File with the C source that follows: type fmu_t, its members FMU_INPUTS, FMU_OUTPUTS and FMU_PARAMETERS,
-    functions reset, begin and advance."""
+    """C source with call.h, generated functions and constants, which defines the type fmu_t, its members FMU_INPUTS,
+    FMU_OUTPUTS and FMU_PARAMETERS, and the functions reset, begin and advance."""
 
     def write(self, path: Path | str) -> Path:
         """Compile, write an .fmu file and return its path; InputError where it cannot be written."""
-        numbers = {"LARGEST_INPUT": float(self.largest), "FMU_NAME": f'"{self.name}"'}
-        text, file = self.text + codegen.defines(numbers), location(path)
-        around = self.model.read_text() + (_HERE / "fmi2.c").read_text()
-        guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{around}{self.model_description('')}"))
-        text += codegen.defines({"GUID": f'"{guid}"'}) + around
+        file = location(path)
+        limits = [(-self.largest, self.largest)] * len(self.inputs) + [(one.low, one.high) for one in self.parameters]
+        lowest, highest = np.transpose(limits)
+        text = self.text + constant("LOWEST", lowest) + constant("HIGHEST", highest)
+        text += codegen.defines({"FMU_NAME": f'"{self.name}"', "PERIOD": CONTROL_PERIOD})
+        text += (_HERE / "fmi2.c").read_text()
+        guid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"railrepro {text}{self.model_description('')}"))
         compiled, packed = cache.build(text, portable=True), io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.write(compiled, f"binaries/{_FOLDER}/railrepro_{self.name}.{_SUFFIX}")
@@ -112,25 +107,19 @@ class Fmu:
         shown = [(name, "output", "continuous", "") for name in self.outputs]
         shown += [(name, "input", "continuous", limits) for name in self.inputs]
         for one in self.parameters:
-            edges = f'start="{one.value!r}" min="{one.low!r}" max="{one.high!r}"'
-            shown.append((one.name, "parameter", "fixed", edges + (f' unit="{one.unit}"' if _has_unit(one) else "")))
+            edges = f'start="{one.value!r}" min="{one.low!r}" max="{one.high!r}" unit="{one.unit or "-"}"'
+            shown.append((one.name, "parameter", "fixed", edges))
         variables = (
-            f'<ScalarVariable name={quoteattr(name)} valueReference="{i}" causality="{causality}" '
-            f'variability="{variability}">'
+            f'<ScalarVariable name="{name}" valueReference="{i}" causality="{causality}" variability="{variability}">'
             f"<Real {number}/></ScalarVariable>"
             for i, (name, causality, variability, number) in enumerate(shown)
         )
-        units = sorted({one.unit for one in self.parameters if _has_unit(one)})
         return Template((_HERE / "modelDescription.xml").read_text()).substitute(
             identifier=f"railrepro_{self.name}",
             description=self.description,
             guid=guid,
             step=CONTROL_PERIOD,
-            units="".join(f'<Unit name="{unit}"/>' for unit in units),
+            units="".join(f'<Unit name="{unit}"/>' for unit in sorted({one.unit or "-" for one in self.parameters})),
             variables="\n    ".join(variables),
             unknowns="".join(f'<Unknown index="{i + 1}"/>' for i in range(len(self.outputs))),
         )
-
-
-def _has_unit(one: Parameter) -> bool:
-    return one.unit not in ("", "-")

@@ -9,27 +9,25 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Callable
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-import scipy
+from tqdm import tqdm
 
 from railrepro import paths
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import cache
 from railrepro.control import interface
 from railrepro.control.lateral import Guidance, ZeroOrderHold
-from railrepro.control.registry import CONTROLLERS, NOTHING, guidance, parameters
+from railrepro.control.registry import CONTROLLERS, guidance, parameters
 from railrepro.data import write
 from railrepro.export.car import car_fmu
 from railrepro.export.controller import Export
 from railrepro.export.fmu import Fmu
-from railrepro.simulation import metrics, simulate
+from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.track.route import COLUMNS, Route
 
@@ -40,28 +38,11 @@ FIGURES = {
     "Figure 8: poor rail, 400 km/h": "adhesion_loss",
     "Figure 9: braking, T2, 160 km/h": "braking",
 }
-SHOWN = {
-    "nmpc": "NMPC",
-    "ltv_mpc": "LTV-MPC",
-    "ltv_mpc_printed": "LTV-MPC as printed",
-    "ndi": "NDI",
-    "ndi_feedforward": "NDI with rates of the set point",
-    "ndi_integral": "NDI with rates and integral",
-}
+SHOWN = {"nmpc": "NMPC", "ltv_mpc": "LTV-MPC", "ltv_mpc_printed": "LTV-MPC as printed", "ndi": "NDI"}
+SHOWN |= {"ndi_feedforward": "NDI with rates of the set point", "ndi_integral": "NDI with rates and integral"}
 OWN = "own"
 """Name of the controller module that holds the torque of a user's law, written in the page."""
-SETTINGS = {
-    "paper": "paper: tuned on dry rail",
-    "equal": "equal: all tuned alike",
-}
-FEW, FEWER = 10, 50
-"""Interval between rows of a committed run in the page (ms): FEW in general, FEWER for a run to standstill."""
-
-
-def webassembly(of: Fmu) -> bytes:
-    """Compile the C of an `Fmu` (car or controller) to a WebAssembly module and return its bytes."""
-    parts = of.model, _HERE / "module.c"
-    return cache.build(of.text + "".join(part.read_text() for part in parts), webassembly=True).read_bytes()
+SETTINGS = {"paper": "paper: tuned on dry rail", "equal": "equal: all tuned alike"}
 
 
 def _writable(name: str, values: np.ndarray) -> str:
@@ -88,44 +69,40 @@ def _packed(content: bytes | np.ndarray) -> str:
 
 
 def _module(of: Fmu) -> dict:
-    """A module as the page has it."""
-    return {"module": _packed(webassembly(of)), "parameters": [asdict(one) for one in of.parameters]}
+    """A module of WebAssembly as the page has it."""
+    compiled = cache.build(of.text + (_HERE / "module.c").read_text(), webassembly=True).read_bytes()
+    return {"module": _packed(compiled), "parameters": [asdict(one) for one in of.parameters]}
 
 
-def content(tell: Callable[[str], None] = print) -> dict:
+def content() -> dict:
     """Data of the page as a dict for JSON; arrays of float64 and modules are compressed by zlib and then base64 text.
 
-    Keys: "activity" (high-pass "sections", "start"), "columns" (of "cells"), "car" (module, parameters, outputs,
-    measured), "settings" (label by setting), "controllers" (by setting and name: label, module, parameters), "figures"
-    (by scenario: title, "cells", run data, "committed": "y", "p" (m) by setting, controller). `tell` gets step names.
+    Keys: "columns" (of "cells"), "car" (module, parameters, outputs, measured), "settings" (label by setting),
+    "controllers" (by setting and name: label, module, parameters), "figures" (by scenario: title, "cells", run data,
+    "committed": "y", "p" (m) by setting, controller).
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = _alike(scenarios)
     any_route = next(iter(routes.values()))
-    tell("car")
     car = _module(car_fmu(SteppedCar(any_route, 50.0), 50.0, _writable))
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
     controllers: dict[str, dict] = {setting: {} for setting in SETTINGS}
-    for setting, name in product(SETTINGS, (*SHOWN, OWN)):
-        tell(f"{setting} {name}")
+    for setting, name in tqdm([*product(SETTINGS, (*SHOWN, OWN))], "controllers"):
         module = _module(Export(_law(name, setting), any_route).fmu(_writable))
         controllers[setting][name] = {"label": SHOWN.get(name, "Law of your own")} | module
     figures = {}
-    for title, name in FIGURES.items():
-        tell(title)
+    for title, name in tqdm(FIGURES.items(), "runs"):
         figures[name] = {"title": title, "cells": _packed(routes[name].cells)} | _experiment(scenarios[name])
-    sections = scipy.signal.butter(4, metrics.ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
-    activity = {"sections": sections.tolist(), "start": scipy.signal.sosfilt_zi(sections).tolist()}
-    names = {"activity": activity, "columns": list(COLUMNS)}
-    return names | {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
+    shown = {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
+    return {"columns": list(COLUMNS)} | shown
 
 
 def _experiment(scenario: Scenario) -> dict:
     """A scenario as the page has it, with its committed runs by setting and controller."""
     found = {key: getattr(scenario, key) for key in ("speed_kmh", "stop_kmh", "set_point")}
-    found |= {"end": scenario.end_m, "stride": FEW if scenario.stop_kmh is None else FEWER}
+    # milliseconds between rows of the page, more for a run to standstill
+    found |= {"end": scenario.end_m, "stride": 10 if scenario.stop_kmh is None else 50}
     found["force"] = max((force for _, force in scenario.force_kN), key=abs, default=0.0)
-    found["idle_mm"] = 1e3 * metrics.rmse(simulate.run(scenario, guidance(NOTHING, {})).series)
     found["committed"] = {setting: {} for setting in SETTINGS}
     for setting, name in product(SETTINGS, SHOWN):
         series = simulate.run(scenario, _law(name, setting)).series.iloc[:: found["stride"]]

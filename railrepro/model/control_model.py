@@ -6,9 +6,6 @@ track at the present position. Serves the paper's eqs. (7) and (18) to (20).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
-
 import casadi as ca
 import numpy as np
 
@@ -36,57 +33,44 @@ _TABLEAU = {
 }
 """Fractions of the step and weights of explicit rules whose stages each need the one before."""
 METHODS = tuple(_TABLEAU)
-OUTSIDE = frozenset({"D4"})
-"""Discrepancies that a variant may name and that concern the forecast, not the model."""
 
 
-@dataclass(frozen=True)
-class ControlModel:
-    """The control-oriented model of one running gear in one variant.
+def control_model(variant: str = "corrected") -> ca.Function:
+    """The control-oriented model of one running gear.
 
-    State x (m), psi_Ax (rad), xdot (m/s), psidot_Ax (rad/s), y_TrAx (m), psi_TrAx (rad); input tau_ri, tau_le (N m);
-    theta: track and car body, see `THETA`; par: `railrepro.model.parameters.PARAMETERS`.
+    Args:
+        variant (str): "corrected", "printed" (all discrepancies kept), or names of `parameters.DISCREPANCIES` to keep,
+            as "D1" or "D1,D3".
+
+    Returns:
+        casadi.Function: (x[6], u[2], theta[9], par[14]) -> dx/dt[6], SI, in the order of `STATES`, `INPUTS`, `THETA`
+        and `parameters.PARAMETERS`.
+
+    Raises:
+        InputError: For an unknown name.
     """
-
-    rhs: ca.Function
-    """CasADi function (x[6], u[2], theta[9], par[14]) -> dx/dt[6], SI, in the order of `STATES`, `INPUTS`, `THETA`,
-    `parameters`."""
-    discrepancies: frozenset[str]
-    """Names of the discrepancies kept as the paper prints them, keys of `railrepro.model.parameters.DISCREPANCIES`."""
-
-    parameters = PARAMETERS
-
-    @staticmethod
-    def parameter_vector(vehicle: Vehicle) -> np.ndarray:
-        """Model parameters of a vehicle in the order of `PARAMETERS`, shape (14,), SI."""
-        suspension, wheel = vehicle.suspension, vehicle.wheel
-        values = [vehicle.gear.mass, vehicle.gear.mass, vehicle.residual_roll_inertia, vehicle.residual_yaw_inertia]
-        values += [wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, vehicle.gear.contact_base]
-        values += [wheel.cone_angle, suspension.yaw_stiffness, suspension.yaw_damping]
-        return np.array([*values, suspension.roll_stiffness, suspension.roll_damping, vehicle.gravity])
-
-
-@lru_cache
-def control_model(variant: str = "corrected") -> ControlModel:
-    """The control-oriented model of a variant.
-
-    `variant` is "corrected", "printed" (all discrepancies kept), or names of discrepancies to keep, as "D1" or "D1,D3".
-    """
-    discrepancies = kept_as_printed(variant) - OUTSIDE
-    return ControlModel(_rhs(tuple(sorted(discrepancies))), discrepancies)
+    return _rhs(tuple(sorted(kept_as_printed(variant) - {"D4"})))
 
 
 def kept_as_printed(variant: str) -> frozenset[str]:
-    """Names of the discrepancies that a variant keeps, D4 of the forecast included; InputError for an unknown name."""
-    if variant == "corrected":
-        return frozenset()
-    if variant == "printed":
-        return frozenset(DISCREPANCIES) | OUTSIDE
-    names = frozenset(name.strip() for name in variant.split(","))
-    if names - set(DISCREPANCIES) - OUTSIDE:
-        known = sorted({*DISCREPANCIES, *OUTSIDE})
-        raise InputError(f"model variant {variant!r} is not known; there are corrected, printed and lists of {known}")
-    return names
+    """Names of `parameters.DISCREPANCIES` that a variant keeps, see `control_model`."""
+    if variant in ("corrected", "printed"):
+        return frozenset(DISCREPANCIES if variant == "printed" else ())
+    kept = frozenset(name.strip() for name in variant.split(","))
+    if not kept.issubset(DISCREPANCIES):
+        known = f"corrected, printed and lists of {list(DISCREPANCIES)}"
+        raise InputError(f"model variant {variant!r} is not known; there are {known}")
+    return kept
+
+
+def parameter_vector(vehicle: Vehicle) -> np.ndarray:
+    """Model parameters of a vehicle in the order of `PARAMETERS`, shape (14,), SI."""
+    suspension, wheel, gear = vehicle.suspension, vehicle.wheel, vehicle.gear
+    wheels = 2 * wheel.diametral_inertia  # which the model adds to J_x and J_z
+    values = [gear.mass, gear.mass, gear.inertia_x - wheels, gear.inertia_z - wheels]
+    values += [wheel.spin_inertia, wheel.diametral_inertia, wheel.radius, gear.contact_base]
+    values += [wheel.cone_angle, suspension.yaw_stiffness, suspension.yaw_damping]
+    return np.array([*values, suspension.roll_stiffness, suspension.roll_damping, vehicle.gravity])
 
 
 @stored
@@ -94,71 +78,57 @@ def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
     """Rates of the model, from the symbolic derivation, which is imported only where a graph is not stored."""
     import sympy as sp
 
-    from railrepro.model import derivation
+    from railrepro.model import derivation as d
 
-    equations = derivation.equations(frozenset(discrepancies))
-    state = [ca.SX.sym(name) for name in STATES]
-    torque = [ca.SX.sym("tau_ri"), ca.SX.sym("tau_le")]
-    theta = [ca.SX.sym(name) for name in THETA]
-    par = [ca.SX.sym(name) for name in PARAMETERS]
-    _, psi, xdot, psidot, y, psi_r = state
-    d = derivation
+    entries = {"x": STATES, "u": INPUTS, "theta": THETA, "par": PARAMETERS}
+    inputs = [ca.SX.sym(name, len(of)) for name, of in entries.items()]
+    (_, psi, xdot, psidot, y, psi_r), torque, theta, par = map(ca.vertsplit, inputs)
     symbols = [d.psi, d.xd, d.psid, d.y, *d.torques, *d.theta, *d.parameters]
     # The relative yaw angle is a state of its own; the track angle that fits it keeps both consistent.
     track = [psi - psi_r, *theta[1:]]
-    entries = [*equations.mass, *equations.rest]
+    mass, rest = d.equations(frozenset(discrepancies))
     functions = {"sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt}
-    evaluate = sp.lambdify(symbols, entries, modules=[functions], cse=True)
+    evaluate = sp.lambdify(symbols, [*mass, *rest], modules=[functions], cse=True)
     m11, m12, m21, m22, h1, h2 = evaluate(psi, xdot, psidot, y, *torque, *track, *par)
     determinant = m11 * m22 - m12 * m21
     xddot = (m12 * h2 - m22 * h1) / determinant
     psiddot = (m21 * h1 - m11 * h2) / determinant
     rates = (xdot, psidot, xddot, psiddot, xdot * ca.sin(psi_r), psidot - theta[1] * xdot)
-    inputs = [ca.vertcat(*group) for group in (state, torque, theta, par)]
-    return ca.Function("control_model", inputs, [ca.vertcat(*rates)], ["x", "u", "theta", "par"], ["dx"], {"cse": True})
+    return ca.Function("control_model", inputs, [ca.vertcat(*rates)], list(entries), ["dx"], {"cse": True})
 
 
-def discretise(model: ControlModel, method: str = "euler") -> ca.Function:
-    """CasADi function of one step, inputs and track held: (x[6], u[2], theta[9], par[14], T (s)) -> x[6] after T, SI.
+def discretise(model: ca.Function, method: str = "euler") -> ca.Function:
+    """One step of a `control_model` with its derivatives, inputs and track held.
 
-    `method` is "euler" (the paper), "midpoint" or "rk4".
+    Chained stage by stage, the derivatives take half the operations of differentiating the whole step.
+
+    Args:
+        model (casadi.Function): Rates as of `control_model`.
+        method (str): "euler" (the paper), "midpoint" or "rk4".
+
+    Returns:
+        casadi.Function: (x[6], u[2], theta[9], par[14], T (s)) -> x[6] after T, its Jacobians by x (6, 6) and u (6, 2),
+        sparse, SI.
 
     Source: eq. (7).
     """
-    step, _, _ = _step(model, method)
-    return step
-
-
-def sensitivities(model: ControlModel, method: str) -> ca.Function:
-    """CasADi function of one step with its derivatives; `method` as of `discretise`.
-
-    (x[6], u[2], theta[9], par[14], T (s)) -> x[6] after T, its Jacobians by x (6, 6) and u (6, 2), sparse, SI. Chained
-    stage by stage, which takes half the operations of differentiating the whole step.
-    """
-    step, inputs, (by_x, by_u) = _step(model, method)
-    return ca.Function("control_sensitivities", inputs, [step(*inputs), by_x, by_u], {"cse": True})
-
-
-def _step(model: ControlModel, method: str) -> tuple[ca.Function, list[ca.SX], tuple[ca.SX, ca.SX]]:
     if method not in METHODS:
         raise InputError(f"discretisation {method!r} is not known; there are {METHODS}")
-    x, u, theta = ca.SX.sym("x", 6), ca.SX.sym("u", 2), ca.SX.sym("theta", len(THETA))
+    x, u, theta = ca.SX.sym("x", len(STATES)), ca.SX.sym("u", len(INPUTS)), ca.SX.sym("theta", len(THETA))
     par, period = ca.SX.sym("par", len(PARAMETERS)), ca.SX.sym("T")
-    rate = model.rhs(x, u, theta, par)
+    rate = model(x, u, theta, par)
     jacobians = [ca.jacobian(rate, x), ca.jacobian(rate, u)]
-    rhs = ca.Function("rhs", [x, u, theta, par], [rate, *jacobians], {"cse": True})
-    fractions, weights = _TABLEAU[method]
+    rates = ca.Function("rates", [x, u, theta, par], [rate, *jacobians], {"cse": True})
     x_next, by_x, by_u = x, ca.SX.eye(6), ca.SX(6, 2)
     slope: ca.SX | int = 0
     slope_x: ca.SX | int = 0
     slope_u: ca.SX | int = 0
-    for fraction, weight in zip(fractions, weights, strict=True):
+    for fraction, weight in zip(*_TABLEAU[method], strict=True):
         at = x + fraction * period * slope
         along_x, along_u = ca.SX.eye(6) + fraction * period * slope_x, fraction * period * slope_u
-        slope, a, b = rhs(at, u, theta, par)
+        slope, a, b = rates(at, u, theta, par)
         slope_x, slope_u = ca.mtimes(a, along_x), b + (ca.mtimes(a, along_u) if fraction else 0)
         x_next = x_next + weight * period * slope
         by_x, by_u = by_x + weight * period * slope_x, by_u + weight * period * slope_u
-    inputs = [x, u, theta, par, period]
-    step = ca.Function("control_step", inputs, [x_next], ["x", "u", "theta", "par", "T"], ["x_next"], {"cse": True})
-    return step, inputs, (by_x, by_u)
+    inputs, names = [x, u, theta, par, period], (["x", "u", "theta", "par", "T"], ["x_next", "by_x", "by_u"])
+    return ca.Function("control_step", inputs, [x_next, by_x, by_u], *names, {"cse": True})

@@ -8,7 +8,6 @@ prints (discrepancy D1). Serves the paper's section Control-Oriented Model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import sympy as sp
@@ -25,11 +24,6 @@ psi_Tr, kappa, phi_Tr, dphi, eps_Tr, deps, psi_CB, kappa_CB, m_CB = theta = sp.s
     "psi_Tr kappa phi_Tr phi_Tr' epsilon_Tr epsilon_Tr' psi_CB kappa_CB m_CB"
 )
 tau_ri, tau_le = torques = sp.symbols("tau_ri tau_le")
-LATEX = {psid: r"\dot{\psi}", psidd: r"\ddot{\psi}", dphi: r"\phi_{Tr}'", deps: r"\epsilon_{Tr}'"} | {
-    thd_ri: r"\dot{\theta}_{ri}",
-    thd_le: r"\dot{\theta}_{le}",
-}
-"""TeX of symbols whose names are no TeX: `sympy.init_printing(symbol_names=LATEX)`."""
 
 psi_r = psi - psi_Tr
 gamma = sp.tan(delta_0) / (b / 2 - r_0 * sp.tan(delta_0))
@@ -38,12 +32,10 @@ height = delta_0 * b / 2 * (1 / sp.cos(psi_r) - 1) - gamma * y**2 - r_0
 radius = {"ri": r_0 + sp.tan(delta_0) * y, "le": r_0 - sp.tan(delta_0) * y}
 arm = {"ri": b / 2 - y, "le": b / 2 + y}
 
-_TRACK = {psi_Tr: kappa, phi_Tr: dphi}
-
 
 def along_track(expression: sp.Expr) -> sp.Expr:
     """Derivative of an expression by the path x (per m), track angles included, whose slopes count as constant."""
-    return sum((sp.diff(expression, angle) * slope for angle, slope in _TRACK.items()), sp.diff(expression, x))
+    return sp.diff(expression, x) + sp.diff(expression, psi_Tr) * kappa + sp.diff(expression, phi_Tr) * dphi
 
 
 def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
@@ -103,17 +95,12 @@ def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
     return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
 
 
-@dataclass(frozen=True)
-class Equations:
-    """Equations of motion M a + h = 0 in the accelerations a = (xdd, psidd): `mass` M (2, 2), `rest` h (2, 1)."""
-
-    mass: sp.Matrix
-    rest: sp.Matrix
-
-
 @lru_cache
-def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
-    """Derive the equations of motion with discrepancies such as "D1" kept as printed; none: corrected model."""
+def equations(discrepancies: frozenset[str] = frozenset()) -> tuple[sp.Matrix, sp.Matrix]:
+    """Derive the equations of motion M a + h = 0 in the accelerations a = (xdd, psidd): M (2, 2), h (2, 1).
+
+    `discrepancies` such as "D1" are kept as printed; none: corrected model.
+    """
     dependent = constraints(discrepancies)
     t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))
     free = {xd: xdd, psid: psidd}
@@ -137,31 +124,4 @@ def equations(discrepancies: frozenset[str] = frozenset()) -> Equations:
                 residual[i] += equation * sp.diff(velocity, own)
     residual = sp.Matrix(residual).subs(dependent)
     mass = residual.jacobian(sp.Matrix(accelerations))
-    return Equations(mass, residual.subs({xdd: 0, psidd: 0}))
-
-
-@lru_cache
-def yaw_equation(discrepancies: frozenset[str] = frozenset()) -> dict[str, sp.Expr]:
-    """Coefficients of the yaw equation, linearised about straight centred running at speed v, as SymPy expressions.
-
-    Returns
-    -------
-    dict
-        inertia * psidd = sum of coefficient * quantity, with the keys "inertia" (kg m2) and, for the quantities,
-        "torque" (differential torque; -), "psi" (N m/rad), "psid" (N m s/rad), "y" (N), "roll rate" (N m s/rad).
-    """
-    found, v = equations(discrepancies), sp.Symbol("v")
-    small = (psi, psid, y, yd, psi_Tr, kappa, phi_Tr, dphi, psi_CB, kappa_CB, *torques)
-    straight = dict.fromkeys(small, 0) | {xd: v}
-
-    def slope(quantity: sp.Symbol) -> sp.Expr:
-        return sp.expand(-sp.diff(found.rest[1], quantity).subs(straight))
-
-    return {
-        "inertia": sp.expand(found.mass[1, 1].subs(straight)),
-        "torque": slope(tau_le) - slope(tau_ri),
-        "psi": slope(psi),
-        "psid": slope(psid),
-        "y": slope(y),
-        "roll rate": sp.expand(slope(dphi) / v),
-    }
+    return mass, residual.subs({xdd: 0, psidd: 0})

@@ -1,5 +1,4 @@
-/* A sample of the controller of lqg.py for one running gear, without allocation. Starts after call.h and the sizes, indices and
-   constants that lqg.py defines. */
+/* A sample of the controller of lqg.py for one running gear. Starts after call.h and the constants that lqg.py defines. */
 
 /* A design at one speed, as lqg.py lays it out: the model, the regulator, what each filter makes of a reading, the smoother. */
 typedef struct {
@@ -13,24 +12,13 @@ typedef struct lqg {
   double behind, torque_limit, acceleration, gravity, base, partner, memory, start;
   const lqg_design_t *designs;
   const double *route;
-  /* offset and direction of the rails along the track that the gear in front found */
-  double *rails;
+  double *rails;  /* their offset and direction along the track, as the gear in front found them */
   struct lqg *follower;
-  /* torques sent, last first */
-  double torques[TORQUES];
+  double torques[TORQUES];  /* sent, last first */
   /* of the filters, the second of which believes in rough rails */
   double state[FILTERS][FREE], weight[FILTERS], share[FILTERS], surprise[SIGNALS], known_until;
-  casadi_int started, restarts;
+  casadi_int started;
 } lqg_t;
-
-/* Offset and direction of the rails at p: those that the gear in front found, or none. */
-static void lqg_rails_at(const lqg_t *g, double p, double *rail) {
-  const double place = fmin(fmax((fmin(p, g->known_until) - g->start) / PITCH, 0), (double)g->rows - 1.001);
-  const casadi_int row = (casadi_int)place;
-  const double share = place - (double)row, *low = g->rails + 2 * row;
-  for (int i = 0; i < 2; ++i) rail[i] = low[i] + share * (low[2 + i] - low[i]);
-  if (p > g->known_until) rail[1] = 0;  /* the gear in front has not been there */
-}
 
 /* Known inputs at a place that is passed at a speed; set point over the rails, and curvature of the track. */
 static double lqg_known_at(const lqg_t *g, double p, double v, double *known, double *curvature) {
@@ -40,28 +28,18 @@ static double lqg_known_at(const lqg_t *g, double p, double v, double *known, do
   const double kappa = c[AT_kappa] + c[AT_dkappa] * d, heading = c[AT_psi] + (c[AT_kappa] + c[AT_dkappa] * d / 2) * d;
   const double other = o[AT_psi] + (o[AT_kappa] + o[AT_dkappa] * od / 2) * od;
   const double y_ref = c[AT_y_ref] + d * (c[AT_dy_ref] + d * (c[AT_ddy_ref] / 2 + d * c[AT_dddy_ref] / 6));
-  double rail[2];
-  lqg_rails_at(g, p, rail);
+  const double place = fmin(fmax((fmin(p, g->known_until) - g->start) / PITCH, 0), (double)g->rows - 1.001);
+  const double share = place - floor(place), *rail = g->rails + 2 * (casadi_int)place;
   *curvature = kappa;
   known[K_SIDE] = g->gravity * (c[AT_phi] + c[AT_dphi] * d) - v * v * kappa;
   known[K_TURNING] = v * v * c[AT_dkappa];
   known[K_ROLLING] = v * c[AT_dphi];
   known[K_HEADING] = (heading - other) / 2;
   known[K_SLEWING] = v * (kappa - o[AT_kappa] - o[AT_dkappa] * od) / 2;
-  known[K_RAIL_OFFSET] = rail[0];
-  known[K_RAIL_RATE] = v * rail[1];
-  return y_ref + rail[0];
-}
-
-/* State without creepage and disturbance at what was read. */
-static void lqg_begin(lqg_t *g, const double *read, double v) {
-  memset(g->state, 0, sizeof g->state), memset(g->weight, 0, sizeof g->weight);
-  for (int f = 0; f < FILTERS; ++f) {
-    double *x = g->state[f];
-    x[0] = read[0], x[1] = v * read[1], x[2] = read[1], x[3] = read[2], x[4] = g->base / 2 * read[2];
-    x[5] = g->torques[0];
-  }
-  g->started = 1;
+  known[K_RAIL_OFFSET] = rail[0] + share * (rail[2] - rail[0]);
+  /* without direction where the gear in front has not been */
+  known[K_RAIL_RATE] = p > g->known_until ? 0 : v * (rail[1] + share * (rail[3] - rail[1]));
+  return y_ref + known[K_RAIL_OFFSET];
 }
 
 /* Update every filter by the reading, and the share of each by how well it had expected it. */
@@ -96,34 +74,19 @@ static double lqg_steered(const lqg_t *g, const lqg_design_t *d, const double *x
   return fmin(fmax(g->torques[0] + change, -g->torque_limit), g->torque_limit);
 }
 
-/* State of every filter a period later under the torques that act and what the way does to the gear. */
-static void lqg_predict(lqg_t *g, const lqg_design_t *d, const double *known) {
-  for (int f = 0; f < FILTERS; ++f) {
-    double next[MODEL];
-    for (int i = 0; i < MODEL; ++i) {
-      next[i] = d->b[i] * g->torques[LATE];
-      for (int j = 0; j < MODEL; ++j) next[i] += d->a[i][j] * g->state[f][j];
-      for (int j = 0; j < KNOWN; ++j) next[i] += d->e[i][j] * known[j];
-    }
-    memcpy(g->state[f], next, sizeof next);
-  }
-}
-
-/* What this gear finds of the rails is known to the one behind: its estimate here, and what the reading says of places that it
-   has passed. */
+/* To the gear behind: the estimate of the rails here, and what the reading says of places that were passed. */
 static void lqg_pass_on(const lqg_t *g, const lqg_design_t *d, double place, double v) {
   lqg_t *to = g->follower;
   const double *x = g->state[FILTERS - 1], share = g->share[FILTERS - 1];
   const casadi_int cell = (casadi_int)fmin(fmax((place - to->start) / PITCH, 0), (double)to->rows - 2);
   double *row = to->rails + 2 * cell;
-  const casadi_int before = (casadi_int)fmax((to->known_until - to->start) / PITCH, 0);
-  for (casadi_int i = cell > before ? 0 : 1; i < 2; ++i) row[2 * i] = share * x[RAIL], row[2 * i + 1] = share * x[RAIL + 1] / v;
-  for (casadi_int i = 0; i <= cell; ++i, row -= 2) {
+  const int fresh = cell > (casadi_int)fmax((to->known_until - to->start) / PITCH, 0);
+  for (int i = !fresh; i < 2; ++i) row[2 * i] = share * x[RAIL], row[2 * i + 1] = share * x[RAIL + 1] / v;
+  for (casadi_int i = fresh; i <= cell; ++i) {
     const casadi_int lag = (casadi_int)((place - to->start - (double)(cell - i) * PITCH) / (v * LAG) + 0.5);
     if (lag >= LAGS) break;
-    if (i == 0 && cell > before) continue;
     for (int j = 0; j < 2; ++j)
-      for (int k = 0; k < SIGNALS; ++k) row[j] += share * d->smooth[lag][j][k] * g->surprise[k];
+      for (int k = 0; k < SIGNALS; ++k) row[j - 2 * i] += share * d->smooth[lag][j][k] * g->surprise[k];
   }
   to->known_until = place;
 }
@@ -139,12 +102,13 @@ double lqg_sample(void *gear, const double *state, const double *readings, doubl
   double known[KNOWN], x[FREE] = {0}, curvature;
   lqg_known_at(g, place, v, known, &curvature);
   const double read[SIGNALS] = {readings[0] + known[K_RAIL_OFFSET], readings[1] + known[K_RAIL_RATE] / v, readings[2] - v * curvature};
-  const casadi_int speed = (casadi_int)fmin(floor(log(v / LEAST_SPEED) / LOG_STEP + 0.5), (double)(g->speeds - 1));
-  const lqg_design_t *d = g->designs + speed;
-  double off = -read[0];
-  for (int f = 0; f < FILTERS; ++f) off += g->share[f] * g->state[f][0];
-  if (g->started && !(fabs(off) < LOST)) g->started = 0, ++g->restarts;
-  if (!g->started) lqg_begin(g, read, v);
+  const lqg_design_t *d = g->designs + (casadi_int)fmin(floor(log(v / LEAST_SPEED) / LOG_STEP + 0.5), (double)(g->speeds - 1));
+  if (!g->started) {  /* without creepage and disturbance */
+    const double begin[FREE] = {read[0], v * read[1], read[1], read[2], g->base / 2 * read[2], g->torques[0]};
+    memset(g->weight, 0, sizeof g->weight);
+    for (int f = 0; f < FILTERS; ++f) memcpy(g->state[f], begin, sizeof begin);
+    g->started = 1;
+  }
   lqg_update(g, d, read, v);
   for (int f = 0; f < FILTERS; ++f)
     for (int i = 0; i < FREE; ++i) x[i] += g->share[f] * g->state[f][i];
@@ -153,6 +117,14 @@ double lqg_sample(void *gear, const double *state, const double *readings, doubl
   const double torque = lqg_steered(g, d, x, place, v, a);
   memmove(g->torques + 1, g->torques, SENT * sizeof(double));
   g->torques[0] = torque;
-  lqg_predict(g, d, known);
+  for (int f = 0; f < FILTERS; ++f) {  /* a period later, under the torque that acts */
+    double next[MODEL];
+    for (int i = 0; i < MODEL; ++i) {
+      next[i] = d->b[i] * g->torques[LATE];
+      for (int j = 0; j < MODEL; ++j) next[i] += d->a[i][j] * g->state[f][j];
+      for (int j = 0; j < KNOWN; ++j) next[i] += d->e[i][j] * known[j];
+    }
+    memcpy(g->state[f], next, sizeof next);
+  }
   return torque;
 }

@@ -21,7 +21,7 @@ Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8; Anderson and M
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,7 +32,7 @@ from scipy.signal import cont2discrete
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
-from railrepro.data import between, check_fields, require
+from railrepro.data import between, check_fields
 from railrepro.estimation.sensors import Loop
 from railrepro.model.forecast import nominal_values
 from railrepro.own.gear_model import KNOWN, STATES, UNITS, UNKNOWN, lateral_model
@@ -43,43 +43,16 @@ SPEEDS = 1.5 * np.exp(0.1 * np.arange(46))
 """Speeds for which filters and regulators are designed (m/s), shape (46,); below the first the torque is held."""
 LEAST_NOISE = 1e-6, 1e-6, 1e-5
 """Least standard deviation of noise in y (m), psi (rad) and r (rad/s) that the filters assume."""
-TAP, LAG, LAGS = 0.02, 4e-3, 20
-"""Time between points of the preview (s), time between lags of the smoother (s), number of lags."""
+TAP, LAG, LAGS, PITCH = 0.02, 4e-3, 20, 0.25
+"""Time between points of the preview, time between lags of the smoother (s), their number, pitch of the rails (m)."""
 _SHORT, _LONG = 0.8246, 0.0206
 """Omega_c and Omega_r of the spectrum (rad/m)."""
 _SMOOTH = 1e-12
 """Amplitude A of ideal rails (m rad), which keeps equations regular."""
 _LEAK = 1 / 30
 """Rate at which walks return to zero (1/s): slower than any run, but they are stable."""
-_PITCH, _LOST = 0.25, 5e-3
-"""Pitch of the table of the rails, and distance of the filters from the reading at which they begin anew (m)."""
 _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3, 4, 6))
 """Number of states of the gear; with unknown force and moment, rails and their rate; with both biases."""
-
-
-@dataclass(frozen=True)
-class LqgSettings:
-    """Settings of the LQG design with preview; the notebook `11_lqg` derives them."""
-
-    change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 1.5e-9
-    """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""
-    force: Annotated[float, between(1.0, 1e8, "N")] = 1e5
-    """Standard deviation of the random walk of the unknown side force after one second (N)."""
-    moment: Annotated[float, between(1.0, 1e8, "N m")] = 2e4
-    """Standard deviation of the random walk of the unknown yaw moment after one second (N m)."""
-    twist: Annotated[float, between(0.0, 1e7, "N m/s^0.5")] = 2e5
-    """White noise that the filters assume in the rate of the motor torque (N m/s^0.5); it raises stability margins."""
-    rails: Annotated[float, between(1e-12, 1e-4, "m rad")] = 5e-8
-    """Amplitude A of the spectrum of rough rails (m rad)."""
-    settle: Annotated[float, between(0.01, 100.0, "s")] = 3.0
-    """Time (s) in which the random walk that models a bias gains twice the variance with which the bias is drawn."""
-    memory: Annotated[float, between(0.01, 100.0, "s")] = 0.5
-    """Time constant with which the log-likelihoods of the filters forget old readings (s)."""
-    preview: Annotated[float, between(0.02, 5.0, "s")] = 0.6
-    """Length of the preview of set point and track (s)."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class Design:
@@ -87,21 +60,17 @@ class Design:
 
     `loop` are the sensors; without them (None) both filters assume ideal rails.
 
-    Attributes
-    ----------
-    a, b, e : ndarray, shapes (10, 10), (10,), (10, 7)
-        Discrete model over 1 ms, x+ = a x + b du + e known: x are `gear_model.STATES`, unknown force and moment, offset
-        of the rails (m) and its rate (m/s); du is the differential torque that acts.
-    late, sent : int
-        Time from reading to torque (ms), 0 without sensors; number of torques under way or acting, at least one.
-    rails : tuple of float
-        Amplitude A that each filter assumes (m rad).
-    read, noise, drift : ndarray, shapes (3, 12), (3,), (2,)
-        Readings y (m), psi (rad), r (rad/s) from x and biases of psi and r; standard deviations of their noise; random
-        walk of both biases (unit per s^0.5).
+    Attributes:
+        a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known: x are
+            `gear_model.STATES`, unknown force and moment, offset of the rails (m), its rate (m/s); du acts (N m).
+        late, sent (int): Time from reading to torque (ms), 0 without sensors; number of torques under way or acting, at
+            least one.
+        rails (tuple of float): Amplitude A that each filter assumes (m rad).
+        read, noise, drift (ndarray, shapes (3, 12), (3,), (2,)): Readings y (m), psi (rad), r (rad/s) from x and biases
+            of psi and r; standard deviations of their noise; random walk of both biases (unit per s^0.5).
     """
 
-    def __init__(self, vehicle: Vehicle, speed: float, settings: LqgSettings, loop: Loop | None):
+    def __init__(self, vehicle: Vehicle, speed: float, settings: LqgPreview, loop: Loop | None):
         self.speed, self.settings, h = speed, settings, CONTROL_PERIOD
         self.late = 0 if loop is None else 1 + round((loop.latency.measurement + loop.latency.command) / h)
         self.sent = max(self.late, 1)
@@ -211,7 +180,7 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
 _DESIGNED: dict[tuple, np.ndarray] = {}
 
 
-def designs(vehicle: Vehicle, settings: LqgSettings, loop: Loop | None) -> tuple[Design, np.ndarray]:
+def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[Design, np.ndarray]:
     """(`Design` at the first of `SPEEDS`, array (46, n) of `Design.table` at each of them); `loop` None: no sensors."""
     first = Design(vehicle, SPEEDS[0], settings, loop)
     key = repr(vehicle), settings, first.late, *first.noise, *first.drift
@@ -224,46 +193,44 @@ def designs(vehicle: Vehicle, settings: LqgSettings, loop: Loop | None) -> tuple
 _SOURCE = Path(__file__).with_suffix(".c").read_text()
 
 
-def _sizes(settings: LqgSettings, first: Design) -> dict[str, int]:
-    """Sizes of a design in C, for its first speed or any other."""
+def _source(late: int, taps: int) -> tuple[str, dict[str, int]]:
+    """C source of a sample, which starts after call.h, and sizes of its arrays; arguments as of `library`."""
     sizes = {"MODEL": _MODEL, "FREE": _FREE, "RAIL": _RAIL, "BIAS": _MODEL, "KNOWN": len(KNOWN), "WIDTH": len(COLUMNS)}
-    sizes |= {"SIGNALS": 3, "FILTERS": 2, "LAGS": LAGS, "TAPS": round(settings.preview / TAP) + 1}
-    return sizes | {"LATE": first.late, "SENT": first.sent, "TORQUES": first.sent + 1}
-
-
-def _source(sizes: dict[str, int]) -> str:
-    """C source of a sample; starts after call.h."""
+    sizes |= {"SIGNALS": 3, "FILTERS": 2, "LAGS": LAGS, "TAPS": taps}
+    sizes |= {"LATE": late, "SENT": max(late, 1), "TORQUES": max(late, 1) + 1}
     columns = {f"AT_{name}": i for name, i in INDEX.items()} | {f"K_{name.upper()}": i for i, name in enumerate(KNOWN)}
     speeds = {"LEAST_SPEED": SPEEDS[0], "LOG_STEP": np.log(SPEEDS[1] / SPEEDS[0]), "PERIOD": CONTROL_PERIOD}
-    defined = sizes | columns | speeds | {"TAP": TAP, "LAG": LAG, "LOST": _LOST, "PITCH": _PITCH, "CELL": CELL}
-    return codegen.defines(defined) + _SOURCE
+    defined = sizes | columns | speeds | {"TAP": TAP, "LAG": LAG, "PITCH": PITCH, "CELL": CELL}
+    return codegen.defines(defined) + _SOURCE, sizes
 
 
 @lru_cache
-def library(*sizes: tuple[str, int]) -> tuple[ctypes.CDLL, Any]:
-    """Compiled lqg.c and the ctypes class of its struct `lqg_t`; `sizes`: pairs (constant of an array size, value)."""
-    loaded = codegen.library((), codegen.PREAMBLE + _source(dict(sizes)))
+def library(late: int, taps: int) -> tuple[ctypes.CDLL, Any]:
+    """Compiled lqg.c and the ctypes class of its struct `lqg_t` for `Design.late` and a number of points of preview."""
+    text, sizes = _source(late, taps)
+    loaded = codegen.library((), codegen.PREAMBLE + text)
     loaded.lqg_sample.restype = ctypes.c_double
-    return loaded, codegen.structure("lqg_t", _SOURCE, dict(sizes))
+    return loaded, codegen.structure("lqg_t", _SOURCE, sizes)
 
 
 class LqgGear:
-    """LQG controller with preview of one gear (0 front, 1 rear), a `railrepro.control.lateral.CompiledController`."""
+    """LQG controller with preview of one gear (0 front, 1 rear), a `railrepro.control.lateral.SlowController` in C."""
 
     period = CONTROL_PERIOD
 
-    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: LqgSettings):
+    def __init__(self, vehicle: Vehicle, route: Route, gear: int, settings: LqgPreview):
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
     def compiled(self, loop: Loop | None, leader: LqgGear | None = None) -> tuple[int, int]:
-        """Addresses of the C function of a sample and of its memory, see `lateral.CompiledController.compiled`.
+        """Addresses of the C function of a sample and of its memory, see `lateral.SlowController`.
 
         `loop`: sensors, None without; `leader`: front controller, which hands the rails that it finds to this rear one.
         """
         (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
-        self.sizes, rows = _sizes(self.settings, first), round(len(cells) * CELL / _PITCH)
-        loaded, of_gear = library(*self.sizes.items())
+        self.sizes = first.late, round(self.settings.preview / TAP) + 1
+        self.library, of_gear = library(*self.sizes)
+        rows = round(len(cells) * CELL / PITCH)
         self.tables = {"designs": table, "route": np.ascontiguousarray(cells), "rails": np.zeros((rows, 2))}
         self.memory = of_gear(
             speeds=len(table),
@@ -282,31 +249,43 @@ class LqgGear:
         )
         if leader is not None:
             leader.memory.follower = ctypes.addressof(self.memory)
-        return ctypes.cast(loaded.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
+        return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: list[LqgGear], loop: Loop | None) -> str:
         """C text of the controllers `gears` [front, rear] with their tables, for an export; `loop` None: no sensors."""
         for gear in gears:
             gear.compiled(loop)
-        text, tables = _source(gears[0].sizes), gears[0].tables
-        text += (
-            f"static const lqg_t LQG_GEARS[] = {{{', '.join(codegen.initialiser(gear.memory) for gear in gears)}}};\n"
-        )
-        values = ",".join(float(value).hex() for value in tables["designs"].ravel())
-        text += f"static const double LQG_DESIGNS[] = {{{values}}};\n"
-        text += codegen.enumeration([f"LQG_ROWS = {len(tables['rails'])}"])
-        return text + Path(__file__).with_name("lqg_export.c").read_text()
+        memories = ", ".join(codegen.initialiser(gear.memory) for gear in gears)
+        values = ",".join(float(value).hex() for value in self.tables["designs"].ravel())
+        text = f"static const lqg_t LQG_GEARS[] = {{{memories}}};\nstatic const double LQG_DESIGNS[] = {{{values}}};\n"
+        text += codegen.enumeration([f"LQG_ROWS = {len(self.tables['rails'])}"])
+        return _source(*self.sizes)[0] + text + Path(__file__).with_name("lqg_export.c").read_text()
 
 
 @dataclass(frozen=True)
 class LqgPreview:
-    """Guidance for `railrepro.simulation.simulate.run`: factory of the LQG controllers of both gears; picklable."""
+    """Guidance for `simulate.run`: factory of the LQG controllers of both gears; `11_lqg` derives its settings."""
 
-    settings: LqgSettings = field(default_factory=LqgSettings)
+    change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 1.5e-9
+    """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""
+    force: Annotated[float, between(1.0, 1e8, "N")] = 1e5
+    """Standard deviation of the random walk of the unknown side force after one second (N)."""
+    moment: Annotated[float, between(1.0, 1e8, "N m")] = 2e4
+    """Standard deviation of the random walk of the unknown yaw moment after one second (N m)."""
+    twist: Annotated[float, between(0.0, 1e7, "N m/s^0.5")] = 2e5
+    """White noise that the filters assume in the rate of the motor torque (N m/s^0.5); it raises stability margins."""
+    rails: Annotated[float, between(1e-12, 1e-4, "m rad")] = 5e-8
+    """Amplitude A of the spectrum of rough rails (m rad)."""
+    settle: Annotated[float, between(0.01, 100.0, "s")] = 3.0
+    """Time (s) in which the random walk that models a bias gains twice the variance with which the bias is drawn."""
+    memory: Annotated[float, between(0.01, 100.0, "s")] = 0.5
+    """Time constant with which the log-likelihoods of the filters forget old readings (s)."""
+    preview: Annotated[float, between(0.02, 5.0, "s")] = 0.6
+    """Length of the preview of set point and track (s)."""
 
     def __post_init__(self) -> None:
-        require("LqgPreview: settings", self.settings, LqgSettings)
+        check_fields(self)
 
     def __call__(self, vehicle: Vehicle, route: Route, gear: int) -> LqgGear:
         """The controller of a gear (0 front, 1 rear)."""
-        return LqgGear(vehicle, route, gear, self.settings)
+        return LqgGear(vehicle, route, gear, self)

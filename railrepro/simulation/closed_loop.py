@@ -16,10 +16,9 @@ import numpy as np
 from railrepro.car import component
 from railrepro.car.component import SteppedCar
 from railrepro.car.outputs import Outputs
-from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
 from railrepro.control import cycle, interface, law
-from railrepro.quantities import indices, names, pack, unpack
+from railrepro.quantities import names
 
 _BLOCK = 10_000
 """Control cycles whose log is allocated at once."""
@@ -42,22 +41,15 @@ def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
 class ClosedLoop:
     """The car on a route under a control law; `run` advances it by whole control cycles of 1 ms.
 
-    Attributes
-    ----------
-    car : SteppedCar
-        The simulated car on its route.
-    control : ControlLaw
-        The 1 kHz law of both gears, from `railrepro.control.law.control_law`.
-    ended : bool
-        Whether the last `run` stopped before its number of cycles.
-    state : ndarray, shape (len(car.model.states),)
-        State of the car (SI), the array `car.state`; writable.
-    held : ndarray, shape (2,)
-        Last differential torques of slower lateral controllers, front and rear gear (N m); writable.
-    memory : ndarray
-        States of the law (SI), in the order of the names `control.signature.memory`; writable.
-    columns : tuple of str
-        Names of the columns that `run` returns: outputs of the car, then records of the law.
+    Attributes:
+        car (SteppedCar): The simulated car on its route.
+        control (ControlLaw): The 1 kHz law of both gears, from `railrepro.control.law.control_law`.
+        ended (bool): Whether the last `run` stopped before its number of cycles.
+        state (ndarray, shape (len(car.model.states),)): State of the car (SI), the array `car.state`; writable.
+        held (ndarray, shape (2,)): Last differential torques of slower lateral controllers, front and rear gear (N m);
+            writable.
+        memory (ndarray): States of the law (SI), in the order of the names `control.signature.memory`; writable.
+        columns (tuple of str): Names of the columns that `run` returns: outputs of the car, then records of the law.
     """
 
     def __init__(self, car: SteppedCar, control: law.ControlLaw):
@@ -80,11 +72,10 @@ class ClosedLoop:
     def run(self, n: int) -> np.ndarray:
         """Advance by up to n control cycles of 1 ms.
 
-        Returns
-        -------
-        ndarray, shape (m, len(columns))
-            Values of `columns` (SI), one row per cycle, taken before the car advances. m = n, or fewer when a limit of
-            the run (see `margins`) was reached: `ended` is then true, and the last row and `state` are at the limit.
+        Returns:
+            ndarray, shape (m, len(columns)): Values of `columns` (SI), one row per cycle, taken before the car
+            advances. m = n, or fewer when a limit of the run (see `margins`) was reached: `ended` is then true, and the
+            last row and `state` are at the limit.
         """
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
@@ -101,7 +92,7 @@ class ClosedLoop:
         """Register a slower controller per gear, which `run` calls before the law in each `every`-th cycle of 1 ms.
 
         `planners` has for front and rear gear the addresses (int) of the controller's C function and of its memory, for
-        the signature see `railrepro.control.cycle.SAMPLE`; its states are the gear's row of `measured_states`.
+        the signature see `railrepro.control.cycle.SAMPLE`. With sensors its states are estimates of the cycle before.
         """
         slot, _ = cycle.structures(self.control.signature)
         self._c.every = every
@@ -109,28 +100,6 @@ class ClosedLoop:
             self._c.planner[g] = slot(*planner)
 
     @property
-    def time(self) -> float:
-        """Simulated time (s)."""
-        return self._c.cycles * CONTROL_PERIOD
-
-    @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits of a run by name; the run ends when one is <= 0.
-
-        front.lateral, rear.lateral (m, to derailing), front.torque, rear.torque (1, or 0 where the law gave no finite
-        torque), track_end (m), stop_speed (m/s).
-        """
+        """Distances to the limits of a run, see `interface.Margins`, by name; the run ends when one is <= 0."""
         return dict(zip(interface.MARGINS, self._margins.tolist(), strict=True))
-
-    def measured_states(self) -> np.ndarray:
-        """Last measured states of front and rear gear, shape (2, 6).
-
-        Columns: track coordinate (m), heading (rad), speed (m/s), yaw rate (rad/s), lateral displacement (m) and yaw
-        angle (rad) against the track. With sensors: estimates of the previous cycle, in the first cycle true states.
-        """
-        signature = self.control.signature
-        if signature.sensed and self._c.cycles:
-            memory = indices(signature.Memory)
-            return self.memory[np.array([pack(gear.estimated) for gear in (memory.front, memory.rear)])]
-        measured = unpack(interface.Measured, _MEASURED)
-        return self.car.measured[np.array([pack(measured.front), pack(measured.rear)])]

@@ -13,31 +13,20 @@ typedef struct {
   controller_t control;
 } loop_t;
 
-/* Copies numbers into the log; whether all of them are finite. */
-static int record(const double *values, casadi_int n, double **row) {
-  int finite = 1;
-  for (casadi_int i = 0; i < n; ++i) {
-    *(*row)++ = values[i];
-    finite = finite && isfinite(values[i]);
-  }
-  return finite;
-}
-
-/* Returns the number of finished control cycles; a margin that is not positive, a value that is not finite or a failing
-   law ends the run before the step (its row is still in the log). */
+/* Returns the number of finished control cycles; a margin that is not positive, as is none of a number that is not finite,
+   ends the run before the step (its row is still in the log). So does a failing law. */
 casadi_int loop_run(loop_t *loop, casadi_int n, double *row) {
   static const int measured_of_output[N_INPUT] = MEASURED_OF_OUTPUT;
   controller_t *c = &loop->control;
-  for (casadi_int k = 0; k < n; ++k) {
+  for (casadi_int k = 0; k < n; ++k, row += loop->n_outputs + N_RECORD) {
     loop->measure(loop->car);
     for (int i = 0; i < N_INPUT; ++i) c->measured[i] = loop->outputs[measured_of_output[i]];
     if (controller_command(c)) return k;
     memcpy(loop->torque, c->torque, sizeof c->torque);
-    int finite = record(loop->outputs, loop->n_outputs, &row);
-    finite = record(c->record, N_RECORD, &row) && finite;
+    memcpy(row, loop->outputs, (size_t)loop->n_outputs * sizeof *row);
+    memcpy(row + loop->n_outputs, c->record, sizeof c->record);
     for (int i = 0; i < N_MARGIN; ++i)
       if (!(c->margins[i] > 0)) return k;
-    if (!finite) return k;
     loop->advance(loop->car);
     controller_keep(c);
   }

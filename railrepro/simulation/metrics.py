@@ -21,8 +21,6 @@ FLANGE_ANGLE = np.radians(30)
 """Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
 FLANGEWAY = 7e-3
 """Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
-LONGEST_DELAY, DELAY_STEP = 60.0, 0.1
-"""Largest lag that `delay` considers, and its resolution (m)."""
 ACTIVITY = 5.0
 """Frequency above which a differential torque follows no set point (Hz): a sweep of 40 m at 400 km/h has 2.8 Hz."""
 
@@ -52,19 +50,18 @@ def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
     return Part(series, gear).y - Part(series, gear).y_ref
 
 
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def rmse(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean square of the `lateral_error` over a run (m). Source: paper, section Evaluation of Lateral Control."""
-    return float(np.sqrt(np.mean(lateral_error(series, gear) ** 2)))
+    return _rms(lateral_error(series, gear))
 
 
 def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean square over a run of a gear's displacement from the actual, irregular rails less its set point (m)."""
-    return float(np.sqrt(np.mean((lateral_error(series, gear) - Part(series, gear).rail_y) ** 2)))
-
-
-def rail_rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square over a run of a gear's displacement from the middle of the actual, irregular rails (m)."""
-    return float(np.sqrt(np.mean((Part(series, gear).y - Part(series, gear).rail_y) ** 2)))
+    return _rms(lateral_error(series, gear) - Part(series, gear).rail_y)
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
@@ -90,22 +87,22 @@ def delay(series: pd.DataFrame, gear: str = "front") -> float:
     The lag, from -60 to 60 m in steps of 0.1 m, with the largest cross-correlation of the detrended signals. Positive
     when y comes after y*; nan when y* is constant or the car does not move.
     """
-    of_gear = Part(series, gear)
+    of_gear, step = Part(series, gear), 0.1
     p = of_gear.p
-    grid = np.arange(p[0], p[-1], DELAY_STEP)
+    grid = np.arange(p[0], p[-1], step)
     if grid.size < 2:
         return float("nan")
     y, reference = (_detrended(np.interp(grid, p, values)) for values in (of_gear.y, of_gear.y_ref))
     if np.ptp(reference) < 1e-9:
         return float("nan")
-    most = min(round(LONGEST_DELAY / DELAY_STEP), grid.size // 2)
+    most = min(600, grid.size // 2)
     lags = np.arange(-most, most + 1)
     # Means, not sums: each lag has its own number of overlapping samples.
     correlation = [
         np.mean(y[max(lag, 0) : grid.size + min(lag, 0)] * reference[max(-lag, 0) : grid.size - max(lag, 0)])
         for lag in lags.tolist()
     ]
-    return float(DELAY_STEP * lags[np.argmax(correlation)])
+    return float(step * lags[np.argmax(correlation)])
 
 
 def _detrended(values: np.ndarray) -> np.ndarray:
@@ -116,7 +113,7 @@ def _detrended(values: np.ndarray) -> np.ndarray:
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
     """Root mean square over a run of the differential torque of a gear (N m)."""
-    return float(np.sqrt(np.mean(Part(series, gear).du ** 2)))
+    return _rms(Part(series, gear).du)
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
@@ -126,13 +123,7 @@ def activity(series: pd.DataFrame, gear: str = "front") -> float:
     """
     sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     du = Part(series, gear).du
-    return float(np.sqrt(np.mean(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)) ** 2)))
-
-
-def saturated_share(series: pd.DataFrame, limit: float, gear: str = "front") -> float:
-    """Share of the rows (0 to 1) in which the larger of a gear's two motor torques reaches `limit` (N m per motor)."""
-    torque = np.abs(Part(series, gear).tau_long) + np.abs(Part(series, gear).du)
-    return float(np.mean(torque >= 0.999 * limit))
+    return _rms(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)))
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
@@ -140,26 +131,24 @@ def stopping_distance(series: pd.DataFrame) -> float:
     return float(Part(series, "front").p[-1] - Part(series, "front").p[0])
 
 
-def summary(series: pd.DataFrame, torque_limit: float) -> dict[str, tuple[float, str]]:
+def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
     """Lateral metrics of a run, of the front gear unless named otherwise: name -> (value, unit).
 
-    rmse_y, rmse_y_rear, followed_rmse_y, rail_rmse_y, delay (m), effort_du, activity_du (N m), saturated_share (-, with
-    `torque_limit` per motor in N m): see the functions of these names. mean_error_last_third (mean of y - y* over the
-    last third of the rows), largest_error (max |y - y*|) (m); largest_du (max |du|, N m).
+    rmse_y, rmse_y_rear, followed_rmse_y, delay (m), effort_du, activity_du (N m): see the functions of these names.
+    rail_rmse_y (RMS distance from the middle of the irregular rails), mean_error_last_third (mean of y - y* over the
+    last third of the rows), largest_error (max |y - y*|) (m).
     """
-    error = lateral_error(series)
+    error, front = lateral_error(series), Part(series, "front")
     return {
-        "rmse_y": (rmse(series), "m"),
+        "rmse_y": (_rms(error), "m"),
         "rmse_y_rear": (rmse(series, "rear"), "m"),
         "followed_rmse_y": (followed_rmse(series), "m"),
-        "rail_rmse_y": (rail_rmse(series), "m"),
+        "rail_rmse_y": (_rms(front.y - front.rail_y), "m"),
         "mean_error_last_third": (float(np.mean(error[-len(error) // 3 :])), "m"),
         "largest_error": (float(np.abs(error).max()), "m"),
         "delay": (delay(series), "m"),
         "effort_du": (effort(series), "N m"),
         "activity_du": (activity(series), "N m"),
-        "largest_du": (float(np.abs(Part(series, "front").du).max()), "N m"),
-        "saturated_share": (saturated_share(series, torque_limit), "-"),
     }
 
 
@@ -181,9 +170,9 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
 def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
     """Metrics of traction and braking: name -> (value, unit).
 
-    Of the front gear: stopping_distance (m), final_speed (m/s), mean_longitudinal_torque (N m per motor), and with a
-    force demand utilisation (-), mean adhesion of its wheels over `adhesion_limit` in rows where the demand exceeds
-    that limit (nan without any). Of all wheels: largest_slip (max |s_x|, -). Slip and utilisation count above 2 m/s.
+    Of the front gear: stopping_distance (m), and with a force demand utilisation (-), mean adhesion of its wheels over
+    `adhesion_limit` in rows where the demand exceeds that limit (nan without any). Of all wheels: largest_slip (max
+    |s_x|, -). Slip and utilisation count above 2 m/s.
     """
     front = Part(series, "front")
     p, v = front.p, front.v
@@ -191,8 +180,6 @@ def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> 
     slip = np.abs([Part(series, wheel).sx[moving] for wheel in WHEELS])
     values = {
         "stopping_distance": (stopping_distance(series), "m"),
-        "final_speed": (float(v[-1]), "m/s"),
-        "mean_longitudinal_torque": (float(front.tau_long.mean()), "N m"),
         "largest_slip": (float(slip.max()) if slip.size else float("nan"), "-"),
     }
     if scenario.force_kN:

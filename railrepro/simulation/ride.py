@@ -1,15 +1,13 @@
-"""Ride and safety of a run in the quantities of vehicle acceptance: rail forces, flange contact, wear, comfort, energy.
+"""Ride and safety of a run in the quantities of vehicle acceptance: rail forces, flange contact, wear, comfort.
 
 Functions work on arrays of shape (n,) over a run (SI, forces on the rail): `p` is the track coordinate (m), `rate` the
 samples per second (Hz). `ride_summary` takes the series of a run and is the edge where units of the trade appear. The
 source of a number stands with it: *read* in a public document that quotes the standard, *recalled* from the standard.
 The standards themselves were not at hand.
 
-Two kinds of filter. Forces are low-passed forwards and backwards (no phase), so that peaks keep their position on the
-track and those of different wheels can be added. Comfort weightings run forwards only: the standards give a transfer
-function, a second pass would square it, and root mean squares do not see the phase.
-
-The paper judges tracking and torque only; these figures say what a tracking error means to vehicle and passenger.
+Forces are low-passed forwards and backwards (no phase), so that peaks keep their position on the track and those of
+different wheels can be added. Comfort weightings run forwards only: the standards give a transfer function, a second
+pass would square it, and root mean squares do not see the phase.
 """
 
 from __future__ import annotations
@@ -20,29 +18,25 @@ import scipy
 
 from railrepro.car.equations import FLOOR
 from railrepro.data import InputError
-from railrepro.quantities import GEAR_AND_SIDE, GEARS, WHEELS
+from railrepro.quantities import GEAR_AND_SIDE, GEARS, SIDES
 from railrepro.simulation.metrics import FLANGE_ANGLE, Part
 from railrepro.vehicle.parameters import Vehicle
 
 FORCE_CUTOFF = 20.0
 """Cut-off of rail forces (Hz). Source: EN 14363 and UIC 518 (read)."""
+WINDOW, WINDOW_STEP = 2.0, 0.5
+"""Length of a sliding mean and distance of the next one (m). Source: EN 14363 and UIC 518 (read)."""
 Y_OVER_Q_LIMIT = 0.8
 """Largest sliding mean of Y/Q (-). Source: EN 14363 (recalled; Nadal's limit for a flange of 70 degrees)."""
-COMFORT_BLOCK = 5.0
-"""Length of a block of mean comfort (s). Source: EN 12299 (read)."""
-_BLOCK_STEP = 0.5
-# Transition frequency (Hz) and quality, upward step f5 (Hz), Q5, f6 (Hz), Q6, and gain above the step.
-WEIGHTINGS = {
-    "Wk": (12.5, 0.63, (2.37, 0.91, 3.35, 0.91), 1.0),
-    "Wd": (2.0, 0.63, None, 1.0),
-    "Wb": (16.0, 0.63, (2.5, 0.8, 4.0, 0.8), 1.024),
-}
-"""Frequency weightings: Wk, Wd of ISO 2631-1, Wb of EN 12299 (ISO 2631-4 and BS 6841 have another curve of that name).
+COMFORT_BLOCK, BLOCK_STEP = 5.0, 0.5
+"""Length of a block of mean comfort and distance of the next one (s). Source: EN 12299 (read)."""
+# Transition frequency (Hz), upward step f5 (Hz), Q5, f6 (Hz), Q6, and gain above the step.
+WEIGHTINGS = {"Wd": (2.0, None, 1.0), "Wb": (16.0, (2.5, 0.8, 4.0, 0.8), 1.024)}
+"""Frequency weightings: Wd of ISO 2631-1, Wb of EN 12299 (ISO 2631-4 and BS 6841 have another curve of that name).
 
-Source: Wk, Wd: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open software, agrees
+Source: Wd: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open software, agrees
 with what is recalled of UIC 513)."""
 _BAND = (0.4, 100.0)
-_FEWEST = 20
 _LEAST_LOAD = 1e3
 """Divisor of Y/Q where Q is smaller (N), so that a wheel that lifts gives no infinity."""
 _OUTWARDS = {"le": -1, "ri": 1}
@@ -50,41 +44,27 @@ _OUTWARDS = {"le": -1, "ri": 1}
 
 
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """Ride and safety figures of a run: name -> (value, unit); InputError without a column, below 20 rows or 2 m.
+    """Ride and safety figures of a run: name -> (value, unit); InputError without a column, or below 2 m.
 
-    Largest of the run: sum_y_front, sum_y_rear (track shifting force per gear, kN), sum_y_over_limit (the larger one
-    over Prud'homme's limit), y_over_q (Y/Q), wheel_unloading (dQ/Q0) (-). Sum over the wheels: flange_contacts (1/km).
-    Means: t_gamma, creep_work (N), see `creep_work`. Per point of `FLOOR`: n_mv_* (`mean_comfort`, -), a_wk_vertical_*,
-    a_wd_lateral_* (`weighted_rms`, m/s2). Whole car: motor_energy_net (kWh, braking energy deducted).
+    Largest of the run: sum_y_over_limit, the track shifting force of a gear over Prud'homme's limit; y_over_q (Y/Q),
+    wheel_unloading (dQ/Q0) (-). Sum over the wheels: flange_contacts (1/km). Means: t_gamma, creep_work (N), see
+    `creep_work`. Per point of `FLOOR`: n_mv_* (`mean_comfort`, -).
 
-    Parameters
-    ----------
-    series : DataFrame
-        Of a run (`simulate.Run.series`): t_s; p and phi (roll against the track, rad) of both gears; N, Fx, Fy, nu_x,
-        nu_y, M_spin, spin, angle, w, tau of each wheel; ax, ay, az (m/s2) of each point of `FLOOR`, in axes of the car
-        body, as an accelerometer reads them. Columns are called `front.p`, `front_le.N`, `floor_centre.az`.
-    vehicle : Vehicle
-        The simulated car (`plant_vehicle` of a run).
+    Args:
+        series (DataFrame): Of a run (`simulate.Run.series`): t_s; p and phi (roll against the track, rad) of both
+            gears; N, Fx, Fy, nu_x, nu_y, M_spin, spin, angle of each wheel; ax, ay, az (m/s2) of each point of
+            `FLOOR`, in axes of the car body, as an accelerometer reads them. Columns are called `front.p`,
+            `front_le.N`, `floor_centre.az`.
+        vehicle (Vehicle): The simulated car (`plant_vehicle` of a run).
     """
-    if len(series) < _FEWEST:
-        raise InputError(f"the series has {len(series)} rows, ride figures need {_FEWEST} at least")
     t = series["t_s"].to_numpy()
     rate = (t.size - 1) / (t[-1] - t[0])
     found = _force_figures(series, vehicle.wheel_load, rate)
     found |= {name: (work, "N") for name, work in creep_work(series).items()}
     for point in FLOOR:
         of_point = Part(series, point)
-        along, across, vertical = of_point.ax, of_point.ay, of_point.az
-        found |= {
-            f"n_mv_{point}": (mean_comfort(along, across, vertical, rate), "-"),
-            f"a_wk_vertical_{point}": (weighted_rms(vertical, "Wk", rate), "m/s2"),
-            f"a_wd_lateral_{point}": (weighted_rms(across, "Wd", rate), "m/s2"),
-        }
-    wheels = [Part(series, wheel) for wheel in WHEELS]
-    # mechanical energy of the motors less what was taken back; without the carrier's pitch rate, which they feel, too
-    torque, speed = np.transpose([wheel.tau for wheel in wheels]), np.transpose([wheel.w for wheel in wheels])
-    energy = float(np.sum(scipy.integrate.trapezoid(torque * speed, t, axis=0)))
-    return found | {"motor_energy_net": (energy / 3.6e6, "kWh")}
+        found[f"n_mv_{point}"] = mean_comfort(of_point.ax, of_point.ay, of_point.az, rate), "-"
+    return found
 
 
 def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
@@ -95,10 +75,11 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
 
     Source: EN 14363 and UIC 518 (read; Prud'homme's limit recalled).
     """
-    found, ratios, unloading, contacts = {}, [], [], 0.0
+    shifting, ratios, unloading, contacts = [], [], [], 0.0
     for gear in GEARS:
         p, phi, lateral = Part(series, gear).p, Part(series, gear).phi, []
-        for side, wheel in ((side, Part(series, name)) for name, (of, side) in GEAR_AND_SIDE.items() if of == gear):
+        for side in SIDES:
+            wheel = Part(series, f"{gear}_{side}")
             y, q = rail_forces(wheel.N, wheel.Fy, wheel.angle, side, phi)
             low = low_pass(q, rate)
             outwards = low_pass(_OUTWARDS[side] * y, rate)
@@ -106,13 +87,11 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
             unloading.append((1 - low / wheel_load).max())  # dQ/Q0, filtered as EN 14363 has it (read)
             contacts += flange_contacts(wheel.angle, p)
             lateral.append(y)
-        left, right = lateral
         # EN 14363 and UIC 518 evaluate percentiles over many sections; of one short run the largest value is taken
-        sum_y = np.abs(sliding_mean(low_pass(left + right, rate), p)).max()
-        found[f"sum_y_{gear}"] = (float(sum_y) / 1e3, "kN")
+        shifting.append(np.abs(sliding_mean(low_pass(sum(lateral), rate), p)).max() / 1e3)
     limit = (10e3 + 2 * wheel_load / 3) / 1e3
-    return found | {
-        "sum_y_over_limit": (max(found[f"sum_y_{gear}"][0] for gear in GEARS) / limit, "-"),
+    return {
+        "sum_y_over_limit": (float(max(shifting)) / limit, "-"),
         "y_over_q": (float(max(ratios)), "-"),
         "wheel_unloading": (float(max(unloading)), "-"),
         "flange_contacts": (contacts, "1/km"),
@@ -122,22 +101,17 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
 def rail_forces(normal, creep, angle, side: str, roll=0.0) -> tuple[np.ndarray, np.ndarray]:
     """Lateral and vertical force of a wheel on its rail.
 
-    Parameters
-    ----------
-    normal, creep : array_like, shape (n,)
-        Normal force and lateral creep force on the wheel, positive to the right (N); outputs `N` and `Fy` of the car.
-    angle : array_like, shape (n,)
-        Contact angle against the axle, positive towards the flange (rad).
-    side : str
-        "le" or "ri".
-    roll : array_like, optional
-        Roll of the axle against the track (rad). Zero gives the forces in axes of the axle; 1 mrad is worth 0.16 kN of
-        sum-Y with 16 t on the rails.
+    Args:
+        normal, creep (array_like, shape (n,)): Normal force and lateral creep force on the wheel, positive to the right
+            (N); outputs `N` and `Fy` of the car.
+        angle (array_like, shape (n,)): Contact angle against the axle, positive towards the flange (rad).
+        side (str): "le" or "ri".
+        roll (array_like, optional): Roll of the axle against the track (rad). Zero gives the forces in axes of the
+            axle; 1 mrad is worth 0.16 kN of sum-Y with 16 t on the rails.
 
-    Returns
-    -------
-    y, q : ndarray, shape (n,)
-        Y, positive to the right on both rails, and Q, positive downwards (N), in axes of the track.
+    Returns:
+        y, q (ndarray, shape (n,)): Y, positive to the right on both rails, and Q, positive downwards (N), in axes of
+            the track.
     """
     tilt = _OUTWARDS[side] * np.asarray(angle, dtype=float) - roll
     y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
@@ -156,20 +130,18 @@ def low_pass(values, rate: float) -> np.ndarray:
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
 
-def sliding_mean(values, p, window: float = 2.0, step: float = 0.5) -> np.ndarray:
+def sliding_mean(values, p) -> np.ndarray:
     """Means of `values` (n,) over sliding windows of the track coordinate `p` (m, shape (n,)), shape (windows,).
 
-    Windows are `window` (m) long and start every `step` (m); InputError when the run is shorter than one window.
-
-    Source: EN 14363 and UIC 518 (2 m, 0.5 m: read).
+    Windows are 2 m long and start every 0.5 m; InputError when the run is shorter than one window.
     """
     p = np.maximum.accumulate(np.asarray(p, dtype=float))  # a car that has come to a stand rolls back a little
-    room = p[-1] - p[0] - window
+    room = p[-1] - p[0] - WINDOW
     if room < 0:
-        raise InputError(f"a sliding mean over {window:g} m needs a longer run than the {p[-1] - p[0]:.3g} m found")
-    starts = p[0] + step * np.arange(int(room / step + 1e-9) + 1)
+        raise InputError(f"a sliding mean over {WINDOW:g} m needs a longer run than the {p[-1] - p[0]:.3g} m found")
+    starts = p[0] + WINDOW_STEP * np.arange(int(room / WINDOW_STEP + 1e-9) + 1)
     total = scipy.integrate.cumulative_trapezoid(values, p, initial=0)
-    return (np.interp(starts + window, p, total) - np.interp(starts, p, total)) / window
+    return (np.interp(starts + WINDOW, p, total) - np.interp(starts, p, total)) / WINDOW
 
 
 def flange_contacts(angle, p) -> float:
@@ -203,7 +175,7 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
 
 
 def weighting_filter(name: str, rate: float) -> np.ndarray:
-    """Digital frequency weighting "Wk", "Wd" or "Wb" for a sampling `rate` (Hz): second-order sections.
+    """Digital frequency weighting "Wd" or "Wb" for a sampling `rate` (Hz): second-order sections.
 
     Shape (3, 6), or (4, 6) where there is an upward step, for `scipy.signal.sosfilt`. Band limits of 0.4 and 100 Hz
     (Butterworth, second order), transition from acceleration to velocity, upward step; each analogue factor goes
@@ -212,10 +184,10 @@ def weighting_filter(name: str, rate: float) -> np.ndarray:
 
     Source: ISO 2631-1, annex A (read in the manual of a vibration meter).
     """
-    transition, quality, step, gain = WEIGHTINGS[name]
+    transition, step, gain = WEIGHTINGS[name]
     low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in _BAND)
     factors: list[tuple] = [([low[0], 0, 0], low), ([1], high)]
-    factors.append(([gain / (2 * np.pi * transition), gain], _quadratic(transition, quality)))
+    factors.append(([gain / (2 * np.pi * transition), gain], _quadratic(transition, 0.63)))
     if step is not None:
         f5, q5, f6, q6 = step
         factors.append(((f5 / f6) ** 2 * _quadratic(f5, q5), _quadratic(f6, q6)))
@@ -226,28 +198,6 @@ def _quadratic(frequency: float, quality: float) -> np.ndarray:
     """Coefficients of (s/w)^2 + s/(Q w) + 1."""
     w = 2 * np.pi * frequency
     return np.array([1 / w**2, 1 / (quality * w), 1.0])
-
-
-def weighted(acceleration, name: str, rate: float) -> np.ndarray:
-    """Frequency-weighted acceleration (m/s2), shape (n,) like the input (m/s2), which is sampled at `rate` (Hz).
-
-    `name` is "Wk", "Wd" or "Wb". The filter starts settled at the first sample, as if that value had lasted forever:
-    gravity in the reading of an accelerometer, or steady cant deficiency, makes no transient.
-    """
-    sections = weighting_filter(name, rate)
-    values = np.asarray(acceleration, dtype=float)
-    return scipy.signal.sosfilt(sections, values, zi=scipy.signal.sosfilt_zi(sections) * values[0])[0]
-
-
-def weighted_rms(acceleration, name: str, rate: float) -> float:
-    """Root mean square a_w of an acceleration (m/s2, shape (n,), sampled at `rate` in Hz) after weighting (m/s2).
-
-    `name` is "Wk" for vertical, "Wd" for longitudinal and lateral accelerations. Less than 0.315 m/s2 is not
-    uncomfortable (recalled).
-
-    Source: ISO 2631-1.
-    """
-    return float(np.sqrt(np.mean(np.square(weighted(acceleration, name, rate)))))
 
 
 def mean_comfort(along, across, vertical, rate: float) -> float:
@@ -261,18 +211,19 @@ def mean_comfort(along, across, vertical, rate: float) -> float:
     Source: EN 12299:2009, mean comfort, standard method (formerly simplified; formula read in open software).
     """
     directions = ((along, "Wd"), (across, "Wd"), (vertical, "Wb"))
-    blocks = [block_rms(weighted(acceleration, name, rate), rate) for acceleration, name in directions]
-    if blocks[0].size == 0:
-        return float("nan")
-    return float(6 * np.linalg.norm(np.percentile(blocks, 95, axis=1)))
+    blocks = [_block_rms(np.asarray(values, dtype=float), name, rate) for values, name in directions]
+    return float(6 * np.linalg.norm(np.percentile(blocks, 95, axis=1))) if blocks[0].size else float("nan")
 
 
-def block_rms(acceleration, rate: float) -> np.ndarray:
-    """Root mean squares of an acceleration (n,) over blocks of 5 s that start every 0.5 s, shape (blocks,), m/s2.
+def _block_rms(values: np.ndarray, name: str, rate: float) -> np.ndarray:
+    """Root mean squares of a weighted acceleration over blocks of 5 s, shape (blocks,), empty below 5 s.
 
-    The acceleration (m/s2) is sampled at `rate` (Hz); empty when it is shorter than one block.
+    The filter starts settled at the first sample, as if that value had lasted forever: gravity in the reading of an
+    accelerometer, or steady cant deficiency, makes no transient.
     """
-    count, block, step = len(acceleration), round(COMFORT_BLOCK * rate), round(_BLOCK_STEP * rate)
-    total = np.concatenate([[0.0], np.cumsum(np.square(acceleration))])
-    starts = np.arange(0, count - block + 1, step)
+    sections = weighting_filter(name, rate)
+    weighted, _ = scipy.signal.sosfilt(sections, values, zi=scipy.signal.sosfilt_zi(sections) * values[0])
+    block, step = round(COMFORT_BLOCK * rate), round(BLOCK_STEP * rate)
+    total = np.concatenate([[0.0], np.cumsum(np.square(weighted))])
+    starts = np.arange(0, len(weighted) - block + 1, step)
     return np.sqrt((total[starts + block] - total[starts]) / block)

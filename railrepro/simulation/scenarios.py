@@ -18,13 +18,10 @@ from railrepro.data import InputError, Number, above, between
 from railrepro.paths import Entries
 from railrepro.track import route
 from railrepro.track.table import load_track
-from railrepro.vehicle.parameters import Vehicle
 
 _AMPLITUDE = Annotated[Number, above(0.01, 20.0, "mm", signed=True)]
 """Up to beyond any flangeway (S1002 on 60E1 touches at 6 to 8 mm; a cone has none, but derails at 30 mm), and more than
 what is stated in metres by mistake."""
-FLANGEWAY = 8.0
-"""Lateral displacement at which S1002 on 60E1 surely touches with its flange (mm)."""
 _PERIOD = Annotated[Number, between(2 * route.CELL, 1e5, "m")]
 _POSITION = Annotated[Number, between(-1e5, 1e5, "m")]
 _FADE = Annotated[Number, above(0.0, 1e5, "m")]
@@ -41,7 +38,7 @@ class NoSetPoint:
 
 @data.table
 class Sine:
-    """Sinusoidal lateral set point from `start_m` to `end_m` of the track coordinate, see `railrepro.track.route.sine`.
+    """Sinusoidal lateral set point from `start_m` to `end_m` of the track coordinate: `railrepro.track.route.SetPoint`.
 
     `period_m`: wavelength; `fade_m`: length over which the amplitude rises and falls, default 30 m; no `end_m`: no end.
     """
@@ -59,7 +56,7 @@ class Sine:
 
 @data.table
 class Sweep:
-    """Sine-sweep lateral set point from `start_m` to `end_m` of the track coordinate: `railrepro.track.route.sweep`.
+    """Sine-sweep lateral set point from `start_m` to `end_m` of the track coordinate: `railrepro.track.route.SetPoint`.
 
     Periods: wavelengths at start and end; `fade_m`: length over which the amplitude rises and falls, default 30 m.
     """
@@ -91,21 +88,17 @@ else:  # checked as one of these, and kept as the table that it is
 class Scenario:
     """One entry of data/scenarios.toml: track, speed, adhesion, lateral set point and force demand of a run.
 
-    Attributes
-    ----------
-    track, paper : str
-        Name in data/tracks.toml, or path of a CSV (`railrepro.track.table.read_table`); figure or section of the paper.
-    speed_kmh, stop_kmh, end_m : float
-        Initial speed (km/h); the run ends below `stop_kmh` (km/h) or when the front gear reaches `end_m` (m).
-    good, poor : str
-        Names of adhesion sets of the vehicle.
-    poor_share, poor_share_left, poor_share_right : tuple of pairs
-        Points (p (m), share of the adhesion set `poor` (0 to 1)), linear in between; left or right replaces
-        `poor_share` on that rail.
-    force_kN : tuple of pairs
-        Steps of p (m) and force demand per running gear (kN), traction positive, held until the next p.
-    set_point : dict
-        Fields of `NoSetPoint`, `Sine` or `Sweep`.
+    Attributes:
+        track, paper (str): Name in data/tracks.toml, or path of a CSV (`railrepro.track.table.read_table`); figure or
+            section of the paper.
+        speed_kmh, stop_kmh, end_m (float): Initial speed (km/h); the run ends below `stop_kmh` (km/h) or when the front
+            gear reaches `end_m` (m).
+        good, poor (str): Names of adhesion sets of the vehicle.
+        poor_share, poor_share_left, poor_share_right (tuple of pairs): Points (p (m), share of the adhesion set `poor`
+            (0 to 1)), linear in between; left or right replaces `poor_share` on that rail.
+        force_kN (tuple of pairs): Steps of p (m) and force demand per running gear (kN), traction positive, held until
+            the next p.
+        set_point (dict): Fields of `NoSetPoint`, `Sine` or `Sweep`.
     """
 
     name: str
@@ -123,12 +116,8 @@ class Scenario:
     stop_kmh: Annotated[Number, between(0.0, 450.0, "km/h")] | None = None
 
     def __post_init__(self) -> None:
-        if self.poor_share and self.poor_share_left and self.poor_share_right:
-            raise ValueError("has poor_share beside that of both rails, which hides it")
         if self.stop_kmh is not None and not self.stop_kmh < self.speed_kmh:
-            raise ValueError(
-                f"stops below {self.stop_kmh} km/h, less than its speed of {self.speed_kmh} km/h is needed"
-            )
+            raise ValueError(f"stops below {self.stop_kmh} km/h, less than its speed {self.speed_kmh} km/h is needed")
 
     @property
     def speed(self) -> float:
@@ -150,31 +139,14 @@ class Scenario:
         """Copy with changed fields, given by name; InputError for a value that data/scenarios.toml may not have."""
         return data.build(Scenario, vars(self) | changes, "scenario")
 
-    def check(self, vehicle: Vehicle) -> None:
-        """Raise InputError for wrong fields, or an amplitude above 8 mm (flangeway) unless `vehicle` has cones."""
-        self.but()
-        amplitude = abs(self.set_point.get("amplitude_mm", 0.0))
-        if vehicle.contact.profile != "cone" and amplitude > FLANGEWAY:
-            raise InputError(
-                f"scenario {self.name}: set_point.amplitude_mm = {amplitude:g}, up to {FLANGEWAY:g} mm lie inside the "
-                "flangeway of S1002 on 60E1"
-            )
-
     def route(self, irregularities=None, line=None) -> route.Route:
         """Lay the scenario along its track: route of length `end_m`; InputError when the track is shorter.
 
         `irregularities` and `line` (planned set point) as in `railrepro.track.route.lay`, default none.
         """
         left, right = self.poor_shares
-        track = load_track(self.track_file())
-        way = route.lay(
-            track,
-            reference=self.reference(),
-            poor=(_ramps(left), _ramps(right)),
-            force=_steps(self.force_kN),
-            irregularities=irregularities,
-            line=line,
-        )
+        track, poor = load_track(self.track_file()), (_ramps(left), _ramps(right))
+        way = route.lay(track, self.reference(), poor, _steps(self.force_kN), irregularities, line)
         if self.end_m > way.length:
             raise InputError(
                 f"scenario {self.name}: end_m = {self.end_m} lies beyond track {self.track} ({way.length} m)"
@@ -188,12 +160,13 @@ class Scenario:
 
     def reference(self) -> ca.Function | None:
         """Lateral set point as a scalar CasADi function, track coordinate p (m) -> y* (m); None for the kind "none"."""
-        point = dict(self.set_point)
-        kind = point.pop("kind")
-        if kind == "none":
+        point = self.set_point
+        if point["kind"] == "none":
             return None
-        shape, amplitude = {"sine": route.sine, "sweep": route.sweep}[kind], 1e-3 * point.pop("amplitude_mm")
-        return shape(amplitude, **{name.removesuffix("_m"): value for name, value in point.items()})
+        kind, period = (1, "period_m") if point["kind"] == "sine" else (2, "period_start_m")
+        periods = point[period], point.get("period_end_m", point[period])
+        ends = point["start_m"], point.get("end_m", 1e6), point.get("fade_m", 30.0)
+        return route.reference(route.SetPoint(kind, 1e-3 * point["amplitude_mm"], *periods, *ends))
 
 
 def _ramps(points):

@@ -11,6 +11,7 @@ import math
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,28 +32,20 @@ from railrepro.simulation.scenarios import Scenario
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-LONGEST_PERIOD = 1.0
-"""Longest period of a slower controller (s)."""
-
 
 @dataclass(frozen=True)
 class Run:
     """Outcome of a simulation.
 
-    Attributes
-    ----------
-    series : DataFrame
-        One row per control cycle (1 ms): t_s (s) and `ClosedLoop.columns` (SI), such as `front.y`, `front_le.N`.
-    ended : str
-        Why the run ended, one sentence.
-    failed : bool
-        True when it ended by derailment or by a number that is not finite.
-    warnings : tuple of str
-        Where the run first left the validity of a model, one sentence each.
-    controllers : tuple
-        Slower lateral controllers of both gears, empty without; `fallbacks` of each counts samples without solution.
-    memory : dict
-        States of the control law at the end by name (SI), see `law.LawSignature.memory`.
+    Attributes:
+        series (DataFrame): One row per control cycle (1 ms): t_s (s) and `ClosedLoop.columns` (SI), such as `front.y`,
+            `front_le.N`.
+        ended (str): Why the run ended, one sentence.
+        failed (bool): True when it ended by derailment or by a number that is not finite.
+        warnings (tuple of str): Where the run first left the validity of a model, one sentence each.
+        controllers (tuple): Slower lateral controllers of both gears, empty without; `fallbacks` of each counts samples
+            without solution.
+        memory (dict): States of the control law at the end by name (SI), see `law.LawSignature.memory`.
     """
 
     series: pd.DataFrame
@@ -76,46 +69,32 @@ def run(
     line: tuple[np.ndarray, np.ndarray] | None = None,
     substeps: int = 1,
 ) -> Run:
-    """Simulate the car under its controllers through a scenario.
+    """Simulate the car under its controllers through a scenario and return the `Run`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    guidance : LateralLaw or callable
-        A 1 kHz law such as `NDI`, or a factory (vehicle, route, gear) of slower controllers such as `NMPC`; see
-        `railrepro.control.lateral`.
-    vehicle : Vehicle, optional
-        Vehicle parameters that the controllers assume; default data/vehicle.toml.
-    plant_vehicle : Vehicle, optional
-        Parameters of the simulated car; default `vehicle`.
-    adhesion : AdhesionSettings, optional
-        Settings of the adhesion law; default those of `law.control_law`.
-    fixed_share : float
-        Share of the torque limit that is reserved for the differential torque (-); 0: variable allocation (paper).
-    sensors : Readings, optional
-        Sensors between car and controllers; default exact measurements.
-    irregularities, line : optional
-        Irregular rails and a planned lateral set point, see `railrepro.track.route.lay`; default none.
-    substeps : int
-        Integration steps of the car per millisecond, see `SteppedCar`.
+    Args:
+        scenario (Scenario): Track, speed, rails, force demand and set point.
+        guidance (LateralLaw or callable): A 1 kHz law such as `NDI`, or a factory (vehicle, route, gear) of slower
+            controllers such as `NMPC`; see `railrepro.control.lateral`.
+        vehicle (Vehicle, optional): Vehicle parameters that the controllers assume; default data/vehicle.toml.
+        plant_vehicle (Vehicle, optional): Parameters of the simulated car; default `vehicle`.
+        adhesion (AdhesionSettings, optional): Settings of the adhesion law; default those of `law.control_law`.
+        fixed_share (float): Share of the torque limit that is reserved for the differential torque (-); 0: variable
+            allocation (paper).
+        sensors (Readings, optional): Sensors between car and controllers; default exact measurements.
+        irregularities, line (optional): Irregular rails and a planned lateral set point, see
+            `railrepro.track.route.lay`; default none.
+        substeps (int): Integration steps of the car per millisecond, see `SteppedCar`.
 
-    Returns
-    -------
-    Run
-
-    Raises
-    ------
-    InputError
-        An argument of another kind or beyond its range, or a vehicle that lacks an adhesion set of the scenario.
-    ArithmeticError
-        When a lateral controller returns no finite number.
+    Raises:
+        InputError: An argument of another kind or beyond its range, or a vehicle that lacks an adhesion set of the
+            scenario.
+        ArithmeticError: When a lateral controller returns no finite number.
     """
     vehicle = load_vehicle() if vehicle is None else vehicle
     body = vehicle if plant_vehicle is None else plant_vehicle
     require("scenario", scenario, Scenario)
     require("vehicle", vehicle, Vehicle)
     require("plant_vehicle", body, Vehicle)
-    scenario.check(body)
     route = scenario.route(irregularities, line)
     lateral_law, factory = lateral.split(guidance)
     controllers = _controllers(factory, vehicle, route) if factory else ()  # refused before the car is compiled
@@ -125,10 +104,13 @@ def run(
     )  # fmt: skip
     longest = int(max(10.0, 10 * route.length / scenario.speed) / CONTROL_PERIOD)  # at a tenth of the speed
     log = _drive(loop, controllers, longest, sensors.loop if sensors else None)
+    finite = np.isfinite(log).all(axis=1)
+    if not finite.all():
+        log = log[: np.argmin(finite) + 1]
     series = pd.DataFrame(log, columns=loop.columns)
     series.insert(0, "t_s", np.arange(len(series)) * CONTROL_PERIOD)
     ended, failed = _reason(loop, series)
-    if not np.isfinite(log[-1]).all():  # the run ends at such a row, which `ended` names
+    if not finite.all():  # the run ends at such a row, which `ended` names
         series = series[:-1]
     memory = dict(zip(loop.control.signature.memory, loop.memory.tolist(), strict=True))
     return Run(series, ended, failed, _warnings(series, body), controllers, memory)
@@ -139,9 +121,7 @@ def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tu
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
     for controller in controllers:
         owner = f"lateral controller {type(controller).__name__}"
-        if not (hasattr(controller, "plan") or hasattr(controller, "compiled")):
-            raise InputError(f"{owner}: has no plan(x_hat, u_d)")
-        require(f"{owner}: period", getattr(controller, "period", None), above(0.0, LONGEST_PERIOD, "s"))
+        require(f"{owner}: period", getattr(controller, "period", None), above(0.0, 1.0, "s"))
     periods = {round(controller.period / CONTROL_PERIOD, 6) for controller in controllers}
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
         raise InputError(f"lateral controllers need one period, a whole number of ms; found {sorted(periods)} ms")
@@ -150,16 +130,15 @@ def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tu
 
 def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
-    substeps: int = 1, *, adhesion: AdhesionSettings | None = None, fixed_share: float = 0.0,
-    sensors: Readings | None = None,
+    substeps: int = 1, **settings: Any,
 ) -> ClosedLoop:  # fmt: skip
     """Closed loop of car and 1 kHz law at the start of a scenario, in vertical equilibrium at its initial speed.
 
     `guidance` is the 1 kHz lateral law, `route` is from `Scenario.route`; the controllers assume `vehicle`, `body` has
-    the parameters of the simulated car. Other arguments as in `run`.
+    the parameters of the simulated car; `settings` are `adhesion`, `fixed_share` and `sensors` of `run`.
     """
-    limits = {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
-    control = law.control_law(vehicle, guidance, adhesion, fixed_share, sensors, **limits)
+    settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
+    control = law.control_law(vehicle, guidance, **settings)
     car = SteppedCar(route, scenario.speed, body, scenario.good, scenario.poor, substeps=substeps)
     return ClosedLoop(car, control)
 

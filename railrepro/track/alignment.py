@@ -24,7 +24,7 @@ MAX_CANT = 0.3
 """Largest cant angle of a track (rad), 0.44 m on the standard base: twice what railways build."""
 LONGEST = 1e5
 """Longest segment, and longest track of a CSV (m)."""
-LENGTH, SPEED, RADIUS = above(0.0, LONGEST, "m"), above(0.0, 450.0, "km/h"), above(50.0, math.inf, "m", signed=True)
+LENGTH, RADIUS = above(0.0, LONGEST, "m"), above(50.0, math.inf, "m", signed=True)
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Track as a named sequence of segments; `design_speed` (m/s) is None where none is known."""
+    """Track as a named sequence of segments; `design_speed` (m/s) is that of a curve entry, else None."""
 
     name: str
     segments: tuple[Segment, ...]
@@ -67,11 +67,6 @@ def superelevation_angle(speed: float, radius: float, unbalanced_acceleration: f
     return math.copysign(math.asin(sine), radius)
 
 
-def superelevation(angle: float) -> float:
-    """Height difference of the rails b sin(phi) (m) for a cant angle (rad), on a base b of 1.5 m."""
-    return CANT_BASE * math.sin(angle)
-
-
 @data.table
 class CurveEntry:
     """Curve entry of data/tracks.toml: straight, clothoid with cant ramp, and arc (negative radius: to the left).
@@ -79,7 +74,7 @@ class CurveEntry:
     The cant of the arc leaves the given unbalanced lateral acceleration at the design speed.
     """
 
-    design_speed_kmh: Annotated[Number, SPEED]
+    design_speed_kmh: Annotated[Number, above(0.0, 450.0, "km/h")]
     unbalanced_acceleration_mps2: Annotated[Number, between(-3.0, 3.0, "m/s2")]
     radius_m: Annotated[Number, RADIUS]
     straight_m: Annotated[Number, between(0.0, LONGEST, "m")]
@@ -125,7 +120,6 @@ class SegmentsEntry:
     """Track of data/tracks.toml that is given as a list of segments."""
 
     segments: Annotated[tuple[SegmentEntry, ...], data.NOT_EMPTY]
-    design_speed_kmh: Annotated[Number, SPEED] | None = None
 
     def alignment(self, name: str) -> Alignment:
         """Alignment with this name and these segments, each starting with the end values of the previous one."""
@@ -136,7 +130,7 @@ class SegmentsEntry:
             end_eps = eps if entry.inclination_rad is None else entry.inclination_rad
             made.append(Segment(entry.length_m, (kappa, end_kappa), (phi, end_phi), (eps, end_eps)))
             kappa, phi, eps = end_kappa, end_phi, end_eps
-        return Alignment(name, tuple(made), None if self.design_speed_kmh is None else self.design_speed_kmh / 3.6)
+        return Alignment(name, tuple(made))
 
 
 def alignments(path: Path | str | None = None) -> Entries[Alignment]:

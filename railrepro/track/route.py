@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from railrepro.data import InputError, require
-from railrepro.quantities import group, symbols
+from railrepro.quantities import group
 from railrepro.track.irregularity import CHANNELS, check
 from railrepro.track.table import Track, track_in
 
@@ -50,13 +50,11 @@ Profile = Callable[[np.ndarray], np.ndarray]
 class Route:
     """Track geometry, irregularities, set point, adhesion and force demand, tabulated in cells of 0.5 m; made by `lay`.
 
-    Attributes
-    ----------
-    cells : ndarray, shape (n, len(COLUMNS))
-        One row per cell, columns `COLUMNS` (SI): values at the start `p` (m) of the cell; a name with k letters d in
-        front is the k-th derivative over p.
-    length : float
-        Track coordinate at which a run ends (m): from `lay` the end of the track, from `Scenario.route` its `end_m`.
+    Attributes:
+        cells (ndarray, shape (n, len(COLUMNS))): One row per cell, columns `COLUMNS` (SI): values at the start `p` (m)
+            of the cell; a name with k letters d in front is the k-th derivative over p.
+        length (float): Track coordinate at which a run ends (m): from `lay` the end of the track, from `Scenario.route`
+            its `end_m`.
     """
 
     cells: np.ndarray
@@ -114,32 +112,28 @@ def _cubic(terms, d) -> tuple:
 def lay(
     track: Track,
     reference: ca.Function | None = None,
-    poor: tuple[Profile, Profile] | Profile | None = None,
+    poor: tuple[Profile, Profile] | None = None,
     force: Profile | None = None,
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Route:
     """Lay set point, adhesion, force demand and irregularities along a track; InputError when one is not finite.
 
-    Parameters
-    ----------
-    track : Track
-    reference : casadi.Function, optional
-        Lateral set point as a scalar map p (m) -> y* (m), see `sine` and `sweep`; default y* = 0.
-    poor : callable or pair of callables, optional
-        Share of the poor adhesion set in [0, 1]: p (m), (n,) -> (n,); a pair gives left and right rail. Default 0.
-    force : callable, optional
-        Demanded longitudinal force F_x* per running gear (N), traction positive: p (m), (n,) -> (n,). Default 0.
-    irregularities : DataFrame, optional
-        Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m; joined by a cubic spline, zero outside.
-    line : pair of ndarray, shapes (m,) and (4, m), optional
-        Coordinates (m), and at these a set point (m) with its first three derivatives over p (-, 1/m, 1/m2); a cubic
-        from one to the next, zero outside; added to `reference`. See `railrepro.evidence.runs.preview.plan`.
+    Args:
+        track: Track
+        reference (casadi.Function, optional): Lateral set point as a scalar map p (m) -> y* (m), see the function
+            `reference`; default y* = 0.
+        poor (pair of callables, optional): Share of the poor adhesion set on the left and on the right rail, 0 to 1: p
+            (m), (n,) -> (n,). Default 0.
+        force (callable, optional): Demanded longitudinal force F_x* per running gear (N), traction positive: p (m),
+            (n,) -> (n,). Default 0.
+        irregularities (DataFrame, optional): Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m; joined by a
+            cubic spline, zero outside.
+        line (pair of ndarray, shapes (m,) and (4, m), optional): Coordinates (m), and at these a set point (m) with its
+            first three derivatives over p (-, 1/m, 1/m2); a cubic from one to the next, zero outside; added to
+            `reference`. See `railrepro.evidence.runs.preview.plan`.
     """
     require("track", track, Track)
-    if reference is not None:
-        require("reference", reference, ca.Function)
-    left, right = poor if isinstance(poor, tuple) and len(poor) == 2 else (poor, poor)
     columns = dict(_geometry(track))
     p = columns["p"]
     cells = np.zeros((p.size, len(COLUMNS)))
@@ -149,9 +143,9 @@ def lay(
         columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
         columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
-    for name, profile in {"poor_le": left, "poor_ri": right, "force": force}.items():
+    for name, profile in zip(("poor_le", "poor_ri", "force"), (*(poor or (None, None)), force), strict=True):
         if profile is not None:
-            columns[name] = _along(name, profile, p)
+            columns[name] = profile(p)
     for name, value in columns.items():
         cells[:, INDEX[name]] = value
     for row, column in np.argwhere(~np.isfinite(cells))[:1]:
@@ -160,16 +154,9 @@ def lay(
     return Route(cells, track.length)
 
 
-def _along(name: str, profile: Profile, p: np.ndarray) -> np.ndarray:
-    """Values of a profile at p; InputError for a share beyond 0 to 1."""
-    values = np.asarray(profile(p), dtype=float)
-    if name != "force" and (np.abs(values - 0.5) > 0.5 + 1e-9).any():
-        raise InputError(f"route: {name} goes from {values.min():g} to {values.max():g}, a share of 0 to 1 is needed")
-    return values
-
-
 @lru_cache
 def _geometry(track: Track) -> dict[str, np.ndarray]:
+    """Columns of the track at its cells."""
     p = np.arange(-BEFORE, track.length + AFTER, CELL)
     psi, kappa, phi, dphi, eps, deps = track.interpolate(p)
     kappa_end = np.append(kappa[1:], kappa[-1])
@@ -221,43 +208,19 @@ def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
     return ca.vertcat(*terms)
 
 
-@lru_cache
-def sine(amplitude: float, period: float, start: float = 0.0, end: float = np.inf, fade: float = 30.0) -> ca.Function:
-    """Sinusoidal lateral set point as a scalar CasADi function p (m) -> y* (m).
-
-    `amplitude`, spatial `period`, `start` and `end` (track coordinates, y* is 0 outside), and `fade`, the length over
-    which the amplitude rises after `start` and falls before `end` (all m).
-
-    Source: paper, caption of Fig. 7 (period 150 m).
-    """
-    s = ca.SX.sym("p")
-    return ca.Function("sine", [s], [_sine(s, SetPoint(1, amplitude, period, period, start, min(end, 1e6), fade))])
-
-
-@lru_cache
-def sweep(
-    amplitude: float, period_start: float, period_end: float, start: float, end: float, fade: float = 30.0
-) -> ca.Function:
-    """Sine-sweep lateral set point as a scalar CasADi function p (m) -> y* (m), with a wavenumber linear in p.
-
-    `amplitude`, spatial periods at `start` and `end` (track coordinates, y* is 0 outside), and `fade`, the length over
-    which the amplitude rises after `start` and falls before `end` (all m).
-
-    Source: paper, Figs. 6 and 9 (parameters not printed there).
-    """
-    s = ca.SX.sym("p")
-    return ca.Function("sweep", [s], [_sweep(s, SetPoint(2, amplitude, period_start, period_end, start, end, fade))])
-
-
 SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m, start m, end m, fade m")
-"""Set point by numbers: none (kind 0), `sine` of `period_start` (1), `sweep` (2)."""
+"""Lateral set point y* by numbers: none (kind 0), a sine of `period_start` (1), or a sweep between both spatial periods
+with a wavenumber linear in p (2). Outside `start` to `end` (track coordinates) y* is 0; over the length `fade` the
+amplitude rises after `start` and falls before `end`.
+
+Source: paper, caption of Fig. 7 (sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
 
 
-def set_point() -> ca.Function:
-    """CasADi function (p (m), fields of `SetPoint` (7,)) -> (4,): y* (m), first 3 derivatives over p (-, 1/m, 1/m2)."""
-    s, (numbers, of) = ca.SX.sym("p"), symbols(SetPoint, "of")
-    chosen = ca.if_else(of.kind == 1, _sine(s, of), ca.if_else(of.kind == 2, _sweep(s, of), 0))
-    return ca.Function("set_point", [s, numbers], [ca.densify(_differentiated(chosen, s))])
+@lru_cache
+def reference(of: Any) -> ca.Function:
+    """Sine or sweep given by a `SetPoint` as a scalar CasADi function p (m) -> y* (m)."""
+    s = ca.SX.sym("p")
+    return ca.Function("reference", [s], [_sine(s, of) if of.kind == 1 else _sweep(s, of)])
 
 
 def _sine(s: ca.SX, of: Any) -> ca.SX:

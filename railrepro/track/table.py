@@ -22,19 +22,15 @@ from railrepro.track.alignment import LONGEST, MAX_CANT, Alignment, Segment, ali
 
 STEP = 0.5
 """Step of generated tables (m)."""
-COLUMNS = (
-    *("p_m", "psi_rad", "dpsi_dp_1pm", "phi_rad", "dphi_dp_1pm", "eps_rad", "deps_dp_1pm"),
-    *("x_m", "y_m", "z_m"),
-)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) -> pd.DataFrame:
     """Tabulate an alignment with a row every `step` (m), from p = 0 on.
 
-    Columns p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m (`COLUMNS`). The track
-    begins at the origin with the yaw angle `heading` (rad). Segment ends that are multiples of the step are met
-    exactly; InputError when the track is shorter than a step.
+    Columns p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m. The track begins at
+    the origin with the yaw angle `heading` (rad). Segment ends that are multiples of the step are met exactly;
+    InputError when the track is shorter than a step.
     """
     if not alignment.length >= step:
         raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, at least {step:g} m are needed")
@@ -50,21 +46,12 @@ def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) 
         slope[name] = (ends[:, 1] - ends[:, 0]) / length
         value[name] = ends[:, 0] + slope[name] * d
     psi = angle[index] + (value["kappa"] - slope["kappa"] * d / 2) * d
-    columns = (p, psi, value["kappa"], value["phi"], slope["phi"], value["eps"], slope["eps"])
-    table = pd.DataFrame(dict(zip(COLUMNS, columns, strict=False)))
-    return table.assign(**dict(zip(COLUMNS[-3:], _positions(table), strict=True)))
-
-
-def _positions(table: pd.DataFrame) -> np.ndarray:
-    """World coordinates of the rows, shape (3, n): Gauss quadrature of the tangent cell by cell."""
-    track = Track("", table)
-    starts, ends = track.p[:-1], track.p[1:]
-    steps = track.travel(starts, ends - starts)
-    return np.concatenate([np.zeros((3, 1)), np.cumsum(steps, axis=1)], axis=1)
-
-
-_PIECE = 5.0
-"""Longest stretch of one quadrature (m)."""
+    columns = {"p_m": p, "psi_rad": psi, "dpsi_dp_1pm": value["kappa"], "phi_rad": value["phi"]}
+    columns |= {"dphi_dp_1pm": slope["phi"], "eps_rad": value["eps"], "deps_dp_1pm": slope["eps"]}
+    steps = Track("", pd.DataFrame(columns)).travel(p[:-1], np.diff(p))
+    for name, step_along in zip(("x_m", "y_m", "z_m"), steps, strict=True):
+        columns[name] = np.append(0.0, np.cumsum(step_along))
+    return pd.DataFrame(columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +66,10 @@ class Track:
     table: pd.DataFrame
     design_speed: float | None = None
 
-    @cached_property
-    def p(self) -> np.ndarray:
-        """Track coordinates of the rows (m), shape (n,)."""
-        return self.table["p_m"].to_numpy()
-
     @property
     def length(self) -> float:
         """Track coordinate of the last row (m)."""
-        return float(self.p[-1])
+        return float(self._rows["p"][-1])
 
     @cached_property
     def _rows(self) -> dict[str, np.ndarray]:
@@ -95,13 +77,12 @@ class Track:
         columns = {"p": "p_m", "psi": "psi_rad", "kappa": "dpsi_dp_1pm", "phi": "phi_rad", "eps": "eps_rad"}
         rows = {name: self.table[column].to_numpy() for name, column in columns.items()}
         for name in ("kappa", "phi", "eps"):
-            rows["d" + name] = np.append(np.diff(rows[name]) / np.diff(self.p), 0.0)
+            rows["d" + name] = np.append(np.diff(rows[name]) / np.diff(rows["p"]), 0.0)
         return rows
 
-    def _cell(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row index and offset d of positions p."""
-        index = np.clip(np.searchsorted(self.p, p, side="right") - 1, 0, len(self.p) - 1)
-        return index, p - self.p[index]
+    def _index(self, p: np.ndarray) -> np.ndarray:
+        """Rows at which the cells of positions p begin."""
+        return np.clip(np.searchsorted(self._rows["p"], p, side="right") - 1, 0, len(self.table) - 1)
 
     def interpolate(self, p) -> np.ndarray:
         """Track angles and rates per metre at coordinates p (m, shape (n,)), shape (6, n).
@@ -111,11 +92,11 @@ class Track:
 
         Source: eq. (3) of the paper, without the factor dp/dt.
         """
-        p = np.atleast_1d(np.asarray(p, dtype=float))
-        index, _ = self._cell(p)
+        p, first = np.atleast_1d(np.asarray(p, dtype=float)), self._rows["p"][0]
+        index = self._index(p)
         row = {name: values[index] for name, values in self._rows.items()}
-        for name in row.keys() - {"p", "psi", "phi", "eps"}:
-            row[name] = np.where(p < self.p[0], 0.0, row[name])
+        for name in ("kappa", "dkappa", "dphi", "deps"):
+            row[name] = np.where(p < first, 0.0, row[name])
         return np.array(track_in(row, p))
 
     def travel(self, start: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -132,12 +113,14 @@ class Track:
     def position(self, p) -> np.ndarray:
         """Centre line at p (m, shape (n,)): coordinates x, y (right), z (down) in fixed axes (m), shape (3, n)."""
         p = np.atleast_1d(np.asarray(p, dtype=float))
-        index, d = self._cell(p)
-        reached = self.table[["x_m", "y_m", "z_m"]].to_numpy()[index].T
-        for k in range(int(np.ceil(np.abs(d).max() / _PIECE)) or 1):
-            piece = np.clip(np.abs(d) - k * _PIECE, 0, _PIECE) * np.sign(d)
+        index = self._index(p)
+        begin = self._rows["p"][index]
+        d, reached = p - begin, self.table[["x_m", "y_m", "z_m"]].to_numpy()[index].T
+        longest = 5.0  # stretch of one quadrature (m)
+        for k in range(int(np.ceil(np.abs(d).max() / longest)) or 1):
+            piece = np.clip(np.abs(d) - k * longest, 0, longest) * np.sign(d)
             moving = piece != 0
-            start = self.p[index] + k * _PIECE * np.sign(d)
+            start = begin + k * longest * np.sign(d)
             reached[:, moving] += self.travel(start[moving], piece[moving])
         return reached
 

@@ -11,16 +11,13 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-import pandas as pd
 from pydantic import AfterValidator, Field
 from pydantic_core import core_schema
 
 from railrepro import data, paths
 from railrepro.data import InputError
-
-Built = TypeVar("Built")
 
 
 @data.table
@@ -61,17 +58,12 @@ class Parameter(data.Quantity):
         return entry.value
 
 
-def _above(low: float, high: float, unit: str) -> Parameter:
-    return Parameter(low, high, unit)
-
-
 def _from_zero(high: float, unit: str) -> Parameter:
     return Parameter(0.0, high, unit, closed=True)
 
 
-_PLAIN = Parameter(0.0, 0.0, "-")
-Mass = Annotated[float, _above(100.0, 1e6, "kg")]
-Inertia = Annotated[float, _above(0.0, 1e8, "kg m2")]
+Mass = Annotated[float, Parameter(100.0, 1e6, "kg")]
+Inertia = Annotated[float, Parameter(0.0, 1e8, "kg m2")]
 Stiffness = Annotated[float, _from_zero(1e9, "N/m")]
 Damping = Annotated[float, _from_zero(1e8, "N s/m")]
 AngularStiffness = Annotated[float, _from_zero(1e9, "N m/rad")]
@@ -90,10 +82,10 @@ class CarBody:
     inertia_x: Inertia
     inertia_y: Inertia
     inertia_z: Inertia
-    cg_height: Annotated[float, _above(0.0, 5.0, "m")]
-    gear_spacing: Annotated[float, _above(1.0, 40.0, "m")]
-    floor_height: Annotated[float, _above(0.0, 5.0, "m")]
-    length: Annotated[float, _above(1.0, 60.0, "m")]
+    cg_height: Annotated[float, Parameter(0.0, 5.0, "m")]
+    gear_spacing: Annotated[float, Parameter(1.0, 40.0, "m")]
+    floor_height: Annotated[float, Parameter(0.0, 5.0, "m")]
+    length: Annotated[float, Parameter(1.0, 60.0, "m")]
 
 
 @data.table
@@ -109,7 +101,7 @@ class Gear:
     inertia_x: Inertia
     inertia_y: Inertia
     inertia_z: Inertia
-    contact_base: Annotated[float, _above(0.5, 3.0, "m")]
+    contact_base: Annotated[float, Parameter(0.5, 3.0, "m")]
     axle_damping: Annotated[float, _from_zero(1e8, "N m s/rad")]
 
 
@@ -121,7 +113,7 @@ class Wheel:
     delta_0 (rad) is that of the control model, and of the car's wheels only where the profile is "cone".
     """
 
-    radius: Annotated[float, _above(0.1, 1.0, "m")]
+    radius: Annotated[float, Parameter(0.1, 1.0, "m")]
     spin_inertia: Inertia
     diametral_inertia: Inertia
     cone_angle: Annotated[float, _from_zero(0.2, "rad")]
@@ -136,23 +128,23 @@ class Suspension:
     Stops in yaw beyond yaw_stop_angle (rad) and in lateral deflection beyond bump_clearance (m), to either side.
     """
 
-    half_spacing: Annotated[float, _above(0.1, 2.0, "m")]
-    height: Annotated[float, _above(0.0, 3.0, "m")]
+    half_spacing: Annotated[float, Parameter(0.1, 2.0, "m")]
+    height: Annotated[float, Parameter(0.0, 3.0, "m")]
     k_x: Stiffness
     c_x: Damping
     k_y: Stiffness
     c_y: Damping
-    k_z: Annotated[float, _above(0.0, 1e9, "N/m")]
+    k_z: Annotated[float, Parameter(0.0, 1e9, "N/m")]
     c_z: Damping
-    link_stiffness: Annotated[float, _above(0.0, 1e10, "N/m")]
+    link_stiffness: Annotated[float, Parameter(0.0, 1e10, "N/m")]
     link_damping: Damping
     antiroll_stiffness: AngularStiffness
     antiroll_damping: AngularDamping
-    pitch_stiffness: Annotated[float, _above(0.0, 1e9, "N m/rad")]
+    pitch_stiffness: Annotated[float, Parameter(0.0, 1e9, "N m/rad")]
     pitch_damping: AngularDamping
-    yaw_stop_angle: Annotated[float, _above(0.0, 0.5, "rad")]
+    yaw_stop_angle: Annotated[float, Parameter(0.0, 0.5, "rad")]
     yaw_stop_stiffness: Annotated[float, _from_zero(1e10, "N m/rad")]
-    bump_clearance: Annotated[float, _above(0.0, 1.0, "m")]
+    bump_clearance: Annotated[float, Parameter(0.0, 1.0, "m")]
     bump_stiffness: Stiffness
 
     @property
@@ -180,8 +172,8 @@ class Suspension:
 class Drive:
     """Motor of one wheel: torque_limit, of either sign (N m), and lag, the time constant of its torque (s)."""
 
-    torque_limit: Annotated[float, _above(0.0, 1e5, "N m")]
-    lag: Annotated[float, _above(0.0, 1.0, "s")]
+    torque_limit: Annotated[float, Parameter(0.0, 1e5, "N m")]
+    lag: Annotated[float, Parameter(0.0, 1.0, "s")]
 
     def limit(self, wheel_speed):
         """Torque limit of either sign (N m) at a wheel speed (rad/s; number, array or SX): always `torque_limit`.
@@ -200,14 +192,14 @@ class WheelRail:
     sqrt(v^2 + rest_speed^2) (m/s), so that they are finite at standstill.
     """
 
-    young: Annotated[float, _above(1e9, 1e12, "Pa")]
+    young: Annotated[float, Parameter(1e9, 1e12, "Pa")]
     poisson: Annotated[float, _from_zero(0.5, "-")]
-    shear_modulus: Annotated[float, _above(1e9, 1e12, "Pa")]
-    nominal_load: Annotated[float, _above(0.0, 1e6, "N")]
-    normal_stiffness: Annotated[float, _above(0.0, 1e13, "N/m^1.5")]
+    shear_modulus: Annotated[float, Parameter(1e9, 1e12, "Pa")]
+    nominal_load: Annotated[float, Parameter(0.0, 1e6, "N")]
+    normal_stiffness: Annotated[float, Parameter(0.0, 1e13, "N/m^1.5")]
     normal_damping: Annotated[float, _from_zero(1e3, "s/m")]
-    rest_speed: Annotated[float, _above(0.0, 1.0, "m/s")]
-    profile: Annotated[str, Field(pattern="^(cone|s1002)$"), _PLAIN]
+    rest_speed: Annotated[float, Parameter(0.0, 1.0, "m/s")]
+    profile: Annotated[str, Field(pattern="^(cone|s1002)$"), Parameter(0.0, 0.0, "-")]
 
 
 @data.table
@@ -218,8 +210,8 @@ class AdhesionSet:
     stiffness at rest is (k_a + k_s)/2 of Kalker's; a k_s above k_a counts as k_a.
     """
 
-    k_a: Annotated[float, _above(0.0, 1.0, "-")]
-    k_s: Annotated[float, _above(0.0, 1.0, "-")]
+    k_a: Annotated[float, Parameter(0.0, 1.0, "-")]
+    k_s: Annotated[float, Parameter(0.0, 1.0, "-")]
     mu0: Annotated[float, _from_zero(1.0, "-")]
     a_ratio: Annotated[float, _from_zero(1.0, "-")]
     b_decay: Annotated[float, _from_zero(10.0, "s/m")]
@@ -229,7 +221,7 @@ class AdhesionSet:
 class Environment:
     """Surroundings: `gravity`, the gravitational acceleration (m/s2)."""
 
-    gravity: Annotated[float, _above(0.0, 20.0, "m/s2")]
+    gravity: Annotated[float, Parameter(0.0, 20.0, "m/s2")]
 
 
 @data.table
@@ -286,16 +278,6 @@ class Vehicle:
         return self.longitudinal_mass + 2 * self.wheel.spin_inertia / self.wheel.radius**2
 
     @property
-    def residual_yaw_inertia(self) -> float:
-        """J_Ax_z of the control model: yaw inertia of a running gear less the diametral one of its wheels (kg m2)."""
-        return self.gear.inertia_z - 2 * self.wheel.diametral_inertia
-
-    @property
-    def residual_roll_inertia(self) -> float:
-        """J_Ax_x of the control model: roll inertia of a running gear less the diametral one of its wheels (kg m2)."""
-        return self.gear.inertia_x - 2 * self.wheel.diametral_inertia
-
-    @property
     def effective_yaw_inertia(self) -> float:
         """Yaw inertia J_eff = J_z + J_Wy b^2/(2 r_0^2) of a running gear with counter-rotating wheels (kg m2)."""
         return self.gear.inertia_z + self.wheel.spin_inertia * self.gear.contact_base**2 / 2 / self.wheel.radius**2
@@ -304,29 +286,23 @@ class Vehicle:
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
     """Read and check vehicle data.
 
-    Parameters
-    ----------
-    path : path, optional
-        A TOML file like data/vehicle.toml, the default.
-    overrides
-        Changed values (SI) by dotted key, as `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0": 0.12})`.
+    Args:
+        path (path, optional): A TOML file like data/vehicle.toml, the default.
+        overrides: Changed values (SI) by dotted key, as `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0":
+            0.12})`.
 
-    Raises
-    ------
-    InputError
-        For a wrong file, key or value: one sentence with file, key, what was found and what is allowed.
+    Raises:
+        InputError: For a wrong file, key or value: one sentence with file, key, what was found and what is allowed.
     """
-    vehicle = loaded(Vehicle, _file(path), overrides)[0]
+    vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
         warnings.warn(
-            f"wheel.cone_angle changes the control model only: the wheels of the car have the profile "
-            f"{vehicle.contact.profile!r}; contact.profile = 'cone' gives it cones",
-            stacklevel=2,
+            "wheel.cone_angle changes the control model only: the wheels of the car are no cones", stacklevel=2
         )
     return vehicle
 
 
-def loaded(kind: type[Built], file: Path, overrides: dict) -> tuple[Built, dict[str, dict]]:
+def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
     """Instance of `kind`, a `data.table` class, from a file of `Entry` tables; and dotted key -> `Entry` as a dict.
 
     `overrides` replace values of the file (SI) by dotted key such as "wheel.radius"; their range becomes "fixed".
@@ -345,23 +321,7 @@ def _entries(content: dict, place: str = "") -> Iterator[tuple[str, dict]]:
         yield from [(place + key, table)] if "value" in table else _entries(table, f"{place}{key}.")
 
 
-def describe(path: Path | str | None = None) -> pd.DataFrame:
-    """All parameters of a vehicle file (default data/vehicle.toml), one a row.
-
-    Columns key (dotted), symbol, value, unit, source, confidence as in `Entry`; low, high in `unit`, nan where fixed.
-    """
-    rows = []
-    for key, entry in loaded(Vehicle, _file(path), {})[1].items():
-        low, high = (math.nan, math.nan) if entry["range"] == "fixed" else entry["range"]
-        rows.append({"key": key, **{k: v for k, v in entry.items() if k != "range"}, "low": low, "high": high})
-    return pd.DataFrame(rows)
-
-
-def sample_ranges(path: Path | str | None = None) -> dict[str, tuple[float, float]]:
-    """Dotted key -> (low, high), bounds (SI) of each parameter that is not fixed; robustness studies sample within."""
-    entries = loaded(Vehicle, _file(path), {})[1]
+def sample_ranges() -> dict[str, tuple[float, float]]:
+    """Dotted key -> (low, high), bounds (SI) of each parameter in data/vehicle.toml that is not fixed, for studies."""
+    entries = loaded(Vehicle, paths.source("data/vehicle.toml"), {})[1]
     return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}
-
-
-def _file(path: Path | str | None) -> Path:
-    return data.location(path, paths.source("data/vehicle.toml"))

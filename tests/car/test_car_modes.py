@@ -74,19 +74,14 @@ def test_springs_and_link_act_at_their_heights():
     assert {place: rolling.loc[place] for place in expected} == pytest.approx(expected, rel=1e-4)
 
 
-def test_traction_pitches_body_and_carriers():
-    """The link pulls at axle height: it adds nothing to the motor reaction on a carrier, but lifts the body's nose."""
-    torque = 1000.0
-    car = SteppedCar("T5", 20.0, V)
-    car.step(np.full(4, torque), 4000)
-    before = car.outputs["front.v"]
-    car.step(steps=500)
-    pull = BODY.mass * (car.outputs["front.v"] - before) / 0.5
-    pitch = {name: car.state[equations.STATES.index(f"{name}.pitch")] for name in ("body", "front", "rear")}
-    expected = (pull * TO_LINK + 4 * torque) / (SPRING.k_z * BODY.gear_spacing**2)
-    assert pitch["body"] == pytest.approx(expected, rel=0.02)
-    for carrier in ("front", "rear"):
-        assert pitch[carrier] - pitch["body"] == pytest.approx(2 * torque / SPRING.pitch_stiffness, rel=0.05)
+def test_pitch_rods_turn_a_rolled_carrier_in_yaw():
+    """About z_body x x_carrier the reaction has the part (reaction x relative roll) about the carrier's yaw axis."""
+    turning, usual = [], SPRING.pitch_stiffness
+    for factor in (1.0, 2.0):
+        car = SteppedCar("T5", 20.0, load_vehicle(**{"suspension.pitch_stiffness": factor * usual}))
+        car.state[equations.indices("body.phi", "body.pitch")] = 5e-3, 2e-3
+        turning.append(np.array(car.model.rate(*car.inputs())).ravel()[equations.INDEX["front.wz"]])
+    assert (turning[1] - turning[0]) * GEAR.inertia_z == pytest.approx(usual * 5e-3 * 2e-3, rel=1e-3)
 
 
 @pytest.mark.parametrize(("track", "clearance"), [("T2", None), ("T3", None), ("T4", None), ("T4", 0.035)])
@@ -124,28 +119,3 @@ def test_sway_of_the_body_in_an_arc(track, clearance):
     over_body = 1 + 2 * GEAR.mass / BODY.mass
     assert down == pytest.approx(over_body * pressed, rel=2e-3)
     assert sideways == pytest.approx(over_body * outwards, abs=300)
-
-
-WORN = load_vehicle(**{"contact.profile": "s1002"})
-
-
-def beside_the_middle(kmh, y=1e-6):
-    """The car on S1002, moved from the node of its contact table in the middle, after a tenth of a second."""
-    car = SteppedCar("T5", kmh / 3.6, WORN)
-    car.state[equations.indices("body.y", "front.y", "rear.y")] = y
-    car.step(steps=100)
-    return car
-
-
-def test_free_wheels_on_s1002_leave_the_middle_as_their_eigenvalue_says_because_of_spin():
-    car = beside_the_middle(160)
-    growth = np.linalg.eigvals(car.linearise().a.to_numpy()).real.max()
-    assert 1.0 < growth < 3.0
-    y = []
-    for _ in range(2):
-        car.step(steps=1000)
-        y.append(car.state[equations.INDEX["front.y"]])
-    assert np.log(y[1] / y[0]) == pytest.approx(growth, rel=0.03)  # both gears grow, 2 % apart
-    cone = SteppedCar("T5", 160 / 3.6, load_vehicle(**{"contact.profile": "cone"}))  # spin alike on both sides
-    cone.step(steps=100)
-    assert np.linalg.eigvals(cone.linearise().a.to_numpy()).real.max() < 1e-3

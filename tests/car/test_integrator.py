@@ -1,4 +1,4 @@
-"""Rodas3 by itself: linear algebra, order, damping of stiff parts, error estimate, chain rule over held stages."""
+"""Rodas3 by itself: linear algebra, order, damping of stiff parts."""
 
 import casadi as ca
 import numpy as np
@@ -7,52 +7,31 @@ import pytest
 from railrepro.car.integrator import factorise, rodas3
 
 
-def solver(matrix):
-    """The unrolled factorisation of a matrix with its zeros left out, as a function of its entries and a vector."""
-    sparsity = ca.DM(matrix).sparsity() if (matrix != 0).all() else ca.sparsify(ca.DM(matrix)).sparsity()
-    entries, b = ca.SX.sym("m", sparsity), ca.SX.sym("b", len(matrix))
-    return ca.Function("solve", [entries, b], [factorise(entries)(b)])
-
-
-@pytest.mark.parametrize("density", [0.15, 0.4, 1.0])
+@pytest.mark.parametrize("density", [0.15, 1.0])
 def test_factorisation_solves_sparse_systems(density):
-    generator = np.random.default_rng(2)
-    n = 12
+    generator, n = np.random.default_rng(2), 12
     matrix = generator.normal(0, 1, (n, n)) * (generator.uniform(size=(n, n)) < density) + 5 * n * np.eye(n) / 4
     b = generator.normal(0, 1, n)
-    found = np.array(solver(matrix)(ca.sparsify(ca.DM(matrix)), b)).ravel()
+    sparse = ca.sparsify(ca.DM(matrix))
+    entries, vector = ca.SX.sym("m", sparse.sparsity()), ca.SX.sym("b", n)
+    found = ca.Function("solve", [entries, vector], [factorise(entries)(vector)])(sparse, b).nonzeros()
     assert found == pytest.approx(np.linalg.solve(matrix, b), rel=1e-12, abs=1e-14)
 
 
 def stepped(rate, x, parameters=()):
     """One step of a rate given as an expression of the symbol x, as a numeric function of state, parameters and h."""
     h = ca.SX.sym("h")
-    x_next, error = rodas3(rate, ca.jacobian(rate, x), x, h)
-    return ca.Function("step", [x, ca.vertcat(*parameters), h], [x_next, error])
+    return ca.Function("step", [x, ca.vertcat(*parameters), h], [rodas3(rate, ca.jacobian(rate, x), x, h)])
 
 
-def pendulum():
+def test_the_order_is_three():
     x, gain = ca.SX.sym("x", 2), ca.SX.sym("gain")
-    rate = ca.vertcat(x[1], -gain * ca.sin(x[0]) - 0.3 * x[1] ** 2 + x[0] * x[1])
-    return stepped(rate, x, (gain,))
-
-
-def ends(step, n, start=(1.2, 0.5), span=1.0):
-    x = np.array(start)
-    for _ in range(n):
-        x = np.array(step(x, 3.0, span / n)[0]).ravel()
-    return x
-
-
-def test_order_three_and_error_estimate_of_order_two():
-    step = pendulum()
-    exact = ends(step, 4000)
-    errors = [np.abs(ends(step, n) - exact).max() for n in (20, 40, 80)]
-    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([3, 3], abs=0.25)
-    estimates = [np.abs(np.array(step([1.2, 0.5], 3.0, h)[1])).max() for h in (0.02, 0.01, 0.005)]
-    assert np.log2(np.array(estimates[:-1]) / estimates[1:]) == pytest.approx([3, 3], abs=0.25)
-    local = np.abs(np.array(step([1.2, 0.5], 3.0, 0.01)[0]).ravel() - ends(step, 100, span=0.01)).max()
-    assert 0 < local < estimates[1]
+    pendulum = ca.vertcat(x[1], -gain * ca.sin(x[0]) - 0.3 * x[1] ** 2 + x[0] * x[1])
+    step, ends = stepped(pendulum, x, (gain,)), {}
+    for n in (20, 40, 80, 4000):
+        ends[n] = np.array(step.mapaccum(n)([1.2, 0.5], ca.repmat(3.0, 1, n), ca.repmat(1 / n, 1, n)))[:, -1]
+    errors = np.array([np.abs(ends[n] - ends[4000]).max() for n in (20, 40, 80)])
+    assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([3, 3], abs=0.25)
 
 
 @pytest.mark.parametrize("z", [-0.3, -2.0, -20.0, -1e9, 1.0])
@@ -67,4 +46,4 @@ def test_stability_function_is_that_of_rodas3(z):
     for k in range(4):
         numerator[k] = sum(denominator[j] * exponential[k - j] for j in range(k + 1))
     expected = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
-    assert float(step(1.0, [], 1.0)[0]) == pytest.approx(expected, rel=1e-12, abs=1e-16)
+    assert float(step(1.0, [], 1.0)) == pytest.approx(expected, rel=1e-12, abs=1e-16)

@@ -2,17 +2,11 @@
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import pytest
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.car.integrator import rodas3
-from railrepro.clock import CONTROL_PERIOD
-from railrepro.control import law
-from railrepro.control.ndi import NDI
-from railrepro.simulation import closed_loop, simulate
-from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.alignment import Alignment, Segment
 from railrepro.track.table import Track, build_table, load_track
@@ -24,12 +18,6 @@ KMH = 1 / 3.6
 @pytest.fixture(scope="module")
 def vehicle():
     return load_vehicle()
-
-
-def guided(vehicle, way, ndi):
-    """The control cycle of a car at 280 km/h."""
-    control = law.control_law(vehicle, ndi, lateral_limit=0.03, track_end=way.length, stop_speed=-1.0)
-    return closed_loop.ClosedLoop(SteppedCar(way, 280 * KMH, vehicle), control)
 
 
 def conservative(vehicle):
@@ -94,29 +82,10 @@ def pulled(good, poor, *share):
     return car
 
 
-def test_share_of_the_poor_set_blends_from_good_to_poor():
-    poor, exchanged, dry = (pulled(*rails).state for rails in (("dry", "poor", 1.0, 1.0), ("poor", "dry", 0.0, 0.0),
-                                                               ("dry", "poor", 0.0, 0.0)))  # fmt: skip
-    assert poor == pytest.approx(exchanged, rel=1e-12)
-    assert not np.allclose(poor, dry, rtol=1e-6)
-
-
-def test_a_driven_wheel_on_the_poor_rail_slips_and_the_other_does_not():
+def test_a_share_of_the_poor_set_blends_each_rail_from_good_to_poor():
+    assert pulled("dry", "poor", 1.0, 1.0).state == pytest.approx(pulled("poor", "dry", 0.0, 0.0).state, rel=1e-12)
     slips = pulled("dry", "poor", 1.0, 0.0).outputs
     assert slips["front_le.sx"] < 1.5 * slips["front_ri.sx"] < 0
-
-
-def test_work_of_the_motors_becomes_kinetic_energy_and_losses(vehicle):
-    sweep = route.sweep(2e-3, 150, 60, 25, 500)
-    coupled = guided(vehicle, route.lay(load_track("T3"), sweep, force=lambda p: np.where(p > 5, 10e3, 0.0)), NDI())
-    rows = []
-    for _ in range(4000):
-        rows.append(coupled.car.energies)
-        coupled.run(1)
-    table = pd.DataFrame([*rows, coupled.car.energies])
-    work = np.trapezoid(table["motor_W"] - table["damping_W"] - table["creep_W"], dx=CONTROL_PERIOD)
-    assert table["mechanical_J"].iloc[-1] - table["mechanical_J"].iloc[0] == pytest.approx(work, rel=1e-4)
-    assert table["motor_W"].max() > 1e5
 
 
 def test_jacobian_of_the_step_is_the_derivative_of_the_rate():
@@ -125,8 +94,8 @@ def test_jacobian_of_the_step_is_the_derivative_of_the_rate():
     car.step([300.0, -300.0, 150.0, -150.0], 700)
     x, (at, *inputs), h = ca.SX.sym("x", len(car.state)), car.inputs(), 1e-3
     rate = car.model.rate(x, *inputs)
-    plain = ca.Function("plain", [x], [rodas3(rate, ca.jacobian(rate, x), x, h)[0]])
-    assert plain(at).nonzeros() == pytest.approx(car.model.step(at, *inputs, h)[0].nonzeros(), rel=1e-9, abs=1e-10)
+    plain = ca.Function("plain", [x], [rodas3(rate, ca.jacobian(rate, x), x, h)])
+    assert plain(at).nonzeros() == pytest.approx(car.model.step(at, *inputs, h).nonzeros(), rel=1e-9, abs=1e-10)
 
 
 def _gradient(slope):
@@ -154,15 +123,3 @@ def test_a_wheel_that_lifts_carries_nothing_and_the_run_stays_finite():
     assert car.outputs["front_le.N"] == 0.0
     car.step(steps=3000)
     assert car.outputs["front_le.N"] > 5e4
-
-
-def test_gyroscopic_moment_of_the_rolling_axle_in_the_clothoid(vehicle):
-    track, scenario = load_track("T3"), load_scenario("curve_entry_T3").but(set_point={"kind": "none"}, end_m=200)
-    speed = track.design_speed
-    log = simulate.run(scenario, NDI(integral=0.2)).series
-    window = log[log["rear.p"] > 110]
-    _, kappa, _, dphi, *_ = track.interpolate(np.array([100.0, 150.0]))
-    gyro = -2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * dphi[0] * speed
-    turning = vehicle.effective_yaw_inertia * (kappa[1] - kappa[0]) / 50 * speed**2
-    expected = (gyro + turning) * vehicle.wheel.radius / vehicle.gear.contact_base
-    assert (window["front.du"].mean() + window["rear.du"].mean()) / 2 == pytest.approx(expected, rel=0.15)

@@ -1,12 +1,8 @@
 """From C to objects: whose folder they lie in, which compiler makes them, what is said of one that fails."""
 
-import ctypes
-import importlib.util
 import os
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -25,22 +21,21 @@ def forgotten():
 def test_compiled_code_lies_in_a_folder_that_only_this_user_can_write(tmp_path, monkeypatch):
     """What lies in it is run: not a folder that others can write, not one that cannot be made, not a link."""
     monkeypatch.setattr(paths, "BUILD", tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
-    folder, home = tmp_path / "compiled", tmp_path / "home/railrepro/compiled"
-    assert cache.cache_folder() == folder
-    folder.chmod(0o777)
-    assert cache.cache_folder() == home and home.stat().st_mode & 0o777 == 0o700
-    folder.rename(tmp_path / "elsewhere")
-    folder.touch()
-    assert cache.cache_folder() == home
-    home.chmod(0o775)
-    with pytest.raises(InputError, match=r"railrepro/compiled: a folder that you alone can write is needed"):
-        cache.cache_folder()
-    home.chmod(0o755)
-    home.rename(tmp_path / "linked")
-    home.symlink_to(tmp_path / "linked")
+    folder, elsewhere = tmp_path / "compiled", tmp_path / "elsewhere"
+    assert cache.cache_folder() == folder and folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o775)
     with pytest.raises(InputError, match="that you alone can write"):
         cache.cache_folder()
+    folder.chmod(0o755)
+    folder.rename(elsewhere)
+    for spoil in (folder.touch, lambda: folder.symlink_to(elsewhere)):
+        spoil()
+        with pytest.raises(InputError, match="that you alone can write"):
+            cache.cache_folder()
+        folder.unlink()
+    monkeypatch.setattr(paths, "INSTALLED", True)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    assert cache.cache_folder() == tmp_path / "home/railrepro/compiled"
 
 
 ANSWERS = "case $* in *--version*) echo broken 1.0; exit;; esac"
@@ -49,10 +44,8 @@ ANSWERS = "case $* in *--version*) echo broken 1.0; exit;; esac"
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (f"#!/bin/sh\n{ANSWERS}\nexit 1\n", "refused the generated source"),
-        (f"#!/bin/sh\n{ANSWERS}\nexit 0\n", "no object"),
+        (f"#!/bin/sh\n{ANSWERS}\nexit 0\n", "refused the generated source .*no object"),
         ("#!/nowhere/sh\n", "does not answer to --version"),
-        ("#!/bin/sh\nexit 3\n", "does not answer to --version"),
     ],
 )
 def test_a_compiler_that_fails_is_told_in_one_sentence(text, sentence, tmp_path, monkeypatch, forgotten):
@@ -68,40 +61,20 @@ def test_a_compiler_that_fails_is_told_in_one_sentence(text, sentence, tmp_path,
     assert not list(tmp_path.rglob("*.so"))
 
 
-def test_where_there_is_no_compiler_the_packaged_one_is_taken(tmp_path, monkeypatch, forgotten):
-    """A compiler in the path comes first. The package is played by a module that hands over to the real one."""
-    package, real = tmp_path / "site/ziglang", cache.compiler()
-    package.mkdir(parents=True)
-    (package / "__init__.py").touch()
-    (package / "__main__.py").write_text(
-        "import os, sys\nassert 'CC' not in os.environ and sys.argv[1:3] == ['cc', '-mcpu=baseline']\n"
-        f"os.execv({real!r}, [{real!r}, *sys.argv[3:]])\n"
-    )
-    monkeypatch.setattr(paths, "BUILD", tmp_path)
-    monkeypatch.syspath_prepend(package.parent)
-    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+def test_the_first_compiler_that_is_there_is_taken(monkeypatch, forgotten):
+    there = ["gcc", cache.PACKAGED]
+    monkeypatch.setattr(cache, "found", lambda name: name if name in there else None)
     monkeypatch.delenv("CC", raising=False)
-    tools = tmp_path / "tools"
-    tools.mkdir()
-    first = tools / "cc"
-    first.write_text(f'#!/bin/sh\nexec {real} "$@"\n')
-    first.chmod(0o755)
-    for tool in filter(None, map(shutil.which, ("sh", "env", "as", "ld"))):
-        (tools / Path(tool).name).symlink_to(tool)
-    monkeypatch.setenv("PATH", str(tools))
-    for expected in (str(first), cache.PACKAGED):
+    for expected in [*there]:
         cache.compiler.cache_clear()
         assert cache.compiler() == expected
-        first.unlink(missing_ok=True)
-    assert ctypes.CDLL(str(cache.build("int number(void) { return 5; }"))).number() == 5
-    monkeypatch.setenv("CC", "nonexistent-cc")
+        there.remove(expected)
     cache.compiler.cache_clear()
-    with pytest.raises(cache.CompilerError, match="CC='nonexistent-cc' is no compiler that can be found; "):
+    with pytest.raises(cache.CompilerError, match=r"no C compiler was found \(cc, gcc\): `pip install"):
         cache.compiler()
-    monkeypatch.delenv("CC")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)  # the true one may be installed, too
-    cache.compiler.cache_clear()
-    with pytest.raises(cache.CompilerError, match="no C compiler was found"):
+    there.append("gcc")
+    monkeypatch.setenv("CC", "nonexistent-cc")
+    with pytest.raises(cache.CompilerError, match=r"no C compiler was found \(CC='nonexistent-cc'\)"):
         cache.compiler()
 
 

@@ -13,17 +13,16 @@ from railrepro.control.solvers.recursion import recursion
 
 @pytest.fixture
 def counted(tmp_path, monkeypatch):
-    """A stored function that counts how often it builds, what it gave first, its file, and how to forget."""
+    """A stored function, called once, that counts how often it builds, and its file."""
     monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
     built = []
 
-    def build(power):
+    @codegen.stored
+    def look(power):
         built.append(power)
         x = ca.SX.sym("x", 2)
         return {"functions": (ca.Function("f", [x], [x**power]),), "names": ["a", 0.1, None, True]}
 
-    build.__module__ = "railrepro.anywhere"
-    look = codegen.stored(build)
     look(3)
     (file,) = tmp_path.glob("*.graph")
     return look, built, file
@@ -32,47 +31,33 @@ def counted(tmp_path, monkeypatch):
 def test_what_was_built_once_is_read_by_the_next_process(counted):
     look, built, _ = counted
     first = look(3)
-    assert look(3) is first and built == [3]
     look.cache_clear()
     again = look(3)
-    assert built == [3]
+    assert again is not first and built == [3]
     assert again["names"] == ["a", 0.1, None, True] and isinstance(again["functions"], tuple)
     assert codegen.source_text(again["functions"]) == codegen.source_text(first["functions"])
     look(4)
-    assert built == [3, 4]
     look.cache_clear()
     look(3), look(4)
     assert built == [3, 4]
 
 
-def cut(file):
-    file.write_bytes(file.read_bytes()[:-1])
+def other_digit(content):
+    return content[:-20] + bytes([content[-20] ^ 1]) + content[-19:]
 
 
-def other_digit(file):
-    content = bytearray(file.read_bytes())
-    content[-20] ^= 1
-    file.write_bytes(content)
-
-
-@pytest.mark.parametrize("spoil", [cut, other_digit, lambda file: file.write_bytes(b"")])
-def test_a_broken_file_is_built_again(counted, spoil):
+@pytest.mark.parametrize("spoil", [lambda content: content[:-1], other_digit, lambda content: b""])
+def test_a_broken_file_or_one_of_other_code_is_built_again(counted, spoil, monkeypatch):
     look, built, file = counted
-    spoil(file)
-    look.cache_clear()
-    look(3)
+    file.write_bytes(spoil(file.read_bytes()))
+    for _ in range(2):
+        look.cache_clear()
+        look(3)
     assert built == [3, 3]
-    look.cache_clear()
-    look(3)
-    assert built == [3, 3]
-
-
-def test_a_graph_of_other_code_is_built_again(counted, monkeypatch):
-    look, built, _ = counted
     monkeypatch.setattr(code, "version", lambda: "other")
     look.cache_clear()
     look(3)
-    assert built == [3, 3]
+    assert built == [3, 3, 3]
 
 
 @pytest.mark.parametrize(
@@ -86,7 +71,7 @@ def test_a_graph_of_other_code_is_built_again(counted, monkeypatch):
 def test_a_stored_graph_gives_the_same_c_source_as_the_derived_one(build, arguments):
     build(*arguments)
     build.cache_clear()
-    read, derived = build(*arguments), build.__wrapped__(*arguments)
+    read, derived = build(*arguments), build.__wrapped__.__wrapped__(*arguments)
 
     def text(value):
         value = vars(value) if isinstance(value, equations.Car) else value

@@ -69,12 +69,6 @@ def test_twins_have_the_bits_of_single_operations():
     assert pairs_text(function, {}).count("lanes_t") == 0
 
 
-def test_an_operation_that_is_not_translated_is_refused():
-    x = ca.SX.sym("x", 2)
-    with pytest.raises(ValueError, match="is not translated to lanes"):
-        pairs_text(ca.Function("f", [x], [ca.erf(x)], ["x"], ["y"]), {"x": [1, 0]})
-
-
 @pytest.mark.parametrize("name", ["coordinates", "output", "step"])
 def test_the_car_has_the_bits_of_single_operations(name):
     car = SteppedCar("T3", 70.0)

@@ -65,31 +65,26 @@ def seen_by(gear, name, scale, **inputs):
 
 
 @pytest.mark.parametrize("gear", GEARS)
-def test_a_lateral_law_sees_the_road_at_its_gear_and_the_heading_of_the_body_between_both(gear):
-    rows = cells()
+def test_a_lateral_law_sees_its_gear_the_road_there_and_the_heading_of_the_body_between_both(gear):
+    rows, d, own = cells(), 0.3 * CELL, GEARS.index(gear)
     column = {name: rows[i] for name, i in INDEX.items()}
-    d, own = 0.3 * CELL, GEARS.index(gear)
     psi = column["psi"] + column["kappa"] * d + column["dkappa"] * d**2 / 2
     kappa = column["kappa"] + column["dkappa"] * d
     expected = {"psi_Tr": psi[own], "dpsi_dp": kappa[own], "ddpsi_dp": column["dkappa"][own]}
-    expected |= {"phi_Tr": (column["phi"] + d * column["dphi"])[own], "dphi_dp": column["dphi"][own]}
-    expected |= {"eps_Tr": (column["eps"] + d * column["deps"])[own], "deps_dp": column["deps"][own]}
+    expected |= {f"{name}_Tr": (column[name] + d * column[f"d{name}"])[own] for name in ("phi", "eps")}
+    expected |= {f"d{name}_dp": column[f"d{name}"][own] for name in ("phi", "eps")}
     expected |= {"psi_CB": psi.mean(), "dpsi_dp_CB": kappa.mean()}
-    shape = np.polynomial.Polynomial([column[name][own] / n for name, n in
-                                      (("y_ref", 1), ("dy_ref", 1), ("ddy_ref", 2), ("dddy_ref", 6))])  # fmt: skip
-    expected |= {"d" * k + "y_ref": shape.deriv(k)(d) for k in range(4)}
+    terms = {"y_ref": 1, "dy_ref": 1, "ddy_ref": 2, "dddy_ref": 6}
+    shape = np.polynomial.Polynomial([column[name][own] / n for name, n in terms.items()])
+    expected |= {name: shape.deriv(k)(d) for k, name in enumerate(terms)}
     assert set(expected) == set(lateral.ROAD)
     for name, value in expected.items():
         assert seen_by(gear, name, 1e4) == pytest.approx(value, rel=1e-9), name
-
-
-@pytest.mark.parametrize("gear", GEARS)
-def test_a_lateral_law_sees_the_measured_states_of_its_own_gear(gear):
     outputs = {"x": "p", "psi_Ax": "psi_Ax", "v": "v", "yaw_rate": "psidot_Ax", "y": "y", "psi": "psi_TrAx"}
     values = {f"{g}.{name}": 20.0 + 7 * i + k for i, g in enumerate(GEARS) for k, name in enumerate(outputs.values())}
     for name, output in outputs.items():
         assert seen_by(gear, name, 1.0, y=values) == pytest.approx(values[f"{gear}.{output}"])
-    assert seen_by(gear, "held", 1.0, held=(11.0, 12.0)) == pytest.approx({"front": 11.0, "rear": 12.0}[gear])
+    assert seen_by(gear, "held", 1.0, held=(11.0, 12.0)) == pytest.approx([11.0, 12.0][own])
 
 
 def test_the_acceleration_of_a_gear_is_the_pull_of_two_wheels_on_half_a_car():
@@ -138,8 +133,7 @@ def test_each_wheel_is_commanded_and_recorded_what_its_gear_decides():
 @pytest.mark.parametrize(("speed", "share"), [(40.0, 1.0), (1.0, 1.0), (0.6, 0.6), (0.0, 0.0), (-0.5, 0.0)])
 def test_a_wheel_that_stands_does_not_steer(speed, share):
     _, _, record, _ = call(measured(**{"front.v": speed}), held=(300.0, 300.0), guidance=Probe(held=1.0))
-    assert record["front.du"] == pytest.approx(300 * share)
-    assert record["rear.du"] == 300.0
+    assert record["front.du"] == pytest.approx(300 * share) and record["rear.du"] == 300.0
 
 
 def test_margins_are_distances_to_the_limits():
@@ -151,11 +145,8 @@ def test_margins_are_distances_to_the_limits():
 
 
 def test_the_adhesion_law_gets_adhesion_and_slip_of_its_own_wheels():
-    exact = {
-        f"{wheel}.{name}": 1.0 + 2 * i + k
-        for i, wheel in enumerate(WHEELS)
-        for k, name in enumerate(("adhesion", "sx"))
-    }
+    exact = {f"{wheel}.adhesion": 1.0 + 2 * i for i, wheel in enumerate(WHEELS)}
+    exact |= {f"{wheel}.sx": 2.0 + 2 * i for i, wheel in enumerate(WHEELS)}
     settings = AdhesionSettings(filter_time=4e-3)  # 1 ms takes a fifth of the way
     kept = call(measured(**exact), adhesion=settings)[1]
     found = [[kept[f"{gear}.adhesion.{name}.{side}"] for gear in GEARS for side in SIDES] for name in "fs"]

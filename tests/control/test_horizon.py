@@ -13,7 +13,7 @@ from railrepro.control.registry import guidance
 from railrepro.control.solvers.ipopt import COST, SLACK, UNIT
 from railrepro.control.solvers.riccati import MOST_SETS, Horizon
 from railrepro.evidence.runs import tuning
-from railrepro.model.control_model import STATES, control_model
+from railrepro.model.control_model import STATES, parameter_vector
 from railrepro.model.forecast import nominal_values
 from railrepro.simulation import scenarios, simulate
 from railrepro.vehicle.parameters import load_vehicle
@@ -47,14 +47,26 @@ STATE = {"y_TrAx": 2e-3, "psi_TrAx": 3e-4}
 
 def horizon_of(vehicle, way, settings=SETTINGS, bound=4000.0):
     """A horizon with a problem, a forecast and a trajectory that does not obey the model."""
-    parameters = control_model().parameter_vector(vehicle)
+    parameters = parameter_vector(vehicle)
     horizon = Horizon(settings, nominal_values(vehicle, 0), parameters, way)
     generator = np.random.default_rng(4)
     u, scatter = generator.normal(0, 300, settings.steps), generator.normal(0, 1e-5, (settings.steps + 1, len(STATES)))
-    horizon.sample(measured(way, **STATE), BASE, bound)
-    horizon.forecast()
+    horizon.forecast(measured(way, **STATE), BASE)
+    horizon.c.bound = bound
     horizon.u[:], horizon.x[:] = u, horizon.x_d + scatter
     return horizon
+
+
+def linearise(horizon):
+    """Model along the trajectory: next states (L, 6), nonzeros of A, B (L, 6)."""
+    horizon.library.horizon_linearise(horizon.pointer)
+    return [horizon.stages[name][:-1] for name in ("x_next", "a", "b")]
+
+
+def solve(horizon):
+    """Steps of states (L + 1, 6) and torques (L,), and whether torques are at a bound (L,)."""
+    assert horizon.library.horizon_solve(horizon.pointer) == 0
+    return horizon.stages["dx"], horizon.stages["du"][:-1], horizon.stages["fixed"][:-1] != 0
 
 
 def minimiser(horizon):
@@ -66,9 +78,9 @@ def minimiser(horizon):
     t, model = Tuning.of(ca.DM(s.tuning())), dynamics(s.variant, s.discretisation)
     du, slack = ca.SX.sym("du", steps), ca.SX.sym("slack", steps)
     dx, cost, sides = [ca.SX(horizon.x_hat - horizon.x[0])], 0, []
-    for k in range(steps):
-        a, gap = ca.DM(model.sparsity_out(1), horizon.a[k]), horizon.x_next[k] - horizon.x[k + 1]
-        dx.append(a @ dx[k] + horizon.b[k] * UNIT * du[k] + gap)
+    for k, (x_next, nonzeros, b) in enumerate(zip(*linearise(horizon), strict=True)):
+        a, gap = ca.DM(model.sparsity_out(1), nonzeros), x_next - horizon.x[k + 1]
+        dx.append(a @ dx[k] + b * UNIT * du[k] + gap)
         state = horizon.x[k + 1] + dx[k + 1]
         of_state = problem.terminal_cost if k == steps - 1 else problem.stage_cost
         cost += of_state(state, horizon.x_d[k + 1], SLACK * slack[k], t)
@@ -85,77 +97,68 @@ def minimiser(horizon):
 @pytest.mark.parametrize("affine", [1.0, 0.0])
 def test_the_linearisation_is_that_of_the_model(vehicle, way, affine):
     horizon = horizon_of(vehicle, way)
-    s, parameters = horizon.settings, control_model().parameter_vector(vehicle)
+    s, parameters = horizon.settings, parameter_vector(vehicle)
     horizon.c.affine = affine
-    horizon.linearise()
     model = dynamics(s.variant, s.discretisation)
-    for k in range(s.steps):
-        found = model(horizon.x[k], horizon.u[k], BASE, horizon.theta[k], parameters, s.period, affine)
-        for ours, other in zip((horizon.x_next[k], horizon.a[k], horizon.b[k]), found, strict=True):
+    for k, found in enumerate(zip(*linearise(horizon), strict=True)):
+        expected = model(horizon.x[k], horizon.u[k], BASE, horizon.theta[k], parameters, s.period, affine)
+        for ours, other in zip(found, expected, strict=True):
             assert np.abs(ours - other.nonzeros()).max() <= 1e-7 * np.abs(other.nonzeros()).max()
 
 
-@pytest.mark.parametrize("affine", [1.0, 0.0])
-@pytest.mark.parametrize("bound", [4000.0, 200.0])
-def test_the_recursion_minimises_the_stated_cost(vehicle, way, affine, bound):
-    horizon = horizon_of(vehicle, way, bound=bound)
-    horizon.c.affine = affine
-    horizon.linearise()
-    horizon.solve()
-    for ours, other in zip((horizon.dx, horizon.du), minimiser(horizon), strict=True):
-        assert np.abs(ours - other).max() <= 1e-7 * np.abs(other).max()
-
-
-@pytest.mark.parametrize("weight", [3e-11, 3e-9])
-@pytest.mark.parametrize("fixed", [0.0, 1.0, -1.0, "alternating"])
-def test_the_recursion_finds_the_active_set_from_any_start_by_itself(vehicle, way, fixed, weight):
-    horizon = horizon_of(vehicle, way, replace(SETTINGS, r=weight))
-    horizon.linearise()
-    horizon.c.bound = bound = 0.5 * np.abs(horizon.u + minimiser(horizon)[1]).max()
-    _, du = minimiser(horizon)
-    at_bound = np.isclose(np.abs(horizon.u + du), bound)
-    assert 0 < at_bound.sum() < at_bound.size
-    horizon.fixed[:] = (-1.0) ** np.arange(horizon.fixed.size) if fixed == "alternating" else fixed
-    horizon.solve()
-    assert horizon.du == pytest.approx(du, rel=1e-6, abs=1e-4)
-    assert np.array_equal(horizon.fixed != 0, at_bound)
-
-
-@pytest.mark.parametrize("bound", [4000.0, 150.0, 20.0])
-@pytest.mark.parametrize("lateral_bound", [5e-4, 1.0])
-def test_active_sets_that_do_not_settle_are_found_by_interior_points(vehicle, way, bound, lateral_bound):
-    horizon = horizon_of(vehicle, way, replace(SETTINGS, steps=40, lateral_bound=lateral_bound), bound)
-    horizon.c.most_sets, horizon.fixed[::3] = 1, -1.0
+@pytest.mark.parametrize(
+    ("most_sets", "start"),
+    [(MOST_SETS, 0.0), (MOST_SETS, -1.0), (MOST_SETS, "alternating"), (1, 1.0), (1, "alternating")],
+)
+@pytest.mark.parametrize(
+    ("bound", "changes", "affine"),
+    [
+        (4000.0, {}, 1.0),
+        (4000.0, {"lateral_bound": 1.0}, 0.0),
+        (200.0, {}, 0.0),
+        (30.0, {"lateral_bound": 1.0, "r": 3e-10}, 1.0),
+        (1000.0, {"steps": 40, "bound_weight": 3e3}, 1.0),
+    ],
+)
+def test_the_linearised_problem_is_that_of_the_model_and_its_minimiser_is_found_from_any_start(
+    vehicle, way, bound, changes, affine, start, most_sets
+):
+    horizon = horizon_of(vehicle, way, replace(SETTINGS, **changes), bound)
     horizon.u[:] = horizon.u.clip(-bound, bound)
-    horizon.linearise()
+    horizon.c.affine, horizon.c.most_sets = affine, most_sets
+    s, parameters = horizon.settings, parameter_vector(vehicle)
+    for k, found in enumerate(zip(*linearise(horizon), strict=True)):
+        numbers = horizon.theta[k], parameters, s.period, affine
+        expected = dynamics(s.variant, s.discretisation)(horizon.x[k], horizon.u[k], BASE, *numbers)
+        for ours, other in zip(found, expected, strict=True):
+            assert np.abs(ours - other.nonzeros()).max() <= 1e-7 * np.abs(other.nonzeros()).max()
     dx, du = minimiser(horizon)
-    horizon.solve()
-    assert horizon.du == pytest.approx(du, rel=1e-7, abs=1e-6 * bound)
-    assert horizon.dx == pytest.approx(dx, rel=1e-6, abs=1e-9)
-    at_bound = np.isclose(np.abs(horizon.u + du), bound, rtol=1e-9)
-    assert np.array_equal(horizon.fixed != 0, at_bound) and at_bound.any() == (bound < 4000.0)
-    assert 4 < horizon.c.passes <= 40
+    alternating = (-1.0) ** np.arange(len(horizon.stages))
+    horizon.stages["fixed"] = alternating if start == "alternating" else start
+    found_dx, found_du, fixed = solve(horizon)
+    assert found_du == pytest.approx(du, rel=1e-6, abs=1e-6 * bound)
+    assert found_dx == pytest.approx(dx, rel=1e-6, abs=1e-9)
+    assert np.array_equal(fixed, np.isclose(np.abs(horizon.u + du), bound, rtol=1e-8))
+    assert fixed.any() == (bound < 4000.0) and horizon.c.passes <= 40
 
 
 @pytest.mark.parametrize(("name", "solver"), [("nmpc", "gauss_newton"), ("nmpc_observer", "rti")])
 def test_no_sample_on_poor_rail_falls_back(name, solver):
     """With tuning for dry rail the gear leaves the poor one, nearly all torques and positions at their bounds."""
-    built = guidance(name, tuning.load(name, "paper")["parameters"], {"solver": solver})
-    most = []
+    built, most = guidance(name, tuning.load(name, "paper")["parameters"], {"solver": solver}), []
 
     class Counting(NMPC):
         def plan(self, x_hat, u_d):
             torque = super().plan(x_hat, u_d)
-            most.append(self.horizon.c.passes)
+            most.append(self.c.passes)
             return torque
 
     cone = load_vehicle(**{"contact.profile": "cone"})  # no flange holds it
-    scenario = scenarios.load_scenario("adhesion_loss")
-    run = simulate.run(scenario, replace(built, controller=Counting), plant_vehicle=cone)
-    assert run.failed and not any(guided.fallbacks for guided in run.controllers)
-    if solver == "rti":  # the last problem of a converged sample starts from its solution
-        assert np.mean(np.array(most) > MOST_SETS) > 0.02
-    assert max(most) < 60
+    built = replace(built, controller=Counting)
+    run = simulate.run(scenarios.load_scenario("adhesion_loss"), built, plant_vehicle=cone)
+    assert run.failed and not any(guided.fallbacks for guided in run.controllers) and max(most) < 60
+    # the last problem of a converged sample starts from its solution
+    assert solver != "rti" or np.mean(np.array(most) > MOST_SETS) > 0.02
 
 
 @pytest.mark.parametrize(("kind", "options"), [(NMPC, {"solver": "rti"}), (NMPC, {}), (LTVMPC, {"printed": True})])
@@ -169,32 +172,15 @@ def test_the_loop_runs_the_sample_that_plan_runs(kind, options, vehicle):
     assert fast.series.equals(slow.series) and fast.series["front.du"].abs().max() > 10
     for one, other in zip(fast.controllers, slow.controllers, strict=True):
         assert not one.stats and len(other.stats) > 100
-        assert np.array_equal(one.plan_du, other.plan_du) and one.offset == other.offset != 0
-
-
-def test_a_problem_without_interior_is_reported_and_its_sample_falls_back(vehicle, way):
-    horizon = horizon_of(vehicle, way, bound=0.0)
-    horizon.c.most_sets = 0
-    horizon.linearise()
-    with pytest.raises(ArithmeticError, match="no minimiser was found"):
-        horizon.solve()
-    for guided in (NMPC(vehicle, way, 0, WIDE), NMPC(vehicle, way, 0, WIDE, solver="rti"), LTVMPC(vehicle, way, 0)):
-        guided.plan(measured(way, **STATE), 0.0)
-        guided.horizon.c.most_sets, guided.drive[:] = 0, 0.0
-        assert guided.plan_du[1] != 0.0
-        assert guided.plan(measured(way, **STATE), 0.0) == 0.0
-        assert [record.fallback for record in guided.stats] == [False, True] and guided.fallbacks == 1
+        assert np.array_equal(one.plan_du, other.plan_du) and one.c.offset == other.c.offset != 0
 
 
 def after(x, torque, guided):
     """State one sample later by the controller's own model."""
     s = guided.settings
     ahead = Horizon(s, nominal_values(guided.vehicle, 0), guided.parameters, guided.route)
-    ahead.sample(x, 0.0, 0.0)
-    ahead.forecast()
-    found, *_ = dynamics("corrected", s.discretisation)(
-        x, torque, 0.0, ahead.theta[0], guided.parameters, s.period, 1.0
-    )
+    theta = ahead.forecast(x, 0.0).theta[0]
+    found, *_ = dynamics("corrected", s.discretisation)(x, torque, 0.0, theta, guided.parameters, s.period, 1.0)
     return np.array(found).ravel()
 
 
@@ -209,18 +195,22 @@ def test_the_observer_learns_nothing_on_the_model_itself_and_the_angle_behind_a_
         assert abs(following[AT["y_TrAx"]] - x[AT["y_TrAx"]]) > 1e-4
         following[AT["y_TrAx"]] += push
         guided.plan(following, 0.0)
-        offsets.append(guided.offset)
+        offsets.append(guided.c.offset)
     assert offsets == pytest.approx([0.0, 1e-4 / SPEED / WIDE.period], abs=2e-6)
 
 
-@pytest.mark.parametrize("solver", ["gauss_newton", "rti", "ipopt"])
-def test_while_measurements_are_broken_the_old_plan_plays_on(vehicle, way, solver):
-    guided, x = NMPC(vehicle, way, 0, WIDE, solver=solver), measured(way, **STATE)
+@pytest.mark.parametrize(
+    ("kind", "options"), [(NMPC, {}), (NMPC, {"solver": "rti"}), (NMPC, {"solver": "ipopt"}), (LTVMPC, {})]
+)
+def test_while_measurements_are_broken_or_no_torque_is_left_the_old_plan_plays_on(vehicle, way, kind, options):
+    guided, x = kind(vehicle, way, 0, WIDE, **options), measured(way, **STATE)
     guided.plan(x, 0.0)
     planned = guided.plan_du.copy()
     assert [guided.plan(x * np.nan, 0.0) for _ in range(4)] == pytest.approx(planned[1:5])
-    assert [record.fallback for record in guided.stats] == [False, True, True, True, True]
-    assert guided.plan(x, 0.0) == pytest.approx(planned[0], rel=0.1 if solver == "rti" else 1e-4)
+    assert guided.plan(x, 0.0) == pytest.approx(planned[0], rel=0.1 if "rti" in options.values() else 1e-4)
+    assert guided.fallbacks == 4 and len(guided.stats) == 6
+    guided.c.most_sets, guided.drive[0] = 0, 0.0
+    assert guided.plan(x, 0.0) == 0.0 and guided.fallbacks == 4 + ("ipopt" not in options.values())
 
 
 @pytest.mark.parametrize(
@@ -237,16 +227,8 @@ def test_real_time_iteration_and_linear_mpc_are_near_the_converged_plan(kind, op
         torque = converged.plan(x, base)
         assert near.plan(x, base) == pytest.approx(torque, abs=apart)
         x = after(x, torque, converged) + push * random.normal(0, 1, 6) * [0, 0, 0, 1e-3, 5e-4, 1e-4]
-    assert near.offset == pytest.approx(converged.offset, rel=1e-3, abs=1e-9)
-    assert abs(converged.offset) > push * 1e-5
-
-
-@pytest.mark.parametrize(("scenario", "alike"), [("curve_entry_T3", False), ("sine_tracking", True)])
-def test_the_printed_linearisation_is_right_on_straight_track_only(vehicle, scenario, alike):
-    route = scenarios.load_scenario(scenario).but(set_point={"kind": "none"}).route()
-    x = measured(route, y_TrAx=1e-3)
-    ours, printed = (LTVMPC(vehicle, route, 0, WIDE, printed=how).plan(x, 0.0) for how in (False, True))
-    assert (printed == pytest.approx(ours, rel=1e-3)) == alike
+    assert near.c.offset == pytest.approx(converged.c.offset, rel=1e-3, abs=1e-9)
+    assert abs(converged.c.offset) > push * 1e-5
 
 
 @pytest.mark.parametrize(("kind", "options"), [(NMPC, {}), (NMPC, {"solver": "rti"}), (LTVMPC, {})])
@@ -256,3 +238,11 @@ def test_a_base_torque_leaves_less_as_printed_and_is_left_out_when_unknown(vehic
     assert abs(printed.plan(x, -3990.0)) == pytest.approx(10.0) and abs(yields.plan(x, -3990.0)) > 100.0
     knows, without = (kind(vehicle, way, 0, replace(WIDE, informed=how), **options) for how in (True, False))
     assert without.plan(x, -3990.0) == kind(vehicle, way, 0, WIDE, **options).plan(x, 0.0) != knows.plan(x, -3990.0)
+
+
+def test_the_linear_problem_linearises_along_the_track_and_as_printed_at_no_heading(vehicle, way):
+    for printed in (False, True):
+        guided = LTVMPC(vehicle, way, 0, WIDE, printed=printed)
+        guided.plan(measured(way, **STATE), 0.0)
+        heading = np.array(way.track_at(guided.horizon.x_d[:, AT["x"]])[0])
+        assert guided.horizon.x[:, AT["psi_Ax"]] == pytest.approx(0.0 if printed else heading, rel=1e-9)

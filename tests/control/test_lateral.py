@@ -9,10 +9,10 @@ import pytest
 
 from railrepro import paths
 from railrepro.control import lateral, law, ndi
-from railrepro.control.mpc import NMPC
 from railrepro.control.ndi import NDI
 from railrepro.data import InputError
-from railrepro.model.control_model import STATES, THETA, X, Y, control_model
+from railrepro.model.control_model import STATES, THETA, X, Y, control_model, parameter_vector
+from railrepro.model.parameters import PARAMETERS
 from railrepro.simulation import scenarios, simulate
 from railrepro.vehicle.parameters import load_vehicle
 
@@ -33,56 +33,39 @@ class Own:
         return found if isinstance(found, tuple) else (found, {"past": q.y})
 
 
-def blocks(page):
-    """Fenced Python blocks of a page of the users' guide."""
-    return re.findall(r"```python\n(.*?)```", (paths.NOTEBOOKS / "book" / page).read_text(), flags=re.DOTALL)
+def examples(*pages):
+    """Names after all fenced Python blocks of pages of the users' guide, run as they stand; no run may fail."""
+    names = {}
+    for page in pages:
+        text = (paths.NOTEBOOKS / "book" / page).read_text()
+        for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+            exec(compile(block, "page", "exec"), names)
+            assert not names["run"].failed and names["run"].ended.startswith("end of the run")
+    return names
 
 
-def test_the_examples_of_the_library_run_as_they_stand(tmp_path, monkeypatch):
-    """A run, the car alone and as a unit, the car on a real track, a controller behind sensors."""
+def test_examples_of_the_guide_run_as_they_stand(tmp_path, monkeypatch):
+    """A run, the car alone and as a unit, on a real track, behind sensors; own cars and controllers."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("RAILREPRO_CFLAGS", "-O0 -ffp-contract=off")
-    names = {}
-    for block in blocks("using.md"):
-        exec(compile(block, "page", "exec"), names)
-    assert not names["run"].failed and (tmp_path / "car.fmu").exists()
+    names = examples("using.md")
+    assert (tmp_path / "car.fmu").exists()
     assert names["car"].left_rail == "" and 1e-3 < names["car"].outputs["front.y"] < 5e-3
     assert 0 < names["row"]["rail_rmse_y"] < 2e-3 and names["row"]["n_mv_floor_front"] > 0
-
-
-def test_controllers_of_the_guide_run_as_they_stand():
-    names = {}
-    for block in blocks("own_car.md") + blocks("adding.md"):
-        exec(compile(block, "page", "exec"), names)
-        assert not names["run"].failed
-        assert names["run"].ended.startswith("end of the run")
-    assert {"StateFeedback", "Preview"} <= set(names)
-    fast, slow = (lateral.signature(names["StateFeedback"](pole=pole)) for pole in (20.0, 40.0))
-    assert fast == slow, "one compiled object must serve both tunings"
-
-
-def test_a_constant_of_an_own_law_is_not_taken_from_another_one():
-    torques = []
-    for stiffness in (1e4, 3e4):
-        own = Own(lambda q, stiffness=stiffness: -stiffness * q.psi - 1e2)
-        run = simulate.run(scenarios.load_scenario("curve_entry_T3").but(end_m=10.0), own)
-        torques.append(run.series["front.du"] + 1e2)
-    assert np.allclose(torques[1].iloc[1], 3 * torques[0].iloc[1], rtol=1e-3)
+    law = examples("own_car.md", "adding.md")["StateFeedback"]
+    assert lateral.signature(law(pole=20.0)) == lateral.signature(law(pole=40.0)), "one object must serve both tunings"
 
 
 @pytest.mark.parametrize(
     ("guidance", "sentence"),
     [
         (Own(lambda q: ca.vertcat(q.y, 1)), r"law Own: its torque is SX\(.*, a scalar expression is needed"),
-        (Own(lambda q: "left"), "law Own: its torque is 'left', a scalar expression is needed"),
         (Own(lambda q: (0, {})), r"law Own: torque\(\) gave memory \[\], declared is \['past'\]"),
         (Own(lambda q: q.yaw), r"law Own: torque\(\) asks for q.yaw; there are .*'psi_Ax'.*'past', 'k', 'J_eff'"),
+        (Own(lambda q: max(q.y, 0)), r"law Own: torque\(\) compares expressions; casadi.if_else takes the place of if"),
         (Own(lambda q: 0, {"psi": 1.0}), "law Own: 'psi' of its gains is the name of another quantity already"),
         (Own(lambda q: ca.SX.sym("z")), r"law Own: the symbols \[.*z.*\] are not given to torque"),
         (Own(lambda q: 0, {"k": float("nan")}), "law Own: gain 'k' is nan, a finite number is needed"),
-        (Own(lambda q: 0, {"k": "much"}), "law Own: gain 'k' is 'much', a finite number is needed"),
-        (Own(lambda q: 1 if q.y > 0 else 2), "law Own: .* casadi.if_else takes the place of if"),
-        (Own(lambda q: max(q.y, 0)), "law Own: .* casadi.fmin and casadi.fmax that of min and max"),
         (Own, r"guidance Own is a class, an object of it is needed: Own\(\)"),
         ("nmpc", "guidance 'nmpc': an object with torque"),
     ],
@@ -93,28 +76,13 @@ def test_an_own_law_that_is_not_well_formed_is_refused_in_one_sentence(guidance,
     assert "\n" not in str(refusal.value)
 
 
-def test_a_guidance_is_split_into_its_fast_law_and_its_slow_controllers():
-    class Both(lateral.ZeroOrderHold):
-        def __call__(self, vehicle, route, gear):
-            return None
-
-    fast, both = NDI(), Both()
-    assert lateral.split(fast) == (fast, None)
-    assert lateral.split(both) == (both, both)
-    assert lateral.split(NMPC) == (lateral.ZeroOrderHold(), NMPC)
-    for nothing in (3.0, None):
-        with pytest.raises(InputError, match=r"an object with torque\(q\), or a factory"):
-            lateral.split(nothing)
-
-
 def along_the_model(vehicle, expressions, state, theta, ddpsi_dp, u_d, du):
     """Expressions of the state, a row each with its first three derivatives over time along the control model, as the
     track passes by and with torques held."""
     here = {"psi_Tr": theta["psi_Tr"] + theta["dpsi_dp"] * state[X], "dpsi_dp": theta["dpsi_dp"] + ddpsi_dp * state[X]}
-    model = control_model()
-    parameters = dict(zip(model.parameters, model.parameter_vector(vehicle), strict=True)) | {"g": 0.0}
+    parameters = dict(zip(PARAMETERS, parameter_vector(vehicle), strict=True)) | {"g": 0.0}
     track = ca.vertcat(*((theta | here)[name] for name in THETA))
-    rate = model.rhs(state, ca.vertcat(u_d - du, u_d + du), track, np.array(list(parameters.values())))
+    rate = control_model()(state, ca.vertcat(u_d - du, u_d + du), track, np.array(list(parameters.values())))
     orders = [ca.vertcat(*expressions)]
     for _ in range(3):
         orders.append(ca.jtimes(orders[-1], state, rate))
@@ -146,7 +114,7 @@ def test_the_inversion_gives_the_control_model_the_error_dynamics(speed, base_to
     set_point = {name: lateral_quantity(size) for name, size in sizes.items()}
     extra["integral"] = lateral_quantity(1e-4)
 
-    guidance, model = NDI(integral=0.2, derivatives=3), vars(law._model(vehicle))
+    guidance, model = NDI(integral=0.2, rates=True), vars(law._model(vehicle))
     gain, xddot = guidance.gains(), 2 * base_torque / (model["r_0"] * model["m_x_eff"])
     q = SimpleNamespace(**(theta | x | set_point | extra | gain | model | {"xddot": xddot}))
     du, _ = guidance.torque(q)

@@ -1,4 +1,4 @@
-"""Sensors and delay lines by themselves: noise, bias, resolution, period, age, and files that are refused."""
+"""Sensors and delay lines by themselves: noise, bias, resolution, age, and latency that is refused."""
 
 from dataclasses import replace
 
@@ -32,10 +32,6 @@ def readings(cycles, loop, seed=0, gear=0, move=None):
 def perfect_but(group, **changes):
     quiet = load_loop().perfect()
     return replace(quiet, **{group: replace(getattr(quiet, group), **changes)})
-
-
-def test_perfect_sensors_tell_the_truth():
-    assert readings(5, load_loop().perfect()) == pytest.approx(np.tile(list(TRUTH.values()), (5, 1)), rel=1e-15)
 
 
 def test_noise_has_the_stated_size_and_a_bias_stays():
@@ -89,25 +85,11 @@ def test_a_reading_is_the_nearest_step_of_its_resolution(true, read):
     assert readings(1, loop, move=lambda k, name: true)[0, :2] == pytest.approx(read, abs=1e-12)
 
 
-def test_a_slow_sensor_keeps_its_reading():
-    found = readings(20, perfect_but("speed", period=5e-3), move=lambda k, name: float(k))
-    assert found[:, SIGNALS.index("v")].tolist() == [5.0 * (k // 5) for k in range(20)]
-    assert found[:, SIGNALS.index("w_le")].tolist() == list(range(20))
-
-
 @pytest.mark.parametrize(("age", "expected"), [(3e-3, 17.0), (2.5e-3, 17.5), (0.0, 20.0), (20e-3, 0.0)])
 def test_readings_are_late_but_for_the_position(age, expected):
     found = readings(21, perfect_but("latency", measurement=age), move=lambda k, name: float(k))[-1]
-    assert found[SIGNALS.index("psidot_Ax")] == pytest.approx(expected)
+    assert found[:-1] == pytest.approx(expected, rel=1e-15)
     assert found[SIGNALS.index("p")] == 20.0
-
-
-def test_lost_readings_keep_the_last_one():
-    found = readings(3000, perfect_but("lateral", dropout=0.3), move=lambda k, name: float(k))
-    kept = (np.diff(found, axis=0) == 0).mean(axis=0)
-    assert kept[:2] == pytest.approx([0.3, 0.3], abs=0.03) and not kept[2:].any()
-    both = (np.diff(found[:, :2], axis=0) == 0).all(axis=1).mean()
-    assert both == pytest.approx(0.09, abs=0.02)
 
 
 def test_what_the_inverter_does_is_unknown_to_the_filter():

@@ -7,13 +7,11 @@ from railrepro.evidence.bench import speed
 from railrepro.evidence.runs import tuning
 from railrepro.vehicle.parameters import load_vehicle
 
-EACH = 3
-"""Successive problems per scenario: Ipopt takes a second for one whose bounds are active."""
-
 
 def test_same_optimum_as_ipopt_and_one_iteration_meets_the_bounds():
     vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc", "equal")["parameters"])
-    plain = [speed.record(name, settings, vehicle, EACH) for name in speed.SCENARIOS]
+    # few problems, as Ipopt takes a second for one whose bounds are active
+    plain = [speed.record(name, settings, vehicle, 3) for name in speed.SCENARIOS]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]
     active = []
     for recording in recordings:
@@ -22,9 +20,6 @@ def test_same_optimum_as_ipopt_and_one_iteration_meets_the_bounds():
         once, _, _, lost = speed.solve_all("rti", recording, vehicle)
         assert failures == lost == 0 and np.abs(once).max() <= recording.problems[0].bound + 1e-9
         assert np.abs(found - reference).max() < 1e-4 * vehicle.drive.torque_limit, recording.scenario
-        for problem, ours, theirs in zip(recording.problems, found, reference, strict=True):
-            costs = [problem.cost(problem.roll_out(du), du) for du in (ours, theirs)]
-            assert costs[0] < costs[1] * (1 + 1e-6), recording.scenario
-            if "bounds" in recording.scenario:
-                active.append(np.abs(theirs).max() > 0.999 * problem.bound)
+        if "bounds" in recording.scenario:
+            active += [np.abs(du).max() > 0.999 * recording.problems[0].bound for du in reference]
     assert len(active) > 20 and np.mean(active) > 0.3

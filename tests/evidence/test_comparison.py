@@ -32,7 +32,7 @@ def test_a_list_drives_each_of_its_values_and_labels_the_numbers(asked):
     assert last.parameters == tuning.load("ndi", "equal")["parameters"]
     assert runs.labels == ("setting", "speed_kmh", "controller")
     assert runs["rmse_mm"].loc[("equal", 160, "ndi")] == 7e3
-    assert list(runs.of("ndi").table("rmse_mm")["rmse_mm"]) == [1e3, 3e3, 5e3, 7e3]
+    assert list(runs.table("rmse_mm").xs("ndi", level="controller")["rmse_mm"]) == [1e3, 3e3, 5e3, 7e3]
 
 
 def test_a_variant_has_its_factor_on_r_and_its_own_fields(asked):
@@ -42,9 +42,9 @@ def test_a_variant_has_its_factor_on_r_and_its_own_fields(asked):
     }
     runs = compare("braking", cases, car=calibrated.cars())
     soft, late = asked[:2]
-    setup = calibrated.paper_like()
+    setup = calibrated.cars()["calibrated"]
     assert soft.parameters["r"] == pytest.approx(setup.r_second * setup.parameters["nmpc"]["r"], rel=1e-12, abs=0.0)
-    assert soft.scenario == setup.braking() and late.substeps == 2 and runs.labels == ("car", "case")
+    assert soft.scenario == setup.scenario("braking") and late.substeps == 2 and runs.labels == ("car", "case")
 
 
 def test_sensors_belong_to_the_setting_loop_the_solver_to_nmpc_and_the_car_to_the_reader(asked):
@@ -59,9 +59,4 @@ def test_a_figure_has_a_column_per_car_and_both_wheels_where_a_panel_shows_them(
     runs = compare("curve_entry_T3", ["nmpc", "ndi"], car=calibrated.cars())
     figure, axes = runs.plot("y", "torques", columns="car")
     assert axes.shape == (2, 2) and len(axes[0, 0].lines) == 3 and len(axes[1, 1].lines) == 4
-    titles = [axis.get_title() for axis in axes[0]]
-    setups = calibrated.paper_like(), calibrated.setup({})
-    for name, setup, title in zip(("calibrated", "uncalibrated"), setups, titles, strict=True):
-        pole = setup.parameters["ndi"]["pole"]
-        assert title.startswith(f"{name} car\n") and f"NDI at {pole:g} rad/s" in title
     assert list(runs.data("y")) == ["car", "setting", "controller", "p_m", "y_ref_m", "y_m"]

@@ -16,6 +16,7 @@ from program import python
 
 from railrepro import code, numerics, paths
 from railrepro.data import InputError
+from railrepro.evidence.runs import executor as executors
 from railrepro.evidence.runs.executor import executor, ordered_map, work
 
 
@@ -46,7 +47,7 @@ def test_the_last_digits_of_a_run_do_not_depend_on_the_number_of_threads():
 def test_a_command_fixes_what_decides_the_last_digits_before_numpy_is_loaded(given, monkeypatch):
     script = (
         "import os, sys; from railrepro.__main__ import main; loaded = 'numpy' in sys.modules\n"
-        "main(['score', '--describe']); print(loaded, *(os.environ.get(name, '') for name in sys.argv[1:]))"
+        "main(['score', 'none']); print(loaded, *(os.environ.get(name, '') for name in sys.argv[1:]))"
     )
     names = [*numerics.ALWAYS, *numerics.WITH_AVX2]
     for name in names:
@@ -58,7 +59,7 @@ def test_a_command_fixes_what_decides_the_last_digits_before_numpy_is_loaded(giv
     assert done.stdout.splitlines()[-1] == " ".join(["False", *wanted.values()])
 
 
-def test_tasks_run_one_at_a_time_but_wait_side_by_side():
+def test_tasks_run_one_at_a_time_but_wait_side_by_side(monkeypatch):
     """CasADi's objects must not be used by two threads at a time."""
     inside, crowds, meeting = [], [], Barrier(4)
 
@@ -73,17 +74,16 @@ def test_tasks_run_one_at_a_time_but_wait_side_by_side():
         work(meeting.wait, 20)  # passes when all four tasks wait
         return busy(number)
 
-    with ThreadPoolExecutor(4) as pool:
-        assert ordered_map(pool, task, range(4), "outer", quiet=True) == [0, 1, 2, 3]
+    monkeypatch.setattr(executors, "executor", lambda: ThreadPoolExecutor(4))
+    assert ordered_map(task, range(4), "outer", quiet=True) == [0, 1, 2, 3]
     assert set(crowds) == {1}, "two tasks ran side by side"
 
 
 def test_a_killed_worker_is_told_in_one_sentence_and_the_next_study_has_others(monkeypatch, tmp_path):
     monkeypatch.setenv("RAILREPRO_WORKERS", "2")
-    with pytest.raises(InputError, match="was killed"), executor() as pool:
-        ordered_map(pool, partial(work, killed_once), [(1, tmp_path / "flag", [0])], "killed", quiet=True)
-    with executor() as pool:
-        assert ordered_map(pool, partial(work, abs), [0, -1], "again", quiet=True) == [0, 1]
+    with pytest.raises(InputError, match="was killed"):
+        ordered_map(partial(work, killed_once), [(1, tmp_path / "flag", [0])], "killed", quiet=True)
+    assert ordered_map(partial(work, abs), [0, -1], "again", quiet=True) == [0, 1]
 
 
 def test_workers_of_other_code_are_refused(monkeypatch):
@@ -91,15 +91,15 @@ def test_workers_of_other_code_are_refused(monkeypatch):
     monkeypatch.setenv("RAILREPRO_WORKERS", "2")
     for version in ("other", None):
         monkeypatch.setattr(code, "version", lambda version=version: version)
-        with pytest.raises(InputError, match="imported other code"), executor() as pool:
-            ordered_map(pool, partial(work, abs), [0, -1], "other", quiet=True)
+        with pytest.raises(InputError, match="imported other code"):
+            ordered_map(partial(work, abs), [0, -1], "other", quiet=True)
 
 
 def test_a_script_without_guard_is_told_what_to_do(tmp_path):
     script = tmp_path / "own.py"
     script.write_text(
-        "from railrepro.evidence.runs.executor import executor, ordered_map, work\n"
-        "with executor() as pool:\n    ordered_map(pool, lambda x: work(abs, x), [1, 2], 'own', quiet=True)\n"
+        "from railrepro.evidence.runs.executor import ordered_map, work\n"
+        "ordered_map(lambda x: work(abs, x), [1, 2], 'own', quiet=True)\n"
     )
     done = python(str(script), RAILREPRO_WORKERS="2")
     assert done.returncode == 1 and 'calls the library outside of if __name__ == "__main__":' in done.stderr
@@ -108,13 +108,12 @@ def test_a_script_without_guard_is_told_what_to_do(tmp_path):
 HOLDING = """
 import os, time
 from functools import partial
-from railrepro.evidence.runs.executor import executor, ordered_map, work
+from railrepro.evidence.runs.executor import ordered_map, work
 def hold(_):
     print(os.getpid(), flush=True)
     time.sleep(600)
 if __name__ == "__main__":
-    with executor() as pool:
-        ordered_map(pool, partial(work, hold), [1, 2], "hold", quiet=True)
+    ordered_map(partial(work, hold), [1, 2], "hold", quiet=True)
 """
 
 
@@ -136,9 +135,8 @@ def test_a_study_runs_on_a_dask_cluster(monkeypatch):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         monkeypatch.setenv("RAILREPRO_DASK", cluster.scheduler_address)
-        with executor() as pool:
-            assert ordered_map(pool, partial(work, abs), [0, -1, 2], "first", quiet=True) == [0, 1, 2]
-            assert os.getpid() not in ordered_map(pool, partial(work, process), range(4), "elsewhere", quiet=True)
+        assert ordered_map(partial(work, abs), [0, -1, 2], "first", quiet=True) == [0, 1, 2]
+        assert os.getpid() not in ordered_map(partial(work, process), range(4), "elsewhere", quiet=True)
     monkeypatch.setenv("RAILREPRO_DASK", "tcp://127.0.0.1:1")
     with pytest.raises(InputError, match="no Dask scheduler answers at RAILREPRO_DASK"), executor():
         pass

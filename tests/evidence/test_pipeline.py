@@ -1,5 +1,6 @@
 """The chain: staleness, whole products, failing cells, determinism, clean notebooks."""
 
+import json
 import re
 import sys
 import types
@@ -13,7 +14,7 @@ from railrepro.data import InputError
 from railrepro.evidence.chain import chain
 from railrepro.evidence.runs import store
 
-COMMITTED, SCENARIOS = paths.ROOT, "data/scenarios.toml"
+SCENARIOS = "data/scenarios.toml"
 
 
 def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
@@ -33,47 +34,25 @@ def test_products_appear_once_and_again_when_deleted_or_changed(tiny, capfd):
     executed = (tiny / "build/notebooks/01_tiny.ipynb").read_bytes()
     chain.figures(["01"])
     assert product.exists() and (tiny / "build/notebooks/01_tiny.ipynb").read_bytes() == executed
-    write_notebook(tiny / "notebooks", [CELLS[0], "value = 2", CELLS[2]])
-    chain.refresh(chain.chain()["01_tiny"])
-    assert product.read_text() == "a\n2\n"
-
-
-@pytest.mark.parametrize("ending", ["1", "os._exit(1)"])
-def test_what_a_kernel_writes_beside_its_cells_is_shown_where_it_ends_early(tiny, capfd, ending):
-    write_notebook(tiny / "notebooks", [*CELLS, f"import os; os.write(2, b'of a socket'); {ending}"])
-    failed = bool(chain.figures())
-    assert ("of a socket" in capfd.readouterr().err) == failed == (ending != "1")
-
-
-def test_executed_notebooks_are_identical_bytes(tiny):
-    executed = []
-    for _ in range(2):
-        chain.run(chain.chain()["01_tiny"], {"value": 5}, tiny / "elsewhere", tiny / "build" / "nb")
-        executed.append((tiny / "build/nb/01_tiny.ipynb").read_bytes())
-    assert executed[0] == executed[1]
+    chain.run(chain.chain()["01_tiny"], {"value": 5}, tiny / "elsewhere")
     assert (tiny / "elsewhere/data/results/out.csv").read_text() == "a\n5\n", "the parameter of this run"
-    assert not (tiny / "data/results/out.csv").exists()
+    assert product.read_text() == "a\n1\n"
 
 
 @pytest.mark.parametrize(
     ("last", "sentence"),
     [
-        ("import sys\nsys.exit(0)", "failed with|not executed|did not write"),
-        ("import os\nos.write(2, b'of a socket')\nos._exit(1)", "the kernel did not start or ended before its time"),
+        ("import sys\nsys.exit(0)", "did not write data/results/out.csv"),
+        ("import os\nos._exit(1)", "its kernel did not start or ended before its time"),
         ("pass", "did not write data/results/out.csv"),
-        (None, "01_tiny: has no parameter 'speed'"),
     ],
 )
-def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence, capfd):
+def test_failures_name_the_place_and_leave_the_old_product(tiny, last, sentence):
     chain.refresh(chain.chain()["01_tiny"])
-    if last is None:
-        with open(tiny / "notebooks/chain.toml", "a") as file:
-            file.write("parameters = { speed = 1 }\n")
-    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last or CELLS[2]])
-    with pytest.raises(InputError, match=sentence) as failed:
+    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
+    with pytest.raises(InputError, match=f"01_tiny: {sentence}"):
         chain.refresh(chain.chain()["01_tiny"])
-    assert "\n" not in str(failed.value)
-    assert ("of a socket" in capfd.readouterr().err) == ("before its time" in sentence)
+    assert (tiny / "build/notebooks/01_tiny.failed.ipynb").exists()
     assert (tiny / "data/results/out.csv").read_text() == "a\n1\n"
 
 
@@ -93,11 +72,11 @@ def test_a_notebook_reads_no_product_of_another_and_one_that_fails_stops_no_othe
         write_notebook(tiny / "notebooks", [CELLS[0], "v = 1", "\n".join(lines)], name)
     for name in ("01_a", "in.txt"):
         (tiny / "data" / name).write_text("0")
-    assert chain.figures(jobs=2) == 1
+    assert chain.figures() == 1
     told = capfd.readouterr().err
     assert "4 of 4 notebooks are stale" in told and "Traceback" not in told
     assert "error: 02_b: reads data/01_a, which 01_a writes" in told
-    assert "error: 03_c: cell 3 failed with ZeroDivisionError: division by zero (kept build/notebooks/03_c.f" in told
+    assert "error: 03_c: cell 3 failed with ZeroDivisionError: division by zero (kept " in told
     assert [(tiny / "data" / name).exists() for name in contents] == [True, False, False, True]
     rows = (tiny / "data/MANIFEST.csv").read_text().split()[1:]
     assert [row.split(",")[:3:2] for row in rows] == [["data/01_a", "01_a"], ["data/04_d", "04_d"]]
@@ -115,14 +94,13 @@ def test_only_the_entries_that_a_chapter_reads_make_it_stale(tiny):
         text = f"from railrepro.simulation.scenarios import load_scenario, load_scenarios\nvalue = {read}\n"
         text += f"paths.product('data/{name}').write_text(str(value))"
         write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], text], name)
-    assert chain.figures(jobs=2) == 0
+    assert chain.figures() == 0
     for text, whys in {
         one + two: ["", ""],
         "# a remark\n" + one + two: ["", ""],
         one.replace("5", "6") + two: [f"{SCENARIOS} [one]"] * 2,
         one + two.replace("8", "7"): ["", f"{SCENARIOS} [two]"],
         one + two + new: ["", f"{SCENARIOS}, names of entries and 1 more"],
-        "not TOML": [f"{SCENARIOS} and 1 more", f"{SCENARIOS} and 3 more"],
     }.items():
         file.write_text(text)
         assert [chain.why_stale(notebook) for notebook in chain.chain().values()] == whys, text
@@ -132,8 +110,8 @@ def test_an_input_that_is_edited_while_a_chapter_runs_makes_it_stale(tiny):
     (tiny / "data/in.txt").write_text("1")
     edit = "import time\nfile = paths.ROOT / 'data/in.txt'\nfile.read_text()\ntime.sleep(0.1)\nfile.write_text('2')\n"
     write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], edit + CELLS[2]])
-    chain.refresh(chain.chain()["01_tiny"])
-    assert chain.why_stale(chain.chain()["01_tiny"]) == chain.EDITED
+    assert chain.figures() == 0
+    assert chain.why_stale(chain.chain()["01_tiny"]) == chain.EDITED and not (tiny / "data/MANIFEST.csv").exists()
 
 
 def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
@@ -141,18 +119,13 @@ def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
     monkeypatch.delenv("RAILREPRO_CFLAGS", raising=False)
     notebook, product, known = chain.chain()["01_tiny"], tiny / "data/results/out.csv", code._source_hash
     assert chain.why_stale(notebook) == "it has not run here"
-    with monkeypatch.context() as patch:
-        patch.setattr(code, "unchanged", lambda: False)
-        chain.figures()
-    assert chain.why_stale(notebook) == chain.EDITED and not (tiny / "data/MANIFEST.csv").exists()
     chain.figures()
     found = chain.inputs(notebook, {})
-    (tiny / "environment.lock").write_text("ruff==0.1\n")
     assert chain.why_stale(notebook) == ""
     for file, text, why in (
         (product, "other", "data/results/out.csv was changed or is missing"),
         (notebook.path, notebook.path.read_text().replace("value = 1", "value = 2"), "its cells"),
-        (notebook.stamp, '{"inputs": {}, "products": {}}', "it has not run here"),
+        (notebook.stamp, "{", "it has not run here"),
     ):
         before = file.read_text()
         file.write_text(text)
@@ -170,16 +143,19 @@ def test_a_stale_chapter_names_what_changed(tiny, monkeypatch):
 
 def test_committed_notebooks_are_in_the_chain_and_clean():
     assert sorted(path.stem for path in paths.NOTEBOOKS.glob("*.ipynb")) == list(chain.chain())
+    written = [product for notebook in chain.chain().values() for product in notebook.products]
+    assert len(written) == len(set(written)), "two notebooks write one product"
     for notebook in chain.chain().values():
-        code = [cell for cell in chain.cells(notebook) if cell["cell_type"] == "code"]
-        assert not any(cell["outputs"] or cell["execution_count"] for cell in code), notebook.name
-        assert sum("parameters" in cell["metadata"].get("tags", []) for cell in code) == 1, notebook.name
-        assert not any(re.search(r"import \*|sys\.path|/home/|/root/", cell["source"]) for cell in code), notebook.name
+        cells = json.loads(notebook.path.read_text())["cells"]
+        own = [cell for cell in cells if cell["cell_type"] == "code"]
+        assert not any(cell["outputs"] or cell["execution_count"] for cell in own), notebook.name
+        (chosen,) = [cell for cell in own if "parameters" in cell["metadata"].get("tags", [])]
+        for name in notebook.parameters | notebook.test_parameters:
+            assert re.search(rf"^{name} = ", "".join(chosen["source"]), re.M), (notebook.name, name)
 
 
 def test_what_runs_by_hand_leaves_committed_products_as_they_are(tiny, monkeypatch):
-    monkeypatch.setenv("RAILREPRO_OUTPUT", "")
-    assert paths.product("data/one.csv") == tiny / "data/one.csv"
+    monkeypatch.delenv("RAILREPRO_OUTPUT", raising=False)
     shell = types.SimpleNamespace(user_ns={})
     monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setenv("JPY_SESSION_NAME", "notebooks/06_curve_entry.ipynb")
@@ -187,22 +163,3 @@ def test_what_runs_by_hand_leaves_committed_products_as_they_are(tiny, monkeypat
     assert written == tiny / "build/tried/06_curve_entry/data/results/one.csv"
     written.write_text("tried")
     assert paths.source("data/results/one.csv") == written
-    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tiny / "staging"))
-    assert paths.product("data/one.csv") == tiny / "staging/data/one.csv"
-
-
-def test_chapters_run_with_a_car_of_ones_own_beside_what_is_committed(tiny, tmp_path, capfd):
-    mine = tmp_path / "mine.toml"
-    mine.write_text((COMMITTED / "data/vehicle.toml").read_text().replace("value = 26000.0", "value = 24000.0"))
-    last = """from railrepro import load_vehicle
-from railrepro.evidence.report.sentences import sentences
-mass = load_vehicle().body.mass
-with sentences() as says: says(f"The body has {mass / 1e3:.0f} t.", mass == 26000)
-paths.product("data/results/out.csv").write_text(f"a\\n{mass}\\n")"""
-    write_notebook(tiny / "notebooks", [CELLS[0], CELLS[1], last])
-    assert chain.drive(mine) == 0
-    assert "01_tiny: does not hold on this car: The body has 24 t." in capfd.readouterr().err
-    assert (tiny / "build/tried/mine/data/results/out.csv").read_text() == "a\n24000.0\n"
-    assert not (tiny / "data/results/out.csv").exists()
-    with pytest.raises(InputError, match="nowhere.toml"):
-        chain.drive(tmp_path / "nowhere.toml")

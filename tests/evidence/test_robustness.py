@@ -1,9 +1,12 @@
 """Robustness study: samples, failures count as failures, shares by setting and profile, binomial intervals."""
 
+from itertools import product
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from railrepro.evidence.claims.statements import Evidence
 from railrepro.evidence.uncertainty import robustness
 
 T3 = "curve_entry_T3"
@@ -20,19 +23,13 @@ def test_samples_cover_the_ranges_and_are_reproducible():
     worlds = [s.world() for s in samples]
     assert {w.profile for w in worlds} == {"cone", "s1002"}
     assert {w.ltv for w in worlds} == {"ltv_mpc", "ltv_mpc_printed"}
-    assert {w.good for w in worlds} == {"dry"}, "the paper's good rail is no wet one"
 
 
-@pytest.mark.parametrize("key", ["adhesion.dry.k_a", "adhesion.dry.k_s", "adhesion.poor.k_a", "adhesion.poor.k_s"])
-def test_creep_slopes_of_both_rails_are_sampled_and_reach_the_car(key):
-    values = [s.world().vehicle[key] for s in robustness.draw(32, settings=("paper",))]
-    assert max(values) > 2 * min(values) or key == "adhesion.dry.k_a"
-    _, rail, name = key.split(".")
-    sample = robustness.draw(4, settings=("paper",))[3]
-    assert getattr(sample.world().car().adhesion[rail], name) == sample.world().vehicle[key]
-
-
-def test_what_a_sample_does_not_name_stays_nominal():
+def test_creep_slopes_of_both_rails_reach_the_car_and_what_is_not_named_stays_nominal():
+    for given in robustness.draw(4, settings=("paper",)):
+        vehicle, sets = given.world().vehicle, given.world().car().adhesion
+        for rail, key in product(("dry", "poor"), ("k_a", "k_s")):
+            assert getattr(sets[rail], key) == vehicle[f"adhesion.{rail}.{key}"]
     world = robustness.Sample(0, "paper", (("r_loss", 30.0), ("adhesion.poor.k_s over k_a", 0.5))).world()
     assert (world.r_loss, world.r_brake, world.profile, world.ltv) == (30.0, 1.0, "", "ltv_mpc_printed")
     assert world.car().adhesion["poor"].k_s == 0.5 * world.car().adhesion["poor"].k_a
@@ -47,24 +44,21 @@ def sample(setting="equal", profile="cone", ndi=2e-3, failed=0.0, number=0):
 
 
 @pytest.fixture(autouse=True)
-def no_ties(monkeypatch):
-    """Seeds that do not differ, whatever the committed probes say."""
-    monkeypatch.setattr(robustness, "ties", lambda settings: {setting: {} for setting in settings})
+def spread(monkeypatch):
+    """Spread between seeds of the nominal car: they do not differ, whatever the committed probes say."""
+    found = {}
+    monkeypatch.setattr(robustness.Nominal, "evidence", lambda *_: Evidence({}, found))
+    return found
 
 
 def shares(*rows):
     return robustness.shares(pd.DataFrame(rows)).set_index(["id", "setting"]).loc["C05"]
 
 
-def test_a_failed_run_is_a_failure_and_not_missing():
-    found = shares(sample(), sample(failed=1.0))
-    assert found.loc["equal", "share"] == 0.5 and found.loc["equal", "samples"] == 2
-
-
-def test_shares_are_split_by_setting_and_profile():
-    found = shares(sample(), sample(profile="s1002", ndi=5e-4), sample(setting="loop"))
+def test_shares_are_split_by_setting_and_profile_and_a_failed_run_is_a_failure():
+    found = shares(sample(), sample(profile="s1002", ndi=5e-4), sample(setting="loop"), sample("loop", failed=1.0))
     assert found.loc["equal", ["share", "cone", "s1002"]].tolist() == [0.5, 1.0, 0.0]
-    assert found.loc["loop", "share"] == 1.0
+    assert found.loc["loop", ["share", "samples"]].tolist() == [0.5, 2]
 
 
 @pytest.mark.parametrize(
@@ -76,27 +70,20 @@ def test_the_interval_is_that_of_clopper_and_pearson(held, of, low, high):
     assert (found["low"], found["high"]) == pytest.approx((low, high), abs=1e-4)
 
 
-def test_a_lead_within_the_spread_of_the_nominal_seeds_is_a_tie_in_samples_too(monkeypatch):
-    spread = {(T3, "nmpc", "rmse_y"): np.log(3.0)}
+def test_a_lead_within_the_spread_of_the_nominal_seeds_is_a_tie_in_samples_too(spread):
     assert shares(sample()).loc["equal", "share"] == 1.0
-    monkeypatch.setattr(robustness, "ties", lambda settings: {setting: spread for setting in settings})
+    spread[T3, "nmpc", "rmse_y"] = np.log(3.0)
     assert shares(sample()).loc["equal", "share"] == 0.0
 
 
-def test_what_decides_is_confirmed_by_changing_it_alone():
-    """The statement holds for stiff wheels only; the amplitude moved with them by chance."""
-    found = pd.DataFrame([{"id": "C05", "setting": "paper", "candidates": ["wheel.radius", "amplitude_mm"]}])
-    asked = []
-
-    def run(samples):
-        asked.extend(samples)
-        large = [dict(s.values).get("wheel.radius", 0.47) > 0.46 for s in samples]
-        return [sample(setting=s.setting, ndi=2e-3 if yes else 5e-4) for s, yes in zip(samples, large, strict=True)]
-
-    assert robustness.confirmed(found, "paper", run)["decided_by"].tolist() == ["wheel.radius"]
-    assert [len(s.values) for s in asked] == [1, 1, 1, 1], "each alone, at both ends"
-    none = found.assign(candidates=[[]])
-    assert robustness.confirmed(none, "paper", run)["decided_by"].tolist() == [""]
+def test_what_decides_stands_beside_the_share_of_its_statement():
+    """NDI is behind on cones, half of the samples."""
+    drawn, rows = robustness.draw(64, ("paper",)), []
+    for one in drawn:
+        cone = one.world().profile == "cone"
+        rows.append(dict(one.values) | sample("paper", ("s1002", "cone")[cone], 2e-3 if cone else 5e-4))
+    found = robustness.decided(pd.DataFrame(rows)).set_index("id").loc["C05"]
+    assert found["decided_by"] == "profile (cone, S1002)" and (found["share"], found["cone"]) == (0.5, 1.0)
 
 
 def test_what_decides_is_told_without_what_only_moves_with_it_and_without_chance():

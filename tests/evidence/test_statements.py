@@ -24,14 +24,7 @@ FREE = ("C01", "C26", "C27")
 
 
 APPROACHING = {"approaches": 5.0, "approached": 5.0, "macro_slips": 4.0, "recovered": 4.0}
-SLIPPING = {
-    "approaches": 2.0,
-    "approached": 1.0,
-    "macro_slips": 1.0,
-    "recovered": 0.0,
-    "largest_slip": 0.054,
-    "failed": 0.0,
-}
+SLIPPING = {"approaches": 2.0, "approached": 1.0, "macro_slips": 1.0, "recovered": 0.0, "largest_slip": 0.054}
 
 
 def _metrics():
@@ -112,12 +105,11 @@ def _tables():
 
 
 IDEAL = Evidence(_metrics(), {}, lambda name: _tables()[name], "paper")
-IDEAL_WITHOUT = Evidence({}, {}, IDEAL.tables)
 
 
-def ideal(identity):
-    """Evidence for a statement where the paper is right throughout."""
-    return IDEAL_WITHOUT if identity in FREE else IDEAL
+def seen(identity, evidence=IDEAL):
+    """What the predicate of a statement is shown: the tables alone where no controller enters."""
+    return replace(evidence, metrics={}, setting="") if identity in FREE else evidence
 
 
 def judged(identity, evidence):
@@ -125,20 +117,22 @@ def judged(identity, evidence):
 
 
 def but(*changes, spread=None):
-    """The ideal world with some metrics changed: (scenario, controller, metric, value)."""
-    changed = {(s, c, m): value for s, c, m, value in changes}
-    return replace(IDEAL, metrics=dict(IDEAL.metrics) | changed, spread=spread or {})
+    """The ideal world with some metrics changed: (scenario, controller, metric, value), or (table, function of it)."""
+    changed = {change[:3]: change[3] for change in changes if len(change) == 4}
+    tables = dict(change for change in changes if len(change) == 2)
+    return replace(
+        IDEAL,
+        metrics=dict(IDEAL.metrics) | changed,
+        spread=spread or {},
+        tables=lambda name: tables.get(name, lambda table: table)(_tables()[name]),
+    )
 
 
 @pytest.mark.parametrize("identity", KNOWN)
-def test_every_statement_holds_where_the_paper_is_right(identity):
-    assert judged(identity, ideal(identity)) == REPRODUCED
-
-
-@pytest.mark.parametrize("identity", KNOWN)
-def test_every_rule_fails_its_negative_control(identity):
-    for name in KNOWN[identity].controls:
-        assert judged(identity, negative_controls.CONTROLS[name](ideal(identity))) != REPRODUCED, name
+def test_every_rule_holds_where_the_paper_is_right_and_fails_its_negative_control(identity):
+    assert judged(identity, seen(identity)) == REPRODUCED
+    for name in KNOWN[identity].control.split("; "):
+        assert judged(identity, negative_controls.CONTROLS[name](seen(identity))) != REPRODUCED, name
 
 
 T3, LOSS, BRAKE, STRAIGHT = "curve_entry_T3", "adhesion_loss", "braking", "sine of 1000 m 160"
@@ -151,24 +145,18 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 990.0)]
     ("identity", "changes", "verdict"),
     [
         ("C03", [("curve_entry_T4", "nmpc, y* = 0", "effort_du", 580.0)], NOT),
-        ("C04", [(T3, "ltv_mpc_printed", "rmse_y", 2.1e-3)], NOT),
         ("C04", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C04", [(T3, "ndi", "path_error", 0.8)], PARTLY),
         ("C05", [(T3, "ltv_mpc_printed", "rmse_y", 1.3e-3)], PARTLY),
-        ("C05", [(T3, "ndi", "rmse_y", 0.4e-3)], NOT),
         ("C05", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C05", [(T3, "nmpc", "failed", 1.0)], PARTLY),
         ("C06", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], PARTLY),
-        ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.8e-3)], NOT),
         ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.7e-3)], PARTLY),
         ("C07", [(T3, "ltv_mpc_printed", "rmse_y", 0.4e-3)], NOT),
         ("C08", [(T3, "nmpc", "delay", -4.1)], PARTLY),
         ("C42", [(T3, "nmpc", "delay", -1.5)], PARTLY),
-        ("C42", [(T3, "nmpc", "delay", 5.5)], NOT),
         ("C42", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C09", [(T3, "nmpc", "ndi_alike", 0.7)], PARTLY),
-        ("C09", [(T3, "nmpc", "ndi_later", 0.5)], PARTLY),
-        ("C09", [(T3, name, "ndi_later", 11.0) for name in TRIO[:2]], NOT),
         ("C09", [(T3, name, "ndi_later", -0.5) for name in TRIO[:2]], NOT),
         ("C09", [(T3, "ndi", "failed", 1.0)], NOT),
         ("C10", [(T3, "ltv_mpc_printed", "gyroscopic_share", 1.6)], NOT),
@@ -177,19 +165,15 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 990.0)]
         ("C12", [(T3, "nmpc", "shortfall", 2.9e-4)], PARTLY),
         ("C16", [("curve_entry_T1", "ltv_mpc_printed", "failed", 1.0)], PARTLY),
         ("C17", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 0.7e-4)], PARTLY),
-        ("C17", [(f"sine_tracking {v}", "ltv_mpc_printed", "rmse_y", 0.7e-4) for v in (80, 240)], NOT),
         ("C18", [("sine_tracking 240", "ndi", "rmse_y", 9e-3)], NOT),
         ("C18", [("sine_tracking 240", "ndi", "failed", 1.0)], NOT),
         ("C19", [("sine_tracking 400", "ndi", "rmse_y", 0.5e-3)], NOT),
         ("C20", [("sine_tracking 80", "ltv_mpc_printed", "rmse_y", 9e-3)], PARTLY),
-        ("C16", [(f"curve_entry_T{i}", "ndi", "failed", 1.0) for i in (1, 2)], PARTLY),
-        ("C16", [(f"curve_entry_T{i}", "ltv_mpc_printed", "failed", 1.0) for i in (1, 2, 4)], NOT),
         ("C13", [(T3, "nmpc on cones, nearly rolling", "mean_error_last_third", -3.1e-4)], PARTLY),
         ("C13", [(T3, name, "mean_error_last_third", 3.1e-4) for name in (AS_MODELLED, NO_CREEP)], NOT),
         ("C13", [(T3, "nmpc", "mean_error_last_third", -2.9e-4)], NOT),
         ("C21", [(LOSS, "nmpc, regular operation", "regular_deviation", 0.11)], PARTLY),
         ("C21", [(LOSS, f"{SOFT}, regular operation", "regular_deviation", 0.11)], REPRODUCED),
-        ("C21", [(LOSS, f"{name}, regular operation", "regular_deviation", 0.11) for name in ("nmpc", SOFT)], NOT),
         ("C25", [("left rail, braking", "nmpc", "largest_slip", 0.3)], PARTLY),
         ("C25", [(case, "nmpc", "utilisation", 0.7) for case in statements.SUDDEN[:2]], PARTLY),
         ("C25", [(case, "nmpc", "regular_deviation", 0.11) for case in statements.SUDDEN[:3]], NOT),
@@ -198,28 +182,16 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 990.0)]
         ("C50", [(LOSS, "nmpc", "failed", 1.0), (LOSS, SOFT, "failed", 1.0)], NOT),
         ("C23", [(LOSS, f"{name}, no slip control", "largest_slip", 0.049) for name in ("nmpc", SOFT)], NOT),
         ("C23", [(LOSS, "nmpc", "failed", 1.0)], PARTLY),
-        ("C23", [(LOSS, "nmpc", "largest_slip", 0.031), (LOSS, SOFT, "largest_slip", 0.031)], NOT),
         ("C24", [(LOSS, f"{SOFT}, no slip control", "recovered", 1.0)], REPRODUCED),
         ("C24", [(LOSS, "nmpc", "recovered", 3.0)], PARTLY),
         ("C24", [(LOSS, name, "macro_slips", 0.0) for name in ("nmpc", SOFT)], NOT),
         ("C28", [(LOSS, "nmpc", "set_point_gain", 1.6), (LOSS, SOFT, "set_point_gain", 0.4)], NOT),
         ("C28", [(LOSS, "nmpc", "error_growth", 1.6)], PARTLY),
-        ("C28", [(LOSS, "nmpc", "rmse_y", 1.41e-3)], PARTLY),
         ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5)], NOT),
         ("C49", [(LOSS, "ndi", "rmse_y", 1e-5)], NOT),
         ("C49", [(LOSS, "nmpc", "rmse_y", 1e-5), (LOSS, "nmpc", "flange", 0.2)], REPRODUCED),
         ("C49", [(LOSS, name, metric, 1e-5) for name in ("nmpc", NDI) for metric in ("flange", "rmse_y")], REPRODUCED),
         ("C30", [(BRAKE, BETWEEN, "rmse_y", 0.9e-3), (BRAKE, "sweep of R", "rmse_y 10", 0.9e-3)], NOT),
-        ("C30", [(BRAKE, SOFTEST, "stopping_distance", 1005.5)], PARTLY),
-        (
-            "C30",
-            [
-                *SWEPT_WRONG,
-                (BRAKE, BETWEEN, "stopping_distance", 1008.0),
-                (BRAKE, SOFTEST, "stopping_distance", 1006.0),
-            ],
-            NOT,
-        ),
         ("C30", [(BRAKE, "nmpc", "stopping_distance_spread", 0.009)], NOT),
         ("C30", [*SWEPT_WRONG, (BRAKE, BETWEEN, "rmse_y", 1.005e-3), (BRAKE, SOFTEST, "rmse_y", 1.015e-3)], NOT),
         ("C30", [(BRAKE, name, "failed", 1.0) for name in (SOFTEST, "sweep of R")], NOT),
@@ -229,44 +201,27 @@ SWEPT_WRONG = [(BRAKE, "sweep of R", "stopping_distance 10", 990.0)]
         ("C31", [(BRAKE, SOFTEST, "rmse_y", 5e-3)], PARTLY),
         ("C31", [(BRAKE, NDI, "rmse_y_spread", 0.4)], TIE),
         ("C32", [(BRAKE, NDI, "stopping_distance_spread", 0.01)], TIE),
-        ("C32", [(BRAKE, "nmpc", "stopping_distance", 1021.0)], PARTLY),
         ("C32", [(BRAKE, "ndi", "stopping_distance", 990.0)], NOT),
-        ("C34", [(BRAKE, FIXED, "stopping_distance", 1040.0)], PARTLY),
         ("C34", [(BRAKE, FIXED, "stopping_distance", 1030.0)], NOT),
         ("C34", [(BRAKE, FIXED, "stopping_distance", float("inf"))], NOT),
         ("C35", [(STRAIGHT, "nmpc on cones", "rmse_y", 0.75e-3)], PARTLY),
         ("C35", [(STRAIGHT, "nmpc", "rmse_y", 3e-4), (STRAIGHT, "nmpc on cones", "rmse_y", 1e-4)], REPRODUCED),
-        ("C36", [(STRAIGHT, "nmpc, nearly rolling", "rmse_y", 1.45e-3)], PARTLY),
         ("C36", [(T3, "nmpc, nearly rolling", "rmse_y", 0.15e-3)], NOT),
         ("C37", [(BRAKE, "nmpc, base torque unknown", "rmse_y", 1.01e-3)], TIE),
         ("C37", [(BRAKE, "nmpc, base torque unknown", "rmse_y", 0.97e-3)], NOT),
         ("C39", [("irregular straight", "nmpc, preview", "rail_rmse_y", 0.6)], PARTLY),
         ("C41", [("irregular straight", "nmpc, preview", "n_mv_floor_front", 1.1)], PARTLY),
+        ("C01", [("table1", lambda t: t.assign(phi_deg=t["phi_deg"] * [1, 1, 1, 1.02]))], NOT),
+        ("C14", [("solve_times", lambda t: t.replace({"median_ms": {0.1: 0.16}}))], PARTLY),
+        ("C14", [("solve_times", lambda t: t.replace({"median_ms": {0.1: 0.03}}))], NOT),
+        ("C15", [("solve_times", lambda t: t.assign(max_ms=[0.1, 6.0, 0.1] * 3))], PARTLY),
+        ("C44", [("solve_times", lambda t: t.assign(median_ms=[400.0, 1.0, 1e3] * 3))], NOT),
+        ("C26", [("adhesion_map", lambda t: t.assign(utilisation=[0.9, 0.9, 0.9, 0.7, *[0.6] * 4]))], PARTLY),
+        ("C27", [("adhesion_law", lambda t: t.assign(rms_error=[9e-3, 9e-3, 9e-3, 1e-3]))], NOT),
     ],
 )
 def test_a_change_turns_the_verdict(identity, changes, verdict):
-    assert judged(identity, but(*changes)) == verdict
-
-
-@pytest.mark.parametrize(
-    ("identity", "name", "change", "verdict"),
-    [
-        ("C01", "table1", lambda t: t.assign(phi_deg=t["phi_deg"] * [1, 1, 1, 1.02]), NOT),
-        ("C14", "solve_times", lambda t: t.replace({"median_ms": {0.1: 0.16}}), PARTLY),
-        ("C14", "solve_times", lambda t: t.replace({"median_ms": {0.1: 0.06}}), PARTLY),
-        ("C14", "solve_times", lambda t: t.replace({"median_ms": {0.1: 0.03}}), NOT),
-        ("C15", "solve_times", lambda t: t.assign(max_ms=[0.1, 6.0, 0.1] * 3), PARTLY),
-        ("C15", "solve_times", lambda t: t.assign(max_ms=6.0), NOT),
-        ("C44", "solve_times", lambda t: t.assign(median_ms=[400.0, 1.0, 1e3] * 3), NOT),
-        ("C26", "adhesion_map", lambda t: t.assign(utilisation=[0.9, 0.9, 0.9, 0.7, *[0.6] * 4]), PARTLY),
-        ("C27", "adhesion_law", lambda t: t.assign(rms_error=[9e-3, 9e-3, 9e-3, 1e-3]), NOT),
-    ],
-)  # fmt: skip
-def test_a_changed_table_turns_the_verdict(identity, name, change, verdict):
-    changed = replace(
-        ideal(identity), tables=lambda which: change(_tables()[which]) if which == name else _tables()[which]
-    )
-    assert judged(identity, changed) == verdict
+    assert judged(identity, seen(identity, but(*changes))) == verdict
 
 
 @pytest.mark.parametrize(("seeds", "verdict"), [(1.5, REPRODUCED), (2.5, TIE)])

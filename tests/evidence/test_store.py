@@ -13,7 +13,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS
 from railrepro.evidence.claims import probe
 from railrepro.evidence.runs import executor as executors
-from railrepro.evidence.runs import store, swarm, tuning
+from railrepro.evidence.runs import store, tuning
 from railrepro.evidence.runs.executor import executor, ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation.scenarios import load_scenario
@@ -98,9 +98,9 @@ def test_the_runs_of_an_evaluation_are_stored_one_by_one(folder, runs):
     run = replace(task.runs["T3"], scenario=task.runs["T3"].scenario.but(end_m=20.0))
     task = replace(task, runs={"T3": run, "seen": replace(run, sensors={"seed": 1})})
     poles = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
-    cost = swarm.evaluate("ndi", task, poles)
+    cost = tuning.evaluate("ndi", task, poles)
     next(folder.rglob("*.json")).unlink()
-    assert swarm.evaluate("ndi", task, poles) == cost and math.isfinite(cost[0]) and len(runs) == 3
+    assert tuning.evaluate("ndi", task, poles) == cost and math.isfinite(cost[0]) and len(runs) == 3
 
 
 def test_what_a_worker_computes_is_stored_by_who_asked_and_asked_of_no_worker_again(folder, monkeypatch):
@@ -112,10 +112,10 @@ def test_what_a_worker_computes_is_stored_by_who_asked_and_asked_of_no_worker_ag
         with executor() as pool:
             pool.submit(os.getpid).result()
     experiments = [replace(SHORT, label={"n": n}, scenario=SCENARIO.but(end_m=8.0 + n)) for n in range(2)]
+    first = ordered_map(call, experiments, "elsewhere", quiet=True)
     with executor() as pool:
-        first = ordered_map(pool, call, experiments, "elsewhere", quiet=True)
         monkeypatch.setattr(pool, "submit", lambda *_: pytest.fail("a worker was asked"))
-        again = ordered_map(pool, call, experiments, "again", quiet=True)
+    again = ordered_map(call, experiments, "again", quiet=True)
     assert repr([row for row, _ in again]) == repr([row for row, _ in first]) and again[1][0]["n"] == 1
 
 

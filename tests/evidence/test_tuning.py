@@ -11,8 +11,7 @@ from railrepro import paths
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import SHOWN
 from railrepro.data import InputError
-from railrepro.evidence.runs import swarm, tuning
-from railrepro.evidence.runs.executor import executor
+from railrepro.evidence.runs import tuning
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import simulate
 
@@ -51,8 +50,8 @@ def driven():
 
 
 def cost_and_parts(run, scenario, cost, **around):
-    parts, _ = swarm.driven(run, Experiment(scenario, "ndi", **around))
-    return swarm.run_cost(parts, cost), parts
+    parts, _ = tuning.driven(run, Experiment(scenario, "ndi", **around))
+    return tuning.run_cost(parts, cost), parts
 
 
 def test_failures_cost_more_the_earlier_they_happen(driven):
@@ -94,7 +93,7 @@ def test_behind_sensors_the_error_counts_from_the_rails(driven):
 def test_an_evaluation_beyond_its_limit_stops():
     task = tuning.load_task()
     runs = {name: replace(run, scenario=run.scenario.but(end_m=60.0)) for name, run in task.runs.items()}
-    evaluation = partial(swarm.evaluate, "ndi", replace(task, runs={name: runs[name] for name in ("T3", "poor")}))
+    evaluation = partial(tuning.evaluate, "ndi", replace(task, runs={name: runs[name] for name in ("T3", "poor")}))
     poles = {"pole": 40.0, "frequency": 30.0, "damping": 1.0}
     whole, parts = evaluation(poles)
     assert [part["run"] for part in parts] == ["poor", "T3"]
@@ -109,8 +108,7 @@ def test_results_do_not_depend_on_the_number_of_workers(monkeypatch):
     small = replace(task, runs=runs, budget=task.budget | {"particles": 3, "iterations": 2, "seeds": [5, 6]})
     for workers in ("1", "2"):
         monkeypatch.setenv("RAILREPRO_WORKERS", workers)
-        with executor() as pool:
-            found.append(swarm.tune("ndi", small, pool, quiet=True))
+        found.append(tuning.tune("ndi", small, quiet=True))
     tables = [each.pop("history") for each in found]
     assert tables[0].equals(tables[1]) and found[0] == found[1]
     assert found[0]["cost"] == tables[0]["cost"].min() and len(tables[0]) == 2 * 3 * 2

@@ -1,14 +1,25 @@
-"""A page in headless Chromium, by its debugging protocol."""
+"""A page in headless Chromium, by its debugging protocol; as a program it makes the moving picture of the front page.
 
+That is a recording of the live page: `make live`, then `python tests/helpers/browser.py`.
+"""
+
+import base64
 import contextlib
+import io
 import json
 import shutil
 import subprocess
+import tempfile
 import time
+from pathlib import Path
+from urllib.parse import quote
 from urllib.request import urlopen
 
 import pytest
 import websocket
+from PIL import Image
+
+from railrepro import paths
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium on this machine")
@@ -40,11 +51,10 @@ class Page:
 
 
 @contextlib.contextmanager
-def opened(url, folder, size="1440,900"):
+def opened(url, folder):
     """The page of an address, in a browser of its own in a new folder."""
     browser = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"]
-    browser += ["--remote-allow-origins=*", f"--user-data-dir={folder}", f"--window-size={size}", url]
-
+    browser += ["--remote-allow-origins=*", f"--user-data-dir={folder}", "--window-size=1440,900", url]
     process, page = subprocess.Popen(browser, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL), ""
     try:
         for _ in range(600):
@@ -60,3 +70,30 @@ def opened(url, folder, size="1440,900"):
     finally:
         process.terminate()
         process.wait(20)
+
+
+SHOWN = {"figure": "braking", "setting": "paper", "shown": ["nmpc", "ndi", "ndi_integral"]}
+ENDED = "(document.body?.innerText ?? '').split('The car stands').length > 3"
+
+
+def record(page):
+    """Pictures of a run, as many as the browser gives, the second one: its modules are compiled."""
+    while not page.evaluated(ENDED):
+        pass
+    page.evaluated("document.getElementById('run').click()")
+    found = []
+    while not page.evaluated(ENDED):
+        shot = io.BytesIO(base64.b64decode(page.ask("Page.captureScreenshot", format="png")["data"]))
+        picture = Image.open(shot).convert("RGB")
+        found.append(picture.resize([round(0.62 * side) for side in picture.size], Image.Resampling.LANCZOS))
+    return found
+
+
+if __name__ == "__main__":
+    file, url = paths.ROOT / "figures/live.gif", (paths.BUILD / "live/index.html").as_uri()
+    address = f"{url}#{quote(json.dumps(SHOWN))}"
+    with tempfile.TemporaryDirectory() as folder, opened(address, Path(folder), "1180,900") as live:
+        pictures = record(live)[::2]
+    taken = [picture.quantize(64, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE) for picture in pictures]
+    times = [120] * (len(taken) - 1) + [4000]
+    taken[0].save(file, save_all=True, append_images=taken[1:], duration=times, loop=0, optimize=True)

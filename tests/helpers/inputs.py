@@ -5,26 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from railrepro import (
-    NDI,
-    NMPC,
-    Export,
-    LqgPreview,
-    SteppedCar,
-    Vehicle,
-    export_fmu,
-    lay,
-    load_scenario,
-    load_track,
-    load_vehicle,
-    metrics,
-    paths,
-    simulate,
-    tuned,
-)
+from railrepro import NDI, load_scenario, load_track, load_vehicle, paths, simulate
 from railrepro.contact.table import contact_table
 from railrepro.control.registry import guidance
-from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import statements
 from railrepro.evidence.report import figures, flips
 from railrepro.evidence.runs import preview, pso, tuning

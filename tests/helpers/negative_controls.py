@@ -104,7 +104,7 @@ def weight_without_effect(e: Evidence, scenario: str, controller: str, metric: s
 
 def speed_without_effect(e: Evidence, scenario: str, controller: str, metric: str, value: float) -> float:
     """The sine at every speed gives what it gives at the lowest."""
-    lowest = f"sine_tracking {e.speeds()[0]}"
+    lowest, *_ = e.sines().values()
     return e.metrics.get((lowest, controller, metric), value) if scenario.startswith("sine_tracking") else value
 
 

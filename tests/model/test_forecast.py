@@ -7,7 +7,7 @@ from numpy.polynomial import Polynomial
 
 from railrepro.control.problem import MPCSettings
 from railrepro.control.solvers.riccati import Horizon
-from railrepro.model.control_model import STATES, THETA, control_model
+from railrepro.model.control_model import STATES, THETA, parameter_vector
 from railrepro.model.forecast import NOMINAL, nominal_values
 from railrepro.track import route
 from railrepro.track.table import load_track
@@ -16,64 +16,53 @@ from railrepro.vehicle.parameters import load_vehicle
 PERIOD, STEPS = 0.02, 30
 STRAIGHT = route.lay(load_track("T5"))
 HALF_CAR = 13_000 + 3000 + 2 * 60 / 0.46**2  # kg, with the spin inertia of two wheels
+V = load_vehicle()
 
 
-@pytest.fixture(scope="module")
-def vehicle():
-    return load_vehicle()
-
-
-def ahead(vehicle, way, u_d=0.0, gear=0, **values):
+def ahead(way, u_d=0.0, gear=0, **values):
     """Desired states and track parameters by name from a measured state."""
     state = dict.fromkeys(STATES, 0.0) | {"x": 100.0, "xdot": 40.0} | values
-    settings, parameters = MPCSettings(period=PERIOD, steps=STEPS), control_model().parameter_vector(vehicle)
-    found = Horizon(settings, nominal_values(vehicle, gear), parameters, way)
-    found.sample(np.array(list(state.values())), u_d, 0.0)
-    found.forecast()
+    settings, parameters = MPCSettings(period=PERIOD, steps=STEPS), parameter_vector(V)
+    found = Horizon(settings, nominal_values(V, gear), parameters, way)
+    found.forecast(np.array(list(state.values())), u_d)
     return {name: found.x_d[:, i] for i, name in enumerate(STATES)}, {n: found.theta[:, i] for i, n in enumerate(THETA)}
 
 
-def test_nominal_values_by_hand(vehicle):
-    front, rear, printed = (
-        dict(zip(NOMINAL, nominal_values(vehicle, *how), strict=True)) for how in ((0,), (1,), (1, True))
-    )
+def test_nominal_values_by_hand():
+    front, rear, printed = (dict(zip(NOMINAL, nominal_values(V, *how), strict=True)) for how in ((0,), (1,), (1, True)))
     assert front == pytest.approx({"acceleration_per_torque": 2 / 0.46 / HALF_CAR, "partner": -14.0, "m_CB": 26_000.0})
     assert rear == front | {"partner": 14.0}
     assert printed == pytest.approx(rear | {"acceleration_per_torque": -1 / 0.46 / 16_000})
 
 
 @pytest.mark.parametrize("u_d", [0.0, 1500.0, -1500.0])
-def test_a_held_base_torque_accelerates_uniformly(vehicle, u_d):
-    x_d, theta = ahead(vehicle, STRAIGHT, u_d)
+def test_a_held_base_torque_accelerates_uniformly(u_d):
+    x_d, theta = ahead(STRAIGHT, u_d)
     t, acceleration = PERIOD * np.arange(STEPS + 1), 2 * u_d / 0.46 / HALF_CAR
     assert x_d["x"] == pytest.approx(100 + 40 * t + acceleration * t**2 / 2, rel=1e-12)
     assert x_d["xdot"] == pytest.approx(40 + acceleration * t, rel=1e-12)
     assert theta["m_CB"] == pytest.approx(26_000.0)
 
 
-def test_a_braked_gear_stops_where_its_energy_ends_and_stays(vehicle):
-    x_d, _ = ahead(vehicle, STRAIGHT, -4000.0, xdot=0.3)
+def test_a_braked_gear_stops_where_its_energy_ends_and_stays():
+    x_d, _ = ahead(STRAIGHT, -4000.0, xdot=0.3)
     deceleration = 2 * 4000 / 0.46 / HALF_CAR
-    stops = 0.3 / deceleration
-    assert PERIOD * 10 < stops < PERIOD * 20
-    after = PERIOD * np.arange(STEPS + 1) > stops
-    assert x_d["x"][after] == pytest.approx(100 + 0.3**2 / 2 / deceleration, rel=1e-12)
-    assert x_d["xdot"][after] == pytest.approx(0.0, abs=1e-12)
-    assert x_d["xdot"][~after] == pytest.approx(0.3 - deceleration * PERIOD * np.arange((~after).sum()))
-
-
-@pytest.mark.parametrize("u_d", [0.0, -4000.0])
-def test_a_gear_at_rest_or_rolling_back_is_not_braked_forward(vehicle, u_d):
-    assert ahead(vehicle, STRAIGHT, u_d, xdot=0.0)[0]["x"] == pytest.approx(100.0, abs=1e-12)
-    assert ahead(vehicle, STRAIGHT, u_d, xdot=-0.01)[0]["xdot"] == pytest.approx(-0.01)
-    assert ahead(vehicle, STRAIGHT, 0.0, xdot=-0.01)[0]["x"][-1] == pytest.approx(100 - 0.01 * PERIOD * STEPS)
+    t = np.minimum(PERIOD * np.arange(STEPS + 1), 0.3 / deceleration)
+    assert PERIOD * 10 < t[-1] < PERIOD * 20
+    assert x_d["xdot"] == pytest.approx(0.3 - deceleration * t, abs=1e-12)
+    assert x_d["x"] == pytest.approx(100 + 0.3 * t - deceleration * t**2 / 2, rel=1e-12)
+    for speed in (0.0, -0.01):  # at rest or rolling back it is not braked forward
+        x_d, _ = ahead(STRAIGHT, -4000.0, xdot=speed)
+        assert x_d["xdot"] == pytest.approx(speed) and x_d["x"] == pytest.approx(100.0, abs=1e-12)
+    rolling, _ = ahead(STRAIGHT, 0.0, xdot=-0.01)
+    assert rolling["x"][-1] == pytest.approx(100 - 0.01 * PERIOD * STEPS)
 
 
 @pytest.mark.parametrize(("gear", "partner"), [(0, -14.0), (1, 14.0)])
-def test_track_parameters_are_those_below_the_gear_and_half_way_to_the_other_one(vehicle, gear, partner):
+def test_track_parameters_are_those_below_the_gear_and_half_way_to_the_other_one(gear, partner):
     """On the clothoid of T3 heading and curvature differ between the gears."""
     track = load_track("T3")
-    x_d, theta = ahead(vehicle, route.lay(track), gear=gear, xdot=77.0)
+    x_d, theta = ahead(route.lay(track), gear=gear, xdot=77.0)
     here, there = (track.interpolate(x_d["x"] + offset) for offset in (0.0, partner))
     names = ("psi_Tr", "dpsi_dp", "phi_Tr", "dphi_dp", "eps_Tr", "deps_dp")
     for name, expected in zip(names, here, strict=True):
@@ -83,13 +72,13 @@ def test_track_parameters_are_those_below_the_gear_and_half_way_to_the_other_one
     assert theta["dpsi_dp_CB"] == pytest.approx((here[1] + there[1]) / 2, abs=1e-12)
 
 
-def test_the_desired_state_follows_the_set_point_along_the_track(vehicle):
+def test_the_desired_state_follows_the_set_point_along_the_track():
     """y* over p: the gear points along its tangent and turns with its bend and the track's curvature, (des_states)."""
     shape = Polynomial([1e-3, 2e-4, -3e-6, 1e-8])
     track = load_track("T3")
     place = ca.SX.sym("p")
     laid = route.lay(track, ca.Function("y_ref", [place], [sum(c * place**k for k, c in enumerate(shape.coef))]))
-    x_d, theta = ahead(vehicle, laid, 2000.0, xdot=77.0)
+    x_d, theta = ahead(laid, 2000.0, xdot=77.0)
     p, v = x_d["x"], x_d["xdot"]
     assert x_d["y_TrAx"] == pytest.approx(shape(p), rel=1e-9)
     assert x_d["psi_TrAx"] == pytest.approx(shape.deriv()(p), rel=1e-9, abs=1e-15)

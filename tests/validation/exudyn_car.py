@@ -17,9 +17,9 @@ Needs the group `bench`. Serves the paper's section Simulation Environment.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from math import exp
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -31,11 +31,10 @@ from scipy.special import elliprd
 
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.compile import codegen
+from railrepro.quantities import GEARS, WHEELS
 from railrepro.track.alignment import Alignment
 from railrepro.vehicle.parameters import Vehicle
 
-GEARS = ("front", "rear")
-WHEELS = tuple(f"{gear}_{side}" for gear in GEARS for side in ("le", "ri"))
 MEASURED = (
     *(f"{gear}.{name}" for name in ("y", "psi_TrAx") for gear in GEARS),
     *(f"{wheel}.{name}" for name in ("w", "N") for wheel in WHEELS),
@@ -54,16 +53,9 @@ CROWN_RADIUS = 0.3
 """Radius of the rail across (m)."""
 
 
-class Stiffness(NamedTuple):
-    """Creep forces over the shear modulus: by creepage along and across (m^2), by spin and as moment by creepage across
-    (m^3), moment by spin (m^4)."""
-
-    along: ca.SX
-    across: ca.SX
-    spin: ca.SX
-    turn: ca.SX
-
-
+Stiffness = namedtuple("Stiffness", "along across spin turn")
+"""Creep forces over the shear modulus: by creepage along and across (m^2), by spin and as moment by creepage across
+(m^3), moment by spin (m^4)."""
 _COLUMNS = ("effective", "rolling", *Stiffness._fields)
 _PLACES = [OBSERVED.index(f"{wheel}.place") for wheel in WHEELS]
 _GAUSS = np.polynomial.legendre.leggauss(4)
@@ -94,49 +86,40 @@ def patch(vehicle: Vehicle) -> tuple[float, float, np.ndarray]:
     data, along = vehicle.contact, np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
     modulus = data.young / (2 * (1 - data.poisson**2))
 
-    def curvatures(flat):
-        """Along and across the rail, times pi E a^3/N, of an ellipse with b = flat a."""
-        return elliprd(0, flat**2, 1), elliprd(0, 1, flat**2)
-
     def mismatch(flat):
-        found = curvatures(flat)
-        return found[0] * (1 / CROWN_RADIUS) - found[1] * along
+        """Of the curvatures along and across the rail of an ellipse with b = flat a."""
+        return elliprd(0, flat**2, 1) * (1 / CROWN_RADIUS) - elliprd(0, 1, flat**2) * along
 
     flat = brentq(mismatch, 0.5, 1.0, xtol=1e-12)
-    a = (data.nominal_load * curvatures(flat)[0] / (np.pi * modulus * along)) ** (1 / 3)
+    a = (data.nominal_load * elliprd(0, flat**2, 1) / (np.pi * modulus * along)) ** (1 / 3)
     parabola = [np.prod([(data.poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
     rows = 1 / np.tensordot(1 / _KALKER, parabola, axes=(2, 0))
     ratios = np.linspace(1.0, 0.5, len(rows))[::-1]
     return a, flat * a, np.array([np.interp(flat, ratios, column[::-1]) for column in rows.T])
 
 
-class Wheels:
-    """Wheels on their rails, piecewise cubic over the place of the rail on the wheel, outwards of the tape circle (m).
+def cells_at(wheels: PPoly, places) -> np.ndarray:
+    """Start and coefficients of the cells of some places, shape (n, 25).
 
-    Columns: effective radius less the nominal one, rolling radius (m), and `Stiffness` at nominal load.
+    `wheels` on their rails: cubics over the place of the rail on the wheel, outwards of the tape circle (m). Columns:
+    effective radius less the nominal one, rolling radius (m), and `Stiffness` at nominal load.
     """
-
-    def __init__(self, spline: PPoly):
-        self._starts, self._cells = spline.x[:-1], spline.c
-
-    def at(self, places) -> np.ndarray:
-        """Start and coefficients of the cells of some places, shape (n, 25)."""
-        cell = np.clip(np.searchsorted(self._starts, places, side="right") - 1, 0, len(self._starts) - 1)
-        return np.column_stack([self._starts[cell], self._cells[:, cell].transpose(1, 0, 2).reshape(len(cell), -1)])
+    cell = np.clip(np.searchsorted(wheels.x, places, side="right") - 1, 0, len(wheels.x) - 2)
+    return np.column_stack([wheels.x[cell], wheels.c[:, cell].transpose(1, 0, 2).reshape(len(cell), -1)])
 
 
-def cones(vehicle: Vehicle) -> Wheels:
-    """Conic wheels on the crown of the rail."""
+def cones(vehicle: Vehicle) -> PPoly:
+    """Conic wheels on the crown of the rail, see `cells_at`."""
     a, b, (c11, c22, c23, c33) = patch(vehicle)
     constant = 0.0, vehicle.wheel.radius, c11 * a * b, c22 * a * b, c23 * (a * b) ** 1.5, c33 * (a * b) ** 2
     cubics = np.zeros((4, 1, len(_COLUMNS)))
     cubics[2, 0, :2], cubics[3, 0] = -np.tan(vehicle.wheel.cone_angle), constant
-    return Wheels(PPoly(cubics, [0.0, 1.0]))
+    return PPoly(cubics, [0.0, 1.0])
 
 
-def s1002() -> Wheels:
-    """S1002 on 60E1 at 1:40."""
-    return Wheels(rolling_contact.splines(pd.read_csv(rolling_contact.TABLE)))
+def s1002() -> PPoly:
+    """S1002 on 60E1 at 1:40, see `cells_at`."""
+    return rolling_contact.splines(pd.read_csv(rolling_contact.TABLE))
 
 
 def creep(
@@ -144,9 +127,8 @@ def creep(
 ) -> tuple[ca.SX, ...]:
     """Forces along and across the rail (N) and moment about the normal (N m) on a wheel.
 
-    From its load (N), creepages (-, -, 1/m), slip speed (m/s), and the adhesion set of the rail.
-
-    The linear force and moment, all reduced as Polach reduces their resultant.
+    From its load (N), creepages (-, -, 1/m), slip speed (m/s), and the adhesion set of the rail: the linear force and
+    moment, all reduced as Polach reduces their resultant.
 
     Source: Kalker 1967 (linear theory); Polach 2005, eqs. (2) and (3); Shen, Hedrick and Elkins 1983 (direction).
     """
@@ -237,7 +219,7 @@ def _contact(vehicle: Vehicle, law: Callable, side: int, get: dict, cell, s, spe
         return position + rotation @ ca.vertcat(0, half + lateral + side * gauge / 2, vertical + half * cross)
 
     def shape(at):
-        """Columns of `Wheels` at a place."""
+        """Columns of `cells_at` at a place."""
         d, cubics = at - cell[0], ca.vertsplit(cell[1:], len(_COLUMNS))
         return ((cubics[0] * d + cubics[1]) * d + cubics[2]) * d + cubics[3]
 
@@ -317,13 +299,11 @@ def _suspension(vehicle: Vehicle, end: int, body, gear) -> tuple[ca.SX, ca.SX, c
 def forces(vehicle: Vehicle, law: Callable = creep) -> ca.Function:
     """Everything that acts on the bodies, from their motion in space and a creep law like `creep`.
 
-    Returns
-    -------
-    casadi.Function
-        (motion[18, 3], turns[3, 4], stations[n, 2], cells[25, 4], s[2], tau[4]) -> loads[6, 7], s[2], observed. Motion
-        of body, front and rear gear: position, velocity, angular velocity, rotation by columns; turns: angular velocity
-        of the wheels; stations and s of the gears, s a guess nearby; cells of `Wheels.at`; loads on body, gears,
-        wheels: force and torque about the centre; observed: `OBSERVED`.
+    Returns:
+        casadi.Function: (motion[18, 3], turns[3, 4], stations[n, 2], cells[25, 4], s[2], tau[4]) -> loads[6, 7], s[2],
+        observed. Motion of body, front and rear gear: position, velocity, angular velocity, rotation by columns; turns:
+        angular velocity of the wheels; stations and s of the gears, s a guess nearby; cells of `cells_at`; loads on
+        body, gears, wheels: force and torque about the centre; observed: `OBSERVED`.
     """
     motion, turns = ca.SX.sym("motion", 18, 3), ca.SX.sym("turns", 3, 4)
     stations, guess, tau = ca.SX.sym("stations", len(_STATION), 2), ca.SX.sym("s", 2), ca.SX.sym("tau", 4)
@@ -364,7 +344,7 @@ class ExudynCar:
     """The car in Exudyn: bodies, joints and loads by user functions; starts rolling with the front gear at s = 0."""
 
     def __init__(
-        self, vehicle: Vehicle, rails: Rails, speed: float, law: Callable = creep, wheels: Wheels | None = None
+        self, vehicle: Vehicle, rails: Rails, speed: float, law: Callable = creep, wheels: PPoly | None = None
     ):
         import exudyn
 
@@ -379,7 +359,7 @@ class ExudynCar:
         carrier = (gear.inertia_x - wheels, gear.inertia_y, gear.inertia_z - wheels)
         load = (body.mass / 4 + gear.mass / 2) * vehicle.gravity / np.cos(wheel.cone_angle)
         sunk = (load / vehicle.contact.normal_stiffness) ** (2 / 3) / np.cos(wheel.cone_angle)
-        self._cells[:] = self._wheels.at(np.zeros(4)).ravel()
+        self._cells[:] = cells_at(self._wheels, np.zeros(4)).ravel()
         rolling = float(self._cells.reshape(4, -1)[0, 1 + 3 * len(_COLUMNS) + 1])  # at the start of the cell of 0
         spin, half = speed / (rolling - sunk), body.gear_spacing / 2
         start = (-half, sunk - body.cg_height, speed)
@@ -464,7 +444,7 @@ class ExudynCar:
                 self._stations[:] = self._rails.at(self._s).ravel()
                 self._evaluate(time)
                 self._before, self._since = self._tau.copy(), time
-                self._cells[:] = self._wheels.at(self._observed[_PLACES]).ravel()
+                self._cells[:] = cells_at(self._wheels, self._observed[_PLACES]).ravel()
                 log.append(self._observed.copy())
                 command = law(len(log) - 1, log[-1])
                 if command is None:

@@ -18,49 +18,33 @@ from scipy.optimize import brentq
 
 from railrepro import paths
 from railrepro.car.component import SteppedCar
-from railrepro.car.equations import INDEX, WHEELS
+from railrepro.car.equations import WHEELS
 from railrepro.contact.table import ContactTable, contact_table
 from railrepro.data import write
 from railrepro.evidence.commands import report_errors
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-BUMP_STOP_MM = (25.0, 30.0, 60.0, 65.0)
-BUMP_STOP_KN = (0.0, 0.6, 29.2, 230.0)
-"""Lateral bump stop of the Manchester benchmark's passenger vehicle: displacement and force.
-
-Source: Iwnicki 1998, Manchester Benchmarks for Rail Vehicle Simulation, vehicle 1 (recalled)."""
 _LATERAL = ("y", "psi", "phi", "vy", "wz", "wx")
 _PATCH = 1e-4
 """Semi-axis of a contact so small that spin makes no force (m)."""
-_RIGID = {
-    "gear.axle_damping": 1e8,
-    "contact.normal_stiffness": 1e13,
-    "adhesion.dry.k_a": 1.0,
-    "adhesion.dry.k_s": 1.0,
-    "adhesion.dry.mu0": 1.0,
-    "wheel.spin_inertia": 1e-3,
-    "wheel.diametral_inertia": 1e-4,
-    "suspension.c_x": 0.0,
-    "suspension.c_y": 0.0,
-    "suspension.c_z": 0.0,
-    "suspension.antiroll_stiffness": 0.0,
-    "suspension.antiroll_damping": 0.0,
-}
+_RIGID = {"gear.axle_damping": 1e8, "contact.normal_stiffness": 1e13, "wheel.spin_inertia": 1e-3}
+_RIGID |= {"wheel.diametral_inertia": 1e-4, "adhesion.dry.k_a": 1.0, "adhesion.dry.k_s": 1.0, "adhesion.dry.mu0": 1.0}
+_RIGID |= {"suspension.c_x": 0.0, "suspension.c_y": 0.0, "suspension.c_z": 0.0}
+_RIGID |= {"suspension.antiroll_stiffness": 0.0, "suspension.antiroll_damping": 0.0}
 """Rigid axles without gyroscopic moment on rigid rails, springs without dampers, Kalker's stiffness not reduced."""
 
 
-def lateral(matrix: pd.DataFrame, *bodies: str) -> pd.DataFrame:
-    """Lateral motion of some bodies (`equations.BODIES`) within `Linearisation.a`, all else held."""
+def lateral(car: SteppedCar, *bodies: str) -> pd.DataFrame:
+    """State matrix of the lateral motion of some bodies (`equations.BODIES`) of a car, all else held."""
     spins = [f"w.{wheel}" for wheel in WHEELS if wheel.split("_")[0] in bodies]
     names = [f"{body}.{name}" for body in bodies for name in _LATERAL] + spins
-    return matrix.loc[names, names]
+    return car.linearise().a.loc[names, names]
 
 
 def hunting(matrix) -> tuple[float, float]:
     """Growth rate (1/s) and frequency (rad/s) of the least damped oscillation of dx/dt = matrix x."""
     poles = np.linalg.eigvals(np.asarray(matrix))
-    poles = poles[poles.imag > 1.0]
-    worst = poles[np.argmax(poles.real)]
+    worst = max(poles[poles.imag > 1.0], key=np.real)
     return float(worst.real), float(worst.imag)
 
 
@@ -72,22 +56,15 @@ def critical_speed(matrix: Callable[[float], np.ndarray], low: float, high: floa
     return speed, hunting(matrix(speed))[1]
 
 
-def profile(vehicle: Vehicle, angle, rolling_radius, creep: tuple[float, float]) -> ContactTable:
-    """Contact table with a profile and creep stiffnesses of one's own, without forces and moments of spin.
+def profile(vehicle: Vehicle, angle, rolling_radius, creep: float) -> ContactTable:
+    """Contact table with a profile and creep stiffness of one's own, without forces and moments of spin.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Its wheel radius and nominal load are those of the table.
-    angle, rolling_radius : callable
-        Tangent of the contact angle (-) and rolling radius less the nominal one (m) over the shift (m) towards the
-        flange; the angle a straight line.
-    creep : tuple of float
-        Longitudinal and lateral creep stiffness of a wheel at nominal load (N).
+    Tangent `angle` of the contact angle (-), a straight line, and rolling radius less the nominal one (m) over the
+    shift (m) towards the flange; `creep` stiffness of a wheel at nominal load, longitudinal and lateral (N).
     """
     shift = (np.arange(-100, 101) - 0.25) * 1e-4  # zero inside a cell, where slopes have one value
     climb = shift * (angle(shift) + angle(0.0)) / 2
-    c11, c22 = (stiffness / (vehicle.contact.shear_modulus * _PATCH**2) for stiffness in creep)
+    coefficient = creep / (vehicle.contact.shear_modulus * _PATCH**2)
     base = contact_table("cone", vehicle).frame.iloc[: len(shift)]
     frame = base.assign(
         shift_m=shift,
@@ -95,7 +72,7 @@ def profile(vehicle: Vehicle, angle, rolling_radius, creep: tuple[float, float])
         effective_radius_m=vehicle.wheel.radius + climb,
         rolling_radius_m=vehicle.wheel.radius + rolling_radius(shift),
         **dict.fromkeys(("semi_axis_x_m", "semi_axis_y_m"), _PATCH),
-        **{"c11": c11, "c22": c22, "c23": 0.0, "c33": 0.0},
+        **{"c11": coefficient, "c22": coefficient, "c23": 0.0, "c33": 0.0},
     )
     return ContactTable(frame)
 
@@ -108,12 +85,8 @@ rail profile (m), contact angle (rad), creep coefficient of a wheel (N). Source:
 def lab_equations(speed: float, roll: float = 1.0) -> np.ndarray:
     """State matrix of the lab wheelset at a speed (m/s): y, psi and their rates, shape (4, 4).
 
-    Parameters
-    ----------
-    speed : float
-    roll : float
-        1 as published; 1 + r0 delta0/d when the wheels, r0 below the axle, shift as the wheelset rolls: conicity and
-        lateral creepage grow by it, gravity stiffness and lateral creep damping by its square.
+    `roll` is 1 as published; 1 + r0 delta0/d when the wheels, r0 below the axle, shift as the wheelset rolls: conicity
+    and lateral creepage grow by it, gravity stiffness and lateral creep damping by its square.
 
     Source: Moore, EME 134 (University of California, Davis), lab 1, equations of motion.
     """
@@ -132,8 +105,8 @@ def lab_wheelset(speed: float) -> pd.DataFrame:
     own |= {"suspension.height": r0, "suspension.half_spacing": d / 2, "suspension.k_x": k, "suspension.k_y": k}
     vehicle = load_vehicle(**_RIGID | own | {"contact.profile": "cone", "wheel.cone_angle": delta0})
     conicity = wheel * delta0 / (wheel - rail)
-    table = profile(vehicle, lambda u: delta0 + u / (wheel - rail), lambda u: conicity * u, (f, f))
-    return lateral(SteppedCar("T5", speed, vehicle, table=table).linearise().a, "front")
+    table = profile(vehicle, lambda u: delta0 + u / (wheel - rail), lambda u: conicity * u, f)
+    return lateral(SteppedCar("T5", speed, vehicle, table=table), "front")
 
 
 BOGIE = {"f11": 6.563e6 / 0.60252, "f22": 6.563e6 / 0.54219, "cone": 0.05, "h1": 0.0762, "h2": 0.6584, "d2": 0.68}
@@ -143,65 +116,40 @@ the primary and below the secondary springs (m), and these: half spacing (m), st
 yaw (N m/rad), dampers vertical and lateral (N s/m)."""
 
 
-def cooperrider_vehicle(share: float = 1.0) -> Vehicle:
-    """Cooperrider's bogie as our car: the frame is the body, the wheelsets are the running gears.
-
-    `share` is a factor of base and conicity.
-
-    Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and the examples of bifurcation.de.
-    """
-    own = {"body.mass": 2918.0, "body.inertia_x": 6780.0, "body.inertia_z": 6780.0, "body.gear_spacing": 2 * 1.074}
-    own |= {"gear.mass": 1022.0, "gear.inertia_z": 678.0, "gear.inertia_x": 678.0}
-    own |= {"gear.contact_base": 2 * 0.716 * share}
-    own |= {"wheel.radius": 0.4572, "suspension.height": 0.4572, "body.cg_height": 0.4572 + BOGIE["h1"]}
-    own |= {"suspension.half_spacing": 0.62, "suspension.k_y": 1.823e6, "suspension.k_x": 3.646e6}
-    own |= {"suspension.k_z": 3.646e6, "contact.nominal_load": (2918.0 / 4 + 1022.0 / 2) * 9.81}
-    return load_vehicle(**_RIGID | own | {"contact.profile": "cone", "wheel.cone_angle": share * BOGIE["cone"]})
-
-
 def cooperrider_bogie(speed: float) -> pd.DataFrame:
     """State matrix of Cooperrider's bogie at a speed (m/s), on level contacts with radii that differ, as published.
 
-    The longitudinal stiffness counts only as f11 d^2 and f11 d lambda, so f22 in its place with d and lambda multiplied
-    by sqrt(f11/f22) gives the same equations; they do not depend on which of both a creep law takes at rest, where the
-    creepage has no direction. The secondary springs and dampers go to a car body that stands still.
+    The frame is the body of our car, the wheelsets are its running gears. The longitudinal stiffness counts only as
+    f11 d^2 and f11 d lambda, so f22 in its place with d and lambda multiplied by sqrt(f11/f22) gives the same
+    equations; they do not depend on which of both a creep law takes at rest, where the creepage has no direction. The
+    secondary springs and dampers go to a car body that stands still.
+
+    Source: Cooperrider 1972; numbers as in Kaas-Petersen 1986 and the examples of bifurcation.de.
     """
-    f11, f22 = BOGIE["f11"], BOGIE["f22"]
-    vehicle = cooperrider_vehicle(np.sqrt(f11 / f22))
+    f22 = BOGIE["f22"]
+    share = np.sqrt(BOGIE["f11"] / f22)
+    own = {"body.mass": 2918.0, "body.inertia_x": 6780.0, "body.inertia_z": 6780.0, "body.gear_spacing": 2 * 1.074}
+    own |= {"gear.mass": 1022.0, "gear.inertia_z": 678.0, "gear.inertia_x": 678.0}
+    own |= {"gear.contact_base": 2 * 0.716 * share, "wheel.cone_angle": share * BOGIE["cone"]}
+    own |= {"wheel.radius": 0.4572, "suspension.height": 0.4572, "body.cg_height": 0.4572 + BOGIE["h1"]}
+    own |= {"suspension.half_spacing": 0.62, "suspension.k_y": 1.823e6, "suspension.k_x": 3.646e6}
+    own |= {"suspension.k_z": 3.646e6, "contact.nominal_load": (2918.0 / 4 + 1022.0 / 2) * 9.81}
+    vehicle = load_vehicle(**_RIGID | own | {"contact.profile": "cone"})
     slope = np.tan(vehicle.wheel.cone_angle)
-    table = profile(vehicle, lambda u: 0.0 * u, lambda u: slope * u, (f22, f22))
-    a = lateral(SteppedCar("T5", speed, vehicle, table=table).linearise().a, "body", "front", "rear")
+    table = profile(vehicle, lambda u: 0.0 * u, lambda u: slope * u, f22)
+    a = lateral(SteppedCar("T5", speed, vehicle, table=table), "body", "front", "rear")
     h, d, body = BOGIE["h2"], BOGIE["d2"], vehicle.body
-    lever = pd.Series({"y": 1.0, "phi": h})  # displacement of the secondary springs, h2 above the centre
+    lever = np.array([1.0, h])  # displacement of the secondary springs by y and phi, h2 above the centre
     for shift, k_y, k_z, k_yaw in (
         (("y", "phi", "psi"), BOGIE["k4"], BOGIE["k5"], BOGIE["k6"]),
         (("vy", "wx", "wz"), BOGIE["D2"], BOGIE["D1"], 0.0),
     ):
         y, phi, psi = (f"body.{name}" for name in shift)
-        push = 2 * k_y * lever.to_numpy()
+        push = 2 * k_y * lever
         a.loc["body.vy", [y, phi]] -= push / body.mass
         a.loc["body.wx", [y, phi]] -= (h * push + [0.0, 2 * k_z * d**2]) / body.inertia_x
         a.loc["body.wz", psi] -= k_yaw / body.inertia_z
     return a
-
-
-def bump_stop_force() -> np.ndarray:
-    """Force of our bump stop on the body at `BUMP_STOP_MM` (kN), with the spring between 30 and 60 mm; shape (4,)."""
-    (_, first, last, _), (_, light, heavy, _) = BUMP_STOP_MM, BUMP_STOP_KN
-    stiffness = 1e6 * (heavy - light) / (last - first)
-    clearance = 1e-3 * first - 1e3 * light / stiffness
-    forces = []
-    for shift in BUMP_STOP_MM:
-        pushes = []
-        for own in (stiffness, 0.0):
-            stop = {"suspension.bump_stiffness": own, "suspension.bump_clearance": clearance}
-            vehicle = load_vehicle(**stop, **{"contact.profile": "cone"})
-            car = SteppedCar("T5", 10.0, vehicle)
-            car.state[INDEX["body.y"]] = 1e-3 * shift
-            rate = np.array(car.model.rate(*car.inputs())).ravel()
-            pushes.append(vehicle.body.mass * rate[INDEX["body.vy"]] / 2e3)
-        forces.append(pushes[1] - pushes[0])
-    return np.array(forces)
 
 
 def comparison() -> pd.DataFrame:
@@ -211,20 +159,18 @@ def comparison() -> pd.DataFrame:
         critical_speed(lambda speed, roll=each: lab_equations(speed, roll), 30.0, 80.0) for each in (1.0, roll)
     )
     ours, bogie = critical_speed(lab_wheelset, 45.0, 55.0), critical_speed(cooperrider_bogie, 60.0, 75.0)
-    stop, hopf = bump_stop_force(), 68.66  # bifurcation.de
+    hopf = 68.66  # bifurcation.de
     rows = [
         ("lab wheelset, with roll", "critical speed (m/s)", rolling[0], ours[0], 2e-3),
         ("lab wheelset, with roll", "frequency (rad/s)", rolling[1], ours[1], 2e-3),
         ("lab wheelset, as published", "critical speed (m/s)", printed[0], ours[0], 1.5e-2),
         ("lab wheelset, as published", "frequency (rad/s)", printed[1], ours[1], 1.5e-2),
         ("Cooperrider's bogie", "Hopf speed (m/s)", hopf, bogie[0], 5e-3),
-        ("Manchester bump stop", "force at 30 mm (kN)", BUMP_STOP_KN[1], stop[1], 1e-2),
-        ("Manchester bump stop", "force at 60 mm (kN)", BUMP_STOP_KN[2], stop[2], 1e-2),
     ]
     return pd.DataFrame(rows, columns=["vehicle", "quantity", "published", "ours", "limit"])
 
 
-def main(_names: list[str]) -> None:
+def main() -> None:
     """Compare all of them, print the table and write it."""
     warnings.simplefilter("ignore", UserWarning)  # vehicles of others have bodies that ours never has
     table = comparison()
@@ -233,4 +179,4 @@ def main(_names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(report_errors(lambda: main(sys.argv[1:])))
+    sys.exit(report_errors(main))

@@ -46,7 +46,7 @@ def _integrals(x, y, sides) -> np.ndarray:
 
 
 def pressure(gap: np.ndarray, x: np.ndarray, y: np.ndarray, load: float, modulus: float):
-    """Pressure on squares at some distance (m): positive where they touch (Pa), and the approach of the bodies (m)."""
+    """Pressure on squares at some distance (m): positive where they touch (Pa)."""
     touch = gap < np.partition(gap, len(gap) // 3)[len(gap) // 3]
     across, along, _ = _integrals(x[:, None] - x, y[:, None] - y, (SQUARE, SQUARE))
     influence = (across + along) / (np.pi * modulus)
@@ -60,7 +60,7 @@ def pressure(gap: np.ndarray, x: np.ndarray, y: np.ndarray, load: float, modulus
         found[inside] = approach * of_one - of_gap
         again = (found > 0) | (~touch & (gap + influence @ found < approach))
         if (again == touch).all():
-            return found, float(approach)
+            return found
         touch = again
     raise ArithmeticError("the patch was not found in 40 turns")
 
@@ -88,29 +88,20 @@ class Rolling:
         # A particle slips between two cells: a tenth of a cell ahead makes force and moment reciprocal.
         rigid = np.concatenate([longitudinal + 0 * self.x, lateral + spin * (self.x + 0.1 * self.sides[0])])
 
-        def project(traction):
-            """Error of the traction, and the derivative of its projection on the bound."""
-            free = traction - scale * (self.slip @ traction + rigid)
-            size = np.maximum(np.hypot(free[:n], free[n:]), 1e-300)
-            keep, unit = np.minimum(1.0, bound / size), free.reshape(2, n) / size
-            turn = np.where(size > bound, keep, 0.0)
-            parts = keep - turn * unit[0] ** 2, keep - turn * unit[1] ** 2, -turn * unit[0] * unit[1]
-            return traction - np.tile(keep, 2) * free, parts
-
-        traction = np.linalg.solve(self.slip, -rigid)
-        traction *= np.tile(np.minimum(1.0, bound / np.hypot(traction[:n], traction[n:])), 2)
-        error, (xx, yy, xy) = project(traction)
+        traction, free = np.zeros(2 * n), np.eye(2 * n) - scale[:, None] * self.slip
         for _ in range(60):
+            wanted = free @ traction - scale * rigid
+            size = np.maximum(np.hypot(wanted[:n], wanted[n:]), 1e-300)
+            keep, unit = np.minimum(1.0, bound / size), wanted.reshape(2, n) / size
+            error = traction - np.tile(keep, 2) * wanted
             if np.abs(error).sum() < 1e-7 * bound.sum():
                 moment = self.x @ traction[n:] - self.y @ traction[:n]
                 return np.prod(self.sides) * np.array([traction[:n].sum(), traction[n:].sum(), moment])
-            free = np.eye(2 * n) - scale[:, None] * self.slip
+            turn = np.where(size > bound, keep, 0.0)  # derivative of the projection on the bound
+            xx, yy, xy = keep - turn * unit[0] ** 2, keep - turn * unit[1] ** 2, -turn * unit[0] * unit[1]
             along = xx[:, None] * free[:n] + xy[:, None] * free[n:]
             across = xy[:, None] * free[:n] + yy[:, None] * free[n:]
-            step = np.linalg.solve(np.eye(2 * n) - np.vstack([along, across]), -error)
-            trials = [(*project(traction + share * step), share) for share in (1.0, 0.5, 0.25, 0.1)]
-            error, (xx, yy, xy), share = min(trials, key=lambda trial: np.abs(trial[0]).sum())
-            traction = traction + share * step
+            traction -= np.linalg.solve(np.eye(2 * n) - np.vstack([along, across]), error)
         raise ArithmeticError("the tractions have not settled")
 
 
@@ -129,8 +120,9 @@ def sticking(x: np.ndarray, y: np.ndarray, slip: np.ndarray, poisson: float) -> 
 
 
 @lru_cache(maxsize=4)
-def _ellipse(a, b, count):
+def _ellipse(a, b):
     """Cells of an ellipse and Hertz's pressure on them over its mean."""
+    count = 20
     sides = 2 * a / count, 2 * b / count
     places = [(np.arange(count) + 0.5) * side - half for side, half in zip(sides, (a, b), strict=True)]
     x, y = (grid.ravel() for grid in np.meshgrid(*places, indexing="ij"))
@@ -138,9 +130,9 @@ def _ellipse(a, b, count):
     return Rolling(x[share > 0], y[share > 0], sides), np.sqrt(share[share > 0])
 
 
-def rolling(creepage, load, a, b, friction, count=20):
+def rolling(creepage, load, a, b, friction):
     """Force F_x, F_y (N) and moment (N m) on a wheel under longitudinal, lateral (-) and spin creepage (1/m)."""
-    cells, pressure = _ellipse(a, b, count)
+    cells, pressure = _ellipse(a, b)
     bound = friction * load * pressure / (pressure.sum() * np.prod(cells.sides))
     return cells.load(bound, creepage[0] - creepage[2] * cells.y, *creepage[1:])
 
@@ -179,7 +171,7 @@ def patch(shift: float, vehicle: Vehicle) -> Patch:
         gap = np.cos(angle) * (overlap.max() - np.interp(at, position, overlap)) + x**2 * np.cos(angle) / (2 * radius)
         close = gap < _REACH
         x, y, at, gap = x[close], y[close], at[close], gap[close]
-        found, _ = pressure(gap, x, y, data.nominal_load, data.young / (2 * (1 - data.poisson**2)))
+        found = pressure(gap, x, y, data.nominal_load, data.young / (2 * (1 - data.poisson**2)))
         slope = -np.interp(at, position, rise) @ found / found.sum()
         angle = np.arctan(slope)
     held = found > 0

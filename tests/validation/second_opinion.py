@@ -13,7 +13,7 @@ from typing import NamedTuple
 import exudyn_car
 import numpy as np
 import pandas as pd
-from exudyn_car import GEARS, MEASURED, STEP, ExudynCar, Rails
+from exudyn_car import MEASURED, STEP, ExudynCar, Rails
 from tqdm import tqdm
 
 from railrepro import paths
@@ -22,6 +22,7 @@ from railrepro.clock import CONTROL_PERIOD
 from railrepro.control.ndi import NDI
 from railrepro.data import write
 from railrepro.evidence.commands import report_errors
+from railrepro.quantities import GEARS
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
@@ -31,8 +32,6 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 AGREEMENT = 0.01
 """Difference relative to the largest value of a signal that counts as agreement (-)."""
-SHORT_STEPS = 20
-"""Steps of our car in a control cycle when its own step error is to vanish."""
 GUIDED = tuple(f"{gear}.du" for gear in GEARS)
 _GUARD = 8.0
 """Fourfold pole of the feedback that holds a replay on the recorded path (rad/s), far below those of the controllers.
@@ -46,13 +45,10 @@ class Case(NamedTuple):
     name: str
     scenario: str
     seconds: float
-    changes: dict = {}
-    """Fields of the scenario to change."""
-    pulses: float = 0.0
-    """Differential torque of open-loop pulses (N m); 0: NDI with integral action, replayed with `_guard`."""
+    changes: dict = {}  # fields of the scenario
+    pulses: float = 0.0  # differential torque, open loop (N m); 0: NDI with integral action, replayed with `_Guard`
     irregular: bool = False
-    step: float = STEP
-    """Step of Exudyn (s); irregular rails excite the contact modes and need shorter ones."""
+    step: float = STEP  # of Exudyn (s); irregular rails excite the contact modes and need shorter ones
 
 
 _STRAIGHT = {"set_point": {"kind": "none"}, "speed_kmh": 200}
@@ -114,20 +110,20 @@ class _Guard:
         return dict(zip(GUIDED, (self._steered + self._added).T, strict=True))
 
 
-def replay(case: Case, vehicle: Vehicle | None = None, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFrame]:
+def replay(case: Case, law: Callable = exudyn_car.creep) -> dict[str, pd.DataFrame]:
     """Both cars, on cones, through a case; Exudyn's with a creep law of its own.
 
     Tables "exudyn", and our car by the length of its step in ms, "1" and "0.05"; one row per cycle, `MEASURED` (SI)
     and the differential torque commands `GUIDED` (N m), the feedback that holds a replay on its path included.
     """
-    vehicle = vehicle or load_vehicle(**{"contact.profile": "cone"})
+    vehicle = load_vehicle(**{"contact.profile": "cone"})
     series, way, rails = record(case, vehicle)
     speed = series["front.v"].iloc[0]
     car, guard, log = SteppedCar(way, speed, vehicle), _Guard(case, series, vehicle), []
     for k in range(len(series)):
         outputs = car.outputs
         log.append(np.array([outputs[name] for name in MEASURED]))
-        car.step(guard(k, log[-1]), SHORT_STEPS, CONTROL_PERIOD / SHORT_STEPS)
+        car.step(guard(k, log[-1]), 20, CONTROL_PERIOD / 20)
     short = pd.DataFrame(log, columns=MEASURED).assign(**guard.guided())
     other, guard = ExudynCar(vehicle, rails, speed, law), _Guard(case, series, vehicle)
     theirs = other.run(guard, len(series), case.step).assign(**guard.guided())
@@ -141,20 +137,19 @@ def compare(name: str, runs: dict[str, pd.DataFrame]) -> pd.DataFrame:
     all gears or wheels the worst), beyond (share of samples that differ by more than `AGREEMENT`), rms (of the worst
     one's difference), step_error (largest difference of our own two runs to `largest`), unit.
     """
-    rows, steps = [], [_signals(runs[key]) for key in ("1", "0.05")]
-    for step in ("1", "0.05"):
-        ours, theirs = (_signals(runs[key]) for key in (step, "exudyn"))
+    rows, theirs = [], _signals(runs["exudyn"])
+    steps = {key: _signals(runs[key]) for key in ("1", "0.05")}
+    for step, ours in steps.items():
         for (quantity, unit), signals in ours.items():
             size, error = np.abs(signals).max(axis=0), theirs[quantity, unit] - signals
             worst = int(np.argmax(np.abs(error).max(axis=0) / size))
             largest, rms = np.abs(error[:, worst]).max(), np.sqrt(np.mean(error[:, worst] ** 2))
             beyond = np.mean(np.abs(error) > AGREEMENT * size)
-            coarse, fine = (run[quantity, unit][:, worst] for run in steps)
+            coarse, fine = (run[quantity, unit][:, worst] for run in steps.values())
             own = np.abs(coarse - fine).max() / size[worst]
             rows.append((name, step, quantity, size[worst], largest, largest / size[worst], beyond, rms, own, unit))
-    columns = ("case", "car_step_ms", "quantity", "largest", "difference", "relative", "beyond", "rms")
-    columns += ("step_error", "unit")
-    return pd.DataFrame(rows, columns=columns)
+    columns = "case car_step_ms quantity largest difference relative beyond rms step_error unit"
+    return pd.DataFrame(rows, columns=columns.split())
 
 
 def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
@@ -165,7 +160,7 @@ def _signals(run: pd.DataFrame) -> dict[tuple[str, str], np.ndarray]:
     return signals | {("differential torque", "N m"): run[list(GUIDED)].to_numpy()}
 
 
-def main(_names: list[str]) -> None:
+def main() -> None:
     """Compare all cases, write the table and print it."""
     table = pd.concat([compare(case.name, replay(case)) for case in tqdm(CASES)], ignore_index=True)
     write(paths.product("data/results/second_opinion.csv"), table.to_csv(index=False, float_format="%.4g"))
@@ -173,4 +168,4 @@ def main(_names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(report_errors(lambda: main(sys.argv[1:])))
+    sys.exit(report_errors(main))

@@ -20,9 +20,17 @@ static double rigid_slack(const horizon_t *h, const stage_t *s, int i) {
   return limit - SIGN[i] * ((i < LATERAL ? s->u : s[1].x[STATE_y_TrAx]) + step_of(s, i));
 }
 
-/* Weights and slopes of the recursion that lead slack times multiplier to their targets. */
-static void stand_for_bounds(horizon_t *h, const double *softness) {
-  for (casadi_int k = 0; k <= h->steps; ++k) memset(h->stage[k].barrier, 0, sizeof h->stage[k].barrier);
+/* Nothing stands for bounds, no bound is active. */
+static void release(horizon_t *h) {
+  for (stage_t *s = h->stage; s <= h->stage + h->steps; ++s) {
+    memset(s->barrier, 0, sizeof s->barrier);
+    s->fixed = s->side = 0;
+  }
+}
+
+/* One Newton step towards the targets of slack times multiplier: dx, du, and how slacks and multipliers change on the way. */
+static void interior_step(horizon_t *h, const double *softness) {
+  release(h);
   EACH_BOUND {
     double *barrier = i < LATERAL ? s->barrier : s[1].barrier + LATERAL;
     const double slack = s->slack[i], multiplier = s->multiplier[i];
@@ -30,26 +38,8 @@ static void stand_for_bounds(horizon_t *h, const double *softness) {
     barrier[0] += weight;
     barrier[1] += SIGN[i] * (multiplier + (s->target[i] - multiplier * slack) / wide) - weight * s->inner[i];
   }
-}
-
-/* One Newton step: dx, du, and how slack and multiplier change on the way. `again` after a step with other targets. */
-static void interior_step(horizon_t *h, const double *softness, int again) {
-  stage_t *last = h->stage + h->steps;
-  stand_for_bounds(h, softness);
-  const double *end[] = {last->x, last->x_d, last->barrier, h->tuning};
-  double *cost[] = {last->cost_matrix, last->cost_vector};
-  barrier_terminal(end, cost, 0, 0, 0);
-  for (stage_t *s = last; s-- > h->stage;) {
-    const double *in[] = {s[1].cost_matrix, s[1].cost_vector, s[1].x, s->x_next, s->a, s->b, &s->u, s->barrier, s->x, s->x_d,
-                          h->tuning};
-    double *all[] = {s->cost_matrix, s->cost_vector, s->feedback, &s->feedforward};
-    double *changed[] = {s->cost_vector, &s->feedforward};
-    if (again)
-      barrier_again(in, changed, 0, 0, 0);
-    else
-      barrier_backward(in, all, 0, 0, 0);
-  }
-  forward(h);
+  backward(h), forward(h);
+  release(h);
   ++h->passes;
   EACH_BOUND {
     const double slack = s->slack[i], multiplier = s->multiplier[i];
@@ -78,7 +68,6 @@ static double gap_after(const horizon_t *h, double share) {
 
 /* Take part of the step. Torques whose slack shrinks faster than their multiplier are taken to be at the bound. */
 static void interior_advance(horizon_t *h, double share) {
-  for (casadi_int k = 0; k <= h->steps; ++k) h->stage[k].fixed = h->stage[k].side = 0;
   EACH_BOUND {
     const double slack = s->slack[i] + share * s->slack_step[i];
     const double multiplier = s->multiplier[i] + share * s->multiplier_step[i];
@@ -113,27 +102,28 @@ static double interior_enter(horizon_t *h, double stiffness) {
   return gap;
 }
 
-/* Minimiser of the quadratic problem about the trajectory; returns like horizon_solve. Near the end the active sets are
-   known and tried, so that the minimiser is that of the recursion. */
-static int interior(horizon_t *h) {
-  double stiffness = 0;
-  const double *of[] = {h->tuning};
-  double *to[] = {&stiffness};
-  barrier_stiffness(of, to, 0, 0, 0);
-  if (!(h->bound > 0 && stiffness > 0)) return 2;
+/* Minimiser of the quadratic problem about the trajectory: steps dx, du. Starts from the active sets it finds; when a few
+   more do not settle, interior points find those of the minimiser. Near their end the active sets are known and tried, so
+   that the minimiser is that of the recursion.
+   Returns 0, or 1 when a value is not finite, or 2 when no minimiser was found. */
+int horizon_solve(horizon_t *h) {
+  const double *t = h->tuning;
+  const double stiffness = t[TUNING_bound_weight] * t[TUNING_q_y_TrAx] * t[TUNING_period];
+  h->passes = 0;
+  int code = settle(h, h->most_sets);
+  if (code != 2 || !(h->bound > 0 && stiffness > 0)) return code;
   const double softness[BOUNDS] = {0, 0, 1 / stiffness, 1 / stiffness}, begin = interior_enter(h, stiffness);
   double gap = begin;
-  for (int count = 0; count < MOST_STEPS && gap > 1e-14 * begin; ++count) {
+  for (int count = 0; code == 2 && count < MOST_STEPS && gap > 1e-14 * begin; ++count) {
     EACH_BOUND s->target[i] = 0;
-    interior_step(h, softness, 0);
+    interior_step(h, softness);
     const double left = gap_after(h, interior_share(h)) / gap, target = left * left * left * gap;
     EACH_BOUND s->target[i] = target - s->slack_step[i] * s->multiplier_step[i];
-    interior_step(h, softness, 1);
+    interior_step(h, softness);
     const double share = fmin(1, 0.995 * interior_share(h));
     gap = gap_after(h, share);
     interior_advance(h, share);
-    const int code = gap < 1e-5 * begin ? settle(h, 2) : 2;
-    if (code != 2) return code;
+    if (gap < 1e-5 * begin) code = settle(h, 2);
   }
-  return 2;
+  return code;
 }

@@ -64,57 +64,32 @@ def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
     return ca.nlpsol("nmpc", "ipopt", program(variant, discretisation, steps), quiet)
 
 
-def solver(settings: problem.MPCSettings) -> ca.Function:
-    """Ipopt for the `program` of these settings, as a CasADi function, the first argument of `solve`."""
-    return _solver(settings.variant, settings.discretisation, settings.steps)
+def solve(horizon: Horizon) -> int | None:
+    """Solve the optimal control problem of a horizon by Ipopt: its trajectory `x`, `u` becomes that of the solution.
 
-
-def solve(function: ca.Function, horizon: Horizon, parameters: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, int]:
-    """Solve the optimal control problem of a horizon by Ipopt.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        See `solver`.
-    horizon : Horizon
-        Problem and initial states `x`, which are overwritten by the states of the solution.
-    parameters : ndarray, shape (14,)
-        Parameters of the control model (SI).
-    du : ndarray, shape (L,)
-        Initial differential torques (N m).
-
-    Returns
-    -------
-    torques : ndarray, shape (L,)
-        Differential torques (N m).
-    iterations : int
-        Iterations of Ipopt.
-
-    Raises
-    ------
-    ArithmeticError
-        When Ipopt does not succeed or the measured state is not finite.
+    Returns:
+        int or None: Number of iterations; None when Ipopt does not succeed or the measured state is not finite.
     """
     s, steps = horizon.settings, horizon.settings.steps
     x_d, bound = horizon.x_d, horizon.c.bound / UNIT
-    deviation = (horizon.x - x_d) / SCALE
-    start = np.concatenate([deviation.ravel(), du / UNIT, np.zeros(steps)])
     initial = (horizon.x_hat - x_d[0]) / SCALE
     if not np.isfinite(initial).all():
-        raise ArithmeticError("the measured state is not finite")
+        return None
+    deviation = (horizon.x - x_d) / SCALE
     free = np.full(_N * steps, np.inf)
-    low = np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)])
-    high = np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)])
-    p = np.concatenate([x_d.ravel(), horizon.theta[:-1].ravel(), parameters, s.tuning(), [horizon.c.u_d]])
-    defects = np.zeros(_N * steps)
+    p = np.concatenate([x_d.ravel(), horizon.theta[:-1].ravel(), horizon.tables["par"], s.tuning(), [horizon.c.u_d]])
+    function = _solver(s.variant, s.discretisation, steps)
     found = function(
-        x0=start, p=p, lbx=low, ubx=high,
-        lbg=np.concatenate([defects, np.full(2 * steps, -np.inf)]), ubg=np.zeros((_N + 2) * steps),
-    )  # fmt: skip
-    stats = function.stats()
-    if not stats["success"]:
-        raise ArithmeticError(f"Ipopt ended with {stats['return_status']}")
-    solution = np.array(found["x"]).ravel()
-    deviation, torques, _ = np.split(solution, [_N * (steps + 1), _N * (steps + 1) + steps])
+        x0=np.concatenate([deviation.ravel(), horizon.u / UNIT, np.zeros(steps)]),
+        p=p,
+        lbx=np.concatenate([initial, -free, np.full(steps, -bound), np.zeros(steps)]),
+        ubx=np.concatenate([initial, free, np.full(steps, bound), np.full(steps, np.inf)]),
+        lbg=np.concatenate([np.zeros(_N * steps), np.full(2 * steps, -np.inf)]),
+        ubg=np.zeros((_N + 2) * steps),
+    )
+    if not function.stats()["success"]:
+        return None
+    deviation, torques, _ = np.split(np.array(found["x"]).ravel(), [_N * (steps + 1), _N * (steps + 1) + steps])
     horizon.x[:] = x_d + deviation.reshape(steps + 1, _N) * SCALE
-    return UNIT * torques, stats["iter_count"]
+    horizon.u[:] = UNIT * torques
+    return function.stats()["iter_count"]

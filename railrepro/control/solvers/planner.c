@@ -13,32 +13,15 @@ static double bounded(const horizon_t *h, double torque) {
   return fmin(fmax(torque, -h->bound), h->bound);
 }
 
-/* Torque limit of a motor (N m) at a speed (m/s). */
-static double limit_at(const horizon_t *h, double speed) {
+/* Put a state and a base torque into the horizon, and the bound of the differential torque at its speed. */
+static void enter(horizon_t *h, const double *x, double u_d) {
   double limit;
-  const double *of[] = {&speed, h->par, h->drive};
+  const double *of[] = {x + STATE_xdot, h->par, h->drive};
   double *to[] = {&limit};
   torque_limit(of, to, 0, 0, 0);
-  return limit;
-}
-
-/* Put a state and a base torque into the horizon. */
-static void enter(horizon_t *h, const double *x, double u_d) {
   memcpy(h->x_hat, x, sizeof h->x_hat);
   h->u_d = u_d;
-  h->bound = h->yielding ? h->torque_limit : fmax(h->torque_limit - fabs(u_d), 0);
-}
-
-/* Centred riding along the forecast, about which the linear problem linearises. */
-static void ride(horizon_t *h) {
-  for (stage_t *s = h->stage; s <= h->stage + h->steps; ++s) {
-    memset(s->x, 0, sizeof s->x), s->u = 0;
-    s->x[STATE_x] = s->x_d[STATE_x], s->x[STATE_xdot] = s->x_d[STATE_xdot];
-    if (h->affine) {
-      s->x[STATE_psi_Ax] = s->theta[THETA_psi_Tr];
-      s->x[STATE_psidot_Ax] = s->theta[THETA_dpsi_dp] * s->x_d[STATE_xdot];
-    }
-  }
+  h->bound = h->yielding ? limit : fmax(limit - fabs(u_d), 0);
 }
 
 /* Torque of the plan before at stage k of this sample, one step later. */
@@ -46,39 +29,37 @@ static double planned(const horizon_t *h, casadi_int k) {
   return bounded(h, h->stage[k + 1 < h->steps ? k + 1 : k].plan);
 }
 
-/* Trajectory and torques of the sample before one step later, its end on the desired state; the desired states at the
-   start. */
-static void start_warm(horizon_t *h) {
-  for (casadi_int k = 0; k <= h->steps; ++k) {
-    stage_t *s = h->stage + k;
-    memcpy(s->x, h->started && k < h->steps ? s[1].x : s->x_d, sizeof s->x);
-    if (k < h->steps) s->u = planned(h, k);
-  }
-  memcpy(h->stage->x, h->x_hat, sizeof h->x_hat);
-}
-
-/* Forecast and trajectory of the sample whose state has been entered, linearised when that is done once only. */
+/* Forecast, and the trajectory about which the model is linearised, for the linear problem centred riding along the forecast;
+   else that of the sample before, one step later, its end on the desired state, and at the start the desired states.
+   Linearises when that is done once only. */
 static void prepare(horizon_t *h) {
   horizon_forecast(h);
-  if (h->mode == LINEAR)
-    ride(h);
-  else
-    start_warm(h);
+  for (casadi_int k = 0; k <= h->steps; ++k) {
+    stage_t *s = h->stage + k;
+    if (h->mode == LINEAR) {
+      memset(s->x, 0, sizeof s->x), s->u = 0;
+      s->x[STATE_x] = s->x_d[STATE_x], s->x[STATE_xdot] = s->x_d[STATE_xdot];
+      s->x[STATE_psi_Ax] = h->affine * s->theta[THETA_psi_Tr];
+      s->x[STATE_psidot_Ax] = h->affine * s->theta[THETA_dpsi_dp] * s->x_d[STATE_xdot];
+    } else {
+      memcpy(s->x, h->started && k < h->steps ? s[1].x : s->x_d, sizeof s->x);
+      if (k < h->steps) s->u = planned(h, k);
+    }
+  }
+  if (h->mode != LINEAR) memcpy(h->stage->x, h->x_hat, sizeof h->x_hat);
   if (h->mode != CONVERGED) horizon_linearise(h);
 }
 
 /* Take in the measured state, corrected by the observed offset, and the base torque; do what is not prepared yet. */
 void planner_begin(horizon_t *h, const double *measured, double base) {
   const casadi_int prepared = h->mode == REAL_TIME && h->started;
-  double x[N];
-  memcpy(x, measured, sizeof x);
-  h->torque_limit = limit_at(h, x[STATE_xdot]);
+  double *x = h->x_hat;
+  enter(h, measured, h->informed ? base : 0);
   if (h->observer > 0) {
     if (h->started && x[STATE_xdot] > 1)
       h->offset += h->observer * (x[STATE_y_TrAx] - h->expected_y) / (x[STATE_xdot] * h->tuning[TUNING_period]);
     x[STATE_psi_TrAx] += h->offset;
   }
-  enter(h, x, h->informed ? base : 0);
   if (!prepared) prepare(h);
   for (casadi_int k = 0; k < h->steps; ++k) h->stage[k].plan = planned(h, k);  /* serves when the problem is not solved */
 }
@@ -114,25 +95,18 @@ static int converge(horizon_t *h) {
   return 1;
 }
 
-/* Torque (N m) at a measured state and a base torque. */
-double planner_plan(horizon_t *h, const double *measured, double base) {
-  planner_begin(h, measured, base);
-  h->iterations = 1;
-  return planner_take(h, h->mode == CONVERGED ? converge(h) : horizon_solve(h));
-}
-
-/* What of the next sample can be done before its state is measured: real-time iteration expects the planned one. */
-void planner_prepare(horizon_t *h) {
-  if (h->mode != REAL_TIME || !h->started) return;
-  enter(h, h->stage[1].x, h->u_d);
-  prepare(h);
-}
-
-/* A sample as the closed loop asks for it, see sample_t of slots.c; readings are not needed, the states were made of
-   them. */
+/* A sample as the closed loop asks for it, see sample_t of slots.c: torque (N m) at a measured state and a base torque.
+   Readings are not needed, the states were made of them. Real-time iteration then prepares the next sample, at the state
+   that it expects. */
 double planner_sample(void *planner, const double *state, const double *readings, double base) {
+  horizon_t *h = planner;
   (void)readings;
-  const double torque = planner_plan(planner, state, base);
-  planner_prepare(planner);
+  planner_begin(h, state, base);
+  h->iterations = 1;
+  const double torque = planner_take(h, h->mode == CONVERGED ? converge(h) : horizon_solve(h));
+  if (h->mode == REAL_TIME && h->started) {
+    enter(h, h->stage[1].x, h->u_d);
+    prepare(h);
+  }
   return torque;
 }

@@ -6,7 +6,6 @@
 
 enum { FREE = 0, LOW = -1, HIGH = 1 };
 
-/* A stage of the horizon. */
 typedef struct {
   /* forecast, trajectory, torque of the plan (N m) */
   double x_d[N], theta[N_THETA], x[N], u, plan;
@@ -26,18 +25,15 @@ typedef struct {
   double cell_start, affine, observer;
   /* cells of the route; numbers of forecast, model, problem and drive */
   const double *cells, *nominal, *par, *tuning, *drive;
-  /* steps + 1 of them */
-  stage_t *stage;
-  /* problem: measured state, base torque, bound of the differential torque, torque limit of a motor */
-  double x_hat[N], u_d, bound, torque_limit;
+  stage_t *stage;  /* steps + 1 of them */
+  /* problem: measured state, base torque, bound of the differential torque */
+  double x_hat[N], u_d, bound;
   /* observed offset of the yaw angle, lateral position that is expected next */
   double offset, expected_y;
   /* whether the last sample was solved, so that the next one starts from it; its iterations; samples that were not solved;
      recursions that the last problem took */
   casadi_int started, iterations, fallbacks, passes;
 } horizon_t;
-
-static int interior(horizon_t *h);
 
 static const double *cell_at(const horizon_t *h, double p) {
   return row_at(h->cells, p, h->cell_start, CELL_STEP, h->n_cells, N_CELL);
@@ -78,13 +74,13 @@ void horizon_linearise(horizon_t *h) {
 
 static void backward(horizon_t *h) {
   stage_t *last = h->stage + h->steps;
-  const double *end[] = {last->x, last->x_d, &last->side, h->tuning};
+  const double *end[] = {last->x, last->x_d, &last->side, last->barrier, h->tuning};
   double *cost[] = {last->cost_matrix, last->cost_vector};
   riccati_terminal(end, cost, 0, 0, 0);
   for (stage_t *s = last; s-- > h->stage;) {
     const double to_bound = s->fixed * h->bound - s->u;
     const double *in[] = {s[1].cost_matrix, s[1].cost_vector, s[1].x, s->x_next, s->a, s->b, &s->u, &s->fixed, &to_bound,
-                          s->x, s->x_d, &s->side, h->tuning};
+                          s->x, s->x_d, &s->side, s->barrier, h->tuning};
     double *out[] = {s->cost_matrix, s->cost_vector, s->feedback, &s->feedforward};
     riccati_backward(in, out, 0, 0, 0);
   }
@@ -117,32 +113,18 @@ static casadi_int revise(horizon_t *h) {
   return moved;
 }
 
-static int finite_steps(const horizon_t *h) {
-  for (casadi_int k = 0; k <= h->steps; ++k) {
-    for (int i = 0; i < N; ++i)
-      if (!isfinite(h->stage[k].dx[i])) return 0;
-    if (k < h->steps && !isfinite(h->stage[k].du)) return 0;
-  }
-  return 1;
-}
-
 /* Try `most` active sets, from those found; returns like horizon_solve. */
 static int settle(horizon_t *h, casadi_int most) {
-  for (casadi_int i = 0; i < most; ++i) {
+  const double *end = h->stage[h->steps].dx;
+  for (casadi_int tried = 0; tried < most; ++tried) {
     ++h->passes;
     backward(h), forward(h);
-    if (!revise(h)) return finite_steps(h) ? 0 : 1;
+    if (revise(h)) continue;
+    for (int i = 0; i < N; ++i)  /* what is not finite on the way stays so to the end */
+      if (!isfinite(end[i])) return 1;
+    return 0;
   }
   return 2;
-}
-
-/* Minimiser of the quadratic problem about the trajectory: steps dx, du. Starts from the active sets it finds; when a few
-   more do not settle, the interior point method finds those of the minimiser.
-   Returns 0, or 1 when a value is not finite, or 2 when no minimiser was found. */
-int horizon_solve(horizon_t *h) {
-  h->passes = 0;
-  const int code = settle(h, h->most_sets);
-  return code == 2 ? interior(h) : code;
 }
 
 /* Take the steps dx, du; torques stay within their bound. */

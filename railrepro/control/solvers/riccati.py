@@ -22,13 +22,11 @@ import numpy as np
 from railrepro.compile import codegen
 from railrepro.compile.lanes import lanes_header, lanes_text
 from railrepro.control.problem import TUNING, MPCSettings, dynamics, torque_limit
-from railrepro.control.solvers.recursion import barrier, recursion
+from railrepro.control.solvers.recursion import recursion
 from railrepro.model import forecast
 from railrepro.model.control_model import STATES, THETA
 from railrepro.track.route import CELL, COLUMNS, Route
 
-_N = len(STATES)
-_FAULTS = {1: "a value is not finite", 2: "no minimiser was found"}
 MOST_SETS = 8
 """Number of active sets tried per quadratic problem before the interior point method takes over."""
 _SOURCES = [Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c", "planner.c")]
@@ -36,14 +34,14 @@ _SOURCES = [Path(__file__).with_name(name).read_text() for name in ("riccati.c",
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """CasADi functions that the C of `c_text` calls: `forecast.functions`, `recursion`, `barrier`, `torque_limit`."""
-    return *forecast.functions(), *recursion(variant, discretisation), *barrier(variant, discretisation), torque_limit()
+    """CasADi functions that the C of `c_text` calls: `forecast.functions`, `recursion`, `torque_limit`."""
+    return *forecast.functions(), *recursion(variant, discretisation), torque_limit()
 
 
 def _sizes(variant: str, discretisation: str) -> dict[str, int]:
     """Numbers of states, track parameters, columns of a cell, entries of the matrix A, and bounds of a stage."""
     entries = dynamics(variant, discretisation).nnz_out(1)
-    return {"N": _N, "N_THETA": len(THETA), "N_CELL": len(COLUMNS), "N_A": entries, "BOUNDS": 4}
+    return {"N": len(STATES), "N_THETA": len(THETA), "N_CELL": len(COLUMNS), "N_A": entries, "BOUNDS": 4}
 
 
 @codegen.stored
@@ -66,7 +64,7 @@ def c_text(variant: str, discretisation: str) -> str:
 def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]:
     """The shared object, and `horizon_t` and `stage_t` of riccati.c."""
     loaded = codegen.library(functions(variant, discretisation), codegen.PREAMBLE + c_text(variant, discretisation))
-    loaded.planner_plan.restype = loaded.planner_take.restype = ctypes.c_double
+    loaded.planner_sample.restype = loaded.planner_take.restype = ctypes.c_double
     sizes = _sizes(variant, discretisation)
     return loaded, *(codegen.structure(name, _SOURCES[0], sizes) for name in ("horizon_t", "stage_t"))
 
@@ -74,69 +72,38 @@ def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]
 class Horizon:
     """Problem, trajectory and compiled solver of one predictive controller; arrays are views of its memory in C (SI).
 
-    Active sets are kept from one problem to the next. `nominal` (3,) as `railrepro.model.forecast.NOMINAL`,
-    `parameters` (14,) as `railrepro.model.parameters.PARAMETERS`.
+    `nominal` (3,) as `railrepro.model.forecast.NOMINAL`, `parameters` (14,) as `railrepro.model.parameters.PARAMETERS`.
+    Active sets are kept from one problem to the next.
 
-    Attributes
-    ----------
-    x_d, theta : ndarray, shape (L + 1, 6) and (L + 1, 9)
-        Forecast of desired states and track parameters.
-    x, u : ndarray, shape (L + 1, 6) and (L,)
-        Trajectory: states and differential torques; `x[0]` may differ from the measured state `x_hat` (6,).
-    x_next, a, b : ndarray, shape (L, 6), (L, nonzeros of A), (L, 6)
-        Model along the trajectory: next state, A without its zeros, B.
-    dx, du : ndarray, shape (L + 1, 6) and (L,)
-        Steps of `x` and `u` that minimise the last quadratic problem.
-    fixed, side : ndarray, shape (L,) and (L + 1,)
-        Active bounds of torques and lateral positions: 1 upper, -1 lower, 0 none.
-    plan : ndarray, shape (L,)
-        Differential torques of the plan (N m).
-    c : ctypes.Structure
-        `horizon_t` of riccati.c, with base torque and bound of the differential torque (N m), too.
-    pointer : ctypes pointer
-        Pointer to `c`, the argument of the functions of `library`.
-    library : ctypes.CDLL
-        The functions of riccati.c and planner.c.
+    Attributes:
+        stages (ndarray, shape (L + 1,)): `stage_t` of riccati.c as a structured array.
+        x_d, theta (ndarray, shape (L + 1, 6) and (L + 1, 9)): Forecast of desired states and track parameters.
+        x, u (ndarray, shape (L + 1, 6) and (L,)): Trajectory: states and differential torques; `x[0]` may differ from
+            the measured state `x_hat` (6,).
+        plan (ndarray, shape (L,)): Differential torques of the plan (N m).
+        c (ctypes.Structure): `horizon_t` of riccati.c, with base torque and bound of the differential torque (N m).
+        pointer (ctypes pointer): Pointer to `c`, the argument of the functions of `library`.
+        library (ctypes.CDLL): The functions of riccati.c and planner.c.
     """
 
     def __init__(self, settings: MPCSettings, nominal: np.ndarray, parameters: np.ndarray, route: Route):
         self.settings, cells = settings, np.ascontiguousarray(route.cells)
         self.library, of_horizon, of_stage = _compiled(settings.variant, settings.discretisation)
-        stages = np.zeros(settings.steps + 1, of_stage)
-        self.x_d, self.theta, self.x, self.dx, self.side = (
-            stages[name] for name in ("x_d", "theta", "x", "dx", "side")
-        )
-        self.u, self.du, self.fixed, self.plan = (stages[name][:-1] for name in ("u", "du", "fixed", "plan"))
-        self.x_next, self.a, self.b = (stages[name][:-1] for name in ("x_next", "a", "b"))
-        tables = {"nominal": nominal.astype(float), "par": parameters.astype(float), "tuning": settings.tuning()}
-        tables |= {"cells": cells, "stage": stages}
-        self._tables = tables  # C has their addresses
+        self.stages = np.zeros(settings.steps + 1, of_stage)
+        self.x_d, self.theta, self.x = (self.stages[name] for name in ("x_d", "theta", "x"))
+        self.u, self.plan = (self.stages[name][:-1] for name in ("u", "plan"))
+        # C has the addresses of these
+        self.tables = {"nominal": nominal.astype(float), "par": parameters.astype(float), "tuning": settings.tuning()}
+        self.tables |= {"cells": cells, "stage": self.stages}
         self.c = of_horizon(
             steps=settings.steps, most_sets=MOST_SETS, n_cells=len(cells), cell_start=route.start, affine=1.0,
             yielding=settings.yielding, informed=settings.informed, observer=settings.observer,
-            **{name: table.ctypes.data for name, table in tables.items()},
+            **{name: table.ctypes.data for name, table in self.tables.items()},
         )  # fmt: skip
         self.x_hat, self.pointer = codegen.arrays(self.c)["x_hat"], ctypes.byref(self.c)
 
-    def sample(self, x_hat: np.ndarray, u_d: float, bound: float) -> None:
-        """Set measured state (6,), base torque (N m) and bound of the differential torque (N m) of the next problem."""
-        self.x_hat[:], self.c.u_d, self.c.bound = x_hat, u_d, bound
-
-    def forecast(self) -> None:
-        """Fill `x_d` and `theta` by the forecast from the measured state and base torque of `sample`."""
+    def forecast(self, x_hat: np.ndarray, u_d: float) -> forecast.Forecast:
+        """Fill `x_d`, `theta` by the forecast from a measured state (6,) and base torque (N m); returns a copy."""
+        self.x_hat[:], self.c.u_d = x_hat, u_d
         self.library.horizon_forecast(self.pointer)
-
-    def linearise(self) -> None:
-        """Fill `x_next`, `a` and `b` with the model and its derivatives along `x`, `u`."""
-        self.library.horizon_linearise(self.pointer)
-
-    def solve(self) -> None:
-        """Fill `dx`, `du` with the minimiser of the quadratic problem about the linearised trajectory.
-
-        Raises
-        ------
-        ArithmeticError
-            When a value is not finite or no minimiser is found.
-        """
-        if code := self.library.horizon_solve(self.pointer):
-            raise ArithmeticError(f"horizon: {_FAULTS[code]}")
+        return forecast.Forecast(self.x_d.copy(), self.theta.copy())

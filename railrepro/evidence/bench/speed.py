@@ -1,14 +1,13 @@
-"""Times of the solvers of the predictive controllers and of a step of the car, as ratios within one run.
+"""Times of the solvers of the predictive controllers, as ratios within one run.
 
-`python -m railrepro bench` writes solve_times.csv, horizon_times.csv and step_times.csv of data/results and prints
-them. Times of different machines are never compared; the machine's name stands in each table.
+`python -m railrepro bench` writes solve_times.csv and horizon_times.csv of data/results and prints them. Times of
+different machines are never compared; the machine's name stands in each table.
 Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
 
 import platform
-import timeit
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,10 +16,6 @@ import pandas as pd
 from tqdm import tqdm
 
 from railrepro import paths
-from railrepro.car import component
-from railrepro.car.component import SteppedCar
-from railrepro.clock import CONTROL_PERIOD
-from railrepro.compile import codegen
 from railrepro.control.mpc import LTVMPC, NMPC
 from railrepro.control.problem import MPCSettings, Problem
 from railrepro.control.registry import EQUAL, SETTINGS, mpc_settings, parameters
@@ -30,19 +25,10 @@ from railrepro.simulation import scenarios, simulate
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
-SCENARIOS = (
-    "curve_entry_T1",
-    "curve_entry_T2",
-    "curve_entry_T3",
-    "curve_entry_T4",
-    "sine_tracking",
-    "adhesion_loss",
-    "braking",
-)
+SCENARIOS = *(f"curve_entry_T{k}" for k in range(1, 5)), "sine_tracking", "adhesion_loss", "braking"
 KINDS = ("ipopt", "gauss_newton", "rti", "ltv_mpc")
 WINDOW = 32
 """Successive samples recorded per scenario."""
-HORIZONS = (10, 20, 40, 80, 160)
 
 
 @dataclass(frozen=True)
@@ -54,16 +40,15 @@ class Recording:
     problems: tuple[Problem, ...]
 
 
-@dataclass
 class Recorder(NMPC):
-    """NMPC that appends each optimal control problem (`Problem`) to its list `problems` before solving it."""
+    """NMPC that keeps each optimal control problem (`Problem`) in its list `problems` before it solves it."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def __init__(self, *arguments) -> None:
+        super().__init__(*arguments)
         self.problems: list[Problem] = []
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Append the problem, then plan as NMPC: torque du (N m) from states x_hat (6,) and base torque u_d (N m)."""
+        """Keep the problem, then plan as NMPC: torque du (N m) from states x_hat (6,) and base torque u_d (N m)."""
         self.problems.append(self.problem(x_hat, u_d))
         return super().plan(x_hat, u_d)
 
@@ -88,27 +73,21 @@ def tightened(recording: Recording) -> Recording:
     return Recording(f"{recording.scenario}, bounds active", recording.route, hard)
 
 
-def controller(kind: str, recording: Recording, vehicle: Vehicle) -> LTVMPC | NMPC:
-    """Front-gear LTV-MPC or NMPC with route, settings and torque limit of a recording; `kind` is one of `KINDS`."""
-    first = recording.problems[0]
-    limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
-    if kind == "ltv_mpc":
-        return LTVMPC(limited, recording.route, 0, first.settings)
-    return NMPC(limited, recording.route, 0, first.settings, solver=kind)
-
-
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Solve the n problems of a recording in order, each warm-started by the previous one as in closed loop.
 
-    `kind` as in `controller`. Returns planned differential torques over the horizon (n, L) (N m), processor time per
+    `kind` is one of `KINDS`. Returns planned differential torques over the horizon (n, L) (N m), processor time per
     problem with forecast and preparation (n,) (s), iterations (n,), and the number of problems without a solution.
     """
-    solver, torques = controller(kind, recording, vehicle), []
+    first, torques = recording.problems[0], []
+    limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
+    given = limited, recording.route, 0, first.settings
+    solver = LTVMPC(*given) if kind == "ltv_mpc" else NMPC(*given, solver=kind)
     for problem in recording.problems:
         solver.plan(problem.x_hat, problem.u_d)
         torques.append(solver.plan_du.copy())
-    seconds = [record.seconds + record.preparation for record in solver.stats]
-    return np.array(torques), np.array(seconds), np.array([each.iterations for each in solver.stats]), solver.fallbacks
+    seconds, iterations = np.transpose(solver.stats)
+    return np.array(torques), seconds, iterations, solver.fallbacks
 
 
 def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
@@ -116,7 +95,7 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
     `settings` are those of NMPC, `names` scenarios. Columns solver, scenario, n (problems), median_ms, p95_ms, max_ms
     (time per problem), iterations_median, ratio_to_ipopt (of median times), failures (problems without a solution),
-    largest_torque_difference to ipopt over the torque limit (-), largest_cost_excess (relative, over ipopt).
+    largest_torque_difference to ipopt over the torque limit (-).
     """
     rows = []
     plain = [record(name, settings, vehicle) for name in names]
@@ -126,56 +105,23 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
         exact, reference, *_ = solved["ipopt"]
         for kind, (du, seconds, iterations, failures) in solved.items():
             difference = np.abs(du - exact).max() / vehicle.drive.torque_limit
-            pairs = zip(recording.problems, du, exact, strict=True)
-            costs = np.array([[p.cost(p.roll_out(u), u) for u in pair] for p, *pair in pairs])
-            rows.append(
-                {
-                    "solver": kind,
-                    "scenario": recording.scenario,
-                    "n": len(seconds),
-                    "median_ms": 1e3 * np.median(seconds),
-                    "p95_ms": 1e3 * np.percentile(seconds, 95),
-                    "max_ms": 1e3 * seconds.max(),
-                    "iterations_median": np.median(iterations),
-                    "ratio_to_ipopt": np.median(seconds) / np.median(reference),
-                    "failures": failures,
-                    "largest_torque_difference": difference,
-                    "largest_cost_excess": np.max(costs[:, 0] / costs[:, 1] - 1),
-                }
-            )
+            row = {"solver": kind, "scenario": recording.scenario, "n": len(seconds)}
+            row |= {"median_ms": 1e3 * np.median(seconds), "p95_ms": 1e3 * np.percentile(seconds, 95)}
+            row |= {"max_ms": 1e3 * seconds.max(), "iterations_median": np.median(iterations)}
+            row |= {"ratio_to_ipopt": np.median(seconds) / np.median(reference), "failures": failures}
+            rows.append(row | {"largest_torque_difference": difference})
     return pd.DataFrame(rows)
 
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
     """Solution times on T3 by horizon length: columns solver, steps (L), median_ms (per problem), iterations_median."""
     rows = []
-    for steps in tqdm(HORIZONS, desc="horizons", unit="length"):
+    for steps in tqdm((10, 20, 40, 80, 160), desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
         for kind in ("gauss_newton", "rti", "ltv_mpc", "ipopt"):
             _, seconds, iterations, _ = solve_all(kind, recording, vehicle)
             row = {"solver": kind, "steps": steps, "median_ms": 1e3 * np.median(seconds)}
             rows.append(row | {"iterations_median": np.median(iterations)})
-    return pd.DataFrame(rows)
-
-
-def step_times(calls: int = 2000, drives: int = 7) -> pd.DataFrame:
-    """Time per call of the car functions "coordinates", "output", "step": columns function, gears, us (1e-6 s), ratio.
-
-    `gears`: the code computes both gears "one after the other" or "side by side" (vectorised); `ratio`: time over that
-    of "one after the other". A time is the least of `drives` means over `calls` calls each.
-    """
-    car, rows = SteppedCar("T3", 70.0), []
-    car.step(steps=400)
-    given = dict(zip(("x", "u", "rows", "contacts", "par"), car.inputs(), strict=True)) | {"h": CONTROL_PERIOD}
-    for name in ("coordinates", "output", "step"):
-        function = getattr(car.model, name)
-        alone, together = codegen.compiled(function), codegen.CompiledFunction(component.library(), function)
-        for bound in (alone, together):
-            for argument, of in zip(bound.arguments, function.name_in(), strict=True):
-                argument[:] = np.ravel(given[of], order="F")
-        least = [1e6 * min(timeit.repeat(bound, number=calls, repeat=drives)) / calls for bound in (alone, together)]
-        forms = zip(("one after the other", "side by side"), least, strict=True)
-        rows += [{"function": name, "gears": form, "us": time, "ratio": time / least[0]} for form, time in forms]
     return pd.DataFrame(rows)
 
 
@@ -188,10 +134,10 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Measure solve_times, horizon_times and step_times, write them to data/results as CSV and print them."""
+    """Measure solve_times and horizon_times, write them to data/results as CSV and print them."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
-    tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[EQUAL]), "step_times": step_times()}
+    tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[EQUAL])}
     for name, table in tables.items():
         table["machine"] = machine()
         write(paths.product(f"data/results/{name}.csv"), table.to_csv(index=False, float_format="%.4g"))

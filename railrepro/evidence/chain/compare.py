@@ -12,8 +12,6 @@ import pandas as pd
 from railrepro import data
 from railrepro.data import Number, between
 
-VALUE, KINDS = "value", ("metric", "quantity")
-"""Column of a tidy table that holds values of several metrics; columns of which one holds the name of the metric."""
 OUTCOMES = SAME, NEAR, DIFFERENT = ("same", "within tolerance", "different")
 _SHARE = Annotated[Number, between(0.0, 1.0)]
 
@@ -22,14 +20,14 @@ _SHARE = Annotated[Number, between(0.0, 1.0)]
 class Own:
     """Entry [[verify.own]] of notebooks/chain.toml: relative tolerance (-) of a column of a table, and why.
 
-    `rows` is a query of pandas for the rows that it holds for; "" takes all.
+    `rows` is a query of pandas for the rows that it holds for.
     """
 
     table: str
     column: str
+    rows: str
     relative: _SHARE
     why: str
-    rows: str = ""
 
 
 @data.table
@@ -54,16 +52,25 @@ def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
     for path in (committed, rerun):
         if not path.exists():
             return _judged(f"{path.name}, which is missing", np.inf, 0.0)
-    return (_images if committed.suffix == ".png" else _tables)(committed, rerun, tolerance)
+    if committed.suffix == ".png":
+        old, new = matplotlib.image.imread(committed), matplotlib.image.imread(rerun)
+        if old.shape != new.shape:
+            return _judged("the size of the image", np.inf, 0.0)
+        return _judged("the image", np.sqrt(np.mean((old.astype(float) - new) ** 2)), tolerance.image_rms / 255)
+    table, again = pd.read_csv(committed), pd.read_csv(rerun)
+    if list(table) != list(again) or len(table) != len(again):
+        return _judged("its rows or columns", np.inf, 0.0)
+    found = [_column(table, again, column, committed.name, tolerance) for column in table]
+    return pd.concat(found, ignore_index=True)
 
 
 def summary(entries: pd.DataFrame) -> str:
     """Text with the number of entries per outcome and the largest difference, from a table of `compare`."""
     text = ", ".join(f"{(entries['outcome'] == outcome).sum()} {outcome}" for outcome in OUTCOMES)
-    if entries.empty:
-        return text
-    worst = entries.iloc[entries["apart"].argmax()]
-    return text + (f"; largest difference {worst['apart']:.1e} in {worst['name']}" if worst["apart"] else "")
+    if entries["apart"].max() > 0:
+        worst = entries.iloc[entries["apart"].argmax()]
+        text += f"; largest difference {worst['apart']:.1e} in {worst['name']}"
+    return text
 
 
 def _judged(name, apart, limit) -> pd.DataFrame:
@@ -72,46 +79,23 @@ def _judged(name, apart, limit) -> pd.DataFrame:
     return pd.DataFrame({"name": name, "apart": np.atleast_1d(apart), "outcome": np.atleast_1d(outcome)})
 
 
-def _tables(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
-    old, new = pd.read_csv(committed), pd.read_csv(rerun)
-    if list(old.columns) != list(new.columns) or len(old) != len(new):
-        return _judged("its rows or columns", np.inf, 0.0)
-    parts = []
-    for column in old.columns:
-        kind = next((name for name in KINDS if column == VALUE and name in old), None)
-        name = column if kind is None else f"{column} of " + old[kind].astype(str)
-        apart = _apart(old[column], new[column], None if kind is None else old[kind])
-        apart[(old[column] == new[column]) | (old[column].isna() & new[column].isna())] = 0.0
-        if column in tolerance.not_compared:
-            apart[:] = 0.0
-        parts.append(_judged(name, apart, limits(old, committed.name, column, tolerance)))
-    return pd.concat(parts, ignore_index=True)
+def _column(table: pd.DataFrame, again: pd.DataFrame, column: str, file: str, tolerance: Tolerance) -> pd.DataFrame:
+    """Entries of a column of two tables, apart by their difference over the largest magnitude; inf without numbers.
 
-
-def _apart(old: pd.Series, new: pd.Series, kind: pd.Series | None) -> np.ndarray:
-    """Differences over the largest magnitude of the column, or of its metric in it (-); infinite without numbers."""
-    if not (pd.api.types.is_numeric_dtype(old) and pd.api.types.is_numeric_dtype(new)):
-        return np.full(len(old), np.inf)
-    size = old.astype(float).abs()
-    largest = size.max() if kind is None else size.groupby(kind).transform("max")
-    return ((old.astype(float) - new).abs() / largest).fillna(np.inf).to_numpy(copy=True)
-
-
-def limits(table: pd.DataFrame, name: str, column: str, tolerance: Tolerance) -> np.ndarray:
-    """Tolerance of each row of `column` of `table` relative to the largest magnitude in that column (-), shape (n,).
-
-    `name` is the file name of the table, by which `tolerance` may have its own entries.
+    In the column `value` of a tidy table that of the same metric counts, whose name is in another column.
     """
-    found = np.full(len(table), tolerance.relative)
+    old, new = table[column], again[column]
+    names = [name for name in ("metric", "quantity") if column == "value" and name in table]
+    kind = table[names[0]].astype(str) if names else None
+    apart = np.full(len(old), np.inf)
+    if pd.api.types.is_numeric_dtype(old) and pd.api.types.is_numeric_dtype(new):
+        size = old.astype(float).abs()
+        largest = size.max() if kind is None else size.groupby(kind).transform("max")
+        apart = ((old.astype(float) - new).abs() / largest).fillna(np.inf).to_numpy(copy=True)
+    same = (old == new) | (old.isna() & new.isna())
+    apart[same if column not in tolerance.not_compared else slice(None)] = 0.0
+    limit = np.full(len(table), tolerance.relative)
     for own in tolerance.own:
-        if (own.table, own.column) == (name, column):
-            chosen = table.eval(own.rows, engine="python").to_numpy() if own.rows else slice(None)
-            found[chosen] = own.relative
-    return found
-
-
-def _images(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
-    old, new = matplotlib.image.imread(committed), matplotlib.image.imread(rerun)
-    if old.shape != new.shape:
-        return _judged("the size of the image", np.inf, 0.0)
-    return _judged("the image", np.sqrt(np.mean((old.astype(float) - new) ** 2)), tolerance.image_rms / 255)
+        if (own.table, own.column) == (file, column):
+            limit[table.eval(own.rows, engine="python")] = own.relative
+    return _judged(column if kind is None else f"{column} of " + kind, apart, limit)

@@ -1,10 +1,8 @@
 """What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
 
 The nominal results in three settings and each sample of the robustness study are probes, so that one predicate
-(`statements`) judges all of them. `python -m railrepro probe` simulates the nominal ones, for all settings and swarms,
-and writes data/results/nominal_metrics.csv.
-
-Serves the paper's section Multi-Body Simulation Results.
+(`statements`) judges all of them. `python -m railrepro probe` simulates the nominal ones and writes
+data/results/nominal_metrics.csv. Serves the paper's section Multi-Body Simulation Results.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.setup import ProbeSetup, setup, triple_pole
 from railrepro.evidence.claims.statements import BETWEEN, BRAKE, LOSS, NDI, NOTHING, SOFT, SOFTEST, T3
 from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import ordered_map
 from railrepro.evidence.runs.experiment import Experiment, tidy
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
@@ -39,10 +37,10 @@ PARTS = ("curve", "curves", "sine", "loss", "brake")
 ONCE = ("causes", "sudden", "share", "rails")
 """Parts of the nominal case alone, once per setting: creep and cones, sudden losses of adhesion, allocation and base
 torque, irregular rails with and without preview."""
-SPEEDS = (80, 160, 240, 320, 400)
-"""Speeds of the sine (km/h)."""
 PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
 """Factors on R of the runs over which Fig. 8 is averaged: at the adhesion maximum single runs are chaotic."""
+R_FACTORS, POLES = (1.0, 10**0.5, 10.0, 10**1.5, 100.0), (8.0, 15.0, 25.0, 40.0, 60.0)
+"""Sweeps in Fig. 9: factors on the weight R of NMPC, besides `r_brake` (-); triple poles of NDI (rad/s)."""
 NEIGHBOURS = (0.9, 1.0, 1.1)
 """Factors on R of NMPC and on the poles of NDI; from runs with all of them comes the scatter of results in Fig. 9."""
 SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
@@ -50,25 +48,21 @@ SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
 """Track coordinates in Fig. 8 (m) where the adhesion law has climbed to its set point (1.8 kN m by 2 N m per ms), where
 the set point exceeds the adhesion maximum, and where the paper's run reaches this maximum."""
-STIFF = 12.0
-"""Factor on the shear modulus of a contact in which wheels nearly roll."""
 PATCH, SUDDEN_KMH, SUDDEN_KN, CHECKED = (300.0, 500.0), 280.0, 17.0, 100.0
 """Sudden loss: begin and end of the very poor rail (m), speed (km/h), force per gear in traction and braking (kN), and
 the way before (m) on which operation must be regular: the steps of the law have climbed to the set point by 160 m."""
-ROUGH_SEEDS, ROUGH_KMH, ROUGH_END, LINE = (1, 2, 3), 300.0, 1000.0, {"share": 1.0, "smoothing_m": 3.0}
-"""Irregular straight: seeds of the rails, speed (km/h), length (m); arguments of `preview.plan` with exact preview."""
 NO_SLIP_CONTROL = AdhesionSettings(active=False)
-RECOVERY = 0.135
-"""Time within which a wheel must be back from macro slip (s): a tenth of a wave of the set point of Fig. 8."""
-APPROACH, FALL = 0.9, 0.1
-"""Adhesion over its peak (-) from which the peak counts as approached, and below which slip beyond it is excessive;
-share of the torque (-) by which it must fall in macro slip."""
+RECOVERY, APPROACH, FALL = 0.135, 0.9, 0.1
+"""Time within which a wheel must be back from macro slip, a tenth of a wave of the set point of Fig. 8 (s); adhesion
+over its peak from which this counts as approached, and below which slip beyond it is excessive (-); share of the torque
+by which it must fall in macro slip (-)."""
+SEEDS = (101, 102, 103)
+"""Seeds of the sensor noise in nominal runs; tuning has others."""
 UNITS = {
     **dict.fromkeys(("rmse_y", "largest_error", "delay", "mean_error_last_third", "shortest_wave", "shortfall"), "m"),
     **dict.fromkeys(("ndi_later", "stopping_distance", "rail_rmse_y"), "m"),
     "effort_du": "N m",
 }
-
 
 Rows = list[tuple[str, str, str, float]]
 """List of (scenario, controller, metric, value in SI units)."""
@@ -98,18 +92,28 @@ def nothing(scenario: Scenario) -> dict[str, float]:
     return found | {"shortest_wave": float(min(waves))}
 
 
-def following(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Entry of `store` for a run: (dict of the metrics of `lateral`, None for the series)."""
-    return lateral(run), None
+def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """Lateral metrics of a run, for `Experiment.measured`: (dict, None); `failed` (0 or 1) alone of a failed run.
 
-
-def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Entry of `store` for a run of Fig. 6: (dict of metrics, every tenth row of the series by `experiment.tidy`).
-
-    Metrics of `lateral`, delay and shortfall (m), torque_step (N m), path_error (-); of a failed run those of `lateral`
-    alone, and None for the series.
+    rmse_y, largest_error, mean_error_last_third of the front gear (m), effort_du (N m), see `metrics.summary`.
     """
-    values = lateral(run)
+    names = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
+    return _unless_failed(run, experiment, *names), None
+
+
+def _unless_failed(run: simulate.Run, experiment: Experiment, *names: str) -> dict[str, float]:
+    """Metrics of `Experiment.values` by name, none of a failed run, and whether it failed."""
+    row = experiment.values(run)
+    return {name: row[name] for name in names if not run.failed} | {"failed": float(run.failed)}
+
+
+def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """Metrics of a run of Fig. 6, for `Experiment.measured`: (dict, every tenth row of the series by `tidy`).
+
+    Those of `following`, delay and shortfall (m), torque_step (N m), path_error (-); of a failed run those of
+    `following` alone, and None for the series.
+    """
+    values, _ = following(run, experiment)
     if run.failed:
         return values, None
     series = tidy(run.series, 10)
@@ -118,13 +122,13 @@ def entering(run: simulate.Run, _experiment: Experiment) -> store.Entry:
 
 
 def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Entry of `store` for a run of Fig. 8: (dict of metrics, None for the series).
+    """Metrics of a run of Fig. 8, for `Experiment.measured`: (dict, None).
 
-    Metrics of `lateral`, of `macro_slips` and of `oscillation`; largest_slip of all wheels (-), utilisation_late (-),
+    Those of `following`, of `macro_slips` and of `oscillation`; largest_slip of all wheels (-), utilisation_late (-),
     adhesion over the adhesion maximum from `REACHED` on; flange, 1 if a flange touches a rail, else 0;
     regular_deviation, see `deviation` (-). A failed run has only `failed` and regular_deviation.
     """
-    values, series = lateral(run), tidy(run.series, 10)
+    (values, _), series = following(run, experiment), tidy(run.series, 10)
     if not run.failed:
         scenario, car = experiment.scenario, experiment.car()
         whole, late = (
@@ -138,7 +142,7 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Entry of `store` for a run with a sudden loss of adhesion: (dict of metrics, None for the series).
+    """Metrics of a run with a sudden loss of adhesion, for `Experiment.measured`: (dict, None).
 
     largest_slip (-); utilisation, mean adhesion of the left front wheel on the slippery patch over the adhesion maximum
     there (-); regular_deviation before the patch, see `deviation` (-); failed (0 or 1).
@@ -154,39 +158,19 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Entry of `store` for a run on irregular rails: (dict of metrics, None for the series).
+    """Metrics of a run on irregular rails, for `Experiment.measured`: (dict, None).
 
     rail_rmse_y, error against the irregular rails (m); sum_y_over_limit, track shifting force over its limit (-);
     n_mv_floor_front, comfort index above the front gear (-); failed (0 or 1). A failed run has only `failed`.
     """
+    return _unless_failed(run, experiment, "rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front"), None
+
+
+def braked(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """rmse_y and stopping_distance (m), for `Experiment.measured`: (dict, None); both inf without a stop."""
     row = experiment.values(run)
-    names = () if run.failed else ("rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front")
-    return {name: row[name] for name in names} | {"failed": float(run.failed)}, None
-
-
-def braked(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Entry of `store` for a braking run: (dict of rmse_y, stopping_distance (m), both inf without a stop; None)."""
-    stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
-    if not stopped:
-        return {"rmse_y": float("inf"), "stopping_distance": float("inf")}, None
-    return {"rmse_y": metrics.rmse(run.series), "stopping_distance": metrics.stopping_distance(run.series)}, None
-
-
-def lateral(run: simulate.Run) -> dict[str, float]:
-    """Lateral metrics of the front gear by name: rmse_y, largest_error, mean_error_last_third of the run (m).
-
-    Also effort_du, RMS differential torque (N m), and `failed` (0 or 1); a failed run has `failed` alone.
-    """
-    if run.failed:
-        return {"failed": 1.0}
-    error = metrics.lateral_error(run.series)
-    return {
-        "rmse_y": metrics.rmse(run.series),
-        "largest_error": float(np.abs(error).max()),
-        "mean_error_last_third": float(np.mean(error[-len(error) // 3 :])),
-        "effort_du": metrics.effort(run.series),
-        "failed": 0.0,
-    }
+    stopped = not run.failed and row["final_speed"] < 0.2
+    return {name: row[name] if stopped else float("inf") for name in ("rmse_y", "stopping_distance")}, None
 
 
 def _follow(world: ProbeSetup, scenario: Scenario, label: str) -> Measured:
@@ -199,7 +183,7 @@ def _follow(world: ProbeSetup, scenario: Scenario, label: str) -> Measured:
 def _curves(world: ProbeSetup) -> Measured:
     """Curve entries on the other tracks, and on all four in the middle of the track."""
     for name, length in {"curve_entry_T1": 80.0, "curve_entry_T2": 400.0, T3: 600.0, "curve_entry_T4": 700.0}.items():
-        scenario = load_scenario(name).but(good=world.good, end_m=length)
+        scenario = load_scenario(name).but(end_m=length)
         if name != T3:
             yield from _follow(world, scenario, name)
         middle = scenario.but(set_point={"kind": "none"})
@@ -207,16 +191,19 @@ def _curves(world: ProbeSetup) -> Measured:
 
 
 def _sine(world: ProbeSetup) -> Measured:
-    for speed in SPEEDS:
-        scenario = load_scenario("sine_tracking").but(good=world.good, speed_kmh=float(speed), end_m=300.0)
+    for speed in (80, 160, 240, 320, 400):  # km/h
+        scenario = load_scenario("sine_tracking").but(speed_kmh=float(speed), end_m=300.0)
         yield from _follow(world, scenario, f"sine_tracking {speed}")
 
 
 def _curve(world: ProbeSetup) -> Measured:
     """Fig. 6, with the delay of NDI's torque and how much of the gyroscopic moment each controller balances."""
-    scenario, stretched = world.curve(), world.stretched()
+    scenario, stretched = world.scenario(T3), world.stretched()
     track = Track("T3", build_table(stretched)) if stretched else load_track(scenario.track)
-    expected = gyroscopic_torque(load_vehicle(**world.vehicle), scenario.speed, track)
+    vehicle, v, cant_rate = load_vehicle(**world.vehicle), scenario.speed, track.interpolate(200.0)[3, 0]
+    # the gyroscopic yaw moment of a gear's rolling wheels in the cant ramp, and the torque that balances it (N m)
+    moment = -2 * vehicle.wheel.spin_inertia * v / vehicle.wheel.radius * cant_rate * v
+    expected = float(moment * vehicle.wheel.radius / vehicle.gear.contact_base)
     yield T3, NOTHING, nothing(scenario)
     series = {}
     for name in PAPER_TRIO:
@@ -259,7 +246,7 @@ def _causes(world: ProbeSetup) -> Measured:
     """NMPC in the curve (as it is: `_curve`) and on sines, on cones, nearly without creep, in the curve with both."""
     sine, curve = load_scenario("sine_tracking"), load_scenario(T3)
     driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
-    cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": STIFF * world.car().contact.shear_modulus}
+    cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": 12.0 * world.car().contact.shear_modulus}
     for case, scenario in zip(statements.CASES, driven, strict=True):
         plants = {statements.CONES: cones, statements.NO_CREEP: stiff}
         plants |= {statements.AS_MODELLED: cones | stiff} if case == T3 else {"nmpc": {}}
@@ -283,15 +270,15 @@ def _sudden(world: ProbeSetup) -> Measured:
 
 def _rails(world: ProbeSetup) -> Measured:
     """NMPC on an irregular straight with and without exact preview, means over the realisations."""
-    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=ROUGH_KMH, end_m=ROUGH_END)
+    end = 1000.0
+    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=300.0, end_m=end)
     defects = [
-        {"kind": "dip", "start": 0.3 * ROUGH_END, "length": 8.0, "depth": 3e-3, "rail": "ri"},
-        {"kind": "alignment_fault", "start": 0.5 * ROUGH_END, "length": 20.0, "amplitude": 4e-3},
-        {"kind": "lateral_offset", "start": 0.7 * ROUGH_END, "length": 0.15 * ROUGH_END, "offset": 3e-3,
-         "transition": 15.0},
-    ]  # fmt: skip
-    rough = [{"spectrum": "en_B_300", "seed": seed, "defects": defects} for seed in ROUGH_SEEDS]
-    for label, known in (("nmpc", {}), (statements.PREVIEW, LINE)):
+        {"kind": "dip", "start": 0.3 * end, "length": 8.0, "depth": 3e-3, "rail": "ri"},
+        {"kind": "alignment_fault", "start": 0.5 * end, "length": 20.0, "amplitude": 4e-3},
+        {"kind": "lateral_offset", "start": 0.7 * end, "length": 0.15 * end, "offset": 3e-3, "transition": 15.0},
+    ]
+    rough = [{"spectrum": "en_B_300", "seed": seed, "defects": defects} for seed in (1, 2, 3)]
+    for label, known in (("nmpc", {}), (statements.PREVIEW, {"share": 1.0, "smoothing_m": 3.0})):
         runs = [world.experiment(scenario, "nmpc", irregular=each, preview=known, ride=True) for each in rough]
         yield statements.RAILS, label, _mean([run.measured(riding)[0] for run in runs])
 
@@ -305,13 +292,14 @@ def _mean(runs: list[dict[str, float]]) -> dict[str, float]:
 
 def _brake(world: ProbeSetup) -> Measured:
     """Fig. 9: sweeps of R and of NDI's poles, both settings of R with one between them; neighbours of NMPC and NDI."""
-    yield BRAKE, NOTHING, nothing(world.braking())
-    for factor in world.r_factors:
-        yield BRAKE, "sweep of R", _suffixed(_braked(world, factor), f" {factor:g}")
+    yield BRAKE, NOTHING, nothing(world.scenario(BRAKE))
+    for factor in R_FACTORS:
+        yield BRAKE, "sweep of R", {f"{name} {factor:g}": value for name, value in _braked(world, factor).items()}
     for label, factor in {"nmpc": 1.0, BETWEEN: world.r_second**0.5, SOFTEST: world.r_second}.items():
         yield BRAKE, label, _braked(world, factor)
-    for pole in world.poles:
-        yield BRAKE, "sweep of poles", _suffixed(_stopped(world, NDI, triple_pole(pole)), f" {pole:g}")
+    for pole in POLES:
+        values = _stopped(world, NDI, triple_pole(pole))
+        yield BRAKE, "sweep of poles", {f"{name} {pole:g}": value for name, value in values.items()}
     yield BRAKE, "nmpc", _scatter([_braked(world, factor) for factor in NEIGHBOURS])
     ndi = world.parameters[NDI]
     near = [ndi | {key: factor * ndi[key] for key in ("pole", "frequency")} for factor in NEIGHBOURS]
@@ -326,17 +314,13 @@ def _braked(world: ProbeSetup, factor: float = 1.0, **more) -> dict[str, float]:
 
 
 def _stopped(world: ProbeSetup, name: str, parameters: dict, **more) -> dict[str, float]:
-    return world.experiment(world.braking(), name, parameters, **more).measured(braked)[0]
-
-
-def _suffixed(values: dict[str, float], suffix: str) -> dict[str, float]:
-    return {name + suffix: value for name, value in values.items()}
+    return world.experiment(world.scenario(BRAKE), name, parameters, **more).measured(braked)[0]
 
 
 def _scatter(runs: list[dict[str, float]]) -> dict[str, float]:
     """Logarithm of largest over smallest value of each metric; infinite where a run failed."""
     found = pd.DataFrame(runs)
-    return _suffixed(np.log(found.max() / found.min()).fillna(np.inf).to_dict(), "_spread")
+    return np.log(found.max() / found.min()).fillna(np.inf).add_suffix("_spread").to_dict()
 
 
 def _share(world: ProbeSetup) -> Measured:
@@ -366,16 +350,6 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
     **{"curve": _curve, "curves": _curves, "sine": _sine, "loss": _loss, "brake": _brake},
     **{"causes": _causes, "sudden": _sudden, "share": _share, "rails": _rails},
 }
-
-
-def gyroscopic_torque(vehicle: Vehicle, speed: float, track: Track) -> float:
-    """Differential torque (N m) that balances the gyroscopic yaw moment of a gear's rolling wheels on a cant ramp.
-
-    Evaluated at p = 200 m of `track`, on T3 in the cant ramp of the curve entry; `speed` in m/s.
-    """
-    dphi = track.interpolate(200.0)[3, 0]
-    moment = -2 * vehicle.wheel.spin_inertia * speed / vehicle.wheel.radius * dphi * speed
-    return float(moment * vehicle.wheel.radius / vehicle.gear.contact_base)
 
 
 def torque_step(series: pd.DataFrame) -> float:
@@ -419,8 +393,7 @@ def shortfall(series: pd.DataFrame) -> float:
 def path_error(series: pd.DataFrame) -> float:
     """RMS yaw of a gear against the track over the RMS heading of the track (-); 1 for a gear that goes straight on.
 
-    Columns psi_trax_rad, the yaw against the track, and psi_ax_rad, the heading of the gear; their difference
-    psi_ax_rad - psi_trax_rad is the heading of the track.
+    Columns psi_trax_rad, the yaw against the track, and psi_ax_rad, the heading of the gear.
     """
     heading = series["psi_ax_rad"] - series["psi_trax_rad"]
     return float(np.sqrt((series["psi_trax_rad"] ** 2).mean() / (heading**2).mean()))
@@ -454,20 +427,15 @@ def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
     """Count macro slips and approaches to the adhesion peak from p = `REACHED` on, where the paper's run reaches it.
 
-    Parameters
-    ----------
-    series : DataFrame
-        Run of Fig. 8 as of `experiment.tidy`: p_m, t_s, base torque u_d_Nm, adhesion fx_ri, fx_le, slip sx_ri, sx_le.
-    peak, slip : float
-        Adhesion of the peak, and its slip (-); a macro slip begins where the slip of a wheel becomes larger.
+    Args:
+        series (DataFrame): Run of Fig. 8, `experiment.tidy`: p_m, t_s, u_d_Nm, fx_ri, fx_le, sx_ri, sx_le.
+        peak, slip (float): Adhesion of the peak, and its slip (-); a macro slip begins where a wheel slips more.
 
-    Returns
-    -------
-    dict
-        Numbers of: macro_slips more than `RECOVERY` before the end; recovered, those of them with a fall of the torque
-        by `FALL` and the slip back within `RECOVERY`; approaches, one before each macro slip and one after the last;
-        approached, approaches that reach `APPROACH` times the peak. A last approach shorter than `REACHED - DEMANDED`
-        counts only if it reaches this.
+    Returns:
+        dict: Numbers of: macro_slips more than `RECOVERY` before the end; recovered, those of them with a fall of the
+        torque by `FALL` and the slip back within `RECOVERY`; approaches, one before each macro slip and one after the
+        last; approached, approaches that reach `APPROACH` times the peak. A last approach shorter than `REACHED -
+        DEMANDED` counts only if it reaches this.
     """
     rows = series[series["p_m"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["u_d_Nm"].to_numpy()
@@ -494,33 +462,24 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
 
 def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float]:
     """Adhesion maximum of a scenario's poor rail at its initial speed and the static wheel load, and its slip (-)."""
-    return adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *_patch(car))
+    patch = car.wheel_load, *middle_patch(car), car.contact.shear_modulus
+    return adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)
 
 
 def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
     """Slip (-) beyond that of `adhesion_peak` down to which `APPROACH` of the peak is left on the falling branch."""
-    peak, best = adhesion_peak(scenario, car)
-    load, a, b, kalker, shear = _patch(car)
-    slips = np.geomspace(best, 1.0, 2000)
-    contact = load, a, b, *kalker, shear, *astuple(car.adhesion[scenario.poor])
-    force, _ = polach(-slips, 0.0, 0.0, *contact, slip_speed=slips * scenario.speed)
-    return float(slips[force / load > APPROACH * peak].max())
+    (peak, best), (a, b, kalker) = adhesion_peak(scenario, car), middle_patch(car)
+    slips, rail = np.geomspace(best, 1.0, 2000), astuple(car.adhesion[scenario.poor])
+    contact = car.wheel_load, a, b, *kalker, car.contact.shear_modulus, *rail
+    force, *_ = polach(-slips, 0.0, 0.0, *contact, slip_speed=slips * scenario.speed)
+    return float(slips[force / car.wheel_load > APPROACH * peak].max())
 
 
-def _patch(car: Vehicle) -> tuple:
-    """Static wheel load (N), semi-axes (m), Kalker's coefficients (-), shear modulus (Pa)."""
-    return car.wheel_load, *middle_patch(car), car.contact.shear_modulus
-
-
-SEEDS = (101, 102, 103)
-"""Seeds of the sensor noise in nominal runs; tuning has others."""
-
-
-def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> pd.DataFrame:
+def nominal(settings: Iterable[str] = tuning.SETTINGS) -> pd.DataFrame:
     """Simulate the probes of the nominal car in settings of comparison; one metric of a run is a row of the DataFrame.
 
     Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank by cost, 0 the tuned set), seed
-    (of the sensor noise; 0 without sensors). `quiet` shows no progress.
+    (of the sensor noise; 0 without sensors).
     """
     tasks = []
     for each in settings:
@@ -535,8 +494,7 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS, quiet: bool = False) -> p
         rows = probe(setup({}, setting, rank=rank, seed=seed), (part,))
         return [(*row, UNITS.get(row[2], "-"), setting, rank, seed) for row in rows]
 
-    with executor() as pool:
-        found = ordered_map(pool, driven, tasks, "nominal", quiet)
+    found = ordered_map(driven, tasks, "nominal")
     columns = ["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]
     return pd.DataFrame([row for rows in found for row in rows], columns=columns)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, mpc_settings, with_r_times
+from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, with_r_times
 from railrepro.data import InputError
 from railrepro.evidence.claims.statements import BRAKE, MPC, NDI, T3
 from railrepro.evidence.runs import tuning
@@ -23,50 +23,29 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 class ProbeSetup:
     """A car, its controllers, and the choices for the paper's experiments that the paper leaves open.
 
-    Attributes
-    ----------
-    parameters : dict
-        Controller -> its tuning parameters by name.
-    setting : str
-        Setting of comparison that `parameters` belong to, one of `tuning.SETTINGS`.
-    vehicle : dict
-        Changed vehicle parameters, dotted key -> value (SI), known to car and controllers.
-    profile, good : str
-        Wheel profile of the car ("" for that of data/vehicle.toml); adhesion set of a good rail.
-    variant : str
-        Control model of the predictive controllers, "corrected" or "printed".
-    amplitude_mm, period_start_m, period_end_m, clothoid_factor : float
-        Set point of Fig. 6: amplitude, first and last period (mm, m); factor on the clothoid length of T3 (-).
-    sensors : dict
-        Arguments of `railrepro.estimation.sensors.readings`; empty gives the controllers the true signals.
-    brake_kmh : float
-        Speed at which braking begins (km/h).
-    r_factors, poles : tuple of float
-        Sweeps in Fig. 9: factors on the weight R of NMPC, besides `r_brake` (-); triple poles of NDI (rad/s).
-    r_second : float
-        Factor on R for the second NMPC of Fig. 9, besides `r_brake` (-).
-    r_loss, r_brake : float
-        Factors on R of `parameters` for NMPC in Fig. 8 and in Fig. 9 (-).
-    brake_sweep : dict
-        Changed entries of the set point of Fig. 9, as {"period_end_m": 30.0}.
-    ltv : str
-        Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
+    Attributes:
+        parameters (dict): Controller -> its tuning parameters by name.
+        setting (str): Setting of comparison that `parameters` belong to, one of `tuning.SETTINGS`.
+        vehicle (dict): Changed vehicle parameters, dotted key -> value (SI), known to car and controllers.
+        profile (str): Wheel profile of the car ("" for that of data/vehicle.toml).
+        amplitude_mm, period_start_m, period_end_m, clothoid_factor (float): Set point of Fig. 6: amplitude, first and
+            last period (mm, m); factor on the clothoid length of T3 (-).
+        sensors (dict): Arguments of `estimation.sensors.readings`; empty gives the controllers the true signals.
+        r_loss, r_brake, r_second (float): Factors on R of `parameters` for NMPC in Fig. 8 and in Fig. 9, and on that of
+            Fig. 9 for its second NMPC (-).
+        brake_sweep (dict): Changed entries of the set point of Fig. 9, as {"period_end_m": 30.0}.
+        ltv (str): Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
     """
 
     parameters: dict[str, dict]
     setting: str = tuning.PAPER
     vehicle: dict = field(default_factory=dict)
     profile: str = ""
-    good: str = "dry"
-    variant: str = "corrected"
     amplitude_mm: float = 3.0
     period_start_m: float = 150.0
     period_end_m: float = 40.0
     clothoid_factor: float = 1.0
     sensors: dict = field(default_factory=dict)
-    brake_kmh: float = 160.0
-    r_factors: tuple[float, ...] = (1.0, 10**0.5, 10.0, 10**1.5, 100.0)
-    poles: tuple[float, ...] = (8.0, 15.0, 25.0, 40.0, 60.0)
     r_second: float = 10.0
     r_loss: float = 1.0
     r_brake: float = 1.0
@@ -74,20 +53,15 @@ class ProbeSetup:
     ltv: str = "ltv_mpc_printed"
 
     def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
-        """`Experiment` of a scenario with a controller on this car.
+        """`Experiment` of a scenario with a controller (key of `registry.CONTROLLERS`) on this car.
 
-        `controller` is a key of `registry.CONTROLLERS`, `parameters` its tuning parameters (default those of this
-        setup), `more` further fields of `Experiment`.
+        `parameters` are its tuning parameters (default those of this setup), `more` further fields of `Experiment`.
         """
-        predictive = CONTROLLERS[controller].settings is mpc_settings
-        changes = ({"variant": self.variant} if predictive else {}) | more.pop("changes", {})
-        driver = self.ltv if controller == "ltv_mpc_printed" else controller
-        return Experiment(
-            scenario, driver, parameters=parameters or self.parameters[controller], setting=self.setting,
-            options=more.pop("options", CONTROLLERS[controller].quick), changes=changes,
-            vehicle=self.vehicle | more.pop("vehicle", {}), plant=self._plant() | more.pop("plant", {}),
-            sensors=more.pop("sensors", self.sensors), **more,
-        )  # fmt: skip
+        driver = self.ltv if controller == MPC[1] else controller
+        given = {"options": CONTROLLERS[controller].quick, "sensors": self.sensors} | more
+        changed = {"vehicle": self.vehicle | given.pop("vehicle", {}), "plant": self._plant() | given.pop("plant", {})}
+        tuned = parameters or self.parameters[controller]
+        return Experiment(scenario, driver, parameters=tuned, setting=self.setting, **given, **changed)
 
     def car(self) -> Vehicle:
         """Vehicle parameters of the simulated car, with `vehicle` and `profile`."""
@@ -96,16 +70,12 @@ class ProbeSetup:
     def _plant(self) -> dict[str, str]:
         return {"contact.profile": self.profile} if self.profile else {}
 
-    def braking(self) -> Scenario:
-        """Scenario of braking to standstill (Fig. 9) with `brake_kmh`, `good` and `brake_sweep` of this setup."""
-        base = load_scenario(BRAKE)
-        return base.but(speed_kmh=self.brake_kmh, good=self.good, set_point=base.set_point | self.brake_sweep)
-
-    def curve(self) -> Scenario:
-        """Scenario of the curve entry (Fig. 6) on T3, not on `stretched`, with `good` and set point of this setup."""
-        base = load_scenario(T3)
-        sweep = {name: getattr(self, name) for name in ("amplitude_mm", "period_start_m", "period_end_m")}
-        return base.but(good=self.good, set_point=base.set_point | sweep)
+    def scenario(self, name: str) -> Scenario:
+        """Scenario of data/scenarios.toml by name, those of Figs. 6 (not on `stretched`) and 9 with own set point."""
+        base = load_scenario(name)
+        sweep = {key: getattr(self, key) for key in ("amplitude_mm", "period_start_m", "period_end_m")}
+        chosen = {T3: sweep, BRAKE: self.brake_sweep}.get(name, {})
+        return base.but(set_point=base.set_point | chosen)
 
     def stretched(self) -> Alignment | None:
         """Alignment of T3 with its clothoid `clothoid_factor` times as long; None when the factor is 1."""
@@ -118,7 +88,7 @@ class ProbeSetup:
 
 
 LTV_R, POLE = "ltv_mpc_printed.r", "ndi.pole"
-FIELDS = {one.name for one in fields(ProbeSetup)} - {"parameters", "setting", "vehicle", "sensors"}
+_FIELDS = {one.name for one in fields(ProbeSetup)} - {"parameters", "setting", "vehicle", "sensors"}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
 
 
@@ -137,25 +107,17 @@ def setup(
 ) -> ProbeSetup:
     """Make a `ProbeSetup` from values by name; all that is not named is as on the uncalibrated car.
 
-    Parameters
-    ----------
-    values : mapping
-        Keys: fields of `ProbeSetup`; "brake_sweep:ENTRY", as "brake_sweep:period_end_m" (set point of Fig. 9);
-        "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC takes the
-        weights of NMPC with R times this); dotted keys of the vehicle.
-    setting : str
-        Setting of comparison from which tuning parameters are taken.
-    controllers : iterable of str
-        Controllers whose tuning parameters are taken.
-    rank : int
-        0 for the tuned set, 1, 2, … for the swarm with that rank by cost; the tuned set where there is no such swarm.
-    seed : int, optional
-        Seed of noise and biases of the sensors in the setting "loop"; without it, or elsewhere, signals are true.
+    Args:
+        values (mapping): Keys: fields of `ProbeSetup`; "brake_sweep:ENTRY", as "brake_sweep:period_end_m" (set point of
+            Fig. 9); "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC
+            takes the weights of NMPC with R times this); dotted keys of the vehicle.
+        setting (str): Setting of comparison from which tuning parameters are taken.
+        controllers (iterable of str): Controllers whose tuning parameters are taken.
+        rank (int): Rank of the swarm by cost; the tuned set for 0 and where there is no such swarm.
+        seed (int, optional): Seed of the sensors in the setting "loop"; without it, or elsewhere, signals are true.
 
-    Raises
-    ------
-    InputError
-        For a key of no such kind. Dotted keys of the vehicle are checked only when the car is built.
+    Raises:
+        InputError: For a key of no such kind. Dotted keys of the vehicle are checked only when the car is built.
     """
     parameters = {name: _tuned(name, setting, rank) for name in controllers}
     if LTV_R in values:
@@ -164,16 +126,14 @@ def setup(
         parameters[NDI] = triple_pole(values[POLE])
     sensors = {"seed": seed} if seed is not None and setting == tuning.LOOP else {}
     vehicle: dict[str, Any] = {}
-    own: dict[str, Any] = {}
-    parts = {**parameters, "brake_sweep": own.setdefault("brake_sweep", {})}
+    own: dict[str, Any] = {"brake_sweep": dict(values.get("brake_sweep", {}))}
+    parts = parameters | {"brake_sweep": own["brake_sweep"]}
     for name, value in values.items():
         part, colon, key = name.partition(":")
-        if name in (LTV_R, POLE):
-            continue  # set above, before single parameters of these controllers
-        if name == "brake_sweep":
-            parts[name] |= value  # single entries of it follow
-        elif name in FIELDS:
-            own[name] = tuple(value) if isinstance(value, list) else value
+        if name in (LTV_R, POLE, "brake_sweep"):
+            continue  # set above, before single parameters and entries of these
+        if name in _FIELDS:
+            own[name] = value
         elif colon and part in parts:
             parts[part][key] = value
         elif "." in name and not colon:

@@ -1,13 +1,12 @@
 """Runs of several controllers side by side: simulate, tabulate and draw them, as the chapters of the book do.
 
 Lists make a study: `compare("sine_tracking", PAPER_TRIO, speed_kmh=[80, 160])` simulates each controller at each speed.
-Runs that were simulated before are read from the store.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from itertools import product
 
 import numpy as np
@@ -18,7 +17,6 @@ from matplotlib.figure import Figure
 from railrepro.control.registry import CONTROLLERS, PAPER, with_r_times
 from railrepro.evidence.claims import calibrated
 from railrepro.evidence.claims.setup import ProbeSetup, setup
-from railrepro.evidence.claims.statements import BRAKE, T3
 from railrepro.evidence.report import figures
 from railrepro.evidence.report.sentences import sentences
 from railrepro.evidence.runs.experiment import run_all
@@ -56,20 +54,12 @@ class Comparison:
     """Time series of all runs, concatenated (`experiment.tidy`), with labels, controller and error_m (y - y_ref, m)."""
     labels: tuple[str, ...]
     """Names of the columns by which the runs differ, as ("speed_kmh", "controller")."""
-    headings: Mapping[str, str] = field(default_factory=dict)
-    """Value of a label -> title of its column of panels in a figure, where the title is not the value itself."""
 
     def __getitem__(self, quantity: str) -> pd.Series:
         """One number per run, indexed by `labels`: a key of `QUANTITIES`, in its unit, or a column of `rows`."""
         column, factor = QUANTITIES.get(quantity, (quantity, 1.0))
         found = self.rows.set_index(list(self.labels))[column].rename(quantity)
         return found if factor == 1.0 else factor * found
-
-    def of(self, *chosen: str) -> Comparison:
-        """Comparison of only those runs whose controller (or case, see `compare`) is one of `chosen`."""
-        name = self.labels[-1]
-        rows, series = (table[table[name].isin(chosen)] for table in (self.rows, self.series))
-        return replace(self, rows=rows, series=series)
 
     def table(self, *quantities: str) -> pd.DataFrame:
         """One row per run (index `labels`), a column per quantity: one of `QUANTITIES` in its unit, or of `rows`."""
@@ -81,23 +71,14 @@ class Comparison:
         drawn = [name for panel in panels for name in (PANELS[panel][3], *PANELS[panel][1]) if name]
         return self.series[list(dict.fromkeys([*named, "p_m", *drawn]))]
 
-    def plot(
-        self, *panels: str, columns: str = "", height: float = 1.3, limits: Mapping | None = None, more: int = 0
-    ) -> tuple[Figure, np.ndarray]:
+    def plot(self, *panels: str, columns: str = "", height: float = 1.3, more: int = 0) -> tuple[Figure, np.ndarray]:
         """Draw panels below each other over the track coordinate (m); returns figure and axes, shape (rows, columns).
 
-        Parameters
-        ----------
-        panels : str
-            Keys of `PANELS`, one per row.
-        columns : str
-            Label with a column of panels per value, as "car"; empty has one column with all runs.
-        height : float
-            Height of a row (in).
-        limits : mapping, optional
-            Panel -> (low, high) of its ordinate in the unit of its label; curves beyond are marked (`figures.clip`).
-        more : int
-            Number of empty rows below, for other diagrams.
+        Args:
+            panels (str): Keys of `PANELS`, one per row.
+            columns (str): Label with a column of panels per value, as "car"; empty has one column with all runs.
+            height (float): Height of a row (in).
+            more (int): Number of empty rows below, for other diagrams.
         """
         shown = self.rows[columns].unique() if columns else [""]
         width = figures.WIDTH if len(shown) == 1 else figures.HALF
@@ -109,14 +90,12 @@ class Comparison:
                 axis.sharex(lowest)
                 axis.tick_params(labelbottom=False)
             self.draw(upper, panels, self.series[self.series[columns] == value] if columns else self.series)
-            column[0].set_title(self.headings.get(value, str(value)), fontsize=7, linespacing=1.0)
+            column[0].set_title(str(value), fontsize=7, linespacing=1.0)
             for line in [line for axis in upper if len(shown) > 1 for line in axis.lines]:
                 line.set_linewidth(0.7 * line.get_linewidth())
             lowest.set_xlabel("track coordinate (m)")
         for row, panel in zip(axes, panels, strict=False):
             row[0].set_ylabel(PANELS[panel][0])
-            if panel in (limits or {}):
-                figures.clip(row, *limits[panel])
         figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="outside upper center")
         return figure, axes
 
@@ -155,25 +134,18 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Simulate controllers in a scenario; an argument given as a list gives a run per value, in all combinations.
 
-    Parameters
-    ----------
-    scenario : str, Scenario, list or mapping
-        Name in data/scenarios.toml or a `Scenario`; a list of these, or a mapping of names to scenarios.
-    controllers : sequence of str, or mapping
-        Keys of `CONTROLLERS`; or name of a case -> key, or -> {"controller": key, "r_times": factor on R, fields of
-        `Experiment`}.
-    setting : str or list
-        Setting of comparison whose tuned sets are taken; `loop` has sensors.
-    car : mapping, optional
-        Name -> `ProbeSetup` with a car, controllers and scenarios of its own (`calibrated.cars()`).
-    solver : str
-        Solver of NMPC: rti, gauss_newton or ipopt.
-    noise_seed : int
-        Random seed of the sensors in the setting `loop`.
-    stride : int
-        Every n-th control cycle (1 ms) is kept in the series.
-    changes
-        Fields of `Scenario`, each a value or a list of values; and fields of `Experiment` for all runs.
+    Args:
+        scenario (str, Scenario, list or mapping): Name in data/scenarios.toml or a `Scenario`; a list of these, or a
+            mapping of names to scenarios.
+        controllers (sequence of str, or mapping): Keys of `CONTROLLERS`; or name of a case -> key, or -> {"controller":
+            key, "r_times": factor on R, fields of `Experiment`}.
+        setting (str or list): Setting of comparison whose tuned sets are taken; `loop` has sensors.
+        car (mapping, optional): Name -> `ProbeSetup` with a car, controllers and scenarios of its own
+            (`calibrated.cars()`).
+        solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
+        noise_seed (int): Random seed of the sensors in the setting `loop`.
+        stride (int): Every n-th control cycle (1 ms) is kept in the series.
+        changes: Fields of `Scenario`, each a value or a list of values; and fields of `Experiment` for all runs.
     """
     cases = controllers if isinstance(controllers, Mapping) else {name: name for name in controllers}
     cases = {name: case if isinstance(case, dict) else {"controller": case} for name, case in cases.items()}
@@ -181,7 +153,7 @@ def compare(
         scenario = {getattr(one, "name", one): one for one in _listed(scenario)}
     varied = {name: value for name, value in changes.items() if isinstance(value, list)}
     grid = {"car": list(car or [""]), "setting": _listed(setting), "scenario": list(scenario), **varied}
-    experiments, facts = [], {}
+    experiments = []
     for *values, case in product(*grid.values(), cases):
         of = dict(zip(grid, values, strict=True))
         given = changes | {name: of[name] for name in varied}
@@ -189,11 +161,11 @@ def compare(
         name, factor = more.pop("controller"), more.pop("r_times", None)
         world = car[of["car"]] if car else setup({}, of["setting"], controllers=[name], seed=noise_seed)
         if factor is not None:
-            more["parameters"] = with_r_times(world.parameters[name], _factor(factor, world))
-        driven = _driven(scenario[of["scenario"]], world if car else None)
+            more["parameters"] = with_r_times(world.parameters[name], factor(world) if callable(factor) else factor)
+        driven = scenario[of["scenario"]]
+        if not isinstance(driven, Scenario):
+            driven = world.scenario(driven) if car else load_scenario(driven)
         driven = driven.but(**{name: value for name, value in given.items() if name in _OF_SCENARIO})
-        if car and of["car"] not in facts:
-            facts[of["car"]] = _facts(world, driven, cases)
         label = {key: value for key, value in of.items() if key != "scenario" or len(scenario) > 1} | {"case": case}
         more = {"options": CONTROLLERS[name].quick and {"solver": solver}} | more
         experiments.append(world.experiment(driven, name, label=label, stride=stride, **more))
@@ -202,48 +174,8 @@ def compare(
     series = series.assign(error_m=series["y_m"] - series["y_ref_m"])
     last = "case" if isinstance(controllers, Mapping) else "controller"
     levels = [name for name, values in grid.items() if len(values) > 1 or name in varied]
-    return Comparison(rows, series, (*levels, last), _headings(facts))
-
-
-def _factor(given: float | Callable[[ProbeSetup], float], world: ProbeSetup) -> float:
-    return given(world) if callable(given) else given
-
-
-def _facts(world: ProbeSetup, scenario: Scenario, cases: Mapping[str, dict]) -> list[str]:
-    """What decides a figure and may differ between cars: set point, limit of the motors, friction, poles, R."""
-    waves = [f"{value:g}" for name, value in scenario.set_point.items() if name.startswith("period")]
-    found = [f"waves {' to '.join(waves)} m"]
-    if scenario.force_kN:
-        found.append(f"motors {1e-3 * world.car().drive.torque_limit:g} kN m")
-    if scenario.poor_share:
-        found.append(f"friction {world.car().adhesion[scenario.poor].mu0:g}")
-    if any(case["controller"] == "ndi" for case in cases.values()):
-        found.append(f"NDI at {world.parameters['ndi']['pole']:g} rad/s")
-    factors = [f"{_factor(case['r_times'], world):g}" for case in cases.values() if "r_times" in case]
-    if factors:
-        found.append(f"R x {' and '.join(factors)}")
-    return found
-
-
-def _headings(facts: Mapping[str, list[str]]) -> dict[str, str]:
-    """Name of each car, and below it in what it differs from the others."""
-    found = {}
-    for name, said in facts.items():
-        own = [fact for fact in said if not all(fact in other for other in facts.values())]
-        lines = [", ".join(own[i : i + 2]) for i in range(0, len(own), 2)]
-        found[name] = "\n".join([f"{name} car", *lines])
-    return found
+    return Comparison(rows, series, (*levels, last))
 
 
 def _listed(given) -> list:
     return given if isinstance(given, list) else [given]
-
-
-def _driven(scenario: str | Scenario, world: ProbeSetup | None) -> Scenario:
-    """A scenario by name, as the set-up of a car has those of Figs. 6 and 9."""
-    if isinstance(scenario, Scenario):
-        return scenario
-    if world is None:
-        return load_scenario(scenario)
-    special = {T3: world.curve, BRAKE: world.braking}
-    return special.get(scenario, lambda: load_scenario(scenario).but(good=world.good))()

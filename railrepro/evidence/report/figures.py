@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from string import ascii_lowercase
 from typing import Annotated
 
@@ -14,7 +13,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colors import is_color_like
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -45,10 +43,6 @@ class Look:
     marker: str
     linewidth: Annotated[Number, above(0.0, 10.0, "pt")] = 1.0
 
-    def __post_init__(self) -> None:
-        if not is_color_like(self.color):
-            raise ValueError(f"has color = {self.color!r}, a colour of Matplotlib is needed")
-
     @property
     def line(self) -> dict:
         """Keyword arguments for `Axes.plot` that draw a line: color, linestyle, linewidth (pt), label."""
@@ -56,15 +50,9 @@ class Look:
         return {"color": self.color, "linestyle": style, "linewidth": self.linewidth, "label": self.label}
 
 
-def load(path: Path | str | None = None) -> tuple[Entries[Look], Entries[dict]]:
-    """Read a TOML file (default data/style.toml): controller -> `Look`, and "matplotlib" -> its rcParams."""
-    file = files.location(path, paths.source(_FILE))
-    content = files.read(file)
-    settings = {_MATPLOTLIB: content.pop(_MATPLOTLIB, {})}
-    return Entries(files.build(dict[str, Look], content, file.name), _FILE), Entries(settings, _FILE)
-
-
-LOOKS, _SETTINGS = load()
+_content = files.read(paths.source(_FILE))
+_SETTINGS = Entries({_MATPLOTLIB: _content.pop(_MATPLOTLIB)}, _FILE)
+LOOKS = Entries(files.build(dict[str, Look], _content, "style.toml"), _FILE)
 """Controller, or "set point", -> `Look`."""
 SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
 """Setting of comparison -> marker, in figures whose colours tell controllers apart."""
@@ -103,17 +91,13 @@ def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
     _fix_layout(figure)
     picture = io.BytesIO()
     figure.savefig(picture, dpi=_DPI)
-    in_palette(Image.open(picture)).save(paths.product(f"figures/{name}.png"), optimize=True, dpi=(_DPI, _DPI))
+    # 64 colours take a quarter of the bytes; white stays white.
+    reduced = Image.open(picture).convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    reduced.putpalette([255 if level > 250 else level for level in reduced.getpalette() or []])
+    reduced.save(paths.product(f"figures/{name}.png"), optimize=True, dpi=(_DPI, _DPI))
     data.to_csv(paths.product(f"figures/{name}.csv"), index=False, float_format="%.9g")
     if get_ipython() is not None:
         display(figure)
-
-
-def in_palette(picture: Image.Image) -> Image.Image:
-    """Reduce a picture to 64 colours, for a quarter of the bytes; white stays white."""
-    reduced = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    reduced.putpalette([255 if level > 250 else level for level in reduced.getpalette() or []])
-    return reduced
 
 
 def _letter(figure: Figure) -> None:
@@ -159,19 +143,3 @@ def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
                 box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
                 look = {"fontsize": 7, "color": "0.3", "rotation": 90, "va": "bottom", "bbox": box}
                 axis.annotate(name, (x, 0.0), (2, 3), **place, **look)
-
-
-def draw_map(axis: Axes, table: pd.DataFrame, factor: float = 1.0, **options) -> None:
-    """Draw a table as a coloured map, its first row lowest, with factor * value as a whole number in each field.
-
-    A cross stands for a value that is not finite; `options` are those of `Axes.imshow`.
-    """
-    values = factor * table.to_numpy(float)
-    image = axis.imshow(values, origin="lower", aspect="auto", **{"cmap": "viridis"} | options)
-    for (row, column), value in np.ndenumerate(values):
-        dark = np.isfinite(value) and image.norm(value) < 0.5
-        text = f"{value:.0f}" if np.isfinite(value) else "×"
-        axis.text(column, row, text, ha="center", va="center", fontsize=7, color="white" if dark else BLACK)
-    for ticks, names in ((axis.set_xticks, table.columns), (axis.set_yticks, table.index)):
-        ticks(range(len(names)), [name if isinstance(name, str) else f"{name:g}" for name in names])
-    axis.grid(False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pandas as pd
 
@@ -19,9 +19,7 @@ from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.claims.statements import Evidence
-from railrepro.evidence.report.claims import graded
 from railrepro.evidence.runs import tuning
-from railrepro.evidence.uncertainty.robustness import shares
 
 
 @data.table
@@ -30,21 +28,18 @@ class Question:
 
     `parts` are the parts of the probe (`probe.PARTS`) that depend on the answer; `answer` has a value per name of
     `sets`, in `unit`, repeated where it has fewer, or is empty. ValueError if its number of values does not divide that
-    of `sets`, or for an unknown part.
+    of `sets`.
     """
 
     asks: str
     sets: Annotated[tuple[str, ...], data.NOT_EMPTY]
-    parts: Annotated[tuple[str, ...], data.NOT_EMPTY]
+    parts: Annotated[tuple[Literal[probe.PARTS], ...], data.NOT_EMPTY]
     answer: tuple[data.Free, ...] = ()
     unit: str = ""
 
     def __post_init__(self):
         if self.answer and len(self.sets) % len(self.answer):
             raise ValueError(f"has {len(self.answer)} answers, 1 or {len(self.sets)} are needed")
-        unknown = set(self.parts) - set(probe.PARTS)
-        if unknown:
-            raise ValueError(f"has the part {min(unknown)!r}, allowed are {', '.join(probe.PARTS)}")
 
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
@@ -53,11 +48,10 @@ def load(path: Path | str | None = None) -> dict[str, Question]:
     return data.build(dict[str, Question], data.read(file), file.name)
 
 
-def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) -> pd.DataFrame:
+def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     """Verdicts in the setting `paper` before and after answers: columns id, statement (text), before, after (verdicts).
 
-    `answered` are questions by name, all with an answer. `driven` are the rows (scenario, controller, metric, value in
-    SI units) of the probe with these answers; without them it is simulated.
+    `answered` are questions by name, all with an answer; the parts of the probe that depend on them are simulated.
     """
     given = {
         key: value for each in answered.values() for key, value in zip(each.sets, cycle(each.answer), strict=False)
@@ -66,10 +60,8 @@ def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) ->
     probed = setup(given, setting)
     probed.car()  # so that a value which the car refuses stops it before anything runs
     needed = {part for question in answered.values() for part in question.parts}
-    rows = probe.probe(probed, [part for part in probe.PARTS if part in needed]) if driven is None else driven
-    nominal = Nominal()
-    robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
-    known = nominal.evidence(tuning.PAPER)
+    rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])
+    known = Nominal().evidence(tuning.PAPER)
     scenarios, told = {scenario for scenario, *_ in rows}, {key.partition(":")[0] for key in given}
     metrics = {key: value for key, value in dict(known.metrics).items() if key[0] not in scenarios}
     # seeds of a swarm leave nothing open where the authors say what theirs found
@@ -77,11 +69,9 @@ def flips(answered: Mapping[str, Question], driven: probe.Rows | None = None) ->
     before = statements.findings(known)
     after = statements.findings(Evidence(metrics | {row[:3]: row[3] for row in rows}, spread))
     found = []
-    for identity, statement in statements.load().items():
+    for identity, rule in statements.load().items():
         if identity in before and identity in after:
-            share = robust.loc[(identity, tuning.PAPER)] if (identity, tuning.PAPER) in robust.index else None
-            verdicts = [graded(statement.judge(findings[identity]), share) for findings in (before, after)]
-            found.append((identity, statement.statement, *verdicts))
+            found.append((identity, rule.statement, rule.judge(before[identity]), rule.judge(after[identity])))
     return pd.DataFrame(found, columns=["id", "statement", "before", "after"])
 
 
@@ -89,12 +79,10 @@ def main(settings: Sequence[str] = ()) -> None:
     """Run the probes of some settings of comparison (default all) and write data/results/nominal_metrics.csv.
 
     With one TOML file in place of settings: print the verdicts that its answers flip. InputError for a file without an
-    answer, or with further arguments.
+    answer.
     """
-    if not any(name.endswith(".toml") for name in settings):
+    if not settings or not settings[0].endswith(".toml"):
         return probe.main(settings)
-    if len(settings) > 1:
-        raise InputError(f"probe: one file or some settings are needed, found {list(settings)}")
     answered = {name: question for name, question in load(settings[0]).items() if question.answer}
     if not answered:
         raise InputError(f"{Path(settings[0]).name}: has no answer")

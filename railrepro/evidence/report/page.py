@@ -2,20 +2,15 @@
 
 data/replication.md.j2 is the whole report, data/gallery.md.j2 the page figures/README.md, data/readme.md.j2 the part of
 README.md between two marks. data/theses.toml has sentences with the conditions under which they are true. A number in
-them is an expression with a filter that shows it as a link to its table, such as
-`{{ e('paper', 'braking', 'ndi', 'stopping_distance') | linked('nominal_metrics', 'm') }}`, in short
-`{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`. Expressions may use the public members of `Page` and the
-names that its constructor adds.
+them is an expression such as `{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`, shown as a link to its
+table. Expressions may use the public members of `Page` and the names that its constructor adds.
 """
 
 from __future__ import annotations
 
-import json
 import re
 import sys
-import tomllib
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Literal
 
 import jinja2
@@ -23,25 +18,19 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.car.equations import BODIES, WHEELS
-from railrepro.car.kinematics import COORDINATES
 from railrepro.control.registry import parameters
-from railrepro.data import InputError, write
+from railrepro.data import write
 from railrepro.evidence.claims import calibrated, statements
-from railrepro.evidence.claims.nominal import Nominal
+from railrepro.evidence.claims.nominal import METRICS, Nominal
 from railrepro.evidence.claims.statements import REPRODUCED, Finding, MissingEvidence
 from railrepro.evidence.report import claims, flips
-from railrepro.evidence.report.claims import table_file
 from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import load_scenario
 
 MARKS = {"reproduced": "✓", "fragile": "✓?", "partly": "◐", "tie": "=", "not reproduced": "✗", "not testable": "–"}
-CALIBRATED = {"yes": "✓", "no": "✗", "": ""}
 BEGIN, END = "<!-- written by `make report` from data/readme.md.j2 -->\n", "<!-- end of what is written -->\n"
 """Lines of README.md between which its results are written."""
 UNKNOWN = "n/a"
-FREEDOMS = len(BODIES) * len(COORDINATES) // 2 + len(WHEELS)
-"""Number of degrees of freedom of the car model: those of the bodies, and one per wheel."""
 _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 
 
@@ -64,27 +53,22 @@ def theses() -> dict[str, Thesis]:
     return data.build(dict[str, Thesis], data.read(paths.source("data/theses.toml")), "theses.toml")
 
 
-def main(accept: bool = False) -> int:
+def main() -> int:
     """Judge the paper's statements, write claims.csv, REPLICATION.md, figures/README.md and the results in README.md.
 
-    Where a verdict differs from claims.csv nothing is written, unless `accept`. Returns 1 in this case, and when a
-    sentence of data/theses.toml is not true, else 0.
+    Returns 1 when a sentence of data/theses.toml is not true, else 0.
     """
     nominal = Nominal()
-    judged = claims.evaluate(nominal)
-    page = Page(judged, nominal)
-    problems = [f"{name}: not true: {'; '.join(wrong)}" for name, wrong in page.refuted().items()]
-    changed = [] if accept else claims.changed(judged)
-    if not changed:
-        write(paths.product(claims.FILE), page.contract().to_csv(index=False, float_format="%.4g"))
-        write(paths.product("REPLICATION.md"), page.replication())
-        write(paths.product("figures/README.md"), page.gallery())
-        write(paths.product("README.md"), page.readme(paths.source("README.md").read_text(encoding="utf-8")))
-    print(claims.counted(judged))
-    if problems or changed:
-        print("\n  ".join(["changed:", *changed, *problems]), file=sys.stderr)
-        print("--accept writes verdicts if they are right; rewrite sentences of data/theses.toml", file=sys.stderr)
-    return int(bool(problems or changed))
+    page = Page(claims.evaluate(nominal), nominal)
+    write(paths.product(claims.FILE), page.contract().to_csv(index=False, float_format="%.4g"))
+    write(paths.product("REPLICATION.md"), page.replication())
+    write(paths.product("figures/README.md"), page.gallery())
+    write(paths.product("README.md"), page.readme(paths.source("README.md").read_text(encoding="utf-8")))
+    print(page.judged.groupby(["setting", "judged"], sort=False).size().to_string())
+    refuted = page.refuted()
+    for name, conditions in refuted.items():
+        print(f"data/theses.toml: {name} is not true: {'; '.join(conditions)}", file=sys.stderr)
+    return int(bool(refuted))
 
 
 class Page:
@@ -96,7 +80,8 @@ class Page:
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
         self.judged, self.nominal = judged, nominal
-        self.rules, self.verdicts = statements.load(), claims.verdicts(judged)
+        self.rules = statements.load()
+        self.verdicts = {identity: claims.headline(rows) for identity, rows in judged.groupby("id", sort=False)}
         self.statements = {identity: one for identity, one in self.verdicts.items() if one != claims.NO_VERDICT}
         self.calibrated_car = nominal.on_calibrated_car()
         self._jinja = jinja2.Environment(
@@ -106,11 +91,11 @@ class Page:
             lstrip_blocks=True,
             keep_trailing_newline=True,
         )
-        self._jinja.filters["linked"] = linked
+        self._jinja.filters |= {"linked": linked, "number": number}
         self._jinja.globals |= {name: getattr(self, name) for name in dir(self) if not name.startswith("_")}
         self._jinja.globals |= {
             "mark": {identity: MARKS.get(verdict) for identity, verdict in self.verdicts.items()},
-            "calibrated": judged.set_index("id")["calibrated"].map(CALIBRATED).to_dict(),
+            "calibrated": judged.set_index("id")["calibrated"].map({"yes": "✓", "no": "✗", "": ""}).to_dict(),
             "settings": tuning.SETTINGS,
             "task": tuning.load_task(),
             "choices": calibrated.load(),
@@ -118,30 +103,27 @@ class Page:
             "swarm": partial(tuning.load, searched=True),
             "scenario": load_scenario,
             "csv": csv,
-            "freedoms": FREEDOMS,
+            "marks": MARKS,
+            "order": claims.ORDER,
         }
 
     def replication(self) -> str:
         """Text of REPLICATION.md."""
-        text = self._render(
-            "replication.md.j2",
-            counted=claims.counted(self.judged),
-            questions=flips.load().values(),
-            verify=_notebooks("chain.toml")["verify"],
-        )
+        verify = data.read(paths.NOTEBOOKS / "chain.toml")["verify"]
+        template = self._jinja.get_template("replication.md.j2")
+        text = template.render(verify=verify, questions=flips.load().values())
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def gallery(self) -> str:
         """Text of figures/README.md: the figures of each chapter with their captions."""
-        chapters, captions = _notebooks("chain.toml")["notebook"], _notebooks("book/captions.toml")
-        return self._render("gallery.md.j2", chapters=chapters, captions=captions)
+        chapters, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
+        return self._jinja.get_template("gallery.md.j2").render(chapters=chapters["notebook"], captions=captions)
 
     def readme(self, text: str) -> str:
         """Text of README.md with its results replaced (between `BEGIN` and `END`); ValueError without these marks."""
         head, rest = text.split(BEGIN)
         _, tail = rest.split(END)
-        kinds = {verdict: list(self.statements.values()).count(verdict) for verdict in claims.ORDER}
-        return head + BEGIN + self._render("readme.md.j2", kinds=kinds) + END + tail
+        return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
 
     def contract(self) -> pd.DataFrame:
         """Table of data/results/claims.csv: the verdicts, and the reason (`why`) of those not reproduced."""
@@ -150,9 +132,6 @@ class Page:
         fails = (self.judged["judged"] != REPRODUCED) & (self.judged["data"] != "")
         table.insert(list(table).index("evidence"), "why", why.str.replace(_LINK, r"\1", regex=True).where(fails, ""))
         return table
-
-    def _render(self, name: str, **more) -> str:
-        return self._jinja.get_template(name).render(**more)
 
     def text(self, text: str) -> str:
         """Render a text with Jinja expressions, as `says` of a `Thesis`."""
@@ -170,34 +149,26 @@ class Page:
         found = {name: [c for c in thesis.true if not self.true(c)] for name, thesis in theses().items()}
         return {name: wrong for name, wrong in found.items() if wrong}
 
-    def sentences(self, role: str) -> list[tuple[tuple[str, ...], str]]:
-        """True sentences of a role ("summary", "why", "holds_if", "readme"): list of (ids explained, rendered text)."""
-        said = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
-        return [(thesis.of, self.text(thesis.says)) for thesis in said]
+    def sentences(self, role: str) -> list[tuple[list[str], str]]:
+        """True sentences of a role ("summary", "why", "holds_if", "readme"), as rendered text.
 
-    def explained(self, role: str) -> list[tuple[list[str], str]]:
-        """Items of `sentences` that explain statements not "reproduced" (headline verdict), with only these ids."""
+        Each with the ids that it explains of statements not "reproduced" (headline verdict).
+        """
+        said = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         still = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
-        found = [([i for i in of if i in still], says) for of, says in self.sentences(role)]
-        return [(of, says) for of, says in found if of]
+        return [([i for i in thesis.of if i in still], self.text(thesis.says)) for thesis in said]
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
         """Value (SI) of a metric of a controller in a scenario and setting, see `statements.Evidence`."""
-        return self._evidence(setting)(scenario, controller, metric)
+        return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
         """Metric `e` as text with three digits and unit (see `quantity`), as a Markdown link to its table."""
-        value = self.e(setting, scenario, controller, metric)
-        return linked(value, self.nominal.table_of(setting, scenario, controller, metric), unit)
+        return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def find(self, identity: str, setting: str) -> Finding:
         """Measured value of a statement in a setting, as a `Finding`; MissingEvidence when metrics are missing."""
-        return statements.find(identity, self._evidence(setting))
-
-    def _evidence(self, setting: str) -> statements.Evidence:
-        if setting not in ("", *tuning.SETTINGS):
-            raise InputError(f"{setting!r} is no setting; there are {', '.join(tuning.SETTINGS)}")
-        return self.nominal.evidence(setting)
+        return statements.find(identity, self.nominal.evidence(setting))
 
     def holds(self, identity: str, setting: str) -> bool:
         """Whether a statement is reproduced in `setting`; "calibrated" as `setting` asks for the calibrated car."""
@@ -224,90 +195,16 @@ class Page:
         """Computation time (ms) of a solver: median over scenarios of `column` in solve_times.csv, setting `paper`."""
         return float(statements.usual_times(self.nominal.evidence(tuning.PAPER), solver, column).median())
 
-    def pole_that_follows(self) -> float:
-        """Triple pole (rad/s, interpolated) at which NDI's RMSE of y on T3 is 0.71 times that of staying at y = 0."""
-        poles = self.table("ndi_poles").sort_values("pole_radps", kind="stable")
-        limit = 0.71e3 * self.e(tuning.PAPER, statements.T3, statements.NOTHING, "rmse_y")
-        if poles["rmse_mm"].iloc[-1] > limit or poles["rmse_mm"].iloc[0] < limit:
-            raise MissingEvidence("pole of NDI that follows")
-        return float(np.interp(-limit, -poles["rmse_mm"], poles["pole_radps"]))
-
-    def runs(self, figure: str) -> dict[str, list[tuple[float, float]]]:
-        """Car -> (RMSE of y (mm), last track coordinate (m)) of each run of figures/FIGURE.csv in the setting `paper`.
-
-        Of a figure over speed those at the highest speed, with nan for the coordinate.
-        """
-        table = pd.read_csv(paths.source(f"figures/{figure}.csv")).query("setting == 'paper'")
-        if "rmse_mm" in table:
-            fastest = table[table["speed_kmh"] == table["speed_kmh"].max()]
-            return {car: [(error, np.nan) for error in rows["rmse_mm"]] for car, rows in fastest.groupby("car")}
-        table["square"] = (table["y_m"] - table["y_ref_m"]) ** 2
-        each = table.groupby(["car", "case" if "case" in table else "controller"], sort=False)
-        error, length = 1e3 * each["square"].mean() ** 0.5, each["p_m"].last()
-        return {car: list(zip(error[car], length[car], strict=True)) for car in table["car"].unique()}
-
-    def outcome(self, identities: list[str]) -> str:
-        """Sum up headline verdicts: "yes" if all statements hold (fragile ones do), "no" if none, else "partly"."""
-        held = [self.verdicts[identity] in (REPRODUCED, claims.FRAGILE) for identity in identities]
-        return "yes" if all(held) else "partly" if any(held) else "no"
+    def figure(self, name: str, car: str) -> pd.DataFrame:
+        """Rows of figures/NAME.csv in the setting `paper` of a car, "uncalibrated" or "calibrated"."""
+        table = pd.read_csv(paths.source(f"figures/{name}.csv"))
+        return table[(table["setting"] == tuning.PAPER) & (table["car"] == car)]
 
     def value(self, identity: str) -> str:
         """Measured value of a statement behind its headline verdict, with unit, as a Markdown link to its table."""
         own = self.judged[(self.judged["id"] == identity) & self.judged["setting"].isin(("", claims.HEADLINE))]
         row = own.iloc[-1]
-        return linked(_number(row["measured_value"], row["unit"]), row["data"])
-
-    def cells(self, identity: str) -> list[str]:
-        """Three texts, for the settings paper, equal and loop; "" where a statement is not judged.
-
-        Each has the mark of the verdict, the value with unit, and the share of sampled cars on which it holds (%; in
-        paper with 95 % limits). Only the first is filled for a statement that depends on no setting, and for an entry
-        without verdict, where it says so.
-        """
-        if self.rules[identity].kind != "statement":
-            return [f"no verdict ({self.rules[identity].kind})", "", ""]
-        own = self.judged[self.judged["id"] == identity]
-        shown = {row.setting: _cell(row) for row in own.itertuples()}
-        return [shown[""], "", ""] if "" in shown else [shown.get(setting, "") for setting in tuning.SETTINGS]
-
-    def evidence(self, identity: str) -> str:
-        """Markdown links of a statement, joined by commas: figure, the notebook cell that draws it, tables judged."""
-        rule = self.rules[identity]
-        figure, is_figure, _ = rule.evidence.partition("_")  # fig06_curve_entry is shown as fig06
-        links = [f"[{figure}](figures/{rule.evidence}.png)"] if is_figure and rule.evidence.startswith("fig") else []
-        cell = _source(rule.notebook, Path(rule.evidence).name) if rule.evidence else ""
-        anchor = f"#cell-id={cell}" if cell else ""
-        links.append(f"[{rule.notebook[:2]}](notebooks/{rule.notebook}.ipynb{anchor})")
-        judged = self.judged.loc[self.judged["id"] == identity, "data"]
-        tables = dict.fromkeys([*judged, *([rule.evidence] if "/" in rule.evidence else [])])
-        # The probes are named once above the table.
-        named = [table for table in tables if table not in ("", table_file("nominal_metrics"))]
-        return ", ".join([*links, *(f"[{Path(table).name}]({table})" for table in named)])
-
-    def sampled(self) -> pd.DataFrame:
-        """Rows of `judged` with a share in the robustness study, its number of `samples`, and `decided_by`: the sampled
-        parameter that decides the verdict, or ""."""
-        study = self.table("robustness_claims")[["id", "setting", "samples", "decided_by"]].fillna({"decided_by": ""})
-        return self.judged.dropna(subset="share").merge(study, on=["id", "setting"])
-
-    def effect(self, identity: str) -> str:
-        """Text on the largest effect of an erratum (as "D4") when used as printed: changes of RMSE and torque (%)."""
-        effects = self.table("discrepancy_effects").query("id == @identity")
-        if effects.empty:
-            return "no run depends on it"
-        is_lost = effects["lost"].eq(True)
-        lost, driven, parts = effects[is_lost], effects[~is_lost], []
-        for words, column in (("RMSE", "rmse_change"), ("torque", "effort_change")) if len(driven) else ():
-            worst = driven.loc[driven[column].abs().idxmax()]
-            parts.append(f"{words} {100 * worst[column]:+.1f} % ({worst['scenario']})")
-        if len(lost):
-            parts.append("derails or triples the error on " + ", ".join(lost["scenario"]))
-        return "; ".join(parts)
-
-    def as_mark(self, verdict: str) -> str:
-        """Replace the verdict at the beginning of a text by its mark (`MARKS`), as "tie (loop)" by "= (loop)"."""
-        known = next((name for name in MARKS if verdict.startswith(name)), None)
-        return MARKS[known] + verdict.removeprefix(known) if known else verdict
+        return linked(number(row["measured_value"], row["unit"]), row["data"])
 
 
 def csv(relative: str) -> pd.DataFrame:
@@ -331,7 +228,8 @@ def linked(value: float | str, table: str, unit: str = "") -> str:
     Without a table, or without a value, the bare text.
     """
     shown = value if isinstance(value, str) else quantity(float(value), unit)
-    return f"[{shown}]({table_file(table)})" if table and shown != UNKNOWN else shown
+    path = table if "/" in table else f"data/results/{table}.csv"
+    return f"[{shown}]({path})" if table and shown != UNKNOWN else shown
 
 
 def _linked_once(section: str) -> str:
@@ -346,30 +244,9 @@ def _linked_once(section: str) -> str:
     return _LINK.sub(first, section)
 
 
-def _notebooks(file: str) -> dict:
-    """Read a TOML file beside the notebooks."""
-    return tomllib.loads((paths.NOTEBOOKS / file).read_text(encoding="utf-8"))
-
-
-def _number(value: float, unit: str = "") -> str:
+def number(value: float, unit: str = "") -> str:
     """Write the value of a statement: three digits, four near one."""
     if np.isnan(value):
         return "no value"
     shown = f"{value:.4g}" if abs(value - 1) < 0.01 else f"{value:.3g}"
     return "a run failed" if np.isinf(value) else f"{shown}{'' if unit in ('', '-') else ' ' + unit}"
-
-
-def _cell(row) -> str:
-    """Write mark and value in a setting, with the share of samples in which it holds, its interval for the headline."""
-    found = f"{MARKS[row.judged]} {_number(row.measured_value, row.unit)}"
-    if not np.isfinite(row.share):
-        return found
-    around = f" [{100 * row.share_low:.0f}, {100 * row.share_high:.0f}]" if row.setting == claims.HEADLINE else ""
-    return f"{found}; {100 * row.share:.0f}{around}"
-
-
-def _source(notebook: str, product: str) -> str:
-    """Find the id of the code cell that writes a product; empty when none names it."""
-    cells = json.loads((paths.NOTEBOOKS / f"{notebook}.ipynb").read_text(encoding="utf-8"))["cells"]
-    named = [cell["id"] for cell in cells if cell["cell_type"] == "code" and product in "".join(cell["source"])]
-    return named[-1] if named else ""

@@ -1,4 +1,4 @@
-"""Steady error of a controller in a curve, from its gains and the creep angle of the wheels.
+"""Ratio of two gains of a controller, which with the creep angle of the wheels gives its steady error in a curve.
 
 The wheels carry the unbalanced side force by rolling at an angle to the track. A controller whose model rolls ideally
 takes the angle for a motion and steers against it, until its position error demands as much torque the other way:
@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from railrepro.contact.table import middle_patch
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import tuned
 from railrepro.model.control_model import PSI_AX, PSI_TRAX, STATES, XDOT, X, Y
-from railrepro.simulation.scenarios import Scenario, load_scenario
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
+from railrepro.simulation.scenarios import load_scenario
+from railrepro.vehicle.parameters import load_vehicle
 
 
 def gain_ratio(controller: str, setting: str, speed: float) -> float:
@@ -32,16 +31,3 @@ def gain_ratio(controller: str, setting: str, speed: float) -> float:
     displaced, turned = centred.copy(), centred.copy()
     displaced[Y] = turned[PSI_AX] = turned[PSI_TRAX] = small
     return asked.plan(turned, 0.0) / asked.plan(displaced, 0.0) / speed
-
-
-def creep_angle(vehicle: Vehicle, scenario: Scenario) -> float:
-    """Return the creep angle (rad) at which centred wheels carry the unbalanced side force of a curve.
-
-    The curve is that 20 m before the end of the scenario, the rail `scenario.good`; Kalker's linear law with Polach's
-    reduction for small creepage.
-    """
-    _, curvature, cant, *_ = scenario.route().track_at(np.array([scenario.end_m - 20.0]))[:, 0]
-    side = (vehicle.body.mass / 2 + vehicle.gear.mass) * (scenario.speed**2 * curvature - vehicle.gravity * cant)
-    a, b, (_, c22, *_) = middle_patch(vehicle)
-    rail = vehicle.adhesion[scenario.good]
-    return float(side / ((rail.k_a + rail.k_s) * vehicle.contact.shear_modulus * a * b * c22))

@@ -51,7 +51,7 @@ _turn = threading.Lock()
 def executor() -> Iterator[Executor]:
     """Context manager of the pool of processes: local ones (`RAILREPRO_WORKERS`) or those of `RAILREPRO_DASK`.
 
-    Local processes stay for the next block, as starting them takes seconds; an exception (also Ctrl-C) ends them.
+    Local processes stay for the next study, as starting them takes seconds; an exception (also Ctrl-C) ends them.
     InputError when `RAILREPRO_WORKERS` is no whole number from 1 to 4096, or no Dask scheduler answers.
     """
     if address := os.environ.get("RAILREPRO_DASK"):
@@ -104,12 +104,12 @@ def _follow_the_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
+def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
     """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
-    Each call has a thread of its own; what it hands to `work` is computed by a process of `pool` (see `executor`).
-    `title` names the progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process
-    ended or imported another version of railrepro.
+    Each call has a thread of its own; what it hands to `work` is computed by a process of `executor`. `title` names the
+    progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process ended or imported
+    another version of railrepro.
     """
     assert not hasattr(_around, "pool"), "a task would wait for itself"
 
@@ -117,20 +117,20 @@ def ordered_map(pool: Executor, task: Callable, arguments: Sequence, title: str,
         with _turn:
             return task(argument)
 
-    local = isinstance(pool, ProcessPoolExecutor)
-    cluster = getattr(pool, "_client", None)
-    workers = max(len(cluster.ncores()), 1) if cluster else getattr(pool, "_max_workers", 1)
-    count = 2 * workers  # so that each process finds its next run waiting
-    threads = ThreadPoolExecutor(count, initializer=setattr, initargs=(_around, "pool", pool))
-    try:
-        futures = [threads.submit(called, argument) for argument in arguments]
-        for done in tqdm(as_completed(futures), title, len(futures), leave=False, disable=quiet):
-            done.result()
-        return [future.result() for future in futures]
-    except (BrokenExecutor, CancelledError) as error:
-        raise InputError(_ENDED if local else _LOST) from error
-    finally:
-        threads.shutdown(wait=False, cancel_futures=True)
+    with executor() as pool:
+        cluster = getattr(pool, "_client", None)
+        workers = max(len(cluster.ncores()), 1) if cluster else getattr(pool, "_max_workers", 1)
+        count = 2 * workers  # so that each process finds its next run waiting
+        threads = ThreadPoolExecutor(count, initializer=setattr, initargs=(_around, "pool", pool))
+        try:
+            futures = [threads.submit(called, argument) for argument in arguments]
+            for done in tqdm(as_completed(futures), title, len(futures), leave=False, disable=quiet):
+                done.result()
+            return [future.result() for future in futures]
+        except (BrokenExecutor, CancelledError) as error:
+            raise InputError(_LOST if cluster else _ENDED) from error
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
 
 
 def work(function: Callable, *arguments):
@@ -146,13 +146,13 @@ def work(function: Callable, *arguments):
         _turn.acquire()
 
 
-def _code(function: Callable) -> tuple[str | None, dict[str, str] | None]:
+def _code(function: Callable) -> tuple[str, dict[str, str]]:
     """Code that this process imported, as far as a function can reach it."""
     return code.version(), code.reached(f"from {function.__module__} import {function.__module__}")
 
 
 def _checked(asked: tuple, function: Callable, *arguments):
     """Result of a function; InputError where this process imported other code than was asked."""
-    if None in asked or _code(function) != asked:
+    if _code(function) != asked:
         raise InputError(_OTHER_CODE)
     return function(*arguments)

@@ -23,7 +23,7 @@ from railrepro.control.adhesion import AdhesionSettings
 from railrepro.data import InputError, require
 from railrepro.estimation import sensors
 from railrepro.evidence.runs import preview, store
-from railrepro.evidence.runs.executor import executor, ordered_map, work
+from railrepro.evidence.runs.executor import ordered_map, work
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.alignment import Alignment
@@ -180,7 +180,7 @@ class Experiment:
         without a solution of the predictive controller). A failed run has nan for the metrics of `summary`.
         """
         vehicle, series = self.car(), run.series
-        values = metrics.summary(series, vehicle.drive.torque_limit)
+        values = metrics.summary(series)
         if run.failed:
             values = {name: (np.nan, unit) for name, (_, unit) in values.items()}
         values |= metrics.longitudinal(series, self.scenario, vehicle)
@@ -242,15 +242,13 @@ def run_all(
 ) -> tuple[pd.DataFrame, pd.DataFrame | None]:
     """Run experiments in parallel (`executor`), with a progress bar called `title` unless `quiet`.
 
-    Returns
-    -------
-    table : DataFrame
-        One row per experiment, in order: scenario, controller, labels and metrics (SI) of `Experiment.values`.
-    series : DataFrame or None
-        Series (`tidy`) below each other, with labels and the column `controller`; None when no experiment keeps one.
+    Returns:
+        table (DataFrame): One row per experiment, in order: scenario, controller, labels and metrics (SI) of
+            `Experiment.values`.
+        series (DataFrame or None): Series (`tidy`) below each other, with labels and the column `controller`; None when
+            no experiment keeps one.
     """
-    with executor() as pool:
-        results = ordered_map(pool, call, experiments, title, quiet)
+    results = ordered_map(call, experiments, title, quiet)
     stored = [
         series.assign(controller=experiment.controller)
         for experiment, (_, series) in zip(experiments, results, strict=True)

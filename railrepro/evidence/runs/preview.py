@@ -36,78 +36,56 @@ def plan(
     amplitude_error: float = 0.0,
     localisation_error_m: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Track coordinates p (m), shape (n,), and the `planned_line`, shape (4, n), from irregularities known with errors.
-
-    `frame` has the true irregularities (`rough_track`); both errors are as in `known`, `share` (-), `smoothing_m` (m)
-    and `limit` (m) as in `planned_line`.
-    """
-    believed = known(frame, amplitude_error, localisation_error_m)
-    return believed["p_m"].to_numpy(), planned_line(believed, share, smoothing_m, limit)
-
-
-def planned_line(frame: pd.DataFrame, share: float, smoothing_m: float, limit: float) -> np.ndarray:
     """Lateral set point between the ideal line and the rails, planned ahead within the flangeway.
 
     Minimises sum (y - share lateral)^2 + smoothing_m^4 sum (y'')^2 subject to |y - lateral| <= limit + gauge / 2 at
     every row, so a wave of wavenumber w keeps 1 / (1 + (smoothing_m w)^4) of its amplitude where the limit is far. The
     line begins and ends on the ideal line.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Believed irregularities: evenly spaced p_m, lateral_m, gauge_m; they begin and end within the limit (`faded`).
-    share : float
-        0 asks for the ideal line, 1 for the middle between the rails.
-    smoothing_m : float
-        Length over which the line is smooth (m); 0 asks for no smoothness.
-    limit : float
-        Lateral play of a wheel pair to either side between rails of nominal gauge (m).
+    Args:
+        frame (DataFrame): True irregularities (`rough_track`), as `known` takes them; they begin and end within the
+            limit.
+        share (float): 0 asks for the ideal line, 1 for the middle between the rails.
+        smoothing_m (float): Length over which the line is smooth (m); 0 asks for no smoothness.
+        limit (float): Lateral play of a wheel pair to either side between rails of nominal gauge (m).
+        amplitude_error, localisation_error_m (float): Errors of what is `known` of the irregularities.
 
-    Returns
-    -------
-    ndarray, shape (4, n)
-        Set point (m) and its first three derivatives (1, 1/m, 1/m^2) at p_m: a cubic spline, hence with a continuous
-        second derivative, in the form in which cells of a `Route` hold a set point.
+    Returns:
+        p (ndarray, shape (n,)): Track coordinates (m).
+        line (ndarray, shape (4, n)): Set point (m) and its first three derivatives (1, 1/m, 1/m^2) at p: a cubic
+            spline, in the form in which cells of a `Route` hold a set point.
     """
+    frame = known(frame, amplitude_error, localisation_error_m)
     require("planned line: share", share, between(0.0, 1.0))
     require("planned line: smoothing_m", smoothing_m, between(0.0, 1e5, "m"))
     require("planned line: limit", limit, above(0.0, 1.0, "m"))
-    step, lateral = float(np.diff(frame["p_m"]).mean()), frame["lateral_m"].to_numpy()
+    p, lateral = frame["p_m"].to_numpy(), frame["lateral_m"].to_numpy()
     play = limit + frame["gauge_m"].to_numpy() / 2
-    if play.min() <= 0:
-        place = frame["p_m"].iloc[int(np.argmin(play))]
-        raise InputError(
-            f"planned line: limit {limit:g} m leaves {play.min():g} m of play at p = {place:g} m, above 0 is needed"
-        )
     low, high = lateral - play, lateral + play
     ends = [0, 1, -2, -1]
-    if (low[ends] > 0).any() or (high[ends] < 0).any():
-        raise InputError("planned line: the irregularities do not begin and end within the limit, fade them first")
+    if (play <= 0).any() or (low[ends] > 0).any() or (high[ends] < 0).any():
+        raise InputError(f"planned line: limit {limit:g} m leaves no line that begins and ends on the ideal one")
     low[ends] = high[ends] = 0.0
-    line = _smoothest(share * lateral, low, high, (smoothing_m / step) ** 2)
-    spline = scipy.interpolate.CubicSpline(frame["p_m"], line, bc_type="clamped")
-    return np.array([spline(frame["p_m"], order) for order in range(4)])
-
-
-_UNIT = 1e-3
-"""The solver works in millimetres, so that its tolerances are nanometres."""
+    line = _smoothest(share * lateral, low, high, (smoothing_m / np.diff(p).mean()) ** 2)
+    spline = scipy.interpolate.CubicSpline(p, line, bc_type="clamped")
+    return p, np.array([spline(p, order) for order in range(4)])
 
 
 def _smoothest(target: np.ndarray, low: np.ndarray, high: np.ndarray, weight: float) -> np.ndarray:
     """Minimiser y of |y - target|^2 + |weight second difference of y|^2 within bounds (m), shape (n,)."""
     n = target.size
+    unit = 1e-3  # the solver works in millimetres, so that its tolerances are nanometres
     y, bend = ca.SX.sym("y", n), ca.SX.sym("bend", n - 2)
     # Bending as unknowns of their own: with the weight squared in the Hessian rounding would exceed the tolerance.
     problem = {
         "x": ca.vertcat(y, bend),
-        "f": ca.sumsqr(y - target / _UNIT) + ca.sumsqr(bend),
+        "f": ca.sumsqr(y - target / unit) + ca.sumsqr(bend),
         "g": bend - weight * (y[:-2] - 2 * y[1:-1] + y[2:]),
     }
     ipopt = {"print_level": 0, "sb": "yes", "tol": 1e-9, "bound_relax_factor": 0.0, "nlp_scaling_method": "none"}
-    constant = {"hessian_constant": "yes", "jac_c_constant": "yes"}
-    options = {"print_time": False, "error_on_fail": True, "ipopt": ipopt | constant}
-    solver = ca.nlpsol("line", "ipopt", problem, options)
+    ipopt |= {"hessian_constant": "yes", "jac_c_constant": "yes"}
+    solver = ca.nlpsol("line", "ipopt", problem, {"print_time": False, "error_on_fail": True, "ipopt": ipopt})
     free = np.full(n - 2, np.inf)
-    start = np.concatenate([np.clip(target, low, high) / _UNIT, np.zeros(n - 2)])
-    solution = solver(x0=start, lbx=np.append(low / _UNIT, -free), ubx=np.append(high / _UNIT, free), lbg=0.0, ubg=0.0)
-    return np.array(solution["x"]).ravel()[:n] * _UNIT
+    start = np.concatenate([np.clip(target, low, high) / unit, np.zeros(n - 2)])
+    solution = solver(x0=start, lbx=np.append(low / unit, -free), ubx=np.append(high / unit, free), lbg=0.0, ubg=0.0)
+    return np.array(solution["x"]).ravel()[:n] * unit

@@ -142,24 +142,20 @@ def minimise(
 
     It ends after `iterations` moves of all particles, or when it is `stagnant`.
 
-    Parameters
-    ----------
-    evaluate : callable
-        (parameter sets, limits) -> costs, one per particle, in order; a cost that is not finite counts as worst. For a
-        set that costs more than its limit (`Swarm.limits`) any number above the limit will do.
-    patience : int
-        Iterations without improvement (1e-4 relative) after which it stops.
-    start : dict, optional
-        Parameter set of the first particle; the others begin at random.
-    title : str
-        Text of the progress bar; empty for none.
+    Args:
+        evaluate (callable): (parameter sets, limits) -> costs, one per particle, in order; a cost that is not finite
+            counts as worst. For a set that costs more than its limit (`Swarm.limits`) any number above the limit will
+            do.
+        patience (int): Iterations without improvement (1e-4 relative) after which it stops.
+        start (dict, optional): Parameter set of the first particle; the others begin at random.
+        title (str): Text of the progress bar; empty for none.
     """
     for name, value, least in (("particles", particles, 1), ("iterations", iterations, 1), ("seed", seed, 0)):
         require(f"swarm: {name}", value, between(least, 2**63), whole=True)
     if not dimensions:
         raise InputError("swarm: there are no dimensions, at least one is needed")
     swarm = Swarm(dimensions, particles, seed, start)
-    with tqdm(total=iterations, desc=title, unit="iteration", disable=not title) as bar:
+    with tqdm(total=iterations, desc=title, unit="iteration", disable=not title, delay=0.1) as bar:
         while swarm.iteration < iterations and not swarm.stagnant(patience):
             swarm.tell(evaluate(swarm.ask(), swarm.limits))
             bar.set_postfix_str(f"best cost {swarm.cost:.4f}")

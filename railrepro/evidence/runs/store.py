@@ -61,7 +61,7 @@ def key(module: str, *parts) -> str | None:
     dataclasses, and lists and dictionaries of these. Also None with a part of another type, such as a function.
     """
     made_by = code.version(), code.reached(f"from {module} import {module}")
-    if not module.startswith("railrepro.") or None in made_by or not code.unchanged():
+    if not module.startswith("railrepro.") or not code.unchanged():
         return None
     try:
         return digest(machine(), made_by, *parts)
@@ -78,7 +78,7 @@ def digest(*parts) -> str:
 def machine() -> dict[str, str]:
     """Name -> version or value of what decides the last digits of results: compiler, flags, packages, processor."""
     found = {f"environment {name}": os.environ.get(name, "") for name in _NUMERICS}
-    found |= {"the compiler": cache.identity(cache.compiler())}
+    found |= {"the compiler": cache.identity(cache.compiler(), cache.flags())}
     found |= {"Python": sys.version, "the processor": platform.machine()}
     return found | {f"package {name}": version for name, version in code.packages().items()}
 

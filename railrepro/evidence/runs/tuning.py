@@ -1,8 +1,9 @@
-"""Tuning tasks (searched parameters, runs, cost, budget) per setting of comparison, and the tuned sets of data/tuned.
+"""Tuning by particle swarm in three settings of comparison: runs, cost, budget, and the tuned sets of data/tuned.
 
-The ranking of controllers depends on their tuning and measurements, so there are three settings of comparison: `paper`
-(perfect measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements,
-all tuned alike) and `loop` (all tuned alike with sensor noise, latency and filter). `swarm` does the tuning.
+The ranking of controllers depends on their tuning and measurements, so there are three settings: `paper` (perfect
+measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
+with the same cost and budget) and `loop` (as `equal`, with sensor noise, latency and filter). `python -m railrepro
+tune [setting …] [controller …]` tunes and writes data/tuned; an interrupted run goes on where it was.
 
 Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
 """
@@ -13,23 +14,26 @@ import json
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pandas as pd
-from pydantic import AfterValidator
+from pydantic import AfterValidator, StrictBool
 
-from railrepro import data, paths
+from railrepro import __version__, data, paths
 from railrepro.control.registry import CONTROLLERS, EQUAL, NOTHING, PAPER, TUNED, guidance, read, tuned_set
 from railrepro.control.registry import LOOP as LOOP  # for those who take the settings from here
 from railrepro.control.registry import SETTINGS as SETTINGS
 from railrepro.control.registry import tuned as tuned
-from railrepro.data import AS_GIVEN, DISTINCT, NOT_EMPTY, Flag, Free, InputError, Number, Plain, above, between
+from railrepro.data import AS_GIVEN, NOT_EMPTY, Free, InputError, Number, Plain, above, between
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import pso, store
+from railrepro.evidence.runs.executor import ordered_map
 from railrepro.evidence.runs.experiment import Experiment
+from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenarios
-from railrepro.vehicle.parameters import Vehicle
 
 COUNT = Annotated[int, between(1, 10**6)]
 SEED = Annotated[int, between(0, 2**63)]
@@ -69,12 +73,12 @@ class Budget:
     particles: COUNT
     iterations: COUNT
     patience: COUNT
-    seeds: Annotated[tuple[SEED, ...], NOT_EMPTY, DISTINCT]
+    seeds: Annotated[tuple[SEED, ...], NOT_EMPTY]
 
 
 @data.table
 class Cost:
-    """Scales and weights of the cost of a run, see `swarm.run_cost`."""
+    """Scales and weights of the cost of a run, see `run_cost`."""
 
     y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
     du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
@@ -104,10 +108,10 @@ class RunEntry:
 class SettingEntry:
     """Setting of comparison in data/tuning.toml: whether runs have sensors, names of runs, the rest as in `Task`."""
 
-    sensors: Flag
-    runs: Annotated[tuple[str, ...], NOT_EMPTY, DISTINCT]
+    sensors: StrictBool
+    runs: Annotated[tuple[str, ...], NOT_EMPTY]
     designed: dict[str, dict[str, Plain]] = field(default_factory=dict)
-    searched_too: Annotated[tuple[str, ...], DISTINCT] = ()
+    searched_too: tuple[str, ...] = ()
     start: dict[str, dict[str, Plain]] = field(default_factory=dict)
 
 
@@ -175,27 +179,102 @@ def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
     return Experiment(scenario, NOTHING, irregular=entry.irregular, plant=entry.plant, sensors=sensors)
 
 
-def origin(controller: str, task: Task, vehicle: Vehicle) -> str:
-    """Hash (16 hexadecimal digits) of all given numbers on which the tuning of a controller depends.
+def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
+    """Metrics of a run from which `run_cost` computes its cost, as a `store.Entry`: (dict, None).
 
-    These are scenarios, tracks, rails, vehicle, sensors, cost, budget, bounds and start of the searched parameters; not
-    names, remarks or machine. A tuned set of another origin is still used; notebook 05_tuning recomputes its cost.
+    Mean over both gears of the RMSE of y (`rmse_y`, m), the RMS of du (`effort_du`, N m) and of its part above 5 Hz
+    (`activity_du`, N m; nan when failed); `done`, the share of the distance before flange contact or failure (-); and
+    `failed`, true also after flange contact. With imperfect sensors the error counts from the irregular rails.
     """
-    tracks, rails = (data.read(paths.source(f"data/{name}.toml")) for name in ("tracks", "irregularities"))
-    sets = sorted({name for run in task.runs.values() for name in (run.scenario.good, run.scenario.poor)})
-    car = replace(vehicle, adhesion={name: vehicle.adhesion[name] for name in sets})
-    runs = []
-    for run in task.runs.values():
-        scenario = {k: v for k, v in vars(run.scenario).items() if k not in ("name", "track", "paper")}
-        rail = rails.get(str(run.irregular.get("spectrum")), None)
-        runs.append([scenario, tracks.get(run.scenario.track), run.irregular, rail, run.plant, run.sensors])
-    loop = load_loop() if any(run.sensors for run in task.runs.values()) else None
-    search = task.dimensions[controller], task.start.get(controller)
-    return store.digest(runs, car, loop, task.budget, task.cost, *search)[:16]
+    sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
+
+    def mean(metric):
+        return float(np.mean([metric(run.series, gear) for gear in simulate.GEARS]))
+
+    way = np.nan_to_num(run.series["front.p"].to_numpy())
+    touched = metrics.on_flange(run.series)
+    reached = way[touched.argmax()] if touched.any() else way.max()
+    done = float(np.clip(reached / experiment.scenario.end_m, 0, 1))
+    parts = {"rmse_y": mean(metrics.followed_rmse if sensed else metrics.rmse), "effort_du": mean(metrics.effort)}
+    if run.failed or touched.any() or not np.isfinite(sum(parts.values())):
+        return parts | {"activity_du": float("nan"), "done": done, "failed": True}, None
+    return parts | {"activity_du": mean(metrics.activity), "done": 1.0, "failed": False}, None
+
+
+def run_cost(parts: dict, cost: dict) -> float:
+    """Cost of a run (-) from its metrics `parts` (of `driven`) and the table [cost] of data/tuning.toml, `cost`.
+
+    1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0); a
+    failed run costs failure (2 - done).
+    """
+    if parts["failed"]:
+        return cost["failure"] * (2 - parts["done"])
+    beyond = max(parts["activity_du"] / cost["activity_Nm"] - 1, 0.0)
+    value = 1e3 * parts["rmse_y"] / cost["y_scale_mm"] + cost["weight"] * parts["effort_du"] / cost["du_scale_Nm"]
+    return value + cost["activity_weight"] * beyond
+
+
+def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
+    """Mean cost (-) of tuning `parameters` over the runs of a task, and per run a dict: run, cost, metrics of `driven`.
+
+    The hardest run, the last of the task, is simulated first. Once the mean is above `limit` the other runs are left
+    out and count as zero: the cost is then a lower bound.
+    """
+    quick, number = CONTROLLERS[controller].quick, len(task.runs)
+    costs, parts = [], []
+    for name, run in reversed(task.runs.items()):
+        asked = replace(run, controller=controller, parameters=parameters, options=quick)
+        try:
+            part, _ = asked.measured(driven)
+            cost = run_cost(part, task.cost)
+            part.pop("failed")
+        except (ArithmeticError, np.linalg.LinAlgError):
+            cost, part = 2 * task.cost["failure"], {"done": 0.0}
+        costs.append(cost)
+        parts.append({"run": name, "cost": cost, **part})
+        if sum(costs) > limit * number:
+            break
+    return sum(costs) / number, parts
+
+
+def tune(controller: str, task: Task, quiet: bool = False) -> dict:
+    """Tune one controller with a swarm per seed, in parallel (`executor`); finished runs are read from the store.
+
+    Returns a dict: the tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost` (-), `runs` as
+    from `evaluate`), `swarms` (per swarm seed, cost, evaluations, parameters), `origin` (version and budget), and
+    `history`, a DataFrame of all evaluated particles (`Swarm.history` and seed).
+    """
+    budget, evaluated, found = task.budget, partial(evaluate, controller, task), {}
+
+    def costs(particles: list[dict], limits: list[float]) -> list[float]:
+        limited = list(zip(particles, limits, strict=True))
+        return ordered_map(lambda particle: evaluated(*particle)[0], limited, controller, quiet=True)
+
+    for seed in budget["seeds"]:
+        title = "" if quiet else f"{task.setting} {controller} {seed}"
+        found[seed] = pso.minimise(
+            costs, task.dimensions[controller], budget["particles"], budget["iterations"], seed,
+            budget["patience"], task.start.get(controller), title,
+        )  # fmt: skip
+    best = min(found.values(), key=lambda swarm: swarm.cost)
+    cost, parts = ordered_map(evaluated, [best.best], controller, quiet=True)[0]
+    return {
+        "controller": controller,
+        "setting": task.setting,
+        "parameters": best.best,
+        "cost": cost,
+        "runs": parts,
+        "swarms": [
+            {"seed": seed, "cost": swarm.cost, "evaluations": len(swarm.rows), "parameters": swarm.best}
+            for seed, swarm in found.items()
+        ],
+        "origin": {"version": __version__} | budget,
+        "history": pd.concat([swarm.history.assign(seed=seed) for seed, swarm in found.items()], ignore_index=True),
+    }
 
 
 def save(found: dict, folder: Path) -> None:
-    """Write `found`, a result of `swarm.tune`, to a folder: CONTROLLER.json, its history CONTROLLER_particles.csv."""
+    """Write `found`, a result of `tune`, to a folder: CONTROLLER.json, its history CONTROLLER_particles.csv."""
     content = {key: value for key, value in found.items() if key != "history"}
     particles = found["history"].to_csv(index=False, float_format="%.6g")
     data.write(folder / f"{found['controller']}_particles.csv", particles)
@@ -208,9 +287,30 @@ def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
 
 
 def load(controller: str, setting: str = PAPER, searched: bool = False) -> dict:
-    """Tuned set of a controller in a setting of comparison, see `swarm.tune` (without `history`).
+    """Tuned set of a controller in a setting of comparison, see `tune` (without `history`).
 
     A designed controller has only `controller`, `setting` and `parameters`; with `searched` the set that a swarm found
     for it (`Task.searched_too`). InputError when there is none.
     """
     return read(controller, setting) if searched else tuned_set(controller, setting)
+
+
+def main(names: list[str]) -> None:
+    """Tune the controllers among `names` (none: all) in the settings among them (none: all) and write data/tuned."""
+    known = load_task().dimensions
+    settings = [name for name in names if name in SETTINGS] or SETTINGS
+    wanted = [name for name in names if name not in SETTINGS]
+    for name in wanted:
+        if name not in known:
+            known = f"setting ({list(SETTINGS)}) nor a controller of tuning.toml ({sorted(known)})"
+            raise InputError(f"{name!r} is neither {known}")
+    for each in settings:
+        task = load_task(setting=each)
+        for name in wanted or task.searched:
+            if name not in task.searched:
+                print(f"{each} {name}: designed, nothing to tune")
+                continue
+            result = tune(name, task)
+            save(result, paths.ROOT / TUNED / each)
+            costs = ", ".join(f"{swarm['cost']:.4f}" for swarm in result["swarms"])
+            print(f"{each} {name}: costs {costs} after {len(result['history'])} evaluations", flush=True)

@@ -18,7 +18,7 @@ Source: Anderson and Moore 1990, Optimal Control, ch. 8 (separation); Anderson a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
@@ -40,45 +40,28 @@ _CUT, _ORDER = 5.0, 4
 """High-pass of `railrepro.simulation.metrics.activity`: frequency (Hz) and order, applied twice."""
 _QUIET = 1e-9
 """Share of its unit by which each state wanders in a period anyway, which keeps the equations regular."""
+Y, TORQUE = STATES.index("y"), len(STATES) + len(UNKNOWN) + len(BIASES)
+"""Indices of the displacement and of the newest torque command among the states of a `System`."""
 
 
-@dataclass(frozen=True)
-class Limit:
-    """Bound of the lateral error of a gear at one weight of the torque, found by `limit`."""
-
-    error: float
-    """Standard deviation of y from the set point of the track coordinate that sensors report (m)."""
-    known: float
-    """Part of `error` that no torque removes: standard deviation of the Kalman filter's error in y (m)."""
-    activity: float
-    """Standard deviation of the differential torque above 5 Hz (N m)."""
-    weight: float
-    """Weight rho of (du_k - du_(k-1))^2 (N^-2 m^-2); y^2 has weight 1, y as multiple of `System.units`[`Y`]."""
-
-
-@dataclass(frozen=True)
-class System:
+class System(NamedTuple):
     """Linear system of a gear behind sensors: x_(k+1) = a x_k + b (du_k - du_(k-1)) + w_k, z_k = c x_k + v_k.
 
     Period 1 ms; states x in multiples of `units`; w and v are white noise.
+
+    Attributes:
+        a (ndarray, shape (n, n)): Transition matrix A.
+        b (ndarray, shape (n,)): Input vector B of the change of differential torque in a period (per N m).
+        c (ndarray, shape (3, n)): Output matrix C: readings of y, psi, yaw rate r in units of their noise (RMS).
+        q (ndarray, shape (n, n)): Covariance of w per period; that of v is the unit matrix.
+        units (ndarray, shape (n,)): SI value of one unit of each state; of a torque 100 N m.
     """
 
     a: np.ndarray
-    """Transition matrix A, shape (n, n)."""
     b: np.ndarray
-    """Input vector B of the change of differential torque in a period (per N m), shape (n,)."""
     c: np.ndarray
-    """Output matrix C, shape (3, n): readings of displacement y, yaw psi, yaw rate r, in units of their noise (RMS)."""
     q: np.ndarray
-    """Covariance of the process noise w per period, shape (n, n); that of the measurement noise is the unit matrix."""
-    torque: int
-    """Index of the newest torque command among the states."""
     units: np.ndarray
-    """SI value of one unit of each state, shape (n,); of a torque 100 N m."""
-
-
-Y = STATES.index("y")
-"""Index of the displacement among the states."""
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
@@ -92,59 +75,61 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
     inputs = np.column_stack([du, unknown])
     step, held, *_ = cont2discrete((rates, inputs, np.zeros((1, n)), np.zeros((1, inputs.shape[1]))), h)
     late = max(round((loop.latency.measurement + loop.latency.command) / h), 1)
-    slow, chain = len(UNKNOWN) + len(BIASES), late + 1
-    size = n + slow + chain
+    size = TORQUE + late + 1
     a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros((len(BIASES), size))
     a[:n, :n], a[:n, n : n + len(UNKNOWN)] = step, held[:, 1:]
     a[:n, -1] = held[:, 0]  # the last torque of the chain acts
-    a[n : n + slow, n : n + slow] = np.exp(-h / MEMORY) * np.eye(slow)
-    a[n + slow, n + slow] = b[n + slow] = 1.0
-    a[n + slow + 1 :, n + slow : -1] = np.eye(late)
+    a[n:TORQUE, n:TORQUE] = np.exp(-h / MEMORY) * np.eye(TORQUE - n)
+    a[TORQUE, TORQUE] = b[TORQUE] = 1.0
+    a[TORQUE + 1 :, TORQUE:-1] = np.eye(late)
     for row, name in enumerate(BIASES):
         c[row, STATES.index(name)] = c[row, n + len(UNKNOWN) + row] = 1.0
     noise, spread = loop.lateral_errors()
     noise, spread = np.maximum(noise, 1e-9), np.maximum(spread, 1e-12)
     walked = np.concatenate([np.square(walks) * h, (1 - np.exp(-2 * h / MEMORY)) * spread**2])
-    units = np.concatenate([UNITS, np.sqrt(walked / h), np.full(chain, 100.0)])
+    units = np.concatenate([UNITS, np.sqrt(walked / h), np.full(late + 1, 100.0)])
     q = np.diag((_QUIET * units) ** 2)
-    q[n : n + slow, n : n + slow] += np.diag(walked)
+    q[n:TORQUE, n:TORQUE] += np.diag(walked)
     q[:n, :n] += held[:, 1:] @ np.diag(walked[: len(UNKNOWN)]) @ held[:, 1:].T / 3  # of the walk within the period
     scale = units / units[:, None]
-    return System(
-        a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), n + slow, units
-    )  # fmt: skip
+    return System(a * scale, b / units, c * units / noise[:, None], q / np.outer(units, units), units)
 
 
-def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> Limit:
-    """Bound of the lateral error of all causal laws whose differential torque above 5 Hz has the RMS `activity` (N m).
+def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> float:
+    """Bound of the lateral error (m) of all causal laws whose differential torque above 5 Hz has the RMS `activity`.
 
-    Other parameters as in `system`: car, sensors, speed (m/s), random walks of the disturbances.
+    Standard deviation of y from the set point at the track coordinate that sensors report. `activity` is in N m, other
+    parameters as in `system`: car, sensors, speed (m/s), random walks of the disturbances.
     """
     of = system(vehicle, loop, speed, walks)
-    p, m = np.zeros_like(of.a), of.torque  # the torques are known
+    log_weight = brentq(lambda log: np.log(at_weight(of, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
+    return at_weight(of, 10.0**log_weight)[0]
+
+
+def at_weight(of: System, weight: float) -> tuple[float, float, float]:
+    """Standard deviations under the optimal law of a weight (1/(N m)^2) of the squared change, see `feedback`.
+
+    Of the error y (m), of its part that no torque removes, the Kalman filter's error (m), and of the torque above 5 Hz
+    (N m).
+    """
+    p, m = np.zeros_like(of.a), TORQUE  # the torques are known
     p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(len(of.c)))
     innovation = of.c @ p @ of.c.T + np.eye(len(of.c))
     gain = p @ of.c.T @ np.linalg.inv(innovation)
     after, driven = p - gain @ of.c @ p, gain @ innovation @ gain.T
-
-    def at(log_weight: float) -> Limit:
-        weight = 10.0**log_weight
-        closed = of.a - np.outer(of.b, feedback(of, weight))
-        filtered = solve_discrete_lyapunov(closed, (driven + driven.T) / 2)
-        known, whole = after[Y, Y], filtered[Y, Y] + after[Y, Y]
-        unit = of.units[Y]
-        torque = of.units[of.torque] * _above(closed, gain @ np.linalg.cholesky(innovation), of.torque)
-        return Limit(float(unit * np.sqrt(whole)), float(unit * np.sqrt(known)), float(torque), weight)
-
-    return at(brentq(lambda log_weight: np.log(at(log_weight).activity / activity), -10.0, 0.0, xtol=1e-3))
+    closed = of.a - np.outer(of.b, feedback(of, weight))
+    filtered = solve_discrete_lyapunov(closed, (driven + driven.T) / 2)
+    known, whole, unit = after[Y, Y], filtered[Y, Y] + after[Y, Y], of.units[Y]
+    torque = of.units[TORQUE] * _above(closed, gain @ np.linalg.cholesky(innovation), TORQUE)
+    return float(unit * np.sqrt(whole)), float(unit * np.sqrt(known)), float(torque)
 
 
 def feedback(of: System, weight: float) -> np.ndarray:
     """Optimal gain L (N m), shape (n,), of the law du_k - du_(k-1) = -L x for a system, x in multiples of its units.
 
-    L minimises E[y^2] + weight E[(du_k - du_(k-1))^2], see `Limit.weight`.
+    L minimises E[y^2] + weight E[(du_k - du_(k-1))^2] with y in `System.units`.
     """
-    cost, unit = np.zeros_like(of.a), of.units[of.torque]
+    cost, unit = np.zeros_like(of.a), of.units[TORQUE]
     cost[Y, Y] = 1.0
     b = of.b[:, None] * unit  # in units of the torque the equation is well scaled
     p = solve_discrete_are(of.a, b, cost, np.array([[weight * unit**2]]))

@@ -19,7 +19,7 @@ from railrepro.control.registry import CONTROLLERS, OURS
 from railrepro.data import write
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import ordered_map
 from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.uncertainty import limit
 from railrepro.simulation import metrics, simulate
@@ -66,8 +66,6 @@ def experiments() -> list[Experiment]:
     for factor in (0.9, 1.1):
         heavy = {"body.mass": factor * vehicle.body.mass}
         runs += row("held out", f"body mass times {factor:g}", _CURVE, curve, plant=heavy)
-    lost = {f"{group}.dropout": 0.05 for group in ("lateral", "gyro", "wheel_speed", "speed")}
-    runs += row("held out", "readings lost, 5 %", _FAST, sine, sensors=lost)
     for quality, (speed, speeds) in product("AB", _CLASSES.items()):
         rails, at = {"spectrum": f"en_{quality}_{speeds}"}, sine | {"speed_kmh": float(speed)}
         runs += row("irregular", f"{quality}, {speed} km/h", _FAST, at, irregular=rails)
@@ -101,7 +99,7 @@ def limit_of(run: Experiment) -> dict:
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
         return {}
     slope = scenario.route().reference_at(np.arange(0.0, scenario.end_m, 0.5))[1]
-    believed = limit.limit(load_vehicle(), loop, scenario.speed, _STILL).error
+    believed = limit.limit(load_vehicle(), loop, scenario.speed, _STILL)
     return {"limit_mm": 1e3 * limit.with_place(believed, slope, loop), "limit_at_believed_place_mm": 1e3 * believed}
 
 
@@ -111,68 +109,42 @@ def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
     RMS error of front and rear gear against the actual rails (mm), front torque above 5 Hz (N m, RMS), and whether the
     run failed or reached the flanges; the numbers of such a run are nan.
     """
-    failed = run.failed or metrics.reaches_flange(run.series)
-    errors = {} if failed else {g: 1e3 * metrics.followed_rmse(run.series, g) for g in simulate.GEARS}
-    activity = float("nan") if failed else metrics.activity(run.series)
-    row = {"error_mm": errors.get("front", float("nan")), "rear_mm": errors.get("rear", float("nan"))}
-    return row | {"activity_Nm": activity, "failed": failed}, None
+    if run.failed or metrics.reaches_flange(run.series):
+        return dict.fromkeys(("error_mm", "rear_mm", "activity_Nm"), float("nan")) | {"failed": True}, None
+    front, rear = (1e3 * metrics.followed_rmse(run.series, gear) for gear in simulate.GEARS)
+    return {"error_mm": front, "rear_mm": rear, "activity_Nm": metrics.activity(run.series), "failed": False}, None
 
 
 def _rms(values: pd.Series) -> float:
     return float(np.sqrt(np.mean(np.square(values.dropna()))))
 
 
-def table(runs: Sequence[Experiment], pool) -> pd.DataFrame:
-    """Run experiments on an executor (`pool`) and summarise them over the seeds, one row per case and controller.
+def table(runs: Sequence[Experiment]) -> pd.DataFrame:
+    """Run experiments in parallel and summarise them over the seeds, one row per case and controller.
 
     Columns kind, case, controller, seeds (number of runs), failed (number of runs that failed or reached the flanges);
     over the other runs error_mm, rear_mm (RMS error of front and rear gear, mm), spread_mm (standard deviation of the
-    front error between seeds, mm), activity_Nm (mean RMS of the front torque above 5 Hz, N m).
+    front error between seeds, mm), activity_Nm (mean RMS of the front torque above 5 Hz, N m); and those of `limit_of`.
     """
 
     def driven(run: Experiment) -> dict:
         return run.label | {"controller": run.controller} | run.measured(followed)[0]
 
-    grouped = pd.DataFrame(ordered_map(pool, driven, runs, "loop")).groupby([*_ROW, "controller"], sort=False)
-    return grouped.agg(
+    rows = pd.DataFrame(ordered_map(driven, runs, "loop"))
+    measured = rows.groupby([*_ROW, "controller"], sort=False).agg(
         seeds=("failed", "size"),
         failed=("failed", "sum"),
         error_mm=("error_mm", _rms),
         spread_mm=("error_mm", "std"),
         rear_mm=("rear_mm", _rms),
         activity_Nm=("activity_Nm", "mean"),
-    ).reset_index()
-
-
-def standing(measured: pd.DataFrame) -> pd.DataFrame:
-    """Compare the controller `OURS` with its best rival: one row per kind and case, those where it is behind first.
-
-    `measured` is data/results/loop_table.csv. Columns: ours_mm, other_mm (RMS error of `OURS` and of the rival, mm),
-    other (name of the rival), spread_mm (larger of their standard deviations between seeds, mm), limit_mm (bound by the
-    sensors, see `limit_of`), over_limit (ours_mm / limit_mm), lost, other_lost (number of runs of `OURS` and of the
-    rival that failed or reached the flanges), standing ("behind", "tied", "ahead"): by lost runs, and between equal
-    numbers by error, "tied" when the errors differ by at most spread_mm.
-    """
-    ours = measured["controller"] == OURS
-    own = measured[ours].set_index(_ROW)
-    other = measured[~ours].sort_values(["failed", "error_mm"]).groupby(_ROW, sort=False).first().reindex(own.index)
-    rows = pd.DataFrame({"ours_mm": own["error_mm"], "other_mm": other["error_mm"], "other": other["controller"]})
-    rows["spread_mm"] = np.fmax(own["spread_mm"], other["spread_mm"])
-    rows["limit_mm"], rows["over_limit"] = own["limit_mm"], own["error_mm"] / own["limit_mm"]
-    rows["lost"], rows["other_lost"] = own["failed"], other["failed"]
-    more, worse = rows["lost"] - rows["other_lost"], (rows["ours_mm"] - rows["other_mm"]).fillna(0.0)
-    level = np.where(more != 0, np.sign(more), np.sign(worse) * (worse.abs() > rows["spread_mm"]))
-    rows["standing"] = pd.Series(level, rows.index).map({1: "behind", 0: "tied", -1: "ahead"})
-    order = np.lexsort([-(rows["ours_mm"] / rows["other_mm"]), -level])
-    return rows.iloc[order]
+    )
+    first = {tuple(run.label.values()): run for run in reversed(runs)}
+    limits = pd.DataFrame([run.label | limit_of(run) for run in first.values()])
+    return measured.reset_index().merge(limits, how="left", on=_ROW)
 
 
 def main() -> None:
     """Run all `experiments` and write data/results/loop_table.csv."""
-    runs = experiments()
-    with executor() as pool:
-        measured = table(runs, pool)
-    first = {tuple(run.label.values()): run for run in reversed(runs)}
-    limits = pd.DataFrame([run.label | found for run in first.values() if (found := limit_of(run))])
-    text = measured.merge(limits, how="left", on=_ROW).to_csv(index=False, float_format="%.4g")
+    text = table(experiments()).to_csv(index=False, float_format="%.4g")
     write(paths.product("data/results/loop_table.csv"), text)

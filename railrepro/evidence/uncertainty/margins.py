@@ -6,8 +6,8 @@ linearised by hand: the loop runs as it is, with sampling, filter and latency, a
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 
@@ -22,9 +22,9 @@ from railrepro.control.registry import CONTROLLERS, SHOWN
 from railrepro.data import write
 from railrepro.estimation.sensors import load_loop, readings
 from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map, work
+from railrepro.evidence.runs.executor import ordered_map, work
 from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.runs.swarm import driven
+from railrepro.evidence.runs.tuning import driven
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
@@ -40,45 +40,38 @@ AMPLITUDE = 20.0
 """Amplitude of each sine of the disturbance (N m), well above resolution and well below limits."""
 LINEAR = 0.5
 """Least share of the power of the response that lies at the disturbed frequencies in a stable loop."""
-RAILS = {"dry": ("sine_tracking", 600.0), "poor": ("adhesion_loss", 600.0)}
-"""Scenario at 400 km/h and its end (m) by rail."""
+LONGEST_MS = 15
+"""Longest delay that is tried (ms)."""
 _KMH = (100.0, 200.0, 300.0, 400.0)
 
 
-class ProbedLaw:
-    """`lateral.LateralLaw` that adds `multisine` times `amplitude` (N m) to the differential torque of a guidance."""
+class _Probed:
+    """Law of a guidance that adds `multisine` times `amplitude` (N m) to its differential torque."""
 
     def __init__(self, guidance: lateral.Guidance, amplitude: float):
         (self._law, self._factory), self._amplitude = lateral.split(guidance), amplitude
         self.memory = (*getattr(self._law, "memory", ()), "probe_ticks")
 
     def gains(self) -> dict[str, float]:
-        """Gains by name: those of the 1 kHz law of the guidance, and probe_amplitude (N m)."""
         return {**lateral.gains_of(self._law), "probe_amplitude": self._amplitude}
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
-        """Disturbed differential torque (N m) and next states of the law by name; `q` as in `LateralLaw.torque`."""
         du, following = lateral.answer(self._law, q)
         signal = q.probe_amplitude * multisine(q.probe_ticks * CONTROL_PERIOD, ca.sin)
         return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
 
 
-class _WithControllers(ProbedLaw):
+class _ProbedFactory(_Probed):
     """One that holds the torque of slower controllers, whose factory it is."""
 
-    def __call__(self, vehicle, route, gear: int) -> lateral.SlowController:
-        return self._factory(vehicle, route, gear)
+    def __call__(self, *of_gear) -> lateral.SlowController:
+        return self._factory(*of_gear)
 
 
 def multisine(t, sine: Callable = np.sin):
     """Sum over `FREQUENCIES` of sine(2 pi f t - phase), t in s, in the shape of t. Source: Schroeder 1970 (phases)."""
     count = len(FREQUENCIES)
     return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
-
-
-def probed(guidance: lateral.Guidance, amplitude: float) -> lateral.Guidance:
-    """Guidance with `multisine` times `amplitude` (N m) added to its differential torque, see `ProbedLaw`."""
-    return (_WithControllers if callable(guidance) else ProbedLaw)(guidance, amplitude)
 
 
 def disk_margin(values: np.ndarray) -> float:
@@ -103,9 +96,10 @@ def sensitivity(
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
     seen = readings(**sensors) if sensors else None
+    kind = _ProbedFactory if callable(guidance) else _Probed
     first, count, found = round(SETTLED / CONTROL_PERIOD), round(WINDOW / CONTROL_PERIOD), []
     for amplitude in (0.0, AMPLITUDE):
-        run = simulate.run(scenario, probed(guidance, amplitude), vehicle=vehicle, sensors=seen)
+        run = simulate.run(scenario, kind(guidance, amplitude), vehicle=vehicle, sensors=seen)
         if run.failed:
             return None
         found.append(run.series["front.du"].to_numpy()[: first + count])
@@ -119,50 +113,23 @@ def sensitivity(
     return torque[lines] / disturbance[lines] if stable else None
 
 
-QUANTITIES = {
-    "delay": ("inverter.delay", 0.0, 15e-3, 1e-3, "s"),
-    "lag": ("drive.lag", 5e-3, 0.1, 2.5e-3, "s"),
-    "gain": ("inverter.gain", 1.0, 5.0, 0.1, "-"),
-}
-"""Quantities that are raised until the car derails or reaches the flanges: extra delay, lag of the drive, torque over
-its command. Each with its key, begin and end of the search, resolution and unit."""
+def delay_margin(setting: str, controller: str) -> float:
+    """Largest extra delay of the torque (s) with which a tuned controller avoids the flanges at 400 km/h on poor rail.
 
-
-def survived(fails: Callable[[float], bool], nominal: float, largest: float, resolution: float) -> float:
-    """Largest value of a quantity for which `fails(value)` is false, by bisection between `nominal` and `largest`.
-
-    Bisection ends at `resolution`; all numbers have the unit of the quantity. Returns nan when `nominal` fails,
-    `largest` when this value does not fail.
+    Whole milliseconds up to `LONGEST_MS`, by bisection; nan where it reaches the flanges without delay. `setting`
+    ("paper", "equal", "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned parameters.
     """
-    if fails(nominal):
-        return float("nan")
-    low, high = nominal, largest
-    if not fails(high):
-        return high
-    while high - low > 1.01 * resolution:
-        steps = round((high - low) / resolution) // 2
-        middle = low + max(steps, 1) * resolution
-        low, high = (low, middle) if fails(middle) else (middle, high)
-    return low
-
-
-def largest(setting: str, controller: str, rail: str, quantity: str) -> float:
-    """Largest value of a quantity (key of `QUANTITIES`, in its unit) with which a tuned controller avoids the flanges.
-
-    `setting` ("paper", "equal", "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned parameters,
-    `rail` is a key of `RAILS`. nan when the controller fails at the start of the search, see `survived`.
-    """
-    name, end = RAILS[rail]
-    key, *bounds, _ = QUANTITIES[quantity]
     sensors = {"seed": 101} | ({} if setting == tuning.LOOP else {"perfect": True})
-    quick = CONTROLLERS[controller].quick
-    run = Experiment(load_scenario(name).but(end_m=end), controller, options=quick, setting=setting, sensors=sensors)
+    scenario, quick = load_scenario("adhesion_loss").but(end_m=600.0), CONTROLLERS[controller].quick
 
-    def fails(value: float) -> bool:
-        of_car = {"plant": {key: value}} if key.startswith("drive.") else {"sensors": sensors | {key: value}}
-        return replace(run, **of_car).measured(driven)[0]["failed"]
+    def fails(delay_ms: int) -> bool:
+        delayed = sensors | {"inverter.delay": 1e-3 * delay_ms}
+        run = Experiment(scenario, controller, options=quick, setting=setting, sensors=delayed)
+        return run.measured(driven)[0]["failed"]
 
-    return survived(fails, *bounds)
+    if fails(0):  # some then survive a delay
+        return float("nan")
+    return 1e-3 * (bisect_left(range(LONGEST_MS + 1), True, lo=1, key=fails) - 1)
 
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
@@ -183,13 +150,10 @@ def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
 def main() -> None:
     """Measure all tuned controllers and write data/results/margins.csv and sensitivity.csv."""
     pairs = [*product(tuning.SETTINGS, SHOWN)]
-    survivals = [(*pair, rail, quantity) for pair in pairs for rail in RAILS for quantity in QUANTITIES]
     loops = [(*pair, speed) for pair in pairs for speed in _KMH]
-    with executor() as pool:
-        values = ordered_map(pool, lambda case: largest(*case), survivals, "margins")
-        found = ordered_map(pool, lambda case: peaks(*case), loops, "sensitivity")
-    table = pd.DataFrame(survivals, columns=["setting", "controller", "rail", "quantity"]).assign(largest=values)
-    table["unit"] = [QUANTITIES[name][-1] for name in table["quantity"]]
+    delays = ordered_map(lambda pair: delay_margin(*pair), pairs, "delay margins")
+    found = ordered_map(lambda case: peaks(*case), loops, "sensitivity")
+    margins = pd.DataFrame(pairs, columns=["setting", "controller"]).assign(delay_margin_s=delays)
     measured = pd.DataFrame(loops, columns=["setting", "controller", "speed_kmh"]).join(pd.DataFrame(found))
-    for name, rows in {"margins": table, "sensitivity": measured}.items():
+    for name, rows in {"margins": margins, "sensitivity": measured}.items():
         write(paths.product(f"data/results/{name}.csv"), rows.to_csv(index=False, float_format="%.6g"))

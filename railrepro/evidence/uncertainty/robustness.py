@@ -7,7 +7,7 @@ interrupted study goes on where it was. Serves the question what the unpublished
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,19 +22,16 @@ from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import ONCE, PARTS, probe
 from railrepro.evidence.claims.setup import POLE, ProbeSetup, setup
 from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
+from railrepro.evidence.runs.executor import ordered_map
 from railrepro.evidence.runs.pso import Dimension
-from railrepro.evidence.runs.swarm import driven, run_cost
+from railrepro.evidence.runs.tuning import driven, run_cost
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
-SAMPLES, SEED = 128, 2026
-"""Samples of the sequence, the same in each setting, and its seed."""
-LONG = 32
-"""So many samples at its begin also have the runs of `probe.ONCE`, which take most of the time."""
+SAMPLES, LONG, SEED = 128, 32, 2026
+"""Samples of the sequence, the same in each setting; so many at its begin also have the runs of `probe.ONCE`, which
+take most of the time; its seed."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
-
-
 OPEN = (
     Dimension("profile (cone, S1002)", 0, 1, "integer"),
     Dimension("LTV-MPC (printed, with its affine term)", 0, 1, "integer"),
@@ -50,6 +47,7 @@ OPEN = (
 )
 """What the paper leaves open besides the vehicle: fields of `ProbeSetup`, choices of two, creep slopes of poor rail."""
 _PROFILE, _LTV, _RATIO = OPEN[0].name, OPEN[1].name, OPEN[-1].name
+LABELS = ("number", "setting", "profile", "ltv")
 
 
 def prior() -> tuple[Dimension, ...]:
@@ -65,23 +63,21 @@ class Sample:
     """One sampled combination of the parameters that the paper does not publish."""
 
     number: int
-    """Index in the Sobol sequence of `draw`, or in a list of samples of one's own."""
+    """Index in the Sobol sequence of `draw`."""
     setting: str
     """Setting of comparison, one of `tuning.SETTINGS`."""
     values: tuple[tuple[str, float], ...]
     """Pairs of dimension name (see `prior`) and value in its unit; dimensions not named stay nominal."""
 
-    def world(self) -> ProbeSetup:
-        """Setup of the probe: tuned controllers of the setting, with car and experiments changed by the sample."""
+    def world(self, seed: int | None = None) -> ProbeSetup:
+        """Setup of the probe: controllers of the setting, car and experiments of the sample; `seed`: see `setup`."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
         v["ltv"] = ("ltv_mpc_printed", "ltv_mpc")[int(v.pop(_LTV, 0))]
-        ratio = v.pop(_RATIO, None)
-        if ratio is not None:
-            nominal = load_vehicle().adhesion["poor"].k_a
-            v["adhesion.poor.k_s"] = ratio * v.get("adhesion.poor.k_a", nominal)
-        return setup(v, self.setting)
+        if _RATIO in v:
+            v["adhesion.poor.k_s"] = v.pop(_RATIO) * v.get("adhesion.poor.k_a", load_vehicle().adhesion["poor"].k_a)
+        return setup(v, self.setting, seed=seed)
 
 
 def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
@@ -98,45 +94,27 @@ def evaluate(sample: Sample) -> dict:
     Returns a row as dict: number and setting of the sample, profile ("cone", "s1002"), ltv (variant of LTV-MPC), values
     of the sample by dimension name, and metrics "scenario/controller/metric" -> value (SI) of `claims.probe.probe`.
     """
-    world = sample.world()
-    tuned = {name: _retuned(world, name, sample.setting) for name in PAPER_TRIO}
-    judged = replace(world, parameters=tuned, sensors=_sensors(sample.setting, JUDGING))
+    world = sample.world(JUDGING)
+    tuned = {name: _retuned(sample, name) for name in PAPER_TRIO}
     labels = {"number": sample.number, "setting": sample.setting, "profile": world.profile, "ltv": world.ltv}
-    parts = (*PARTS, *ONCE) if sample.number < LONG else PARTS
-    return labels | dict(sample.values) | {"/".join(key): value for *key, value in probe(judged, parts)}
+    rows = probe(replace(world, parameters=tuned), (*PARTS, *ONCE) if sample.number < LONG else PARTS)
+    return labels | dict(sample.values) | {"/".join(key): value for *key, value in rows}
 
 
-LABELS = ("number", "setting", "profile", "ltv")
-
-
-def _sensors(setting: str, seed: int) -> dict:
-    return {"seed": seed} if setting == tuning.LOOP else {}
-
-
-def _retuned(world: ProbeSetup, name: str, setting: str) -> dict:
+def _retuned(sample: Sample, name: str) -> dict:
     """The best of three scales of a controller's tuned set, by the cost of tuning; designed sets stay as they are."""
-    task, base = tuning.load_task(setting=setting), tuning.load(name, setting)["parameters"]
+    task, base = tuning.load_task(setting=sample.setting), tuning.load(name, sample.setting)["parameters"]
     if name in task.designed:
         return base
     runs = [run for run_name, run in task.runs.items() if run_name in ("T3", "sine", "poor")]
     preview = CONTROLLERS[name].preview
-    best, chosen = np.inf, base
+    world, best, chosen = sample.world(TUNING), np.inf, base
     for scale in (0.1, 1.0, 10.0) if preview else (0.7, 1.0, 1.4):
         parameters = base | {key: base[key] * scale for key in (("r",) if preview else ("pole", "frequency"))}
-        aware = replace(world, parameters={name: parameters}, sensors=_sensors(setting, TUNING))
-        driven_runs = [aware.experiment(run.scenario, name).measured(driven)[0] for run in runs]
+        driven_runs = [world.experiment(run.scenario, name, parameters).measured(driven)[0] for run in runs]
         cost = sum(run_cost(parts, task.cost) for parts in driven_runs)
         best, chosen = (cost, parameters) if cost < best else (best, chosen)
     return chosen
-
-
-def ties(settings: Iterable[str]) -> dict[str, Mapping]:
-    """Spread of the metrics of the nominal car between noise seeds, by which `Statement.judge` finds ties.
-
-    Setting -> {(scenario, controller, metric): natural logarithm of largest over smallest value among seeds (-)}.
-    """
-    nominal = Nominal()
-    return {setting: nominal.evidence(setting).spread for setting in settings}
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
@@ -146,11 +124,10 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
     sample reproduces the statement, False where not, nan where metrics for it are missing.
     """
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
-    spread = ties(table["setting"].unique())
-    rows = []
+    nominal, rows = Nominal(), []
     for row in table.to_dict("records"):
         metrics = {tuple(key.split("/")): value for key, value in row.items() if key.count("/") == 2 and value == value}
-        found = statements.findings(statements.Evidence(metrics, spread[row["setting"]]))
+        found = statements.findings(statements.Evidence(metrics, nominal.evidence(row["setting"]).spread))
         held = {name: one.judge(found[name]) == statements.REPRODUCED for name, one in known.items() if name in found}
         rows.append({name: row[name] for name in LABELS} | held)
     return pd.DataFrame(rows)
@@ -177,41 +154,23 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def candidates(table: pd.DataFrame, samples: Sequence[Sample]) -> pd.DataFrame:
-    """Table of `shares` with a column `candidates`: list of at most three parameters that may decide the statement.
+def decided(table: pd.DataFrame) -> pd.DataFrame:
+    """Table of `shares` with a column `decided_by`: at most three names (of `prior`), joined by commas.
 
-    Entries are names of `prior`, by rank correlation. `table` has the rows of `evaluate` for `samples` in one setting.
+    They are the parameters whose ranks correlate with whether the statement holds, far beyond chance. `table` has the
+    rows of `evaluate` in one setting.
     """
     found, judged = shares(table), holds(table)
-    factors, deciding = pd.DataFrame([dict(sample.values) for sample in samples]), []
+    factors, deciding = table[[dimension.name for dimension in prior()]], []
     for identity in found["id"]:
-        chosen = judged[identity].dropna().astype(float)
-        deciding.append(_deciding(factors.loc[chosen.index], chosen))
-    return found.assign(candidates=deciding)
+        held = judged[identity].dropna().astype(float)
+        deciding.append(", ".join(_deciding(factors.loc[held.index], held)))
+    return found.assign(decided_by=deciding)
 
 
-def confirmed(found: pd.DataFrame, setting: str, run: Callable[[list[Sample]], list[dict]]) -> pd.DataFrame:
-    """Replace the column `candidates` by `decided_by`, the parameters that change a verdict on their own.
-
-    Each candidate is set to both ends of its range while all others stay nominal; names are joined by commas.
-    `found` is the table of `candidates` in this setting of comparison; `run` maps samples to their rows of `evaluate`.
-    """
-    ends = {d.name: (d.value(0.0), d.value(1.0)) for d in prior()}
-    names = list(dict.fromkeys(name for each in found["candidates"] for name in each))
-    samples = [Sample(i, setting, ((name, value),)) for name in names for i, value in enumerate(ends[name])]
-    held = holds(pd.DataFrame(run(samples))) if samples else pd.DataFrame()
-
-    def turns(identity: str, name: str) -> bool:
-        first = 2 * names.index(name)
-        return identity in held and set(held[identity].iloc[first : first + 2]) == {True, False}
-
-    decided = [", ".join(name for name in row.candidates if turns(row.id, name)) for row in found.itertuples()]
-    return found.drop(columns="candidates").assign(decided_by=decided)
-
-
-def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: float = 0.05) -> list[str]:
+def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: float = 1e-3) -> list[str]:
     """Parameters by rank correlation with whether a statement holds, strongest first, each less what those before it
-    explain; only where chance among all parameters gives as much in less than one of twenty studies."""
+    explain; only where chance among all parameters gives as much in less than one of a thousand studies."""
     columns, y = factors.rank(), held.rank()
     columns, y = columns - columns.mean(), y - y.mean()
     found: list[str] = []
@@ -235,45 +194,35 @@ BY_POLE = ("C04", "C05", "C17", "C20", "C31")
 """Statements that the poles of NDI may decide."""
 
 
-def over_poles(quiet: bool = False) -> pd.DataFrame:
+def over_poles() -> pd.DataFrame:
     """Verdicts on the statements `BY_POLE` for each triple pole of NDI in `POLES`, nominal car, setting `paper`.
 
     Columns poles (rad/s, as text, or "swarm" for parameters found by the swarm), id (of the statement), value (in the
-    unit of the statement, compared with its limits), verdict (text of `Statement.judge`). `quiet` hides progress bars.
+    unit of the statement, compared with its limits), verdict (text of `Statement.judge`).
     """
-    spread, known = ties([tuning.PAPER])[tuning.PAPER], statements.load()
-    nominal, swarm = setup({}), tuning.load(statements.NDI, tuning.PAPER, searched=True)["parameters"]
+    spread, known = Nominal().evidence(tuning.PAPER).spread, statements.load()
+    swarm = tuning.load(statements.NDI, tuning.PAPER, searched=True)["parameters"]
     worlds = {str(pole): setup({POLE: float(pole)}) for pole in POLES}
-    worlds["swarm"] = replace(nominal, parameters=nominal.parameters | {statements.NDI: swarm})
+    worlds["swarm"] = setup({f"{statements.NDI}:{name}": value for name, value in swarm.items()})
 
-    def judged(poles: str) -> list[dict]:
+    def judged(poles: str) -> list[tuple]:
         seen = probe(worlds[poles], ("curve", "sine", "brake"))
         evidence = statements.Evidence({tuple(key): value for *key, value in seen}, spread)
         found = [(identity, statements.find(identity, evidence)) for identity in BY_POLE]
-        return [{"poles": poles, "id": i, "value": one.value, "verdict": known[i].judge(one)} for i, one in found]
+        return [(poles, identity, one.value, known[identity].judge(one)) for identity, one in found]
 
-    with executor() as pool:
-        return pd.DataFrame(
-            [row for rows in ordered_map(pool, judged, [*worlds], "poles of NDI", quiet) for row in rows]
-        )
-
-
-def study(setting: str, count: int) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Evaluate `count` samples in a setting: DataFrame of `evaluate` rows, and that of `shares` with `decided_by`."""
-    samples = draw(count, settings=(setting,))
-    with executor() as pool:
-        table = pd.DataFrame(ordered_map(pool, evaluate, samples, f"robustness, {setting}"))
-        found, title = candidates(table, samples), f"one at a time, {setting}"
-        return table, confirmed(found, setting, lambda single: ordered_map(pool, evaluate, single, title))
+    rows = ordered_map(judged, [*worlds], "poles of NDI")
+    return pd.DataFrame([row for own in rows for row in own], columns=["poles", "id", "value", "verdict"])
 
 
 def main(samples: int | None = None) -> None:
-    """Run `over_poles`, and `study` with `samples` (default `SAMPLES`) per setting; write tables to data/results."""
+    """Run `over_poles`, and `evaluate` on `samples` (default `SAMPLES`) per setting; write tables to data/results."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in tuning.SETTINGS:
-        finished.append(study(setting, samples or SAMPLES))
-        table, found = (pd.concat(tables) for tables in zip(*finished, strict=True))
+        drawn = draw(samples or SAMPLES, settings=(setting,))
+        finished.append(pd.DataFrame(ordered_map(evaluate, drawn, f"robustness, {setting}")))
+        table, found = pd.concat(finished), pd.concat([decided(each) for each in finished])
         write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
         write(paths.product("data/results/robustness_claims.csv"), found.to_csv(index=False, float_format="%.4g"))
     print(found.to_string(index=False))

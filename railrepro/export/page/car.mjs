@@ -4,10 +4,10 @@
 //   load(content)                 what `python -m railrepro live` wrote as content.json, made ready
 //   Unit.of(given, cells)         the car or a controller: set(name, value), start(), step(), inputs, outputs, parameter(name)
 //   settings(loaded, figure)      what `drive` takes, as committed; change what you like
-//   drive(loaded, settings)       an async generator of rows, see ROW; it returns why the run ended, and the torque's part above 5 Hz
+//   drive(loaded, settings)       an async generator of rows, see ROW; it returns why the run ended
 //   changes(loaded, settings)     numbers of car and controller that follow from the settings
 //   lawOf(text)                   a law of one's own from its text
-//   score(rows, idle_mm)          points, errors, delay, way, torques
+//   score(rows)                   errors, delay, way, torques
 
 export const ROW = ["t", "p", "v", "y_ref", "y", "psi", "du", "tau_le", "tau_ri", "f_le", "f_ri", "sx_le", "sx_ri", "y_rear", "psi_rear"];
 const MS = 1e-3, DERAILED = 0.03;
@@ -39,7 +39,7 @@ export class Unit {
     exports.reset();
     const inputs = given.outputs ? 4 : given.n_inputs, outputs = given.outputs?.length ?? 4;
     unit.inputs = at(exports.inputs(), inputs), unit.outputs = at(exports.outputs(), outputs);
-    unit.held = exports.held && at(exports.held(), 2), unit.laid = exports.laid && at(exports.laid(), cells.length);
+    unit.held = exports.held && at(exports.held(), 2);
     unit.numbers = at(exports.parameters(), given.parameters.length);
     unit.places = new Map(given.parameters.map(({ name }, i) => [name, i]));
     at(exports.cells(), cells.length).set(cells);
@@ -57,7 +57,7 @@ export class Unit {
 
 export function settings(loaded, figure, controller = "nmpc", setting = "paper") {
   const { speed_kmh, set_point } = loaded.figures[figure];
-  return { figure, controller, setting, speed_kmh, set_point: { ...set_point }, force: 1, r: 1, faster: 1, car: {}, law: "" };
+  return { figure, controller, setting, speed_kmh, amplitude_mm: set_point.amplitude_mm, force: 1, r: 1, faster: 1, car: {}, law: "" };
 }
 
 export function changes(loaded, s) {
@@ -65,17 +65,19 @@ export function changes(loaded, s) {
   const car = { ...s.car, speed: s.speed_kmh / 3.6 }, controller = {};
   if (s.car["drive.torque_limit"]) controller["drive.torque_limit"] = s.car["drive.torque_limit"];
   if (stated.has("cost.r") && s.r !== 1) controller["cost.r"] = s.r * stated.get("cost.r");
-  const point = s.set_point, committed = loaded.figures[s.figure].set_point;
-  if (s.force !== 1) controller.force_factor = s.force;
-  if (JSON.stringify(point) !== JSON.stringify(committed)) {
-    const { kind, amplitude_mm = 0, period_m, period_start_m = period_m, period_end_m = 1e3, start_m = 0, end_m = 1e6, fade_m = 30 } = point;
-    const values = { kind: ["none", "sine", "sweep"].indexOf(kind), amplitude: 1e-3 * amplitude_mm, period_start: period_start_m, period_end: period_end_m, start: start_m, end: end_m, fade: fade_m };
-    for (const [name, value] of Object.entries(values)) controller[`set_point.${name}`] = value;
-  }
   if (stated.has("lateral.k0") && s.faster !== 1)
     for (const [name, power] of [["k2", 1], ["k1", 2], ["k0", 3], ["ki", 4]])
       controller[`lateral.${name}`] = s.faster ** power * stated.get(`lateral.${name}`);
   return { car, controller };
+}
+
+/* The road of a figure with its set point and force demand scaled as the settings say. */
+function laid(loaded, s) {
+  const { cells, set_point } = loaded.figures[s.figure], road = Float64Array.from(cells), width = loaded.columns.length;
+  const scale = (name, factor) => { for (let i = loaded.columns.indexOf(name); i < road.length; i += width) road[i] *= factor; };
+  if (set_point.amplitude_mm) for (const name of ["y_ref", "dy_ref", "ddy_ref", "dddy_ref"]) scale(name, s.amplitude_mm / set_point.amplitude_mm);
+  scale("force", s.force);
+  return road;
 }
 
 /* A law from the text in the page; its errors are sentences. */
@@ -102,10 +104,10 @@ export function lawOf(text) {
 export async function* drive(loaded, s) {
   const of = loaded.figures[s.figure], width = loaded.columns.length, { car: names } = loaded;
   const given = { ...loaded.controllers[s.setting][s.controller], n_inputs: names.measured.length };
-  const [car, law] = await Promise.all([Unit.of(names, of.cells), Unit.of(given, of.cells)]), changed = changes(loaded, s);
+  const road = laid(loaded, s), changed = changes(loaded, s);
+  const [car, law] = await Promise.all([Unit.of(names, road), Unit.of(given, road)]);
   for (const [unit, of] of [[car, changed.car], [law, changed.controller]]) for (const [name, value] of Object.entries(of)) unit.set(name, value);
   car.start(), law.start();
-  const road = law.laid;
   const own = s.controller === "own" ? lawOf(s.law) : null, limit = car.parameter("drive.torque_limit");
   const place = (name) => names.outputs.indexOf(name), measured = names.measured.map(place), column = loaded.columns;
   const y0 = column.indexOf("y_ref"), kappa = column.indexOf("kappa");
@@ -116,7 +118,6 @@ export async function* drive(loaded, s) {
   };
   const gear = (name) => Object.fromEntries(["p", "v", "y", "psi_TrAx", "psidot_Ax"].map((key) => [key, place(`${name}.${key}`)]));
   const gears = [gear("front"), gear("rear")], seen = ["front_le.adhesion", "front_ri.adhesion", "front_le.sx", "front_ri.sx"].map(place);
-  const torques = [], ended = (why) => ({ why, activity_Nm: activity(loaded.activity, torques) });
   for (let k = 0; ; k++) {
     const x = car.outputs, [front, rear] = gears, stop = of.stop_kmh / 3.6 || -1;
     for (let i = 0; i < measured.length; i++) law.inputs[i] = x[measured[i]];
@@ -127,46 +128,27 @@ export async function* drive(loaded, s) {
         law.held[g] = Math.min(Math.max(own(q, g), -limit), limit);
       }
     const failed = law.step(), [le, ri] = law.outputs;
-    torques.push((le - ri) / 2);
     const beyond = x[front.p] >= of.end, slow = x[front.v] <= stop, off = Math.max(Math.abs(x[front.y]), Math.abs(x[rear.y])) >= DERAILED;
     if (k % of.stride === 0 || beyond || slow || off)
       yield [k * MS, x[front.p], x[front.v], reference(x[front.p])[0], x[front.y], x[front.psi_TrAx], (le - ri) / 2, le, ri,
              ...seen.map((i) => x[i]), x[rear.y], x[rear.psi_TrAx]];
-    if (off) return ended("A running gear derailed.");
-    if (beyond) return ended("End of the track.");
-    if (slow) return ended("The car stands.");
-    if (failed || k > 600e3) return ended("The run was ended.");
+    if (off) return "A running gear derailed.";
+    if (beyond) return "End of the track.";
+    if (slow) return "The car stands.";
+    if (failed || k > 600e3) return "The run was ended.";
     car.inputs.set(law.outputs);
-    if (car.step() === 3) return ended("A number of the car left all bounds.");
+    if (car.step()) return "A number of the car left all bounds.";
   }
 }
 
-/* RMS of a torque above 5 Hz (N m): a high-pass forth and back over values each millisecond, as railrepro.simulation.metrics has it. */
-function activity({ sections, start }, torques) {
-  const n = torques.length, pad = Math.min(100, n - 1);
-  const mirrored = (edge, at) => Array.from({ length: pad }, (_, i) => 2 * edge - at(i));
-  let x = [...mirrored(torques[0], (i) => torques[pad - i]), ...torques, ...mirrored(torques[n - 1], (i) => torques[n - 2 - i])];
-  for (let pass = 0; pass < 2; pass++) {
-    const first = x[0];
-    for (const [s, [b0, b1, b2, , a1, a2]] of sections.entries()) {
-      let [z0, z1] = start[s].map((z) => z * first);
-      x = x.map((v) => { const y = b0 * v + z0; z0 = b1 * v - a1 * y + z1, z1 = b2 * v - a2 * y; return y; });
-    }
-    x.reverse();
-  }
-  return Math.sqrt(x.slice(pad, pad + n).reduce((sum, v) => sum + v * v, 0) / n);
-}
-
-/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way, time, and the points of the benchmark: 0 as a car
-   without guidance, whose RMSE is `idle_mm`, 100 without error and torque. Its terms for adhesion and safety are left out. */
-export function score(rows, idle_mm = NaN, activity_Nm = 0) {
+/* RMSE and largest error (mm), delay (m), largest torque and its RMS (N m), way, time. */
+export function score(rows) {
   const of = (name) => rows.map((row) => row[ROW.indexOf(name)]), y = of("y"), y_ref = of("y_ref"), p = of("p"), du = of("du");
   const rms = (values) => Math.sqrt(values.reduce((sum, v) => sum + v * v, 0) / values.length);
-  const error = y.map((value, i) => value - y_ref[i]), rmse_mm = 1e3 * rms(error), du_rms_Nm = rms(du);
-  const cost = rmse_mm + du_rms_Nm / 4e3 + Math.max(0, activity_Nm / 500 - 1), quality = 1 / (1 + cost), idle = 1 / (1 + idle_mm);
+  const error = y.map((value, i) => value - y_ref[i]);
   return {
-    points: Math.min(Math.max((100 * (quality - idle)) / (1 - idle), 0), 100), rmse_mm, largest_mm: 1e3 * Math.max(...error.map(Math.abs)), delay_m: delay(p, y, y_ref),
-    du_rms_Nm, du_largest_Nm: Math.max(...du.map(Math.abs)), way_m: p.at(-1) - p[0], time_s: rows.at(-1)[0],
+    rmse_mm: 1e3 * rms(error), largest_mm: 1e3 * Math.max(...error.map(Math.abs)), delay_m: delay(p, y, y_ref),
+    du_rms_Nm: rms(du), du_largest_Nm: Math.max(...du.map(Math.abs)), way_m: p.at(-1) - p[0], time_s: rows.at(-1)[0],
   };
 }
 

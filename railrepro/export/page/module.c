@@ -6,16 +6,11 @@ static fmu_t fmu;
 
 EXPORT(reset) void module_reset(void) { reset(&fmu); }
 EXPORT(begin) void module_begin(void) { begin(&fmu); }
-/* 0, 1 where a gear derailed, 3 where the step failed */
-EXPORT(step) int module_step(int n) { return advance(&fmu, n); }
+EXPORT(step) int module_step(int n) { return advance(&fmu, n) != NULL; }
 EXPORT(inputs) double *module_inputs(void) { return fmu.FMU_INPUTS; }
 EXPORT(outputs) double *module_outputs(void) { return fmu.FMU_OUTPUTS; }
 EXPORT(parameters) double *module_parameters(void) { return fmu.FMU_PARAMETERS; }
-/* The road, to be filled before the start. */
-EXPORT(cells) double *module_cells(void) { return CELLS; }
-#ifdef GEARS  /* a controller */
-/* The road as it was laid at the start. */
-EXPORT(laid) double *module_laid(void) { return fmu.cells; }
-/* Differential torques of a slower controller of one's own, front and rear (N m). */
-EXPORT(held) double *module_held(void) { return fmu.controller.held; }
+EXPORT(cells) double *module_cells(void) { return CELLS; }  /* the road, to be filled before the start */
+#ifdef GEARS  /* a controller: differential torques of a slower one of one's own, front and rear (N m) */
+EXPORT(held) double *module_held(void) { return fmu.held; }
 #endif

@@ -10,10 +10,7 @@ return 3e5 * e + 3e4 * q.v * course + 1e3 * q.v * turn;`;
 /* Values that can be changed: where they stand in the settings, text, range, step, and whether they apply. */
 const VALUES = [
   { key: "speed_kmh", text: "speed (km/h)", low: 20, high: 430, step: 1 },
-  { key: "set_point.amplitude_mm", text: "amplitude of the set point (mm)", low: 0.1, high: 6, step: 0.1 },
-  { key: "set_point.period_m", text: "period of the sine (m)", low: 30, high: 300, step: 1 },
-  { key: "set_point.period_start_m", text: "first period of the sweep (m)", low: 20, high: 300, step: 1 },
-  { key: "set_point.period_end_m", text: "last period of the sweep (m)", low: 15, high: 300, step: 1 },
+  { key: "amplitude_mm", text: "amplitude of the set point (mm)", low: 0.1, high: 6, step: 0.1 },
   { key: "force", text: "force demand, times the committed one", low: 0, high: 2, step: 0.05, if: (s) => content.figures[s.figure].force },
   { key: "r", text: "R of the predictive controllers, factor", low: 1e-3, high: 1e4, log: true },
   { key: "faster", text: "poles of NDI, factor", low: 0.1, high: 5, step: 0.05 },
@@ -25,7 +22,7 @@ const VALUES = [
 ];
 const labels = Object.fromEntries(Object.entries(content.controllers.paper).map(([name, { label }]) => [name, label]));
 const stated = new Map(content.car.parameters.map((p) => [p.name, p.value]));
-const committedOf = (v, figure) => v.car ? stated.get(v.key) : v.key.split(".").reduce((o, k) => o?.[k], settings(content, figure));
+const committedOf = (v, figure) => v.car ? stated.get(v.key) : settings(content, figure)[v.key];
 
 let state = restored() ?? { figure: "curve_entry_T3", setting: "paper", shown: ["nmpc", "ndi"], values: {}, law: EXAMPLE };
 let runs = [], workers = [], pointed = null, plots = [];
@@ -45,7 +42,6 @@ function asked(controller) {
   for (const v of shownValues()) {
     if (!(v.key in state.values)) continue;
     if (v.car) s.car[v.key] = state.values[v.key];
-    else if (v.key.startsWith("set_point.")) s.set_point[v.key.slice(10)] = state.values[v.key];
     else s[v.key] = state.values[v.key];
   }
   return s;
@@ -107,7 +103,7 @@ function worker(i) {
           if (mine !== current) return;
           if (!done) block.push(value);
           if (done || performance.now() - sent > 40) {
-            postMessage({ number: mine, block, ended: done ? value.why : null, activity_Nm: value?.activity_Nm }), block = [], sent = performance.now();
+            postMessage({ number: mine, block, ended: done ? value : null }), block = [], sent = performance.now();
             await new Promise((then) => setTimeout(then));
           }
           if (done) return;
@@ -136,11 +132,10 @@ function stop() {
   byId("stop").disabled = true;
   table([]), draw();
 }
-function take(i, { number: of, block, ended, fault, activity_Nm }) {
+function take(i, { number: of, block, ended, fault }) {
   const one = runs[i];
   if (!one || one.number !== of) return;
   for (const row of block) one.rows.push(row);
-  one.activity_Nm = activity_Nm;
   if (fault) one.fault = fault, say(fault);
   if (ended || fault) one.ended = ended ?? "Stopped.", one.seconds = (performance.now() - one.begun) / 1e3;
   if (runs.every((each) => each.ended)) byId("stop").disabled = true;
@@ -212,14 +207,14 @@ async function drawNow() {
 function table(before) {
   const text = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "");
   byId("scores").tBodies[0].replaceChildren(...runs.map((one, i) => {
-    const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows, content.figures[state.figure].idle_mm, one.activity_Nm) : {};
+    const row = document.createElement("tr"), found = one.rows.length > MARGIN ? score(one.rows) : {};
     let said = one.fault ? "The law failed." : one.ended ?? "driving …";
     if (one.ended && one.seconds && one.rows.length && !one.fault) {
       said += ` ${(one.rows.at(-1)[0] / one.seconds).toFixed(1)} times real time.`;
       if (isCommitted(one) && before[i]) said += before[i].y.every((y, k) => one.rows[k]?.[col.y] === y) ? " Equal to the committed run." : " Differs from the committed run.";
     }
     row.innerHTML = `<td><span class="swatch" style="background:${COLORS[i]}"></span>${labels[one.controller]}</td><td>${text(found.rmse_mm, 3)}</td>
-      <td>${text(found.largest_mm, 2)}</td><td>${text(found.delay_m, 1)}</td><td>${text(found.du_rms_Nm, 0)}</td><td>${text(found.way_m, 1)}</td><td>${text(found.points, 1)}</td><td></td>`;
+      <td>${text(found.largest_mm, 2)}</td><td>${text(found.delay_m, 1)}</td><td>${text(found.du_rms_Nm, 0)}</td><td>${text(found.way_m, 1)}</td><td></td>`;
     row.lastElementChild.textContent = said;
     return row;
   }));
