@@ -1,9 +1,8 @@
 """The code that this process runs: one version of the library, the content of each module, and what they compute with.
 
-A process imports modules over minutes, and its files may be edited meanwhile. So they are read when the package is
-imported, and their sizes and times are looked at again before anything is read from a cache or stored in one: what an
-edited checkout computes belongs to no version. The content of a module is its text without comments, docstrings and
-empty lines; it is cut out by one pattern and not by Python's parser, so that all versions of Python agree on it.
+Files may be edited while a process imports them. So they are read when the package is imported, and checked again
+before a cache is read or written. The content of a module is its text without comments, docstrings and empty lines; one
+pattern cuts it out, so that all versions of Python agree on it.
 """
 
 from __future__ import annotations
@@ -54,9 +53,10 @@ _edited = False
 
 
 def unchanged() -> bool:
-    """Whether no source file changed in size or time since this package was imported; the first change goes to stderr.
+    """Whether no source file has changed in size or time since this process imported the package.
 
-    Once False it stays so, also when a file is put back: a module may have been imported in between.
+    The first change prints a message to stderr. Once False the result stays False, even if the file is put back,
+    because a module may have been imported in between.
     """
     global _edited
     if not _edited and any(_signature(file) != signature for file, signature in _SIGNATURES.items()):
@@ -71,10 +71,8 @@ def unchanged() -> bool:
 
 
 def content(text: str) -> str:
-    """Python source `text` without comments, docstrings (strings that are statements) and empty lines.
-
-    Trailing blanks go, too; other strings stay as they are.
-    """
+    """Python source `text` without comments, docstrings, empty lines and trailing blanks. A docstring is any string
+    that stands as a statement. Other strings stay as they are."""
     text = text.replace("\r\n", "\n")
     parts, code, depth, end = [], "", 0, 0
     for match in _TOKEN.finditer(text):
@@ -129,7 +127,8 @@ def _next(name: str) -> frozenset[str]:
 
 
 def reached(*texts: str) -> dict[str, str]:
-    """File of this package ("railrepro/clock.py") -> SHA-256, of all that sources `texts` import, directly or not."""
+    """Dict from file of this package, such as "railrepro/clock.py", to the SHA-256 of its content. It holds all files
+    that the Python sources `texts` import, directly or through other modules."""
     found: dict[str, str] = {}
     pending = [file for text in texts for file in _imported(content(text))]
     while pending:
@@ -142,17 +141,15 @@ def reached(*texts: str) -> dict[str, str]:
 
 @cache
 def version() -> str:
-    """SHA-256 over all sources of this package but `railrepro.evidence`, as imported; the same on all machines.
-
-    Call `unchanged` before reading from a cache or storing in one under this key.
-    """
+    """SHA-256 over all sources of this package except `railrepro.evidence`; the same on all machines. It is the state
+    at import. Before using it as the key of a cache, check `unchanged`."""
     lines = [f"{name} {_source_hash(name)}" for name in _BYTES if not name.startswith(_ABOVE)]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @cache
 def packages() -> dict[str, str]:
-    """Installed versions of `PACKAGES` by name; "" for a package that is not installed."""
+    """Dict from the names in `PACKAGES` to the installed version; "" for a package that is not installed."""
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed
 

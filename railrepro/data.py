@@ -32,7 +32,7 @@ Number = int | float
 
 
 class InputError(ValueError):
-    """Exception for input that is refused: file, row or key, what was found and what is allowed, in one line."""
+    """Input that is refused. The message is one line with file, row or key, what was found and what is needed."""
 
     def __init__(self, message: str):
         super().__init__(" ".join(message.splitlines()))
@@ -46,13 +46,13 @@ def is_number(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Unit and range of a number, as metadata of an annotated `float`, `int` (whole) or `Number` (kept as it is).
+    """Unit and permitted range of a number, to annotate a field of type `float`, `int` or `Number`.
 
     Attributes:
-        low, high (float): Bounds in `unit`; `high` itself is allowed.
-        unit (str): As "m/s"; "" for none.
-        closed (bool): Whether `low` itself is allowed.
-        signed (bool): Whether the bounds hold for the magnitude, so that the number may have either sign.
+        low, high (float): Bounds in `unit`; `high` itself is permitted.
+        unit (str): Such as "m/s"; "" for none.
+        closed (bool): Whether `low` itself is permitted.
+        signed (bool): Whether the bounds apply to the magnitude, so that either sign is permitted.
     """
 
     low: float
@@ -69,7 +69,7 @@ class Quantity:
         return core_schema.no_info_plain_validator_function(checked)
 
     def check(self, value: Any, whole: bool = False) -> None:
-        """Raise ValueError unless a value is a number, or for `whole` an integer, within the range."""
+        """Raise ValueError unless `value` is a number in the range; with `whole` it has to be an integer."""
         kind = numbers.Integral if whole else numbers.Real
         if isinstance(value, kind) and (is_number(value) or abs(value) == math.inf):
             size: Any = abs(value) if self.signed else value
@@ -92,9 +92,13 @@ def between(low: float, high: float, unit: str = "") -> Quantity:
 
 
 def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> None:
-    """Raise InputError unless a value is a number (`whole`: an integer) in a range, or an instance of a class.
+    """Raise InputError unless an argument is valid.
 
-    `allowed` is the range as a `Quantity`, or the class; `what` names the value in the message.
+    Args:
+        what (str): Name of the argument in the message.
+        value: The argument.
+        allowed (Quantity or type): Range that it has to lie in, or class that it has to be an instance of.
+        whole (bool): Whether the number has to be an integer; only with a range.
     """
     if isinstance(allowed, Quantity):
         try:
@@ -106,7 +110,8 @@ def require(what: str, value, allowed: Quantity | type, whole: bool = False) -> 
 
 
 def check_fields(settings: Any) -> None:
-    """Raise InputError if a field of a dataclass is beyond its annotated `Quantity`, or not of its type bool or str."""
+    """Raise InputError if a field of a dataclass instance is invalid: a number outside its annotated `Quantity`, or a
+    value of another type in a field of type bool or str."""
     kind: Any = type(settings)
     for name, hint in typing.get_type_hints(kind, include_extras=True).items():
         base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
@@ -120,7 +125,7 @@ Plain = Annotated[Number, between(-1e12, 1e12)]
 NOT_EMPTY = pydantic.Field(min_length=1)
 """Annotation of a list or table with at least one entry."""
 AS_GIVEN = pydantic.WrapValidator(lambda value, validate: (validate(value), value)[1])
-"""Annotation of a table that is checked against the annotated class, but kept as a dict."""
+"""Annotation of a table that is checked against the annotated class but stays a dict."""
 
 
 def _finite(value):
@@ -157,18 +162,20 @@ def _known_keys(cls: type, value):
 
 @typing.dataclass_transform(frozen_default=True)
 def table(cls: type) -> type:
-    """Class decorator: frozen dataclass into which `build` reads a table; unknown and missing keys are refused."""
+    """Class decorator for what `build` reads from a file: makes a frozen dataclass that refuses unknown and missing
+    keys."""
     cls._known_keys = pydantic.model_validator(mode="before")(classmethod(_known_keys))  # type: ignore
     return dataclass(frozen=True)(cls)
 
 
 def location(path: Path | str | None, default: Path | None = None) -> Path:
-    """`path` as a Path, or `default` where it is None."""
+    """`path` as a `Path`; where it is None, `default`."""
     return Path(default if path is None else path)  # type: ignore[arg-type]
 
 
 def read(path: Path) -> Any:
-    """Content of a TOML or (by its suffix) JSON file, dicts and lists; InputError if it is unreadable or empty."""
+    """Content of a TOML or JSON file as dicts and lists; the suffixes .json and .ipynb mean JSON. Raises InputError
+    when it cannot be read or is empty."""
     kind = "JSON" if path.suffix in (".json", ".ipynb") else "TOML"
     try:
         text = path.read_text(encoding="utf-8")
@@ -184,16 +191,12 @@ _adapter = functools.lru_cache(pydantic.TypeAdapter)
 
 
 def build(kind: type, content: Any, where: str) -> Any:
-    """Check the content of a file and make an instance of a class from it.
+    """Check the content of a file and convert it to instances of a class. InputError names the first fault.
 
     Args:
-        kind (type): Class marked with `table`, or `dict[str, such a class]` for a file of named tables, which gives a
-            dict.
-        content (Any): Dicts and lists as `read` returns them, possibly changed.
-        where (str): Name of the file for the message.
-
-    Raises:
-        InputError: One sentence on the first fault: file, key, what was found, what is allowed.
+        kind (type): Class marked with `table`; `dict[str, that class]` for a file of named tables, which gives a dict.
+        content (Any): Dicts and lists as from `read`.
+        where (str): Name of the file in the message.
     """
     try:
         return _adapter(kind).validate_python(content)
@@ -207,10 +210,8 @@ def build(kind: type, content: Any, where: str) -> Any:
 
 
 def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
-    """Keys on the way to a fault; an entry of a list by its name, or its number from 1 on.
-
-    pydantic also names the class of a union that it tried, which is no key and left out.
-    """
+    """Keys on the way to a fault: names, or numbers from 1 on for list entries without name; classes of a union are
+    left out."""
     for step in location:
         try:
             content = content[step]
@@ -223,11 +224,8 @@ def _keys(content: Any, location: tuple, missing: bool) -> Iterator[str]:
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write text (as UTF-8) or bytes to a file, whole or not at all; makes its folders.
-
-    Raises:
-        InputError: When the file cannot be written; an older one of that name is intact.
-    """
+    """Write text (UTF-8) or bytes to a file completely or not at all. Missing folders are made. Raises InputError when
+    it cannot be written; an existing file is then unchanged."""
     scratch = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -242,7 +240,8 @@ def write(path: Path, content: str | bytes) -> None:
 
 @contextmanager
 def alone(lock: Path) -> Iterator[None]:
-    """Context manager that waits for the exclusive lock on a file and holds it; released also when the process dies."""
+    """Context manager that holds an exclusive lock on the file `lock`, after waiting for it. The lock ends with the
+    context or with the process."""
     with open(lock, "a") as guard:
         fcntl.flock(guard, fcntl.LOCK_EX)
         yield

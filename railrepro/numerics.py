@@ -1,9 +1,9 @@
 """What makes the last digits the same on all machines: one thread and the same kernels of linear algebra and NumPy.
 
-The number of threads decides in which order sums are taken. The commands of `python -m railrepro` set environment
-variables, which libraries read when they load (`fix`), and make takes what this module prints as a script. All
-processors with AVX2 take the same path, also those that know wider registers. The matrices of a run are too small for
-OpenBLAS to share them out among threads, so a run without these commands has the same digits.
+The commands of `python -m railrepro` set environment variables, which libraries read when they load (`fix`), and make
+takes what this module prints as a script. All processors with AVX2 take the same path, also those with wider registers.
+The matrices of a run are too small for OpenBLAS to use several threads, but without these commands the contact table
+differs by rounding.
 """
 
 import os
@@ -23,17 +23,18 @@ _PROCESSOR = Path("/proc/cpuinfo")
 
 @cache
 def has_avx2() -> bool:
-    """Whether the processor has AVX2, registers for four numbers, as far as the system tells."""
+    """Whether the processor has the instructions AVX2 according to /proc/cpuinfo; False without that file."""
     return _PROCESSOR.exists() and "avx2" in _PROCESSOR.read_text().split()
 
 
 def variables() -> dict[str, str]:
-    """Environment variables by name: `ALWAYS`, and on a processor with AVX2 those of `WITH_AVX2` that are not set."""
+    """Environment variables for reproducible digits as a dict from name to value. It holds `ALWAYS`. With AVX2 it also
+    holds the entries of `WITH_AVX2` that the environment does not set already."""
     return ALWAYS | {name: value for name, value in WITH_AVX2.items() if has_avx2() and name not in os.environ}
 
 
 def fix() -> None:
-    """Set all `variables` in `os.environ`, for this process and its children; no effect once NumPy is loaded."""
+    """Set the environment variables of `variables` for this process and its children. Too late once NumPy is loaded."""
     if "numpy" not in sys.modules:
         os.environ.update(variables())
 

@@ -1,12 +1,9 @@
 """Where files are, products also in another folder; and which of them a notebook reads, noted for the chain.
 
-In a checkout inputs and products lie where one edits them: in its `data`, `figures`, `notebooks`, `build`. The checkout
-is the folder above this package, or `RAILREPRO_ROOT`. An installed package has none: it carries a copy of the inputs
-(pyproject.toml says which), and what it writes goes to the working folder.
-
-With `RAILREPRO_OUTPUT` set, `product` writes below that folder and `source` prefers a file there, so notebooks run in
-tests or in staging without touching committed products. A notebook that is run by hand, as in JupyterLab, writes into
-build/tried/NAME: only the chain, which runs notebooks whole and records where products come from, renews them.
+The checkout is the folder above this package, or `RAILREPRO_ROOT`. An installed package has none: it carries a copy of
+the inputs, and what it writes goes to the working folder. With `RAILREPRO_OUTPUT` set, `product` writes below that
+folder and `source` prefers a file there, so that tests and staging touch no committed products. A notebook that is run
+by hand, as in JupyterLab, writes into build/tried/NAME: only the chain, which runs notebooks whole, renews products.
 """
 
 from __future__ import annotations
@@ -26,7 +23,8 @@ ROOT = Path.cwd() if INSTALLED else Path(_GIVEN or _PACKAGE.parent)
 """Folder of the checkout, or the working folder where there is none."""
 DATA, FIGURES, NOTEBOOKS, BUILD = (ROOT / name for name in ("data", "figures", "notebooks", "build"))
 READS = "RAILREPRO_READS"
-"""Environment variable: path of a log to which this process and its children append the name of each file they read."""
+"""Environment variable with the path of a log. This process and its children append to it the names of files they
+read."""
 ALL = "*"
 """Entry in the log of `READS` that stands for all entries of a file."""
 _noted: set[tuple[str, str, str]] = set()
@@ -34,18 +32,16 @@ Value = TypeVar("Value")
 
 
 def product(relative: str) -> Path:
-    """Path (checkout or redirected) to write the product `relative` to, as "data/results/f.csv"; makes its folder."""
+    """Path to write the product `relative` to, such as "data/results/f.csv". Missing folders are made. It is in the
+    checkout, or in the folder that products are redirected to (see the head of this module)."""
     path = (_redirected() or ROOT) / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def source(relative: str) -> Path:
-    """Path to read an input or product from; `relative` is its path in the checkout, such as "data/vehicle.toml".
-
-    Redirected products come first, then the copy of an installed package, then the checkout; a folder `data` where one
-    works changes nothing for an installed package.
-    """
+    """Path to read an input or a product from; `relative` is its path in the checkout, such as "data/vehicle.toml". The
+    first place that has it counts: redirected products, the copy in an installed package, the checkout."""
     redirected = _redirected()
     places = [*([redirected] if redirected else []), *([_PACKAGE] if INSTALLED else [])]
     return next((place / relative for place in places if (place / relative).exists()), ROOT / relative)
@@ -90,9 +86,9 @@ if os.environ.get(READS):
 
 
 class Entries(UserDict[str, Value]):
-    """Dict of the entries of a data file by name, which notes in the log of `READS` what is read of the file.
+    """Dict of the entries of a data file by name, which notes look-ups in the log file that `READS` names.
 
-    A look-up appends the line "file<tab>name", an iteration "file<tab>*". `file` is the name of the file in the log,
+    A look-up appends the line "file<tab>name", an iteration the line "file<tab>*". `file` is the name of the data file,
     such as "data/scenarios.toml".
     """
 

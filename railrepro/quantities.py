@@ -1,8 +1,6 @@
-"""Named quantities: a table of names and units makes a frozen dataclass; vectors and columns follow from it.
-
-An entry is a number or an expression, a list with labels, or a group of further entries. Its name is the path to it:
-`front.y` is `y` of the group `front`, `tau_le.3` is entry 3 of the list `tau_le`.
-"""
+"""Named quantities: a table of names and units makes a frozen dataclass; vectors and columns follow from it. An entry
+is a number or an expression, a list with labels, or a group of further entries. Its name is the path to it: `front.y`
+is `y` of the group `front`, `tau_le.3` is entry 3 of the list `tau_le`."""
 
 from __future__ import annotations
 
@@ -17,25 +15,25 @@ import casadi as ca
 GEARS = ("front", "rear")
 SIDES = ("le", "ri")
 GEAR_AND_SIDE = dict(zip(("front_le", "front_ri", "rear_le", "rear_ri"), product(GEARS, SIDES), strict=True))
-"""Running gear and side of each wheel: "front_le" is ("front", "le"), le left, ri right."""
+"""Name of a wheel -> (running gear, side): "front_le" -> ("front", "le"); le is left, ri right."""
 WHEELS = tuple(GEAR_AND_SIDE)
 Group = TypeVar("Group")
 
 
 def listed(labels: Iterable) -> Any:
-    """Type of a member of `group` that is a list with one element for each label; entries are named MEMBER.LABEL."""
+    """Annotation of a field of `group` that holds a list with one element for each of `labels`. `names` calls an
+    element FIELD.LABEL."""
     return Annotated[list, tuple(map(str, labels))]
 
 
 def group(name: str, *members: str | Mapping[str, Any]) -> Any:
-    """Make a frozen dataclass of quantities and return it.
+    """Make a frozen dataclass of quantities.
 
     Args:
         name (str): Name of the class.
-        members (str or mapping): Fields in order. A string has names with units, as "y m, psi rad". A mapping has for
-            each name a unit, a list `listed(…)`, or a dataclass for a group of further fields. With
-            `Annotated[dataclass, prefix]` the function `names` gives "prefix.y" for the field y of that group, else
-            "name.y".
+        members (str or mapping): Fields in order. A string gives names with units: "y m, psi rad". A mapping gives for
+            each name a unit, a list `listed(…)`, or another such dataclass (a group). The function `names` calls field
+            y of a group g "g.y". If the group is `Annotated[dataclass, prefix]`, the name is "prefix.y".
     """
     types: dict[str, Any] = {}
     for some in members:
@@ -60,7 +58,8 @@ def _members(of: Any) -> list[tuple[str, type | None, tuple[str, ...] | None, An
 
 
 def notes(of: type) -> list[tuple[str, Any]]:
-    """Pairs (name as in `names`, unit (str) or `data.Quantity`) of all entries of a `group` class; None for lists."""
+    """Pairs (name, note) of all entries of a `group` class, in the order of `names`. The note is the unit (str) or the
+    `data.Quantity` of the entry; None for an element of a list."""
     found: list[tuple[str, Any]] = []
     for name, inner, labels, note in _members(of):
         if inner:
@@ -71,12 +70,13 @@ def notes(of: type) -> list[tuple[str, Any]]:
 
 
 def names(of: type) -> tuple[str, ...]:
-    """Names of all entries of a dataclass of `group` in the order of definition, as "front.y" or "tau.front_le"."""
+    """Names of all entries of a `group` class in order: "front.y" for a field of a group, "tau.le" for a list
+    element."""
     return tuple(name for name, _ in notes(of))
 
 
 def pack(values: Any) -> list:
-    """Entries of an instance of a dataclass of `group` as a flat list, in the order of `names`."""
+    """Flat list of the entries of an instance of a `group` class, in the order of `names`."""
     found: list = []
     for name, inner, labels, _ in _members(type(values)):  # type: ignore[arg-type]
         value = getattr(values, name)
@@ -85,7 +85,7 @@ def pack(values: Any) -> list:
 
 
 def unpack(of: type[Group], entries: Iterable) -> Group:
-    """Instance of the class `of` from its entries (numbers or expressions) in the order of `names`; not validated."""
+    """Instance of the `group` class `of` from a flat list of its entries in the order of `names`."""
     source = iter(entries)
     made = object.__new__(of)
     for name, inner, labels, _ in _members(of):  # type: ignore[arg-type]
@@ -97,16 +97,17 @@ def unpack(of: type[Group], entries: Iterable) -> Group:
 
 
 def indices(of: type[Group]) -> Group:
-    """Instance of the class `of` with the index of each entry in the flat list of `pack` in place of the entry."""
+    """Instance of the `group` class `of` in which each entry is its own index in the list of `pack`."""
     return unpack(of, range(len(names(of))))
 
 
 def symbols(of: type[Group], name: str) -> tuple[ca.SX, Group]:
-    """CasADi SX symbols `name`, shape (len(names(of)), 1), and an instance of the class `of` whose entries they are."""
+    """Pair: CasADi vector SX called `name`, shape (len(names(of)), 1); instance of the `group` class `of`, whose
+    entries are the elements of this vector."""
     vector = ca.SX.sym(name, len(names(of)))
     return vector, unpack(of, ca.vertsplit(vector))
 
 
 def named(columns: Iterable[str], vector: ca.SX) -> dict[str, ca.SX]:
-    """Dict of the n entries of an SX vector, shape (n, 1), by n column names."""
+    """Dict from column name to element of an SX vector; both have the same order and length."""
     return dict(zip(columns, ca.vertsplit(vector), strict=True))

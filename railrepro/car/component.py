@@ -1,7 +1,5 @@
 """The car as a component: step it with four motor torques, read named outputs and energies, linearise it.
-
-`railrepro.simulation.closed_loop` couples it to a control law. Serves the paper's section Simulation Environment.
-"""
+`railrepro.simulation.closed_loop` couples it to a control law. Serves the paper's section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -9,10 +7,10 @@ import ctypes
 import math
 import reprlib
 import warnings
-from collections import namedtuple
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -31,7 +29,8 @@ from railrepro.track.table import load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 LARGEST_TORQUE = 1e5
-"""Largest magnitude of a torque command of `SteppedCar.step` (N m), the largest limit that a vehicle file may state."""
+"""Largest magnitude of a torque command that `SteppedCar.step` accepts (N m); also the largest limit in a vehicle
+file."""
 LARGEST_SPEED = 125.0
 """Largest initial speed of a `SteppedCar` (m/s)."""
 DERAILED = 0.030
@@ -40,7 +39,7 @@ LARGEST_STATE = 1e7
 """Magnitude of a state (SI) from which on `SteppedCar.step` raises an ArithmeticError."""
 _LATERAL = equations.indices(*(f"{gear}.y" for gear in equations.GEARS))
 ENERGIES = ("mechanical_J", "motor_W", "damping_W", "creep_W")
-"""Keys of `SteppedCar.energies`: mechanical energy (J), power of the motors, losses in dampers and by creep (W)."""
+"""Keys of `SteppedCar.energies`: mechanical energy (J), motor power, loss in dampers, loss by creep (W)."""
 
 
 _SOURCE = Path(__file__).with_name("car.c").read_text()
@@ -59,48 +58,58 @@ def _pairs() -> str:
 
 
 def c_text(*more: ca.Function) -> str:
-    """C source of the CasADi functions `more`, then of the car: its generated functions and car.c, which calls them."""
+    """C source text of the car: its generated functions, then car.c, which calls them.
+
+    Args:
+        more (casadi.Function): Further functions, whose C stands before that of the car.
+    """
     return codegen.source_text(more) + _pairs() + codegen.PREAMBLE + codegen.defines(_SIZES) + _SOURCE
 
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.CDLL:
-    """Loaded shared object of `c_text()`, compiled or from the cache, with the functions of car.c."""
+    """Shared object of the car as `ctypes.CDLL`, with the functions of car.c. Compiled once, then cached."""
     return ctypes.CDLL(str(cache.build(c_text())))
 
 
-Linearisation = namedtuple("Linearisation", "a b c d")
-"""Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point, SI units.
+class Linearisation(NamedTuple):
+    """Linear model dx/dt = A x + B u, y = C x + D u of deviations from an operating point, SI units.
 
-DataFrames of shapes (n, n), (n, 4), (m, n), (m, 4), rows and columns by name: n states `Car.states`, 4 motor torque
-commands `equations.WHEELS` (N m), m outputs `Car.outputs`."""
+    DataFrames a (n, n), b (n, 4), c (m, n), d (m, 4). Rows and columns have the names of the n states `Car.states`, the
+    4 motor torque commands `equations.WHEELS` (N m) and the m outputs `Car.outputs`.
+    """
+
+    a: pd.DataFrame
+    b: pd.DataFrame
+    c: pd.DataFrame
+    d: pd.DataFrame
 
 
 class SteppedCar:
-    """The multibody car on a route, advanced by the caller.
+    """The multibody car on a route, which the caller steps forward in time.
 
     Args:
-        route (Route or str): A str is the name of a track in data/tracks.toml, laid without irregularities.
-        speed (float): Initial speed (m/s).
-        vehicle (Vehicle, optional): Default: data/vehicle.toml.
-        good, poor (str): Names in `vehicle.adhesion` for the rail and for its slippery places.
-        table (ContactTable, optional): Wheel-rail contact of all wheels at the vehicle's `contact.nominal_load`;
-            default that of its profile.
-        substeps (int): Integration steps per control cycle (1 ms) in a `ClosedLoop`. On irregular rails one
-            overestimates the largest unloading of a wheel below 20 Hz by up to 1.3 %, two by 0.1 %.
+        route (Route or str): Route, or the name of a track in data/tracks.toml, laid without irregularities.
+        speed (float): Initial speed (m/s), above 0 up to 125.
+        vehicle (Vehicle, optional): Parameters of the car; default data/vehicle.toml.
+        good, poor (str): Adhesion sets of the rail and of its slippery stretches: keys of `vehicle.adhesion`.
+        table (ContactTable, optional): Wheel-rail contact of all wheels; default the table of
+            `vehicle.contact.profile`.
+        substeps (int): Integration steps per millisecond in a `ClosedLoop`; `step` does not use it. On irregular rails
+            the largest unloading of a wheel below 20 Hz is up to 1.3 % too large with one step, 0.1 % with two.
 
     Attributes:
         model (Car): The equations, with the names of states and outputs.
-        state (ndarray, shape (len(model.states),)): Present state (SI); writable.
-        torque (ndarray, shape (4,)): Torque commands of `equations.WHEELS`, traction-positive (N m); writable.
+        state (ndarray, shape (len(model.states),)): Present state (SI), writable.
+        torque (ndarray, shape (4,)): Torque commands of `equations.WHEELS` (N m), positive in traction, writable.
         parameters (ndarray, shape (len(equations.PARAMETERS),)): See `equations.parameter_vector`; writable.
-        measured (ndarray, shape (len(model.outputs),)): Values of `model.outputs` as last measured (SI).
-        c (ctypes.Structure): `car_t` of car.c, which holds the arrays.
+        measured (ndarray, shape (len(model.outputs),)): Values of `model.outputs` at the last call of `measure` (SI).
+        c (ctypes.Structure): The struct `car_t` of car.c, which holds the arrays.
         time (float): Simulated time (s).
-        left_rail (str): Which gear derailed first, when and where, one sentence; "" while none has.
+        left_rail (str): One sentence on the gear that derailed first, when and where; "" while none has derailed.
 
     Raises:
-        InputError: Unknown track or adhesion set, impossible speed, or anything but a route and a vehicle.
+        InputError: Unknown track or adhesion set, speed out of range, or `route` or `vehicle` of another class.
     """
 
     def __init__(
@@ -144,32 +153,37 @@ class SteppedCar:
         self.look_up()
 
     def look_up(self) -> None:
-        """Renew the cells of track and contact table after the caller has set `state`."""
+        """Renew the rows of the route and of the contact table that the car uses. Call it after setting `state`."""
         for _ in range(2):  # contact cells depend on the irregularities in the track cells
             self._library.car_look_up(self._pointer)
 
     def measure(self) -> np.ndarray:
-        """Evaluate `model.outputs` at the present state (SI); returns `measured`, which the next call overwrites."""
+        """Evaluate `model.outputs` at the present state (SI). Returns `measured`; the next call overwrites it."""
         self._library.car_measure(self._pointer)
         return self.measured
 
     def step(self, torque=None, steps: int = 1, period: float = CONTROL_PERIOD) -> None:
-        """Integrate the car over some steps with constant torque commands; warns the first time that a gear derails.
+        """Integrate the car over `steps` steps with constant torque commands.
+
+        A warning is issued when |y| of a gear first reaches 30 mm (derailment); the simulation goes on.
 
         Args:
-            torque (array_like, shape (4,), optional): Motor torque commands (N m), magnitudes at most `LARGEST_TORQUE`;
-                default the attribute `torque`.
+            torque (array_like, shape (4,), optional): Torque commands (N m), each up to 1e5 in magnitude; default
+                `self.torque`.
             steps (int): Number of steps.
-            period (float): Length of a step (s), up to 10 control cycles of 1 ms.
+            period (float): Length of one step (s), above 0 up to 0.01.
 
         Raises:
-            InputError: For an argument of a wrong kind or beyond its range.
-            ArithmeticError: When a state is not finite or reaches `LARGEST_STATE`; `state` is that before the step.
+            InputError: An argument has a wrong type or is out of range.
+            ArithmeticError: A state is not finite or reaches 1e7 (SI). `state` then holds the values before that step.
         """
         require("steps", steps, between(0, math.inf), whole=True)
         require("period", period, above(0.0, 10 * CONTROL_PERIOD, "s"))
         if torque is not None:
-            asked = np.array(torque, dtype=float)
+            try:
+                asked = np.array(torque, dtype=float)
+            except (TypeError, ValueError):
+                asked = np.empty(0)
             if asked.shape != self.torque.shape or not (np.abs(asked) <= LARGEST_TORQUE).all():
                 needed = f"{len(self.torque)} numbers of at most {LARGEST_TORQUE:g} N m are needed"
                 raise InputError(f"torque is {reprlib.repr(torque)}, {needed}")
@@ -197,22 +211,24 @@ class SteppedCar:
 
     @property
     def outputs(self) -> dict[str, float]:
-        """Positions, wheel loads, creepages, contact forces at the present state by name (`model.outputs`, SI)."""
+        """Dict at the present state (SI): name in `model.outputs`, such as "front.y" or "front_le.N" -> value."""
         return dict(zip(self.model.outputs, self.measure().tolist(), strict=True))
 
     @property
     def energies(self) -> dict[str, float]:
-        """Mechanical energy (J), motor power, damping and creep loss (W) at the present state, by `ENERGIES`."""
+        """Dict at present: keys "mechanical_J" (energy), "motor_W" (power), "damping_W", "creep_W" (power lost)."""
         return dict(zip(ENERGIES, np.array(self.model.energy(*self.inputs())).ravel().tolist(), strict=True))
 
     def inputs(self) -> tuple[np.ndarray, ...]:
-        """Arguments x, u, rows, contacts, par of functions of `equations.Car` at the present state, as copies."""
+        """Copies of the arguments x, u, rows, contacts, par of the functions of `equations.Car` at the present
+        state."""
         self._library.car_look_up(self._pointer)
         rows, contacts = self._arrays["rows"].T, self._arrays["contacts"].T
         return tuple(a.copy() for a in (self.state, self.torque, rows, contacts, self.parameters))
 
     def linearise(self) -> Linearisation:
-        """Linearise the car about the present state and torque commands, with track and contact cells held."""
+        """`Linearisation` at the present state and torque commands; rows of the route and of the contact table count as
+        constant."""
         car, inputs = self.model, self.inputs()
         x, u = ca.SX.sym("x", len(car.states)), ca.SX.sym("u", len(equations.WHEELS))
         rate, output = car.rate(x, u, *inputs[2:]), car.output(x, u, *inputs[2:])

@@ -55,10 +55,12 @@ HOLDING_SPEED = 0.2
 
 
 def mirrored() -> dict[str, list[int]]:
-    """Permutations that exchange front and rear gear: input of `Car` ("x", "u", "rows", "contacts") -> indices.
+    """Index permutations that exchange front and rear running gear, for the argument `mirrored` of `lanes.pairs_text`.
 
-    Element i is the index of the counterpart at the other gear of entry i of the input (matrices column by column), or
-    i itself for an entry of the car body. Argument `mirrored` of `compile.lanes.pairs_text`.
+    Returns:
+        dict of str to list of int: One list for each of the inputs "x", "u", "rows", "contacts" of the functions of
+            `Car`. Element i of a list is the index of the same quantity at the other gear, or i for the car body.
+            Matrices count column by column.
     """
     at, wheels = unpack(CarState, range(len(STATES))), [2, 3, 0, 1]
     exchanged = CarState(at.body, at.rear, at.front, [at.w[i] for i in wheels], [at.tau[i] for i in wheels])
@@ -69,15 +71,13 @@ def mirrored() -> dict[str, list[int]]:
 
 
 def indices(*names: str) -> list[int]:
-    """Indices in the state vector of states by their names in `STATES`."""
+    """Positions in the state vector of the states with these names, which are entries of `STATES`."""
     return [INDEX[name] for name in names]
 
 
 def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") -> np.ndarray:
-    """Run-time parameters of the car in the order of `PARAMETERS` (SI), shape (len(PARAMETERS),).
-
-    `good` and `poor` are names in `vehicle.adhesion`, of the rail and of its slippery places; InputError for another.
-    """
+    """Run-time parameters of the car as a vector in the order of `PARAMETERS` (SI). `good` and `poor` are keys of
+    `vehicle.adhesion`, for the rail and for its slippery stretches. Another name raises InputError."""
     for name in (good, poor):
         if name not in tuple(vehicle.adhesion):
             raise InputError(f"adhesion set {name!r} is not known; there are {list(vehicle.adhesion)}")
@@ -88,20 +88,23 @@ def parameter_vector(vehicle: Vehicle, good: str = "dry", poor: str = "poor") ->
 
 @dataclass(frozen=True)
 class Car:
-    """CasADi functions of the car, in SI units.
+    """CasADi functions of the car (SI).
 
-    Arguments: state x by `states`; u, torque commands of the `WHEELS` (N m); rows, track cells of the `BODIES`, shape
-    (len(route.COLUMNS), 3); contacts, cells of the wheels, shape (len(CELL_COLUMNS), 4); par by `PARAMETERS`.
+    Their arguments are:
+    - x: state in the order of `states`;
+    - u: torque commands of the four `WHEELS` (N m);
+    - rows: row of the route at each of the 3 `BODIES`, shape (len(route.COLUMNS), 3);
+    - contacts: row of the contact table for each wheel, shape (len(CELL_COLUMNS), 4);
+    - par: parameters in the order of `PARAMETERS`.
 
     Attributes:
-        states (tuple of str): `STATES`.
+        states, outputs (tuple of str): Names of the entries of the state and of the output vector.
         rate (Function): (x, u, rows, contacts, par) -> dx/dt.
-        step (Function): (x, u, rows, contacts, par, h) -> state after one step of h (s) by Rodas3.
-        coordinates (Function): (x, rows, par) -> where to look up cells, shape (7, 1): track coordinate s of 3 bodies,
-            then shift of 4 wheels (m). Of the rows only the irregularities count, so those of the previous cycle serve.
+        step (Function): (x, u, rows, contacts, par, h) -> state after one integration step of length h (s) by Rodas3.
+        coordinates (Function): (x, rows, par) -> where to look up the rows, shape (7, 1): track coordinate of 3 bodies,
+            then shift of 4 wheels towards the flange (m). Of `rows` only irregularities count.
         output (Function): (x, u, rows, contacts, par) -> values of `outputs`.
-        energy (Function): (x, u, rows, contacts, par) -> mechanical energy (J), power of motors, dampers, creep (W).
-        outputs (tuple of str): Names of the entries of the output vector, those of `outputs.Outputs`.
+        energy (Function): (x, u, rows, contacts, par) -> the four values of `component.ENERGIES`.
     """
 
     states: tuple[str, ...]
@@ -128,7 +131,7 @@ class _Elements:
 
 @stored
 def car() -> Car:
-    """`Car` with the equations of motion as CasADi functions; derived once (about a second), then stored."""
+    """Make the `Car` with the equations of motion. They are derived once, then read from disk."""
     (x, state), u = symbols(CarState, "x"), ca.SX.sym("u", len(WHEELS))
     rows = ca.SX.sym("rows", len(route.COLUMNS), len(BODIES))
     contacts = ca.SX.sym("contacts", len(CELL_COLUMNS), len(WHEELS))
@@ -196,14 +199,7 @@ def _inertia(of: Any) -> tuple[ca.SX, ca.SX]:
 
 
 def _torque_rate(command: ca.SX, speed: ca.SX, torque: ca.SX, par: Any) -> ca.SX:
-    """Time derivative of a motor torque (N m/s): lag behind the command within the torque limit.
-
-    A negative command brakes: its torque acts against the rotation, whatever its direction. Near standstill the lag
-    slows down with the wheel, so that the torque is a function of the angle turned, stays at rest what it was, and so
-    holds the wheel with anything up to the command.
-
-    Source: Dahl 1968, A Solid Friction Model (torque over angle near rest).
-    """
+    """Lag of a motor torque (N m/s); at rest it holds the wheel. Source: Dahl 1968, A Solid Friction Model."""
     limit = par.drive.limit(speed)
     # by comparison, as fmin and fmax would make a limit of a command that is no number
     limited = ca.if_else(command > limit, limit, ca.if_else(command < -limit, -limit, command))
@@ -251,10 +247,7 @@ def _outputs(elements: _Elements, floor: list) -> list[ca.SX]:
 
 
 def _floor(body: Body, force: ca.SX, rotation: ca.SX, par: Any) -> list:
-    """Accelerations of the points of the floor from force per mass and angular acceleration of the car body.
-
-    Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rigid body).
-    """
+    """Accelerations of the points of the floor. Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4."""
     out = []
     for position in FLOOR.values():
         lever = ca.vertcat(position * par.body.gear_spacing, 0, par.body.cg_height - par.body.floor_height)
@@ -282,11 +275,11 @@ def _energies(elements: _Elements, par: Any) -> list[ca.SX]:
 
 
 def rest(table: ContactTable) -> ca.Function:
-    """Steady rolling on straight level track, front gear at s = 0, wheels as a contact table says for the shift 0.
+    """CasADi function of the initial state: steady rolling on straight level track, wheels centred, front gear at 0 m.
 
-    CasADi function: (parameters by `PARAMETERS`, speed (m/s)) -> state by `STATES`, SI.
-
-    Source: Johnson 1985, Contact Mechanics, section 4.2 (approach of the wheel under its load).
+    It maps (parameters in the order of `PARAMETERS`, speed (m/s)) to the state in the order of `STATES` (SI). `table`
+    is the wheel-rail contact, from which radius and sinking of the wheels follow. Source: Johnson 1985, Contact
+    Mechanics, section 4.2 (approach of the wheel under its load).
     """
     (par, vehicle), speed = symbols(CarParameters, "par"), ca.SX.sym("speed")
     cell = dict(zip(CELL_COLUMNS, table.cells()[table.frame["shift_m"].abs().argmin()], strict=True))

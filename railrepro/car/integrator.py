@@ -1,9 +1,8 @@
 """Rodas3 with an unrolled sparse LU: one linearly implicit step as a single CasADi expression.
 
 The wheel-spin creep lag shrinks with speed (0.2 ms at 40 km/h, towards zero at standstill), so explicit steps of 1 ms
-fail; this L-stable method of order 3 takes one Jacobian and one factorisation per step at every speed.
-
-Source: Sandu et al., Atmospheric Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II.
+fail; this L-stable method of order 3 takes one Jacobian and one factorisation per step at every speed. Source: Sandu et
+al., Atmospheric Environment 31 (1997) 3459 (Rodas3); scaled as in Hairer and Wanner, Solving ODEs II.
 """
 
 from __future__ import annotations
@@ -13,17 +12,16 @@ import numpy as np
 
 
 class Stages:
-    """Intermediate quantities of a large expression, kept as symbols so that Jacobians follow the chain rule.
-
-    Differentiating a force law once by its few arguments is far cheaper than once by every state.
-    """
+    """Symbols that stand for intermediate results of a large expression, so that Jacobians follow the chain rule.
+    Differentiating a force law by its few arguments is much cheaper than by all states."""
 
     def __init__(self) -> None:
         self._symbols: list[ca.SX] = []
         self._definitions: list[ca.SX] = []
 
     def hold(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Keep expressions of the state and of earlier symbols; returns symbols of the same shapes in their place."""
+        """Replace expressions by new symbols of the same shapes, return these, and remember what each stands for. The
+        expressions may contain the state and symbols from earlier calls."""
         definition = ca.vertcat(*(ca.vec(expression) for expression in expressions))
         symbols = ca.SX.sym(f"stage{len(self._symbols)}", definition.numel())
         self._symbols.append(symbols)
@@ -33,13 +31,13 @@ class Stages:
         return [ca.reshape(part, *expression.shape) for part, expression in zip(parts, expressions, strict=True)]
 
     def resolve(self, expression: ca.SX) -> ca.SX:
-        """Replace all symbols of `hold` in an expression by the expressions that they stand for."""
+        """Expression in which each symbol that `hold` returned is replaced by the expression that it stands for."""
         for symbols, definition in zip(reversed(self._symbols), reversed(self._definitions), strict=True):
             expression = ca.substitute(expression, symbols, definition)
         return expression
 
     def jacobian(self, expression: ca.SX, x: ca.SX) -> ca.SX:
-        """Total derivative (n, m) of an expression (n, 1) with respect to symbols x (m, 1), with `resolve` applied."""
+        """Total derivative of an expression (n, 1) by the symbols x (m, 1), shape (n, m), after `resolve`."""
         totals: list[ca.SX] = []
         for k, definition in enumerate((*self._definitions, expression)):
             total = ca.jacobian(definition, x)
@@ -50,11 +48,11 @@ class Stages:
 
 
 def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
-    """State (n, 1) after one Rodas3 step of x' = f(x), with a local error O(h^4).
+    """State after one Rodas3 step of x' = f(x), shape (n, 1); the local error is O(h^4).
 
     Args:
-        f, jacobian (SX, shapes (n, 1) and (n, n)): Right-hand side as an expression of the symbolic state `x`, and
-            df/dx.
+        f (SX, shape (n, 1)): Right-hand side, an expression in `x`.
+        jacobian (SX, shape (n, n)): df/dx, an expression in `x`.
         x (SX, shape (n, 1)): State, symbols only.
         h (SX or float): Step (s).
     """
@@ -67,12 +65,10 @@ def rodas3(f: ca.SX, jacobian: ca.SX, x: ca.SX, h: ca.SX) -> ca.SX:
 
 
 def factorise(matrix: ca.SX):
-    """Unpivoted sparse LU of an SX matrix A, shape (n, n), in minimum-degree order, unrolled.
+    """Factorise a sparse matrix A (n, n) as an expression, and return a function that solves A x = b for b (n, 1).
 
-    Returns a function from b to the solution x of A x = b, SX (n, 1). Diagonal pivots suffice because the matrices are
-    2/h I - J with small h (diagonally dominant blocks).
-
-    Source: Markowitz 1957 (order of the pivots).
+    LU without pivoting: A has to be 2/h I - J with a small h, so that its blocks are diagonally dominant. Source:
+    Markowitz 1957 (order of the pivots).
     """
     n = matrix.shape[0]
     rows: list[dict] = [{} for _ in range(n)]

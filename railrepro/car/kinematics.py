@@ -1,7 +1,5 @@
-"""Where the bodies of the car are and how they move: rotations, the track section at a body, the body in it.
-
-Serves the paper's section Coordinate Frames, for the plant.
-"""
+"""Where the bodies of the car are and how they move: rotations, the track section at a body, the body in it. Serves the
+paper's section Coordinate Frames, for the plant."""
 
 from __future__ import annotations
 
@@ -17,13 +15,15 @@ Coordinates = group(
     "Coordinates",
     "s m, y m, z m, psi rad, pitch rad, phi rad, vx m/s, vy m/s, vz m/s, wx rad/s, wy rad/s, wz rad/s",
 )
-"""State of a body: position s, y, z in its own track section (m); yaw, pitch and roll psi, pitch, phi against the track
-frame (rad); absolute velocity in track-frame components (m/s); absolute angular velocity in body axes (rad/s)."""
+"""State of a body: track coordinate s, lateral and vertical position y, z in the track frame at s (m); yaw psi, pitch,
+roll phi against that frame (rad); absolute velocity in track-frame components (m/s); absolute angular velocity in body
+axes (rad/s)."""
 COORDINATES = names(Coordinates)
 
 
 def rotation(axis: str, angle: ca.SX) -> ca.SX:
-    """Rotation matrix (3, 3) about "x", "y" or "z" by an angle (rad): from components in the turned frame to others."""
+    """Rotation matrix (3, 3) about the axis "x", "y" or "z" by an angle (rad). It converts vector components from the
+    turned frame to the original one."""
     c, s = ca.cos(angle), ca.sin(angle)
     entries: Any = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
@@ -39,14 +39,21 @@ def orientation(yaw: ca.SX, pitch: ca.SX, roll: ca.SX) -> ca.SX:
 
 
 class Section:
-    """Track at a coordinate s (m) in a track cell `row` of `route.COLUMNS`, as SX expressions of s.
+    """Track at a coordinate s, as CasADi expressions of s. Source: eq. (3), with the rotation of eq. (1).
 
-    Heading psi, cant phi, inclination eps (rad) and their slopes kappa, dphi, deps (rad/m); `rotation` of the track
-    frame to the inertial one, `position` of its origin (m, shape (3, 1)), `turn_rate` per metre in its own axes (rad/m,
-    (3, 1)). Irregularities lateral, vertical, gauge (m), crosslevel (rad), their slopes over s by name in
-    `irregularity_rates`; `poor`: share of poor adhesion (-) by side, "le" or "ri".
+    Args:
+        s (SX): Track coordinate (m).
+        row (SX, shape (len(route.COLUMNS), 1)): Row of the route in which s lies.
 
-    Source: eq. (3), with the rotation of eq. (1).
+    Attributes:
+        psi, phi, eps (SX): Heading, cant angle and inclination of the track (rad).
+        kappa, dphi, deps (SX): Derivatives of psi, phi, eps over s (rad/m).
+        rotation (SX, shape (3, 3)): From track-frame to inertial components.
+        position (SX, shape (3, 1)): Origin of the track frame in inertial components (m).
+        turn_rate (SX, shape (3, 1)): Rotation of the track frame per metre, in its own axes (rad/m).
+        lateral, vertical, gauge, crosslevel (SX): Irregularities (m; crosslevel rad).
+        irregularity_rates (dict): Name of an irregularity -> its derivative over s.
+        poor (dict): Rail "le" or "ri" -> weight (SX, 0 to 1) of the poor adhesion set; the good set has the rest.
     """
 
     def __init__(self, s: ca.SX, row: ca.SX):
@@ -80,11 +87,20 @@ class Section:
 
 
 class Body(Coordinates):  # type: ignore[valid-type, misc]
-    """Kinematics and dynamics of one rigid body, SX expressions of its `state` (`Coordinates`) and track cell `row`.
+    """Position and motion of one rigid body, as CasADi expressions; its fields are those of `Coordinates`.
 
-    `section`, the `Section` at s; `rotation` of body axes to the track frame, `attitude` to the inertial frame;
-    velocity `v` in the track frame (m/s); angular velocities `w` in body axes, `turn` of the track frame in its own
-    (rad/s); inertial `position` (m); `sdot` (m/s); `rates`: d/dt of s, y, z (m/s), psi, pitch, phi (rad/s) by name.
+    Args:
+        state (Coordinates): State of the body.
+        row (SX): Row of the route at its coordinate s.
+
+    Attributes:
+        section (Section): The track at s.
+        rotation, attitude (SX, shape (3, 3)): From body axes to the track frame; from body axes to the inertial frame.
+        position (SX, shape (3, 1)): Centre of gravity in inertial components (m).
+        v, w (SX, shape (3, 1)): Velocity in track-frame components (m/s); angular velocity in body axes (rad/s).
+        turn (SX, shape (3, 1)): Angular velocity of the track frame at the body, in its own axes (rad/s).
+        sdot (SX): Speed along the track (m/s).
+        rates (dict): Name of a coordinate (s, y, z, psi, pitch, phi) -> its time derivative (m/s, rad/s).
 
     Source: Goldstein, Poole and Safko 2002, Classical Mechanics, ch. 4 (rates of the angles, rotating frame).
     """
@@ -112,13 +128,14 @@ class Body(Coordinates):  # type: ignore[valid-type, misc]
         self.position = self.section.position + self.section.rotation @ ca.vertcat(0, self.y, self.z)
 
     def derivatives(self, force: ca.SX, moment: ca.SX, mass: ca.SX, inertia: ca.SX, spin: ca.SX | float = 0) -> ca.SX:
-        """Time derivatives of `COORDINATES` by the equations of Newton and Euler, SI, shape (12, 1).
+        """Time derivatives of `COORDINATES` by the equations of Newton and Euler (SI), shape (12, 1).
 
         Args:
-            force (SX, shape (3, 1)): In track-frame components (N).
-            moment (SX, shape (3, 1)): About the centre of gravity, in body axes (N m).
-            mass, inertia (SX, scalar and shape (3, 1)): Mass (kg) and principal moments of inertia (kg m2).
-            spin (SX): Angular momentum about the y axis of rotors that the body carries (kg m2/s).
+            force (SX, shape (3, 1)): Force in track-frame components (N).
+            moment (SX, shape (3, 1)): Moment about the centre of gravity, in body axes (N m).
+            mass (SX): Mass (kg).
+            inertia (SX, shape (3, 1)): Principal moments of inertia (kg m2).
+            spin (SX): Angular momentum of rotors on the body about its y axis (kg m2/s).
 
         Source: Wittenburg 2008, Dynamics of Multibody Systems (gyrostat).
         """

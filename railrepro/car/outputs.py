@@ -1,7 +1,5 @@
-"""Outputs of the car, which are the columns of a run's log: names and units.
-
-Serves the paper's eqs. (18) to (20) and (4): psi_Ax, psi_TrAx, y_TrAx; f_x, s_x.
-"""
+"""Outputs of the car, which are the columns of a run's log: names and units. Serves the paper's eqs. (18) to (20) and
+(4): psi_Ax, psi_TrAx, y_TrAx; f_x, s_x."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""Forces between car body and wheel carrier: springs, dampers, traction link, stops.
-
-Serves the paper's section Simulation Environment; the control model keeps only k_sz, k_dz, k_sx and k_dx of it.
-"""
+"""Forces between car body and wheel carrier: springs, dampers, traction link, stops. Serves the paper's section
+Simulation Environment; the control model keeps only k_sz, k_dz, k_sx and k_dx of it."""
 
 from __future__ import annotations
 
@@ -22,18 +20,24 @@ def _beyond(value: ca.SX, clearance: ca.SX) -> ca.SX:
 
 
 class Suspension:
-    """Springs, dampers, traction link, torsion bars and stops between car body and one carrier, in axes of the carrier.
+    """Springs, dampers, traction link, torsion bars and stops between the car body and one wheel carrier.
 
-    Attachment points coincide at rest, and both bodies feel a force at the point of the body, so that no angular
-    momentum leaks. `force_on_lower` (N) and `moment_on_lower` (N m, about the centre of gravity) act on the carrier,
-    the opposite force and `moment_on_upper` (in its own axes) on the body, shape (3, 1); potential `energy` (J),
-    `dissipation` (W); sine of the carrier's yaw against the body `yaw_sine` (-), lateral deflection `sway` (m).
+    A force acts on both bodies at the attachment point of the car body, so that angular momentum is conserved. The rods
+    that carry the pitch reaction of the motors act about z_body x x_carrier; with relative roll they also turn the
+    carrier in yaw. Source: eqs. (13b) and (13c), for yaw and roll at small angles.
 
-    `body` is the car body, `lower` the carrier, `end` +1 for the front carrier, -1 for the rear one; `par` is as in
-    `equations.CarParameters`. The pitch reaction of a carrier to its motors is carried by rods whose lever stands on
-    the car body: they act about z_body x x_carrier, so that with relative roll they also turn the carrier in yaw.
+    Args:
+        body, lower (Body): Car body and wheel carrier.
+        end (int): +1 for the front carrier, -1 for the rear one.
+        par (CarParameters): Parameters, see `equations.CarParameters`.
+        stages (Stages): Holds intermediate symbols.
 
-    Source: eqs. (13b) and (13c) are its yaw and roll terms for small angles.
+    Attributes:
+        force_on_lower, moment_on_lower (SX, shape (3, 1)): Force (N) and moment about the centre of gravity (N m) on
+            the carrier, in its axes. The opposite force acts on the body.
+        moment_on_upper (SX, shape (3, 1)): Moment on the car body in its axes (N m).
+        energy, dissipation (SX): Potential energy (J), power lost in dampers (W).
+        yaw_sine, sway (SX): Sine of the carrier's yaw against the body (-), lateral deflection (m).
     """
 
     def __init__(self, body: Body, lower: Body, end: int, par: Any, stages: Stages):
@@ -97,10 +101,8 @@ class Suspension:
         return arm, mean
 
     def _torsion_spring(self, angle: str, stiffness, damping, free=None) -> None:
-        """Torque with the potential k e^2/2 of the sine e of a relative angle, or of its excess over `free` (rad).
-
-        It acts about the cross product of the lower body's axis `row` and the upper one's axis `column`.
-        """
+        """Torque from the sine of a relative angle, or from its excess over `free` (rad), about the gradient of that
+        sine."""
         row, column = _SINE[angle]
         sine = self._relative[row, column]
         gradient = ca.cross(self._relative[:, column], ca.SX.eye(3)[:, row])

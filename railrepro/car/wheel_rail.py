@@ -1,7 +1,5 @@
-"""Forces between a wheel and its rail: where they touch, how they slide, what that gives.
-
-Serves the paper's section Train-Track Interaction, for the plant.
-"""
+"""Forces between a wheel and its rail: where they touch, how they slide, what that gives. Serves the paper's section
+Train-Track Interaction, for the plant."""
 
 from __future__ import annotations
 
@@ -20,9 +18,12 @@ _SIGN = {"le": -1, "ri": 1}
 
 
 def shift_to_flange(gear: Body, side: str, par: Any) -> ca.SX:
-    """Shift of a wheel on its rail towards its flange (m), the abscissa of the contact table, an SX expression.
+    """Lateral shift of a wheel on its rail, positive towards the flange (m): the abscissa of the contact table.
 
-    The wheel is that at `side` ("le", "ri") of the carrier `gear`; `par` is as in `equations.CarParameters`.
+    Args:
+        gear (Body): Wheel carrier of the wheel.
+        side (str): "le" (left) or "ri" (right).
+        par (CarParameters): Parameters, see `equations.CarParameters`.
     """
     sign = _SIGN[side]
     return sign * (sign * par.gear.contact_base / 2 - _rail_in_axle(gear, sign, par)[0])
@@ -44,14 +45,25 @@ def _rail_slopes(gear: Body, sign: int, par: Any) -> tuple[ca.SX, ca.SX]:
 
 
 class Contact:
-    """One wheel on its rail: normal force with damping and lift-off, creepages, tangential force, as SX expressions.
+    """Contact of one wheel with its rail: normal force with damping and lift-off, creepages, tangential force.
 
-    Made from the carrier `gear`, the side ("le", "ri"), the wheel speed (rad/s, traction-positive), a contact cell
-    `row` by `CELL_COLUMNS`, `par` as in `equations.CarParameters`, and `stages` that hold symbols. `creepage` along and
-    across the rail (-) and `spin` about its normal (1/m) are sliding speeds of the wheel over the running speed.
-    `force` on the wheel in the track frame (N) and `moment` about the carrier's centre of gravity in axes of the
-    carrier (N m), shape (3, 1); `normal` force, `tangential` forces along and across the rail (N), `spin_moment`
-    (N m), contact `angle` (rad), elastic `energy` (J), losses `dissipation` and `friction_loss` (W).
+    Args:
+        gear (Body): Wheel carrier of the wheel.
+        side (str): "le" (left) or "ri" (right).
+        speed (SX): Absolute angular speed of the wheel (rad/s), positive when rolling forward.
+        row (SX): Row of the contact table, in the order of `CELL_COLUMNS`.
+        par (CarParameters): Parameters, see `equations.CarParameters`.
+        stages (Stages): Holds intermediate symbols.
+
+    Attributes:
+        creepage (pair of SX), spin (SX): Sliding speed along and across the rail over the running speed (-); turning
+            speed about the contact normal over the running speed (1/m).
+        force (SX, shape (3, 1)): Force on the wheel in track-frame components (N).
+        moment (SX, shape (3, 1)): Moment on the carrier about its centre of gravity, in carrier axes (N m).
+        normal, tangential, spin_moment (SX, list of 2 SX, SX): Normal force (N), forces along and across the rail (N),
+            moment about the contact normal (N m).
+        angle (SX): Contact angle (rad).
+        energy, dissipation, friction_loss (SX): Elastic energy (J), power lost to damping and to creep (W).
 
     Source: eq. (4); Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (creepages).
     """
@@ -102,10 +114,8 @@ class Contact:
         self.force, self.moment = upright @ (creep_force + normal_force), to_body @ moment
 
     def _forces(self, motion: list[ca.SX], cell: dict[str, ca.SX], poor: ca.SX, par: Any) -> list[ca.SX]:
-        """Normal force (Hertz, with damping), spin moment and both creep forces from the motion of the contact.
-
-        Source: Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping).
-        """
+        """Normal force (Hertz, with damping), spin moment and both creep forces from the motion of the contact. Source:
+        Johnson 1985, Contact Mechanics, section 4.2 (normal force); Hunt and Crossley 1975 (its damping)."""
         offset, penetration, rate, *self.sliding, self.turn, rolling_speed = motion
         at = in_cell(cell, offset)
         compression = ca.fmax(penetration, 0)

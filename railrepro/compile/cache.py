@@ -1,13 +1,9 @@
 """From C source text to a shared object, cached by content.
 
-The key of the cache is the full source text, the compiler with its version and flags, and the architecture, so that a
-changed model meets no stale object. Processes that need the same object at the same time wait for the one that compiles
-it.
-
-By default nothing but 256-bit registers is asked of the processor, where it has them, and products and sums are not
-fused, so that compilers and processors round alike. Very long sources are optimised less: a tenth of the time to
-compile, for a tenth more to run. `RAILREPRO_CFLAGS` replaces these flags, for example by "-O0 -g". The source stays
-beside its object, to be read.
+The key of the cache is the source text, the compiler with its version and flags, and the architecture. Processes that
+need the same object wait for the one that compiles it. By default 256-bit registers are used where the processor has
+them, and products and sums are not fused, so that all processors round alike. Very long sources are optimised less.
+`RAILREPRO_CFLAGS` replaces these flags, for example by "-O0 -g". The source stays beside its object.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ _SLOW = 200_000
 """Length from which the compiler takes seconds: cars and predictive controllers."""
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 PACKAGED = "ziglang"
-"""Name of the C compiler in a Python package (extra `compiler`); the environment variable `CC` may be set to this."""
+"""C compiler from a Python package (extra `compiler`); the environment variable `CC` may name it."""
 WEBASSEMBLY = (
     *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic", "-msimd128", "-O2"),
     *("-ffp-contract=off", "-fno-math-errno", "-w"),
@@ -43,33 +39,32 @@ WEBASSEMBLY = (
 
 
 class CompilerError(InputError):
-    """Exception: the C compiler is missing or fails, or there is no folder for its objects."""
+    """The C compiler is missing or fails, or there is no folder for compiled objects."""
 
 
 @lru_cache(maxsize=1)
 def compiler() -> str:
-    """Path of the C compiler, or `PACKAGED`: the one that `CC` names, else the first found of cc, gcc and `PACKAGED`.
-
-    Raises:
-        CompilerError: When there is none.
-    """
+    """Path of the C compiler, or the name "ziglang" for the one in a Python package. CompilerError if there is none.
+    The environment variable `CC` decides. Without it the first one installed of cc, gcc and ziglang is taken."""
     asked = os.environ.get("CC")
     for name in [asked] if asked else ["cc", "gcc", PACKAGED]:
         if command := found(name):
             return command
-    tried = f"CC={asked!r}" if asked else "cc, gcc"
-    raise CompilerError(f"no C compiler was found ({tried}): `pip install railrepro[compiler]` brings one")
+    if asked:
+        raise CompilerError(f"there is no C compiler CC={asked!r}: without CC cc and gcc are looked for")
+    raise CompilerError("no C compiler was found (cc, gcc): `pip install railrepro[compiler]` brings one")
 
 
 def found(name: str) -> str | None:
-    """Path of the program `name` on PATH, or for `PACKAGED` this name; None when it is not installed."""
+    """Path of the program `name` on PATH, None if it is not installed. For "ziglang", which is a compiler in a Python
+    package, this name itself in place of a path."""
     if name == PACKAGED:
         return name if importlib.util.find_spec(name) else None
     return shutil.which(name)
 
 
 def _call(command: str) -> list[str]:
-    """How a compiler is called. The flags of the packaged one that are given later win; without the first of these,
+    """Command line of a compiler. The flags of the packaged one that are given later win; without the first of these,
     objects would be for this very processor."""
     if command != PACKAGED:
         return [command]
@@ -81,9 +76,11 @@ def _call(command: str) -> list[str]:
 
 
 def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
-    """Compiler flags for a source of `length` characters: `RAILREPRO_CFLAGS`, else the default, and those always given.
+    """Compiler flags as a tuple of str: those in `RAILREPRO_CFLAGS` or a default, then flags that are always given.
 
-    `portable` code runs on any processor of the architecture, unless `RAILREPRO_CFLAGS` asks for more.
+    Args:
+        portable (bool): Whether the default leaves out AVX2, for code that runs on any processor.
+        length (int): Length of the source (characters). From 1.5 million on the default is -Og in place of -O2.
     """
     wide = " -mavx2" if has_avx2() and not portable else ""
     default = f"{'-O2' if length < _LONG else '-Og'} -ffp-contract=off{wide}"
@@ -92,10 +89,9 @@ def flags(portable: bool = False, length: int = 0) -> tuple[str, ...]:
 
 @lru_cache
 def identity(command: str, options: tuple[str, ...]) -> str:
-    """Text of all that an object depends on besides its source: version of the compiler, its flags, the architecture.
+    """Text that identifies a compilation apart from its source: version of the compiler, flags, processor architecture.
 
-    Raises:
-        CompilerError: When the compiler does not tell its version.
+    `command` is the compiler as from `compiler`, `options` are the flags. CompilerError if `command --version` fails.
     """
     try:
         done = subprocess.run([*_call(command), "--version"], capture_output=True, text=True, check=True, timeout=30)
@@ -105,13 +101,8 @@ def identity(command: str, options: tuple[str, ...]) -> str:
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled objects: `build/compiled` of a checkout, without one in the user's cache.
-
-    What lies in it is run, so it has to be the user's own, and nobody else may write it.
-
-    Raises:
-        CompilerError: When there is no such folder.
-    """
+    """Folder of the compiled objects: `build/compiled` of a checkout, for an installed package in the user's cache. Its
+    content is executed. CompilerError if the folder does not belong to the user or others may write to it."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "railrepro" / "compiled"
     folder = home if paths.INSTALLED else paths.BUILD / "compiled"
     with suppress(OSError):
@@ -124,15 +115,14 @@ def cache_folder() -> Path:
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
-    """Path of the shared object, or module of WebAssembly, of a C source text: from the cache, or compiled into it.
+    """Path of the object compiled from a C source text. It is compiled only if it is not in the cache.
+
+    CompilerError if there is no compiler or no folder, or if the compiler refuses the source.
 
     Args:
         text (str): Complete C source.
-        portable (bool): For any processor of the architecture, see `flags`.
-        webassembly (bool): A module of WebAssembly, by the packaged compiler with the flags `WEBASSEMBLY`.
-
-    Raises:
-        CompilerError: When there is no compiler or no folder, or when the compiler refuses the source.
+        portable (bool): Make a shared object for any processor of the architecture, see `flags`.
+        webassembly (bool): Make a WebAssembly module with the packaged compiler, instead of a shared object.
     """
     if webassembly and not found(PACKAGED):
         raise CompilerError("modules of WebAssembly need `pip install railrepro[compiler]`")

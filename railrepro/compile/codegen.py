@@ -1,13 +1,12 @@
-"""From CasADi functions to C source text, and from there to functions that are called.
-
-`cache` compiles text and keeps the objects, `lanes` writes C for vector registers, `reciprocals` saves divisions.
-"""
+"""From CasADi functions to C source text, and from there to functions that are called. `cache` compiles text and keeps
+the objects, `lanes` writes C for vector registers, `reciprocals` saves divisions."""
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
 import math
+import os
 import pickle
 import re
 import sys
@@ -21,7 +20,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from railrepro import code
+from railrepro import code, numerics
 from railrepro.compile import cache
 from railrepro.data import InputError, write
 
@@ -33,17 +32,17 @@ PREAMBLE = Path(__file__).with_name("call.h").read_text()
 
 
 def defines(values: dict) -> str:
-    """C lines `#define NAME VALUE` of a dict from names to values."""
+    """C lines `#define NAME VALUE`, one for each entry of the dict."""
     return "".join(f"#define {name} {value}\n" for name, value in values.items())
 
 
 def enumeration(names: Iterable[str]) -> str:
-    """C source of an enum of constants `names` that count from 0; an entry "NAME = value" sets its own value."""
+    """C source of an enum whose constants `names` count from 0. An entry "NAME = 5" sets the value of a constant."""
     return f"enum {{ {', '.join(names)} }};\n"
 
 
 def source_text(functions: Sequence[ca.Function]) -> str:
-    """C source of `ELEMENTARY`, then of CasADi functions with the C functions for their work sizes and sparsity."""
+    """C source of CasADi functions, with C functions for work sizes and sparsity. It begins with `ELEMENTARY`."""
     generator = ca.CodeGenerator("generated", {"with_header": False, "verbose": False})
     for function in functions:
         generator.add(function)
@@ -51,19 +50,19 @@ def source_text(functions: Sequence[ca.Function]) -> str:
 
 
 def library(functions: Sequence[ca.Function], extra: str = "") -> ctypes.CDLL:
-    """Loaded shared object, compiled or from the cache, of CasADi functions and `extra` C source that may call them."""
+    """Load CasADi functions as a shared object, compiled or from the cache. `extra` is C source that may call them."""
     return ctypes.CDLL(str(cache.build(source_text(functions) + extra)))
 
 
 def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> Any:
-    """Make the subclass of `ctypes.Structure` for a struct that hand-written C defines.
+    """Make the `ctypes.Structure` class for a struct that is defined in C source.
 
     Args:
-        name (str): Name of the struct, as in `typedef struct { … } name;`. Its members are double, casadi_int, one of
-            `kinds`, pointers, or arrays of these.
+        name (str): Name of the struct, as in `typedef struct { … } name;`. Members may be double, casadi_int, types in
+            `kinds`, pointers, and arrays of these.
         text (str): C source that contains the struct.
-        sizes (mapping): C constant -> its value, for constants in the lengths of array members.
-        kinds (type): ctypes type of each further C type of members, by its name in C.
+        sizes (mapping): Name of a C constant -> its value, for the constants in array lengths.
+        kinds (type): Name of a further C type -> its ctypes type, as keyword arguments.
     """
     known = {"double": ctypes.c_double, "casadi_int": ctypes.c_longlong} | kinds
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
@@ -80,23 +79,29 @@ def structure(name: str, text: str, sizes: Mapping[str, int], **kinds: Any) -> A
 
 
 def initialiser(of: ctypes.Structure) -> str:
-    """C initialiser `{.name = value, …}` of the single doubles and integers of a struct instance `of`."""
+    """C initialiser `{.name = value, …}` for the members of a struct instance that are single doubles or integers."""
     scalars = [name for name, kind, *_ in of._fields_ if kind in (ctypes.c_double, ctypes.c_longlong)]
     return f"{{{', '.join(f'.{name} = {getattr(of, name)!r}' for name in scalars)}}}"
 
 
 def arrays(of: ctypes.Structure) -> dict[str, np.ndarray]:
-    """NumPy views of the members of a struct instance that are arrays of doubles, by name; memory is shared."""
+    """Dict from name to NumPy view of the members of a struct instance that are arrays of doubles. Writing to a view
+    changes the struct."""
     kinds = {name: getattr(kind, "_type_", None) for name, kind, *_ in of._fields_}
     listed = [name for name, kind in kinds.items() if kind is ctypes.c_double or hasattr(kind, "_length_")]
     return {name: np.ctypeslib.as_array(getattr(of, name)) for name in listed}
 
 
 class CompiledFunction:
-    """A CasADi function compiled into a shared object, with its work memory; evaluated on NumPy buffers without copies.
+    """A CasADi function in a shared object, called without copies: fill `arguments`, call, read `results`.
 
-    `arguments` and `results` are lists with one float64 array for each input and output of `function`: its nonzeros in
-    column-major order. Fill `arguments`, call, read `results`. `library` is the shared object.
+    Args:
+        library (ctypes.CDLL): Shared object with the C of the function.
+        function (casadi.Function): The function, for its name and sizes.
+
+    Attributes:
+        arguments, results (list of ndarray): One float64 array per input and per output, with its structural nonzeros
+            in column-major order.
     """
 
     def __init__(self, library: ctypes.CDLL, function: ca.Function):
@@ -112,26 +117,26 @@ class CompiledFunction:
         self._memory = *pointers, (ctypes.c_longlong * n_iw)(), (ctypes.c_double * n_w)()
 
     def __call__(self) -> list[np.ndarray]:
-        """Evaluate `arguments` into `results`, which is returned; what has no value becomes nan."""
+        """Evaluate `arguments` into `results` and return `results`."""
         self._symbol(*self._memory, 0)
         return self.results
 
 
 def compiled(function: ca.Function) -> CompiledFunction:
-    """`CompiledFunction` of a CasADi function, compiled or from the cache, with buffers of its own."""
+    """Compile a CasADi function, or load it from the cache, as a `CompiledFunction` with its own buffers."""
     return CompiledFunction(library([function]), function)
 
 
 def stored(build: Callable[..., Built]) -> Callable[..., Built]:
-    """Decorator that keeps the results of a function, in this process (as `functools.lru_cache`) and on disk.
+    """Decorator that keeps the results of a function in this process and on disk.
 
-    The key on disk is the version of the library (`code.version`), those of Python and of the packages that compute,
-    and the arguments. A result with another key, or that cannot be read, is computed again.
+    A result on disk counts only if the version of the library (`code.version`), Python, the packages that compute, the
+    kernels of NumPy and BLAS that are asked for, and the arguments are the same. Otherwise, or if it cannot be read, it
+    is computed again.
 
     Args:
-        build (callable): Function of the library, but not of `railrepro.evidence`, whose code the key does not know;
-            of positional arguments whose `repr` distinguishes them. Its result depends on these and on code only, and
-            can be pickled (CasADi functions can).
+        build (callable): Function of the library outside `railrepro.evidence`. Its arguments are positional, and their
+            `repr` must tell them apart. Its result depends on arguments and code only and can be pickled.
     """
     name = f"{build.__module__}.{build.__qualname__}"
 
@@ -141,7 +146,8 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
         if not code.unchanged():
             return build(*arguments)
         asked = f"{name}{arguments!r}"
-        key = hashlib.sha256(f"{code.version(), sys.version, code.packages()}{asked}".encode()).digest()
+        kernels = [os.environ.get(variable) for variable in numerics.WITH_AVX2]
+        key = hashlib.sha256(f"{code.version(), sys.version, code.packages(), kernels}{asked}".encode()).digest()
         file = cache.cache_folder() / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.graph"
         with suppress(OSError, zlib.error):
             content = file.read_bytes()

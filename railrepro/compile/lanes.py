@@ -1,10 +1,9 @@
 """C for vector registers: several sets of arguments side by side, or mirrored operations of one set.
 
-Functions consist of scalar operations (SX) that `_OPERATIONS` translates; a KeyError says which one it does not.
+Functions consist of scalar operations (SX) that `_OPERATIONS` translates; a KeyError names one that it does not.
 `lanes_text` evaluates a function for several sets of arguments. `pairs_text` writes a function whose inputs come in
-pairs, as those of two running gears. Two operations are twins where one does with the mirrored operands what the other
-does with its own. Twins become one operation of two lanes, so that nearly half of them go; each rounds as it does
-alone. The function knows nothing of this: what has no twin, as what acts on the car body, stays a number.
+pairs, as those of two running gears. Two operations are twins if one does with the mirrored operands what the other
+does with its own; they become one operation of two lanes. What has no twin stays a number.
 """
 
 from __future__ import annotations
@@ -32,9 +31,10 @@ _OPERATIONS = {
 
 
 class Statements:
-    """C statements on doubles or on vector registers of the C type `lanes_t`, written one after the other.
+    """C statements that each define one constant, of type double or of the vector type `lanes_t` (lanes.h).
 
-    `lines` is the list of statements so far (str); each method appends definitions of constants.
+    Attributes:
+        lines (list of str): The statements so far; each method appends to it.
     """
 
     def __init__(self) -> None:
@@ -42,13 +42,20 @@ class Statements:
         self._turned: dict[str, str] = {}
 
     def name(self, text: str, wide: bool) -> str:
-        """Append a constant with the C value `text`, lanes_t if `wide` and else double; returns its name."""
+        """Append a constant with the C expression `text` as its value and return its name. `wide`: type lanes_t, else
+        double."""
         found = f"t{len(self.lines)}"
         self.lines.append(f"const {'lanes_t' if wide else 'double'} {found} = {text};")
         return found
 
     def operation(self, kind: int, values: Sequence[str], wide: bool) -> str:
-        """Append an operation `kind` (`ca.OP_…`) on named operands, lanes_t if `wide`; returns its name."""
+        """Append a constant that is the result of an operation, and return its name.
+
+        Args:
+            kind (int): CasADi code of the operation, `ca.OP_…`.
+            values (sequence of str): Names of the operands.
+            wide (bool): True for lanes_t, False for double.
+        """
         own = "lanes_" if wide else "own_"
         if kind in (ca.OP_SIN, ca.OP_COS):
             (angle,) = values
@@ -61,20 +68,21 @@ class Statements:
 
 
 def lanes_header(lanes: int = 4) -> str:
-    """C source to place before that of `lanes_text` (`lanes` 4) or `pairs_text` (`lanes` 2), after `source_text`."""
+    """C source to place between `codegen.source_text` and the text of `lanes_text` or `pairs_text`. `lanes` is the
+    number of doubles per register: 4 for `lanes_text`, 2 for `pairs_text`."""
     return f"#define LANES {lanes}\n{Path(__file__).with_name('lanes.h').read_text()}{ELEMENTARY}"
 
 
 def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
-    """C source of a function that is evaluated for LANES sets of arguments side by side, in vector registers.
+    """C source of a function that is evaluated for several sets of arguments at once, one set per lane of a register.
 
     Args:
-        function (casadi.Function): Of the operations above.
-        common (sequence of str): Names of the inputs that all sets share; what depends on these alone is computed once.
+        function (casadi.Function): Function of the scalar operations in `_OPERATIONS`.
+        common (sequence of str): Inputs with one value for all sets. What depends on these alone is computed once.
 
     Returns:
-        str: `static void NAME_lanes(inputs, outputs)` with one pointer each, in CasADi's order: to lanes_t (lanes.h),
-        one set of arguments per lane, or to double for the common inputs.
+        str: `static void NAME_lanes(inputs, outputs)` with a pointer for each input and output in CasADi's order: to
+            double for the common inputs, to lanes_t for all others.
     """
     inputs, outputs = function.name_in(), function.name_out()
     kinds = ["double" if name in common else "lanes_t" for name in inputs]
@@ -106,14 +114,15 @@ _LEAVES = (ca.OP_INPUT, ca.OP_CONST)
 
 
 def pairs_text(function: ca.Function, mirrored: Mapping[str, Sequence[int]]) -> str:
-    """C source of a CasADi function that computes an operation and its mirror image together in one vector register.
+    """C source of a CasADi function in which an operation and its mirror image share one vector register.
 
-    It is called like the C that CasADi generates, and each result rounds as there. See the head of this module.
+    The C function has the signature of the one that CasADi generates, and its results have the same bits. `mirrored`
+    decides how many operations share a register, not the results.
 
     Args:
-        function (casadi.Function): Of the operations above.
-        mirrored (mapping): Name of an input -> list with the index of the partner of each of its entries, their own
-            where they have none. Constants of opposite sign count as partners, too.
+        function (casadi.Function): Function of the scalar operations in `_OPERATIONS`.
+        mirrored (mapping): Name of an input -> list of int: for each entry the index of its mirror image, such as the
+            same quantity at the other running gear, or its own index. An input that is not listed has no mirror images.
     """
     nodes, outputs = graph(function)
     twins = _twins(nodes, [mirrored.get(name) for name in function.name_in()])
@@ -143,7 +152,13 @@ def _leaf(node: tuple) -> str:
 
 
 def graph(function: ca.Function) -> tuple[list[tuple], list[tuple]]:
-    """Nodes, each once: (kind, operands), (kind, input, entry) or (kind, constant). Outputs: (output, entry, node)."""
+    """Operations of a CasADi function (SX), in the order of evaluation. Equal operations on equal operands occur once.
+
+    Returns:
+        nodes (list of tuple): One tuple per node, which starts with its kind `ca.OP_…`. Indices of its operands in
+            `nodes` follow; for `ca.OP_INPUT` index of the input and of the entry; for `ca.OP_CONST` the value.
+        outputs (list of tuple): One tuple per entry of an output: index of output, of entry, of node.
+    """
     nodes: list[tuple] = []
     index: dict[tuple, int] = {}
     slots: dict[int, int] = {}

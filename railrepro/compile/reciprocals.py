@@ -1,8 +1,6 @@
-"""Fewer divisions: a denominator that divides several numerators is inverted once and multiplied.
-
-Derivatives and factorisations divide row after row by the same number, and CasADi writes each x (1/y) as x/y. A
-division costs about as much as five multiplications.
-"""
+"""Fewer divisions: a denominator that divides several numerators is inverted once and multiplied. Derivatives and
+factorisations divide row after row by the same number, and CasADi writes each x (1/y) as x/y. A division costs about as
+much as five multiplications."""
 
 from __future__ import annotations
 
@@ -14,9 +12,10 @@ from railrepro.compile.lanes import graph
 
 
 def share_reciprocals(function: ca.Function) -> ca.Function:
-    """Rewrite a function of scalar operations (SX) with one reciprocal for each denominator that occurs more than once.
+    """Function with equal values up to rounding that divides less: 1/y is computed once where y divides several times.
 
-    Name, inputs and outputs stay; values are equal up to rounding.
+    Args:
+        function (casadi.Function): Function of scalar operations (SX). Names, inputs and outputs stay the same.
     """
     nodes, outputs = graph(function)
     uses = Counter(of[-1] for kind, *of in nodes if kind in (ca.OP_DIV, ca.OP_INV))

@@ -49,10 +49,11 @@ _PLAIN = 0.4, 2.0
 def kalker_coefficients(ratio, poisson: float = 0.28) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Kalker's creep coefficients c11, c22, c23, c33 (-) of an elliptic contact, each of the shape of `ratio`.
 
-    The semi-axis ratio a/b (a along, b across the rail) is clipped to 0.1 to 10, Poisson's ratio is 0 to 0.5, by
-    default that of steel. c33 is that of the moment which spin makes about the contact normal.
-
     Source: Kalker 1990, Table E3; parabola over Poisson's ratio, spline over the logarithm of a/b.
+
+    Args:
+        ratio (array_like): Semi-axis ratio a/b, with a along and b across the rail; clipped to 0.1 to 10.
+        poisson (float): Poisson's ratio, 0 to 0.5; default that of steel.
     """
     weights = [np.prod([(poisson - q) / (p - q) for q in _POISSON if q != p]) for p in _POISSON]
     table = np.stack(np.split(_TABLE[:, 1:], 4, axis=1)) @ weights
@@ -72,22 +73,22 @@ def _strips_and_ends() -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def strip_coefficients(half_length: np.ndarray, position: np.ndarray):
-    """Equivalent ellipse and creep coefficients of a contact patch of any shape, given by its strips along the rail.
+    """Equivalent ellipse and creep coefficients of a contact patch of any shape, cut into strips along the rail.
 
-    For ellipses c11 a b and c22 a b of Kalker's table are nearly of the form A a b + B a^2, and c23 (a b)^1.5 of the
-    form A a^2 b + B a^3. The first term is that of strips without neighbours and is summed over the strips. The second
-    is that of the lateral ends of the patch: half the total variation of the squared (for c23 cubed) half-length across
-    the strips, so that each lobe of a patch has ends. In c33 strips count by their squared distance from the middle. An
-    elliptic patch gets the coefficients of Kalker's table.
+    For ellipses, c11 a b and c22 a b of Kalker's table are nearly A a b + B a^2, and c23 (a b)^1.5 is nearly A a^2 b +
+    B a^3. Here the A term is a sum over the strips. The B term stands for the lateral ends of the patch. They are
+    measured by half the total variation of the squared half-length across the strips (cubed for c23), so each lobe has
+    ends. For c33 a strip counts by its squared distance from the middle. An elliptic patch gets the coefficients of
+    Kalker's table.
 
     Args:
-        half_length, position (ndarray, shape (n,)): Half-length (0 without contact) and lateral position of strips of
-            equal width (m), 0 at the centre of pressure.
+        half_length (ndarray, shape (n,)): Half the length of each strip (m), 0 without contact.
+        position (ndarray, shape (n,)): Lateral position of each strip (m), equally spaced, 0 at the centre of pressure.
 
     Returns:
-        a, b (float): Half the longest strip, and the lateral semi-axis that gives the ellipse the area of the patch
-            (m).
-        coefficients (tuple of float): c11, c22, c23, c33 that go with this ellipse (-).
+        a (float): Half the length of the longest strip (m).
+        b (float): Lateral semi-axis of the ellipse that has the area of the patch (m).
+        coefficients (tuple of float): c11, c22, c23, c33 of the patch, to be used with this ellipse (-).
     """
     width = position[1] - position[0]
     a = half_length.max()
@@ -108,29 +109,27 @@ def polach(
 ):  # fmt: skip
     """Creep forces on a wheel: Polach's resultant, with falling friction, along the force of Kalker's linear theory.
 
-    Spin is part of the linear force, so that small creepages of any mixture meet linear theory. The moment about the
-    contact normal is Kalker's linear one, f23 nu_y - f33 spin, reduced like the force. A contact that slides as a whole
-    has the same traction ahead of its centre as behind, so the term of the lateral creepage is also multiplied by
-    1 - used + 2 used^2 (1 - used)^2, where `used` is the share of the friction in use: fitted to half spaces in steady
-    rolling. Works on floats, CasADi SX and (elementwise) arrays; values and derivatives stay finite at zero creepage
-    and load.
+    Spin is part of the linear force, so small creepages of any mixture meet linear theory. The moment about the contact
+    normal is Kalker's linear one, f23 nu_y - f33 spin, reduced like the force. Its term in nu_y is also multiplied by 1
+    - used + 2 used^2 (1 - used)^2, fitted to half spaces in steady rolling. Here `used` is the share of the friction in
+    use. All arguments are floats, arrays (elementwise) or CasADi SX. Values and derivatives stay finite at zero
+    creepage and load. Source: Polach 2005, eqs. (2) and (3) (resultant), Shen, Hedrick and Elkins 1983 (direction),
+    Kalker 1990 (moment).
 
     Args:
-        nu_x, nu_y: longitudinal and lateral creepage (-)
-        spin: spin creepage (1/m)
-        load: normal force (N)
-        a, b: semi-axes of the contact along and across the rail (m)
-        c11, c22, c23, c33: Kalker coefficients (-)
-        shear_modulus: G (Pa)
-        k_a, k_s: reduction factors in the area of adhesion and of slip (-); k_s counts up to k_a
-        mu0, a_ratio, b_decay: friction at rest (-), its ratio at high slip speed (-) and decay (s/m)
-        slip_speed: sliding speed of the contact (m/s)
+        nu_x, nu_y, spin: Longitudinal and lateral creepage (-), spin creepage (1/m).
+        load: Normal force (N).
+        a, b: Semi-axes of the contact along and across the rail (m).
+        c11, c22, c23, c33: Kalker's coefficients (-).
+        shear_modulus: Shear modulus (Pa).
+        k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a.
+        mu0, a_ratio, b_decay: Friction at rest (-), its ratio at high slip speed (-), and decay over the slip speed
+            (s/m).
+        slip_speed: Sliding speed of the contact (m/s).
 
     Returns:
-        F_x, F_y, M: tangential force on the wheel (N), never longer than the friction force, and its moment about the
-            contact normal, which points into the rail (N m).
-
-    Source: Polach 2005, eqs. (2) and (3) (resultant), Shen, Hedrick and Elkins 1983 (direction), Kalker 1990 (moment).
+        F_x, F_y: Tangential force on the wheel (N), never larger than the friction force.
+        M: Moment about the contact normal, which points into the rail (N m).
     """
     m = elementary(nu_x, nu_y, spin, load)
     friction, root = mu0 * ((1 - a_ratio) * m.exp(-b_decay * slip_speed) + a_ratio), m.sqrt(a * b)
@@ -148,15 +147,22 @@ def polach(
 
 
 def elementary(*values):
-    """Module whose sqrt, exp, fmin and so on suit the given values: casadi if any of them is SX or MX, else numpy."""
+    """Module with sqrt, exp, fmin and so on for these values: casadi if any of them is SX or MX, else numpy."""
     return ca if any(isinstance(value, ca.SX | ca.MX) for value in values) else np
 
 
 def adhesion_maximum(adhesion, speed: float, load: float, a: float, b: float, coefficients, shear_modulus: float):
-    """Largest creep force over normal force in pure traction (-), and the longitudinal creepage at which it occurs (-).
+    """Adhesion maximum in pure traction, searched over longitudinal creepages of 1e-5 to 0.5.
 
-    `adhesion` is a `vehicle.parameters.AdhesionSet`, `speed` the running speed (m/s), `load` the normal force (N), a, b
-    semi-axes (m), `coefficients` c11, c22, c23, c33 (-), `shear_modulus` in Pa. Creepages of 1e-5 to 0.5 are searched.
+    Args:
+        adhesion (AdhesionSet): Parameters of Polach's law.
+        speed, load (float): Running speed (m/s), normal force (N).
+        a, b (float): Semi-axes of the contact along and across the rail (m).
+        coefficients (tuple of float): c11, c22, c23, c33 (-).
+        shear_modulus (float): Shear modulus (Pa).
+
+    Returns:
+        tuple of float: Largest creep force over normal force (-); longitudinal creepage at which it occurs (-).
     """
     slip = np.geomspace(1e-5, 0.5, 20_000)
     law = astuple(adhesion)

@@ -1,8 +1,6 @@
-"""Normal contact of wheel and rail: Hertz's ellipse, and the elastic half space for real profiles.
-
-The contact modulus of two bodies of one material is E* = E / (2 (1 - nu^2)) (Johnson 1985, Contact Mechanics, section
-4.2). Serves the paper's section Simulation Environment.
-"""
+"""Normal contact of wheel and rail: Hertz's ellipse, and the elastic half space for real profiles. The contact modulus
+of two bodies of one material is E* = E / (2 (1 - nu^2)) (Johnson 1985, Contact Mechanics, section 4.2). Serves the
+paper's section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ from scipy.special import ellipe, ellipk
 
 _FLAT = np.geomspace(0.1, 1.0, 400)
 _CELLS = 24, 72
-"""Cells along and across the rail of the grid of an elastic contact; half of them find where it touches."""
+"""Cells along and across the rail of the fine grid of an elastic contact; the first, coarse grid has half of them."""
 _REACH = 1.3e-4
 """Distance of the undeformed profiles up to which they may touch; more than the approach of any wheel here (m)."""
 _TOLERANCE = 1e-4
@@ -24,14 +22,14 @@ _TURNS, _TURNED = 4, 0.05
 
 
 def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -> tuple[float, float]:
-    """Semi-axes along and across the rail (m) of the contact of two bodies, their ratio held within 0.1 to 10.
-
-    Args:
-        curvature_x, curvature_y (float): Sum of both bodies' curvatures along and across the rail (1/m), positive: the
-            distance of the bodies is curvature_x x^2/2 + curvature_y y^2/2.
-        load, modulus (float): Normal force (N), contact modulus E* (Pa).
+    """Semi-axes along and across the rail (m) of the elliptic contact of two bodies; ratio limited to 0.1 to 10.
 
     Source: Johnson 1985, Contact Mechanics, section 4.2.
+
+    Args:
+        curvature_x, curvature_y (float): Sum of the curvatures of both bodies along and across the rail (1/m),
+            positive. The gap between the bodies is curvature_x x^2/2 + curvature_y y^2/2.
+        load, modulus (float): Normal force (N), contact modulus E* (Pa).
     """
     m = 1 - _FLAT**2
     with np.errstate(invalid="ignore"):
@@ -46,16 +44,16 @@ def hertz(curvature_x: float, curvature_y: float, load: float, modulus: float) -
 
 @dataclass(frozen=True)
 class Patch:
-    """Contact patch of a wheel on a rail: means over the patch, and its strips along the rail.
+    """Contact patch of a wheel on a rail.
 
     Attributes:
-        position, slope (float): Means over the pressure: distance from the track centre (m), and slope of the wheel
-            profile (-), which is the tangent of the angle of the resultant force.
-        height (float): Rolling radius at which the patch rolls without longitudinal force, less the nominal one (m):
-            mean height of the wheel profile with each strip weighted by the power 2/3 of its load, as its creep
-            stiffness is.
-        strips, half_lengths (ndarray, shape (n,)): Lateral distance of each strip from the centre of pressure, in the
-            plane of the contact, and half its length along the rail (m); arguments of `creep.strip_coefficients`.
+        position (float): Lateral distance of the centre of pressure from the track centre (m).
+        height (float): Rolling radius at which the patch rolls without longitudinal force, minus the nominal radius
+            (m). It is a mean over the strips, weighted by their load to the power 2/3, which is their creep stiffness.
+        slope (float): Slope of the wheel profile, mean over the pressure (-): tangent of the angle of the force.
+        strips (ndarray, shape (n,)): Lateral position of each strip (m), in the contact plane, 0 at the centre of
+            pressure. A strip runs along the rail.
+        half_lengths (ndarray, shape (n,)): Half the length of each strip along the rail (m).
     """
 
     position: float
@@ -66,17 +64,17 @@ class Patch:
 
 
 def elastic_contact(position, height, slope, rail_depth, radius: float, load: float, modulus: float) -> Patch:
-    """Elastic contact of a wheel profile on a rail profile: half spaces in the plane of the mean contact angle.
+    """Contact `Patch` of a wheel profile on a rail profile: elastic half spaces in the plane of the mean contact angle.
 
-    A coarse grid finds where the bodies touch, starting where the undeformed profiles are close. A fine grid covers
-    just that area, so that it has the same number of cells whatever the size of the patch.
+    A coarse grid finds where the bodies touch. A fine grid then covers this area only, so its number of cells is the
+    same for every patch. Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4.
 
     Args:
-        position, height, slope, rail_depth (ndarray, shape (n,)): Uniform lateral grid (m); on it height of the wheel
-            profile, radius less the nominal one (m), its slope (-), and depth of the rail below its top (m).
+        position (ndarray, shape (n,)): Lateral distance from the track centre, uniformly spaced (m).
+        height (ndarray, shape (n,)): Radius of the wheel profile minus the nominal radius (m).
+        slope (ndarray, shape (n,)): Slope of the wheel profile (-).
+        rail_depth (ndarray, shape (n,)): Depth of the rail below its top (m).
         radius, load, modulus (float): Nominal rolling radius (m), normal force (N), contact modulus E* (Pa).
-
-    Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact, ch. 4 (contact of half spaces).
     """
     overlap = height - rail_depth
     gap, first = overlap.max() - overlap, int(np.argmax(overlap))
@@ -104,18 +102,15 @@ def elastic_contact(position, height, slope, rail_depth, radius: float, load: fl
 
 
 def half_space_pressure(gap: np.ndarray, load: float, sides: tuple[float, float], modulus: float) -> np.ndarray:
-    """Normal pressure (Pa) between elastic half spaces, 0 without contact, in the shape (nx, ny) of `gap`.
+    """Normal pressure between two elastic half spaces (Pa), shape (nx, ny); 0 where they do not touch.
+
+    Raises ArithmeticError if it has not settled after 500 iterations. Source: Polonsky and Keer 1999 (conjugate
+    gradients).
 
     Args:
         gap (ndarray, shape (nx, ny)): Distance of the undeformed surfaces on a uniform grid (m).
-        load (float): Normal force (N).
-        sides (tuple of float): Grid steps along both axes (m).
-        modulus (float): Contact modulus E* (Pa).
-
-    Raises:
-        ArithmeticError: When 500 iterations are not enough.
-
-    Source: Polonsky and Keer 1999 (conjugate gradients).
+        load, modulus (float): Normal force (N), contact modulus E* (Pa).
+        sides (tuple of float): Grid steps in x and y (m).
     """
     shape = [2 * n for n in gap.shape]
     transform = fft.rfft2(_influence(gap.shape, sides, modulus))
@@ -150,10 +145,7 @@ def half_space_pressure(gap: np.ndarray, load: float, sides: tuple[float, float]
 
 
 def _influence(shape: tuple[int, ...], sides: tuple[float, float], modulus: float) -> np.ndarray:
-    """Deflection of the half spaces at grid distances under unit pressure on one cell (m/Pa), wrapped for the FFT.
-
-    Source: Love 1929.
-    """
+    """Deflection at grid distances under unit pressure on one cell (m/Pa), wrapped for the FFT. Source: Love 1929."""
     x, y = np.meshgrid(*(fft.fftfreq(2 * n, 1 / (2 * n)) * d for n, d in zip(shape, sides, strict=True)), indexing="ij")
     total = np.zeros_like(x)
     for sign_x in (1, -1):

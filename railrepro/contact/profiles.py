@@ -1,9 +1,6 @@
-"""Profiles of wheel and rail: S1002 and 60E1, from the coefficients of the standards.
-
-Serves the paper's section Simulation Environment (wheel-rail geometry of the plant). Profiles are functions of a
-lateral coordinate that is positive to the field side; heights are positive radially outwards (wheel) and downwards
-(rail).
-"""
+"""Profiles of wheel and rail: S1002 and 60E1, from the coefficients of the standards. Serves the paper's section
+Simulation Environment (wheel-rail geometry of the plant). Profiles are functions of a lateral coordinate that is
+positive to the field side; heights are positive radially outwards (wheel) and downwards (rail)."""
 
 from __future__ import annotations
 
@@ -53,11 +50,10 @@ _S1002 = (
 
 
 def s1002(lateral) -> tuple[np.ndarray, np.ndarray]:
-    """Wheel profile S1002: rolling radius less the nominal one (m) and its derivative (-), shape of `lateral`.
+    """Wheel profile S1002: radius minus the nominal radius (m), and its derivative (-), each in the shape of `lateral`.
 
-    `lateral` is the distance from the tape circle, positive to the field side, -0.07 to 0.06 (m).
-
-    Source: EN 13715 (UIC 510-2), S1002 with 28 mm flange height and 32.5 mm flange thickness.
+    `lateral` is the distance from the tape circle (m), -0.07 to 0.06, positive to the field side. Source: EN 13715 (UIC
+    510-2), S1002 with 28 mm flange height and 32.5 mm flange thickness.
     """
     s = np.asarray(lateral, dtype=float) / MM
     zones = [s >= limit for limit, _, _ in _S1002]
@@ -73,11 +69,10 @@ _SIDE_SLOPE = 20.0
 
 
 def rail_head(lateral) -> np.ndarray:
-    """Depth of the 60E1 head below its crown (m), in the rail's own axes, shape of `lateral`.
+    """Depth of the 60E1 head below its crown (m), in the shape of `lateral`. The rail stands upright, not inclined.
 
-    `lateral` is the distance from the axis of symmetry, up to 0.036 on both sides (m).
-
-    Source: EN 13674-1, radii 300, 80 and 13 mm; junctions fitted to measured points to 2 micrometres.
+    `lateral` is the distance from the axis of symmetry (m), up to 0.036 to both sides. Source: EN 13674-1, radii 300,
+    80 and 13 mm; junctions fitted to measured points to 2 micrometres.
     """
     y = np.abs(np.asarray(lateral, dtype=float)) / MM
     inside, depths = [], []
@@ -91,11 +86,11 @@ def rail_head(lateral) -> np.ndarray:
 
 
 def inclined_rail() -> tuple[np.ndarray, np.ndarray]:
-    """The right 60E1 rail head as laid: inclined, gauge face at half the gauge.
+    """Cross-section of the right 60E1 rail in the track: inclined 1:40, with its gauge face at half the gauge.
 
     Returns:
-        position, depth (ndarray, shape (20001,)): Distance from the track centre, increasing, and depth below the
-            highest point of the rail (m).
+        position (ndarray, shape (20001,)): Distance from the track centre (m), increasing.
+        depth (ndarray, shape (20001,)): Depth below the highest point of the rail (m).
     """
     y = np.linspace(-36.0, 36.0, 20_001) * MM
     z = rail_head(y)

@@ -2,17 +2,12 @@
 
 The plant needs, at each shift u (positive towards the flange): the radius of the equivalent wheel on a knife-edge rail
 (its slope is the tangent of the contact angle, so the normal force is conservative), the true rolling radius and
-contact position, the contact ellipse, Kalker coefficients and Hertz stiffness.
-
-A rigid wheel on a rigid rail touches in a point that jumps by 12 mm when an S1002 wheel passes the centre; under load
-the patch spans the jump. So geometry is averaged over the pressure of elastic half spaces at nominal load, which makes
-it continuous. The rolling radius is that at which the patch rolls without longitudinal force (`normal.Patch`), creep
-coefficients are those of its strips (`creep.strip_coefficients`). Weight pushes a gear beside the middle back, spin
+contact position, the contact ellipse, Kalker coefficients and Hertz stiffness. A rigid S1002 wheel on a rigid rail
+touches in a point that jumps by 12 mm in the middle of the track; under load the patch spans the jump. So geometry is
+averaged over the pressure of elastic half spaces at nominal load. Weight pushes a gear beside the middle back, spin
 pushes it on; the net force is a fifth of each, and within 15 % of half spaces. The normal force acts at the fixed line
-of the rail, as the energy of the effective radius has it; moved with the patch it would change no error of a gear that
-keeps off its flanges by more than 1 %.
-
-Serves the paper's eqs. (10), (11) (cone) and section Simulation Environment.
+of the rail; moved with the patch it would change no error of a gear that keeps off its flanges by more than 1 %. Serves
+the paper's eqs. (10), (11) (cone) and section Simulation Environment.
 """
 
 from __future__ import annotations
@@ -51,19 +46,19 @@ class ContactTable:
     """Contact quantities over the lateral shift of a wheel towards its flange.
 
     Attributes:
-        frame (DataFrame): Uniform grid `shift_m` with effective_radius_m, angle_rad (contact angle), rolling_radius_m,
-            rail_contact_m (lateral position on the rail, from half the contact base, positive to the field side),
-            semi_axis_x_m, semi_axis_y_m (at nominal load), Kalker's c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
+        frame (DataFrame): One row per shift, uniformly spaced. Columns: shift_m; effective_radius_m; angle_rad (contact
+            angle); rolling_radius_m; rail_contact_m (lateral position of the contact on the rail, from half the contact
+            base, positive to the field side); semi_axis_x_m, semi_axis_y_m (at nominal load); Kalker's c11, c22, c23,
+            c33 (-); normal_stiffness (N/m^1.5).
     """
 
     frame: pd.DataFrame
 
     def cells(self) -> np.ndarray:
-        """Cells between the n grid points, one a row, columns `CELL_COLUMNS` (SI), shape (n - 1, len(CELL_COLUMNS)).
+        """Coefficients to interpolate between the n rows of `frame`, with columns `CELL_COLUMNS` (SI).
 
-        Effective radius and its slope are continuous from cell to cell.
-
-        Source: cubic Hermite interpolation, de Boor, A Practical Guide to Splines, ch. IV.
+        Shape (n - 1, columns): row i covers the shifts from row i to row i + 1 of `frame`. The effective radius is a
+        cubic with continuous slope, all else is linear. Source: de Boor, A Practical Guide to Splines, ch. IV.
         """
         quantities = {name.removesuffix("_m"): self.frame[name].to_numpy() for name in self.frame}
         shift, radius = quantities["shift"], quantities["effective_radius"]
@@ -83,16 +78,19 @@ class ContactTable:
 
 
 def in_cell(cell: dict, offset) -> dict:
-    """Contact at an offset (m) from the start of a cell, a dict by `CELL_COLUMNS` of numbers, arrays or symbols.
+    """Contact quantities at a shift inside a row of `ContactTable.cells`.
 
-    A wheel that hits its flange leaves its cell by several widths within a stage of the integrator. Beyond the cell the
-    effective radius goes on along its tangent, so that it stays the integral of its slope and the contact makes no
-    energy, the rolling radius goes with it, as on a cone, and all else keeps its value, so that no ellipse grows a
-    negative axis.
+    A wheel that hits its flange leaves the row by several widths within a stage of the integrator. Beyond the row the
+    effective radius and the rolling radius go on along their tangent and all else keeps its value. So the effective
+    radius stays the integral of its slope, and the contact makes no energy.
+
+    Args:
+        cell (dict): Name in `CELL_COLUMNS` -> number, array or symbol.
+        offset: Shift minus the shift at which the row starts (m), of the same kind.
 
     Returns:
-        dict: effective_radius (m) and its slope (-), which is the tangent of the contact angle, rolling_radius,
-        rail_contact, semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
+        dict: Keys effective_radius (m), slope (its derivative, the tangent of the contact angle, -), rolling_radius,
+            rail_contact, semi_axis_x, semi_axis_y (m), c11, c22, c23, c33 (-), normal_stiffness (N/m^1.5).
     """
     first, square, cube = (cell[f"radius_{name}"] for name in ("slope", "square", "cube"))
     m = elementary(offset)
@@ -105,7 +103,8 @@ def in_cell(cell: dict, offset) -> dict:
 
 
 def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
-    """`ContactTable` of a vehicle for the profile "cone" or "s1002"; InputError for another name."""
+    """`ContactTable` of the wheel profile "cone" or "s1002" on its rail, with radius, load and material of a vehicle.
+    Raises InputError for another profile."""
     material = vehicle.contact
     modulus = material.young / (2 * (1 - material.poisson**2))
     if profile == "cone":
@@ -116,11 +115,11 @@ def contact_table(profile: str, vehicle: Vehicle) -> ContactTable:
 
 
 def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
-    """Contact ellipse of the vehicle's own wheel profile in the middle of the track, at nominal load.
+    """Contact ellipse of a wheel with the profile of the vehicle, centred in the track, at nominal load.
 
     Returns:
         a, b (float): Semi-axes along and across the rail (m).
-        coefficients (tuple of float): c11, c22, c23, c33 (-).
+        coefficients (tuple of float): Kalker's c11, c22, c23, c33 (-).
     """
     frame = contact_table(vehicle.contact.profile, vehicle).frame
     a, b, *coefficients = frame.loc[frame["shift_m"].abs().argmin(), [*_PATCH]].tolist()
@@ -128,13 +127,8 @@ def middle_patch(vehicle: Vehicle) -> tuple[float, float, tuple[float, ...]]:
 
 
 def _cone(vehicle: Vehicle, modulus: float) -> ContactTable:
-    """Cone on a line-shaped rail: r = r0 + u tan(delta0), constant ellipse, with the contact modulus E* (Pa).
-
-    A cone of 1:40 stands upright on a rail that is inclined 1:40 and touches its crown; its generating line is
-    straight, so the crown alone curves the contact across the rail.
-
-    Source: paper, eqs. (10), (11); Johnson 1985, Contact Mechanics, section 4.2 (ellipse).
-    """
+    """Cone on a line-shaped rail: r = r0 + u tan(delta0); the ellipse is that of the rail's crown. Source: eqs. (10),
+    (11)."""
     along = np.cos(vehicle.wheel.cone_angle) / vehicle.wheel.radius
     a, b = normal.hertz(along, 1 / profiles.CROWN_RADIUS, vehicle.contact.nominal_load, modulus)
     shift = np.arange(-400, 401) * 1e-4
@@ -161,10 +155,13 @@ def _rail() -> tuple[np.ndarray, np.ndarray]:
 
 
 def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cross-section of an S1002 wheel on 60E1 at 1:40, shifted towards its flange by `shift` (m).
+    """Cross-section of an S1002 wheel on a 60E1 rail at 1:40. The wheel is shifted towards its flange by `shift` (m).
 
-    Returns distance from the track centre (m), height of the wheel profile, radius less the nominal one (m), its slope
-    (-) and depth of the rail below its top (m), each of shape (n,).
+    Returns:
+        position (ndarray, shape (n,)): Lateral distance from the track centre (m).
+        height (ndarray, shape (n,)): Radius of the wheel profile minus the nominal radius (m).
+        slope (ndarray, shape (n,)): Slope of the wheel profile (-), positive where the radius grows towards the flange.
+        depth (ndarray, shape (n,)): Depth of the rail below its top (m).
     """
     position, depth = _rail()
     height, slope = profiles.s1002(position - profiles.TAPE_CIRCLE - shift)
@@ -173,18 +170,14 @@ def section(shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 @stored
 def pair_table(radius: float, load: float, modulus: float, stiffness: float) -> ContactTable:
-    """Contact table of S1002 on 60E1 at 1:40, averaged over the elastic patch, each tenth of a millimetre.
+    """`ContactTable` of S1002 on 60E1 at 1:40, averaged over the elastic patch, with a row every 0.1 mm.
 
-    The effective radius is the integral of the mean slope, so that at nominal load the normal forces of the patch have
-    the resultant that the table gives. The Hertz stiffness is the same at every shift: one that changed with the shift
-    would need a lateral force of its own, or the contact would make energy.
+    The effective radius is the integral of the mean slope. The Hertz stiffness is the same at every shift, because
+    otherwise the contact would make energy. Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact.
 
     Args:
-        radius (float): Nominal rolling radius (m).
-        load, modulus (float): Normal force (N), contact modulus E* (Pa).
-        stiffness (float): Hertz stiffness (N/m^1.5).
-
-    Source: Kalker 1990, Three-Dimensional Elastic Bodies in Rolling Contact (half spaces, coefficients).
+        radius, load (float): Nominal rolling radius (m), normal force (N).
+        modulus, stiffness (float): Contact modulus E* (Pa), Hertz stiffness (N/m^1.5).
     """
     shifts = np.arange(-150, 121) * 1e-4
     patches = [normal.elastic_contact(*section(shift), radius, load, modulus) for shift in shifts]
@@ -207,12 +200,15 @@ def pair_table(radius: float, load: float, modulus: float, stiffness: float) -> 
 
 
 def equivalent_conicity(frame: pd.DataFrame, amplitude: float) -> float:
-    """Equivalent conicity (-): of the cone on which a wheelset oscillates by `amplitude` (m) with the same wavelength.
+    """Equivalent conicity (-): slope of the cones on which a wheelset oscillates with the same wavelength.
 
-    The wheelset follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll. `frame` has columns shift_m, at
-    least over the amplitude to both sides, and rolling_radius_m. 0 where the radii do not bring the wheelset back.
+    The motion follows y'' = -(r_ri - r_le)/(b r_0) along the track, without roll; b and r_0 cancel out. The result is 0
+    where the difference of the radii does not bring the wheelset back. Source: EN 15302, by integration of the equation
+    of motion.
 
-    Source: EN 15302, by integration of the equation of motion (quarter of a wave from its energy integral).
+    Args:
+        frame (DataFrame): Columns shift_m, reaching at least `amplitude` to both sides, and rolling_radius_m.
+        amplitude (float): Amplitude of the lateral oscillation (m).
     """
     y = np.linspace(0.0, amplitude, 4001)
     right, left = (np.interp(side * y, frame["shift_m"], frame["rolling_radius_m"]) for side in (1, -1))

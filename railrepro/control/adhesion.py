@@ -2,9 +2,8 @@
 
 The law moves the base torque by a fixed step each millisecond. Segment I (adhesion below the set point, stable branch):
 raise; segment II (inside the corridor): hold; segment III (adhesion above the set point, or any wheel past its
-maximum): lower. It knows estimates of adhesion and slip, nothing of the contact law.
-
-Serves the paper's section Adhesion Control.
+maximum): lower. It knows estimates of adhesion and slip, nothing of the contact law. Serves the paper's section
+Adhesion Control.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ AdhesionMemory = group("AdhesionMemory", {"f": listed(SIDES), "s": listed(SIDES)
 
 @dataclass(frozen=True)
 class AdhesionSettings:
-    """Parameters of the adhesion law; InputError for a value of another type or beyond its range."""
+    """Parameters of the adhesion law. InputError for a value of another type or beyond its range."""
 
     raise_step: _STEP = 2.0
     """Increase of the base torque while adhesion is below the corridor, segment I (N m per ms), the paper's p1."""
@@ -61,12 +60,17 @@ class AdhesionSettings:
         check_fields(self)
 
     def base_torque(self, q: Any, memory: Any) -> tuple:
-        """Base torque per wheel (N m), next `AdhesionMemory` and segment (1 raise, 2 hold, 3 lower) of one gear.
+        """One cycle (1 ms) of the adhesion law for one running gear. Arguments are numbers or CasADi expressions.
 
-        One cycle of 1 ms from inputs `q` (`AdhesionInputs`) and states `memory` (`AdhesionMemory`); numbers or CasADi.
+        Adhesion and slip are turned to be positive in the direction of the demand. With the sign of s that the paper
+        prints, f' s' < 0 would mark the stable branch in traction. Source: eqs. (21), (22), (23), (25).
 
-        Source: eqs. (21), (22), (23), (25); with s as printed, the stable branch in
-        traction has f' s' < 0, so the law works with slip counted in the direction of the demand.
+        Args:
+            q (AdhesionInputs): Inputs of this cycle.
+            memory (AdhesionMemory): Filter states after the previous cycle.
+
+        Returns:
+            tuple: Base torque per wheel (N m); next `AdhesionMemory`; segment: 1 raise, 2 hold, 3 lower.
         """
         sign = ca.if_else(q.f_star < 0, -1, 1)
         pole = CONTROL_PERIOD / (self.filter_time + CONTROL_PERIOD)

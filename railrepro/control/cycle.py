@@ -1,7 +1,5 @@
 """The control cycle of both gears in C, for runs and export: slower controllers where they are due, then the 1 kHz law.
-
-Serves the paper's Fig. 4.
-"""
+Serves the paper's Fig. 4."""
 
 from __future__ import annotations
 
@@ -31,10 +29,12 @@ def _sizes(signature: law.LawSignature, parameters: int) -> dict[str, int]:
 
 
 def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) -> str:
-    """C text of the control cycle of both gears, to stand after call.h and the C generated from `law.function`.
+    """C text of the control cycle of both gears. It has to follow call.h and the C generated from `law.function`.
 
-    `signature` is that of the law, `parameters` the number of run-time parameters, gains of the law included;
-    `planners` is C of the slower controllers, which defines planner_memory_t, planner_reset and planner_sample.
+    Args:
+        signature (LawSignature): Signature of the 1 kHz law.
+        parameters (int): Number of run-time parameters, including the gains of the law.
+        planners (str): C of the slower controllers: it defines planner_memory_t, planner_reset and planner_sample.
     """
     measured, memory, read = indices(interface.Measured), indices(signature.Memory), names(interface.ReadGear)
     places: dict[str, int | str] = {"GEAR_MEASURED": measured.rear.p - measured.front.p, "BASE": memory.front.u}
@@ -47,7 +47,7 @@ def c_text(signature: law.LawSignature, parameters: int, planners: str = SLOTS) 
 
 @lru_cache
 def structures(signature: law.LawSignature) -> tuple[Any, Any]:
-    """ctypes classes of the C structs (`planner_memory_t`, `controller_t`) for a 1 kHz law of this signature."""
+    """Pair of ctypes classes: C structs `planner_memory_t` and `controller_t` for a 1 kHz law with this signature."""
     slot = codegen.structure("planner_memory_t", SLOTS, {}, sample_t=ctypes.c_void_p)
     sizes = _sizes(signature, len(names(signature.Gains)))
     return slot, codegen.structure("controller_t", _SOURCE, sizes, planner_memory_t=slot)

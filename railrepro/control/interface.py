@@ -1,7 +1,4 @@
-"""What the 1 kHz control law measures, records and compares with limits: names and units.
-
-Serves the paper's Fig. 4.
-"""
+"""What the 1 kHz control law measures, records and compares with limits: names and units. Serves the paper's Fig. 4."""
 
 from __future__ import annotations
 

@@ -62,62 +62,65 @@ MODEL = {
 
 
 class LateralLaw(Protocol):
-    """A guidance law at 1 kHz: an object with `torque(q)`.
+    """Lateral guidance law that is evaluated every millisecond: any object with the method `torque(q)`.
 
-    Optional: `memory`, a tuple of the names of its own states (separate for each gear, 0 at the start), and `gains()`,
-    a dict of its run-time numbers by name.
+    It may also have two optional members. `memory` is a tuple with the names of its own states, which are separate for
+    each gear and start at 0. `gains()` returns a dict from name to value of its run-time numbers.
     """
 
     def torque(self, q: SimpleNamespace) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
-        """Differential torque (N m, positive steers right); with memory also the next value of each state by name.
+        """Differential torque (N m, positive steers to the right), as a CasADi expression.
 
-        `q` has the quantities of `GEAR`, `ROAD` and `MODEL`, the states in `memory` and the gains as attributes: scalar
-        CasADi symbols in SI units.
+        A law with `memory` returns a pair: the torque, and a dict from the name of a state to its next value. `q` has
+        one attribute for each name in `GEAR`, `ROAD`, `MODEL`, `memory` and the gains: a scalar CasADi symbol (SI).
         """
 
 
 class SlowController(Protocol):
-    """A guidance law of one running gear that runs slower than 1 kHz.
+    """Lateral guidance of one running gear that is sampled at its own `period`, a multiple of 1 ms, by `plan`.
 
-    A controller with a filter of its own also has `read(readings, delay) -> None`. With sensors it comes before `plan`:
-    `readings` are displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as read, `delay` is the time
-    from the reading to the moment when a torque acts (s).
-
-    One in compiled C has `compiled(loop, leader=None)`, called once before a run, and may lack `plan`: the address of
-    the C function of a sample, see `control.cycle.SAMPLE`, and that of its memory, or None where `plan` shall be called
-    instead. `loop` is the `Loop` of its sensors or None; `leader` is for the rear gear the front gear's controller.
+    It may have two more methods:
+    - `read(readings, delay)`, for a controller with a filter of its own. With sensors it is called before `plan`.
+      `readings` are lateral displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as read; `delay`
+      is the time from reading to torque (s).
+    - `compiled(loop, leader=None)`, for a controller in compiled C, called once before a run. It returns the addresses
+      of the C function of a sample (`control.cycle.SAMPLE`) and of its memory, or None if `plan` is to be called.
+      `loop`: the `Loop` of the sensors or None; `leader`: for the rear gear the controller of the front gear.
     """
 
     period: float
     """Sampling time (s), a multiple of 1 ms."""
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Differential torque (N m) from measured states (6,) and base torque per wheel (N m).
+        """Differential torque (N m) to hold until the next sample; not needed if `compiled` returns addresses.
 
-        States: track coordinate (m), heading (rad), speed (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle
-        against the track (rad).
+        Args:
+            x_hat (ndarray, shape (6,)): Measured or estimated state of the gear: track coordinate (m), heading (rad),
+                speed (m/s), yaw rate (rad/s), lateral displacement (m), yaw angle against the track (rad).
+            u_d (float): Base torque per wheel (N m).
         """
 
 
 Factory = Callable[[Vehicle, Route, int], Any]
-"""Function (vehicle, route, gear) -> `SlowController`."""
+"""Function (vehicle, route, gear) -> `SlowController`; gear is 0 (front) or 1 (rear)."""
 Guidance = LateralLaw | Factory
 
 
 @dataclass(frozen=True)
 class ZeroOrderHold:
-    """Hold the last differential torque of a slower controller."""
+    """1 kHz law that holds the last differential torque of a slower controller."""
 
     def torque(self, q: SimpleNamespace) -> ca.SX:
-        """Differential torque that the slower controller gave last, `q.held` (N m); `q` as in `LateralLaw.torque`."""
+        """The last differential torque of the slower controller, `q.held` (N m); `q` as in `LateralLaw.torque`."""
         return q.held
 
 
 def split(guidance) -> tuple[LateralLaw, Factory | None]:
-    """Split a guidance into its 1 kHz law and the factory of its slower controllers (None without them).
+    """Split a guidance into a pair: its 1 kHz law, and the factory of its slower controllers or None.
 
-    A factory without `torque` goes with `ZeroOrderHold`; an object with `torque` that can also be called is law and
-    factory. InputError for anything else, also for a class with `torque` in place of an object.
+    An object with the method `torque` is the law; if it is callable, it is the factory, too. Any other callable is a
+    factory, and the law is `ZeroOrderHold`. A factory takes (vehicle, route, gear) and returns a `SlowController`.
+    InputError for anything else, also for a class with `torque` instead of an object of it.
     """
     if isinstance(guidance, type) and hasattr(guidance, "torque"):
         name = guidance.__name__
@@ -135,14 +138,11 @@ def split(guidance) -> tuple[LateralLaw, Factory | None]:
 
 @dataclass(frozen=True)
 class Signature:
-    """Equations of a 1 kHz law with the names of its gains, without their values.
-
-    Laws with equal signatures share one compiled object.
-    """
+    """Equations of a 1 kHz law with the names, not the values, of its gains. Equal signatures share compiled code."""
 
     text: str
-    """Serialised CasADi function (gear, track, memory, gains, model) -> du (N m), next memory: vectors in the order of
-    `GEAR`, `ROAD`, `memory`, `gains` and `MODEL` (SI)."""
+    """Serialised CasADi function (gear, track, memory, gains, model) -> (du (N m), next memory). All are vectors (SI)
+    in the order of `GEAR`, `ROAD`, `memory`, `gains` and `MODEL`."""
     gains: tuple[str, ...]
     """Names of the gains."""
     memory: tuple[str, ...]
@@ -150,7 +150,7 @@ class Signature:
 
 
 def gains_of(law: LateralLaw) -> dict[str, float]:
-    """Values of the gains of a law by name, empty without gains; InputError when one is no finite number."""
+    """Gains of a law as a dict from name to value, empty without gains. InputError when one is not a finite number."""
     gains = getattr(law, "gains", dict)
     gains = gains() if callable(gains) else gains
     for name, value in gains.items():
@@ -160,12 +160,11 @@ def gains_of(law: LateralLaw) -> dict[str, float]:
 
 
 def signature(law: LateralLaw) -> Signature:
-    """`Signature` of a 1 kHz law: its equations from `law.torque(q)` for CasADi symbols q, names of gains and states.
+    """`Signature` of a 1 kHz law, from one call of `law.torque(q)` with CasADi symbols.
 
     Raises:
-        InputError: When a gain is no finite number or has the name of another quantity, torque or a state is no scalar
-        expression, the states returned are not those declared in `memory`, or the law uses a quantity or symbol that is
-        not in `q`.
+        InputError: A gain is not a finite number, or its name is taken; torque or next state is no scalar expression;
+            the returned states are not those in `memory`; or the law uses a quantity or symbol that is not in `q`.
     """
     owner, memory, gains = _owner(law), tuple(getattr(law, "memory", ())), tuple(gains_of(law))
     groups = {"gear": GEAR, "track": ROAD, "memory": memory, "gains": gains, "model": MODEL}
@@ -192,10 +191,8 @@ def _owner(law: LateralLaw) -> str:
 
 
 def answer(law: LateralLaw, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
-    """Call `law.torque(q)`: differential torque (N m) and dict of the next states by name, empty without memory.
-
-    InputError when the law asks for an attribute that `q` lacks.
-    """
+    """Call `law.torque(q)`; returns a pair: differential torque (N m), dict from state to next value (empty without
+    memory). InputError if the law asks for an attribute that `q` lacks, or uses `if`, `min` or `max` on expressions."""
     try:
         result = law.torque(q)
     except AttributeError as error:

@@ -1,11 +1,8 @@
 """The control law of the 1 kHz control cycle as one function: measurement, adhesion law, lateral law, integration rule.
 
-Without sensors the controllers get the car's true states; with sensors, the estimates of `railrepro.estimation`.
-
-The lateral law is a `railrepro.control.lateral.LateralLaw`. All gains are run-time inputs, so one compiled object
-serves every scenario and tuning particle of one signature.
-
-Serves the paper's Fig. 4 and sections Adhesion Control and Integration Approach.
+Without sensors the controllers get the car's true states; with sensors, the estimates of `railrepro.estimation`. All
+gains are run-time inputs, so one compiled object serves every scenario and tuning of one signature. Serves the paper's
+Fig. 4 and sections Adhesion Control and Integration Approach.
 """
 
 from __future__ import annotations
@@ -37,10 +34,7 @@ GUIDANCE_FADE = 1.0
 
 @dataclass(frozen=True)
 class LawSignature:
-    """Structure of the 1 kHz law of both gears, without the values of its gains.
-
-    Laws with equal signatures share one compiled object. `lateral` is the signature of the lateral law.
-    """
+    """Structure of the 1 kHz law of both gears, without values of gains. Equal signatures share compiled code."""
 
     lateral: lateral.Signature
     sensed: bool = False
@@ -48,8 +42,12 @@ class LawSignature:
 
     @cached_property
     def Gains(self) -> Any:
-        """Dataclass of the gains (SI): `lateral` and `adhesion` law, `fixed_share`, `nominal_load`, `model`, `drive` of
-        the vehicle, `limit` of a run; with sensors also those of `front` and `rear` gear and their `filter`."""
+        """Dataclass type that names all run-time numbers of the law (SI).
+
+        Its fields are `lateral`, `adhesion` (gains of both laws), `fixed_share`, `nominal_load`, `model`, `drive`
+        (vehicle) and `limit` (end of a run). With sensors it also has `front`, `rear` (sensors of each gear) and
+        `filter`.
+        """
         laws = {"lateral": listed(self.lateral.gains), "adhesion": AdhesionSettings}
         car = {"model": interface.Model, "drive": Drive, "limit": interface.Limits}
         sensed = {"front": SensorGains, "rear": SensorGains, "filter": observers.FilterGains} if self.sensed else {}
@@ -57,8 +55,11 @@ class LawSignature:
 
     @cached_property
     def Memory(self) -> Any:
-        """Dataclass of the states: cycles since the start `ticks`; for each gear base torque `u` (N m) and states of
-        adhesion and lateral law, with sensors also delay lines, filter states, last estimated states and readings.
+        """Dataclass type of the states of the law.
+
+        Its fields are `ticks` (cycles since the start), `front` and `rear`. Each gear has base torque `u` (N m),
+        `adhesion` and `lateral` (states of both laws). With sensors it also has `sensor` (delay lines), `filter`
+        (filter states), `estimated` and `read` (last estimated states and readings).
         """
         laws = {"adhesion": AdhesionMemory, "lateral": listed(self.lateral.memory)}
         sensed = {
@@ -72,7 +73,8 @@ class LawSignature:
 
     @cached_property
     def Records(self) -> Any:
-        """Dataclass of the log of a cycle: for each gear `interface.Record`, with sensors also `EstimatedRecord`."""
+        """Dataclass type of what is logged in one control cycle. Its fields `front` and `rear` are `interface.Record`.
+        With sensors `front_estimated` and `rear_estimated` are `interface.EstimatedRecord`."""
         shown = {f"{gear}_estimated": Annotated[interface.EstimatedRecord, f"{gear}.estimated"] for gear in GEARS}
         return group("Records", dict.fromkeys(GEARS, interface.Record), shown if self.sensed else {})
 
@@ -83,13 +85,19 @@ class LawSignature:
 
     @property
     def record(self) -> tuple[str, ...]:
-        """Names of the columns of the log, such as `front.du`; with sensors also `front.estimated.y_TrAx`."""
+        """Names of the logged columns in the order of `Records`, such as `front.du`; with sensors also
+        `front.estimated.y_TrAx`."""
         return names(self.Records)
 
 
 @dataclass(frozen=True)
 class ControlLaw:
-    """The 1 kHz law of both gears: input of `function`, and the vector `gains` in the order of `signature.Gains`."""
+    """The 1 kHz law of both gears with its numbers.
+
+    Attributes:
+        signature (LawSignature): Structure of the law, argument of `function`.
+        gains (ndarray): Run-time numbers in the order of `signature.Gains` (SI).
+    """
 
     signature: LawSignature
     gains: np.ndarray
@@ -106,22 +114,18 @@ def control_law(
     track_end: float,
     stop_speed: float,
 ) -> ControlLaw:
-    """The 1 kHz law of both gears for a vehicle.
+    """Make the 1 kHz law of both gears. InputError if an argument has a wrong type or value, see `lateral.signature`.
 
     Args:
-        vehicle (Vehicle): Nominal vehicle of the controllers.
-        guidance (LateralLaw, optional): Lateral law; default `ZeroOrderHold`, the last torque of a slower controller.
-        adhesion (AdhesionSettings, optional): Parameters of the adhesion law; default `AdhesionSettings()`, with
-            sensors those of `sensors.loop.adhesion`.
-        fixed_share (float): Share of the torque limit reserved for differential torque, 0 for variable allocation (-);
-            see `allocate`.
+        vehicle (Vehicle): Vehicle parameters that the controllers assume.
+        guidance (LateralLaw, optional): Lateral law; default `ZeroOrderHold`.
+        adhesion (AdhesionSettings, optional): Default `AdhesionSettings()`, with sensors those of
+            `sensors.loop.adhesion`.
+        fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
         sensors (Readings, optional): Sensors and latencies between car and controllers; default none.
-        lateral_limit, track_end, stop_speed (float): A run ends beyond this |lateral displacement| of a gear (m), or
-            when the front gear passes this coordinate (m) or falls below this speed (m/s).
-
-    Raises:
-        InputError: When an argument is of another type or beyond its range, or the lateral law is not well formed, see
-        `lateral.signature`.
+        lateral_limit (float): A run ends when |lateral displacement| of a gear exceeds it (m).
+        track_end (float): A run ends when the front gear reaches this track coordinate (m).
+        stop_speed (float): A run ends when the speed of the front gear falls below it (m/s).
     """
     require("fixed_share", fixed_share, between(0.0, 1.0))
     if sensors is not None:
@@ -168,13 +172,9 @@ def _model(vehicle: Vehicle) -> Any:
 
 
 def _gear(g: int, sensed: bool, measured: Any, cell: dict[str, ca.SX], gain: Any, memory: Any) -> SimpleNamespace:
-    """CasADi symbols of gear `g` (0 front, 1 rear) from those of the inputs of `function`.
-
-    truth: its true `States`; wheels: `interface.MeasuredWheel` of [left, right]; memory: its states; cell: of the route
-    at the gear, by `track.route.COLUMNS`; position (m): where its controllers get track and set point. That is the true
-    position, or with sensors the one by their readings at the time when a torque of this cycle acts. With sensors also
-    `SensorGains`, `Signals` as read, and the next delay lines.
-    """
+    """Quantities of gear `g` (0 front, 1 rear): `truth`, `wheels`, `memory`, `cell`, `position` (m) for its
+    controllers, which with sensors is predicted to the time when a torque acts; with sensors also `sensor`, `readings`,
+    `lines`, `ticks`."""
     truth = States(*pack(getattr(measured, GEARS[g])))
     left, right = wheels = [getattr(measured, wheel) for wheel in WHEELS[2 * g : 2 * g + 2]]
     of_gear = {"truth": truth, "wheels": wheels, "memory": getattr(memory, GEARS[g]), "cell": cell, "gain": gain}
@@ -194,13 +194,17 @@ def _gear(g: int, sensed: bool, measured: Any, cell: dict[str, ca.SX], gain: Any
 
 @codegen.stored
 def function(signature: LawSignature) -> ca.Function:
-    """The 1 kHz law of both gears as a CasADi function.
+    """The 1 kHz law of both gears as a CasADi function of vectors (SI).
 
-    Returns:
-        casadi.Function: (y, rows, held, gains, memory) -> command, memory_next, record, margins; vectors, SI. y:
-        `interface.Measured`; rows: route cells at [front, rear] gear, shape (len(COLUMNS), 2); held: last torques of
-        their slower controllers (N m), shape (2,); gains, memory, record: as `signature.Gains`, `Memory`, `Records`;
-        command: motor torques (N m) as `WHEELS`, shape (4,); margins: `interface.Margins`.
+    Its inputs are:
+    - y: measured quantities in the order of `interface.Measured`;
+    - rows: row of the route at the front and at the rear gear, shape (len(COLUMNS), 2);
+    - held: last torque of the slower controller of the front and of the rear gear (N m), shape (2,);
+    - gains, memory: in the order of `signature.Gains` and `signature.Memory`.
+
+    Its outputs are:
+    - command: motor torques (N m) in the order of `WHEELS`, shape (4,);
+    - memory_next, record, margins: in the order of `signature.Memory`, `signature.Records` and `interface.Margins`.
     """
     y, measured = symbols(interface.Measured, "y")
     gains, gain = symbols(signature.Gains, "gains")
@@ -243,8 +247,8 @@ def _tracks(gears: list[SimpleNamespace]) -> list:
 
 
 def _cycle(signature: LawSignature, gear: SimpleNamespace, track: Any, held: ca.SX) -> SimpleNamespace:
-    """What a gear of `_gear` does with the `interface.Track` at its position: torques of both wheels (N m), its next
-    memory, record (`interface.Record`; with sensors also estimated: `interface.EstimatedRecord`) and margin."""
+    """What a gear of `_gear` does at its track: `torques`, next `memory`, `record`, `estimated` (with sensors) and
+    `margin`."""
     gain, model, old, estimated = gear.gain, gear.gain.model, gear.memory, None
     state, f, s = gear.truth, [wheel.adhesion for wheel in gear.wheels], [wheel.sx for wheel in gear.wheels]
     if signature.sensed:

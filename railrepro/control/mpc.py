@@ -31,7 +31,7 @@ SOLVERS = {"gauss_newton": CONVERGED, "rti": REAL_TIME, "ipopt": CONVERGED}
 
 
 class Solve(NamedTuple):
-    """A call of `PredictiveController.plan`: processor time with all preparation (s), iterations of the solver."""
+    """Record of a call of `PredictiveController.plan`: processor time of the call (s), iterations of the solver."""
 
     seconds: float
     iterations: int
@@ -39,18 +39,18 @@ class Solve(NamedTuple):
 
 @dataclass
 class PredictiveController:
-    """Predictive controller of one gear (0 front, 1 rear), a `lateral.SlowController`; base of `NMPC` and `LTVMPC`.
+    """Predictive controller of one gear (0 front, 1 rear), see `lateral.SlowController`; base of `NMPC` and `LTVMPC`.
 
-    A sample whose problem is not solved falls back on the plan of the sample before, one step later, and is counted.
+    When a problem cannot be solved, the previous plan is used, one step later, and `fallbacks` counts it.
 
     Attributes:
-        stats (list of Solve): One record per call of `plan`; compiled samples leave none.
-        plan_du (ndarray, shape (L,)): Differential torques of the last plan (N m).
+        stats (list of Solve): One record per call of `plan`; samples in compiled C leave none.
+        plan_du (ndarray, shape (L,)): Differential torques of the last plan (N m), L = `settings.steps`.
         horizon (Horizon): Problem, trajectory and solver in compiled code.
-        nominal (ndarray, shape (3,)): Vehicle data of the forecast `model.forecast.NOMINAL` (SI).
+        nominal (ndarray, shape (3,)): Vehicle data of the forecast, in the order of `model.forecast.NOMINAL` (SI).
         c (ctypes.Structure): Memory in C, `horizon_t` of riccati.c.
-        mode (int): `LINEAR`, `REAL_TIME` or `CONVERGED`.
-        drive (ndarray): Fields of `railrepro.vehicle.parameters.Drive` (SI), from which the torque limit follows.
+        mode (int): `LINEAR` (one QP), `REAL_TIME` (one Newton iteration) or `CONVERGED` (until convergence).
+        drive (ndarray): Fields of `vehicle.parameters.Drive` (SI), from which the torque limit follows.
     """
 
     mode = CONVERGED  # not an argument, so without annotation
@@ -79,17 +79,19 @@ class PredictiveController:
 
     @property
     def fallbacks(self) -> int:
-        """Number of samples so far whose problem was not solved."""
+        """Number of samples so far whose problem could not be solved."""
         return self.c.fallbacks
 
     def problem(self, x_hat: np.ndarray, u_d: float) -> Problem:
-        """Optimal control problem at a measured state (6,), SI, without observer, and base torque (N m)."""
+        """The `Problem` that a sample solves, at a measured state (6,) (SI) and a base torque (N m). The offset
+        observer is left out."""
         u_d = u_d if self.settings.informed else 0.0
         limit = self.vehicle.drive.limit(x_hat[XDOT] / self.vehicle.wheel.radius)
         return Problem(self.settings, x_hat.copy(), u_d, self.horizon.forecast(x_hat, u_d), self.parameters, limit)
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Solve one sample: differential torque (N m) from a measured state (6,) and base torque per wheel (N m)."""
+        """Solve one sample and return the differential torque (N m). `x_hat` is the measured state, shape (6,) (SI);
+        `u_d` is the base torque per wheel (N m)."""
         begin = time.thread_time()
         self._measured[:] = x_hat
         torque = self._torque(ctypes.c_void_p(self._measured.ctypes.data), ctypes.c_double(u_d))
@@ -97,12 +99,10 @@ class PredictiveController:
         return torque
 
     def compiled(self, _loop: Loop | None, _leader: object = None) -> tuple[int, int] | None:
-        """Addresses of the C function of a sample and of its memory, see `lateral.SlowController`.
-
-        None with Ipopt, which is called from Python, and for a subclass other than `NMPC` and `LTVMPC`, whose `plan`
-        may be overridden. The arguments are not used.
-        """
-        if type(self) not in (NMPC, LTVMPC) or getattr(self, "solver", "") == "ipopt":
+        """Addresses (C function of a sample, its memory) as ints, see `lateral.SlowController`. The arguments are not
+        used. None with Ipopt, which is called from Python, and for other classes than `NMPC` and `LTVMPC`, whose `plan`
+        may differ."""
+        if type(self) not in (NMPC, LTVMPC) or (isinstance(self, NMPC) and self.solver == "ipopt"):
             return None
         return ctypes.cast(self._library.planner_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.c)
 
@@ -112,11 +112,10 @@ class PredictiveController:
 
 @dataclass
 class NMPC(PredictiveController):
-    """Nonlinear MPC of one running gear.
+    """Nonlinear MPC of one running gear. All solvers minimise the same cost.
 
-    `solver` is "gauss_newton" (Newton iterations until they converge, default), "rti" (real-time iteration: one per
-    sample on the shifted trajectory, prepared before the state is measured) or "ipopt" (reference); all minimise the
-    same cost.
+    `solver` is "gauss_newton" (default): Newton iterations until convergence; "rti": real-time iteration, one per
+    sample, prepared before the state is measured; or "ipopt": the reference.
     """
 
     solver: str = "gauss_newton"
@@ -138,10 +137,10 @@ class NMPC(PredictiveController):
 
 @dataclass
 class LTVMPC(PredictiveController):
-    """Linear time-variant MPC of one running gear: the model linearised along the forecast, one QP per sample.
+    """Linear time-variant MPC of one running gear: the model is linearised along the forecast; one QP per sample.
 
-    The model is linearised in centred riding along the track and keeps its affine term; `printed` linearises it about
-    a yaw angle of zero and drops the affine term (D6).
+    With `printed` False the linearisation is about centred riding along the track and keeps its affine term. With True
+    it is as in the paper: about a yaw angle of zero, without the affine term (erratum D6).
     """
 
     printed: bool = False

@@ -2,9 +2,8 @@
 
 The lateral position has relative degree three: y' = v psi_r, psi_r' = psi_Ax' - v kappa, and the yaw equation contains
 the differential torque. The inverse of the corrected control model turns a wanted third derivative of y into du. The
-track geometry at the present position is known to it (as to the MPC), preview is not.
-
-Serves the paper's section Multi-Body Simulation Results (comparison after Grether 2018 and Heckmann 2020).
+track geometry at the present position is known to it (as to the MPC), preview is not. Serves the paper's section
+Multi-Body Simulation Results (comparison after Grether 2018 and Heckmann 2020).
 """
 
 from __future__ import annotations
@@ -21,7 +20,8 @@ from railrepro.data import above, between, check_fields
 
 @dataclass(frozen=True)
 class NDI:
-    """Dynamic inversion with third-order dynamics of the lateral error; a `railrepro.control.lateral.LateralLaw`."""
+    """Dynamic inversion: the differential torque gives the lateral error linear third-order dynamics with chosen
+    poles."""
 
     pole: Annotated[float, above(0.0, 1e4, "rad/s")] = 30.0
     """Magnitude of the real pole of the error dynamics (rad/s)."""
@@ -30,9 +30,9 @@ class NDI:
     damping: Annotated[float, above(0.0, 1e4)] = 1.0
     """Damping ratio of the complex pole pair (-)."""
     integral: Annotated[float, between(0.0, 1e4)] = 0.0
-    """Integral gain as ki / (k0 pole) (-), see `gains`; 0 switches integral action off."""
+    """Integral gain ki divided by (k0 pole) (-), see `gains`; 0: no integral action."""
     rates: bool = False
-    """Whether the three derivatives of the set point are fed forward; False: as the paper is read."""
+    """Whether the first three derivatives of the set point are fed forward; False is how the paper is read."""
 
     memory = ("integral",)
     """Names of the states: integral of the lateral error y* - y (m s)."""
@@ -41,7 +41,11 @@ class NDI:
         check_fields(self)
 
     def gains(self) -> dict[str, float]:
-        """Gains k0, k1, k2 (s^3 + k2 s^2 + k1 s + k0 has the set poles), ki (1/s^4), switch ff (0 or 1)."""
+        """Gains of the law as a dict: "k0" (1/s^3), "k1" (1/s^2), "k2" (1/s), "ki" (1/s^4), "ff" (0 or 1).
+
+        The polynomial s^3 + k2 s^2 + k1 s + k0 has the three poles given by `pole`, `frequency` and `damping`. ki acts
+        on the integral of the error; ff is 1 with `rates`.
+        """
         w, z, a = self.frequency, self.damping, self.pole
         k0 = a * w**2
         return {
@@ -53,17 +57,16 @@ class NDI:
         }
 
     def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Differential torque (N m) that gives y the error dynamics of these settings, {"integral": next value (m s)}.
-
-        `q` as in `lateral.LateralLaw.torque`. The integral is held while the torque is beyond its limit.
-        """
+        """Pair: differential torque (N m), not yet limited, and the dict {"integral": next integral of y* - y (m s)}.
+        The integral keeps its value while |differential torque| reaches the torque limit `q.tau_max`. `q` is as in
+        `lateral.LateralLaw.torque`."""
         du = inverse(wanted_jerk(q), q)
         free = ca.fabs(du) < q.tau_max
         return du, {"integral": q.integral + ca.if_else(free, CONTROL_PERIOD * (q.y_ref - q.y), 0)}
 
 
 def wanted_jerk(q: SimpleNamespace) -> ca.SX:
-    """Third time derivative of y (m/s^3) that the error dynamics of `NDI` require; `q` as in `NDI.torque`."""
+    """Third time derivative of y (m/s^3) that the gains of `NDI` ask for. `q` is as in `lateral.LateralLaw.torque`."""
     psidot_r = q.yaw_rate - q.v * q.dpsi_dp
     ydot = q.v * q.psi
     yddot = q.v * psidot_r + q.xddot * q.psi
@@ -80,12 +83,11 @@ def wanted_jerk(q: SimpleNamespace) -> ca.SX:
 
 
 def inverse(jerk: ca.SX, q: SimpleNamespace) -> ca.SX:
-    """Differential torque (N m) that gives y the third time derivative `jerk` (m/s^3); `q` as in `NDI.torque`.
+    """Differential torque (N m) at which y has the third time derivative `jerk` (m/s^3).
 
-    The yaw stiffness by gravity, one hundredth of the spring's, and the yaw moment of a base torque on unequal rolling
-    radii are left out.
-
-    Source: corrected yaw equation to first order (`railrepro.model.derivation.equations`).
+    `q` is as in `lateral.LateralLaw.torque`. Two moments are left out: the yaw stiffness by gravity, 1 % of the yaw
+    stiffness of the springs, and the yaw moment of a base torque on unequal rolling radii. Source: corrected yaw
+    equation to first order (`railrepro.model.derivation.equations`).
     """
     ydot, psidot_r = q.v * q.psi, q.yaw_rate - q.v * q.dpsi_dp
     psiddot_r = (jerk - 2 * q.xddot * psidot_r) / ca.fmax(q.v, 1.0)

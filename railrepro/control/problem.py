@@ -39,11 +39,12 @@ from railrepro.vehicle.parameters import Drive
 
 _WEIGHTS = ("q_x", "q_psi_Ax", "q_xdot", "q_psidot_Ax", "q_y_TrAx", "q_psi_TrAx")
 TUNING = (*_WEIGHTS, "r", "q_terminal", "period", "lateral_bound", "bound_weight")
-"""Names of the entries of a tuning vector, the numbers of `MPCSettings` that costs and bounds contain."""
+"""Names of the entries of a tuning vector: those fields of `MPCSettings` that weigh costs or bound states."""
 
 
 class Tuning(NamedTuple):
-    """Tuning vector by name: fields of `MPCSettings`, numbers or CasADi expressions; `q` (6,) is its `q_diag`."""
+    """Weights and bounds of the optimal control problem, as numbers or CasADi expressions. The fields are those of
+    `MPCSettings` with the same names; `q` (6,) is its `q_diag`."""
 
     q: Any
     r: Any
@@ -54,49 +55,52 @@ class Tuning(NamedTuple):
 
     @classmethod
     def of(cls, vector) -> Tuning:
-        """`Tuning` from a vector, shape (len(TUNING),), with the entries `TUNING`."""
+        """`Tuning` from a vector in the order of `TUNING`."""
         return cls(vector[: len(STATES)], *(vector[i] for i in range(len(STATES), len(TUNING))))
 
 
 def stage_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of a state x[6] before the last: deviation from the desired x_d[6], and slack (m). Source: eq. (31)."""
+    """Cost (s) of a state before the last one, with the weights `t`; the torque is not included. Source: eq. (31). `x`
+    and `x_d` are state and desired state, shape (6,) (SI); `slack` (m) is the excess over the lateral bound."""
     return ca.dot(t.q * t.period, (x - x_d) ** 2) + slack_cost(slack, t)
 
 
 def terminal_cost(x, x_d, slack, t: Tuning):
-    """Cost (s) of the last state x[6]: deviation of y and psi_TrAx from x_d[6], and slack (m). Source: eq. (32)."""
+    """Cost (s) of the last state: only y and psi_TrAx count. Arguments as in `stage_cost`. Source: eq. (32)."""
     weighed = [t.q[i] * t.period * t.q_terminal * (x[i] - x_d[i]) ** 2 for i in (Y, PSI_TRAX)]
     return sum(weighed) + slack_cost(slack, t)
 
 
 def effort_cost(du, t: Tuning):
-    """Cost (s) of a differential torque (N m) over one step. Source: eq. (31)."""
+    """Cost (s) of a differential torque `du` (N m) over one time step, with the weights `t`. Source: eq. (31)."""
     return t.r * t.period * du**2
 
 
 def slack_cost(slack, t: Tuning):
-    """Cost (s) of the slack (m) of the lateral bound at one state."""
+    """Cost (s) of exceeding the lateral bound by `slack` (m) at one state, with the weights `t`."""
     return t.bound_weight * t.q[Y] * t.period * slack**2
 
 
 def lateral_excess(x, t: Tuning) -> tuple:
-    """(y - bound, -y - bound) (m) of a state x[6]: positive where y is above its upper or below its lower bound."""
+    """Excess of y over the upper and the lower lateral bound of `t` at a state x (6,): (y - bound, -y - bound) (m)."""
     return x[Y] - t.lateral_bound, -x[Y] - t.lateral_bound
 
 
 def slack_on(side, x, t: Tuning):
-    """Slack (m) of a state x[6]: y - bound for `side` 1 (upper bound active), -y - bound for -1 (lower), 0 for 0."""
+    """Slack (m) at a state x (6,): for `side` 1 (upper bound) y - bound, for -1 (lower) -y - bound, for 0 (none) 0."""
     return side * (x[Y] - side * t.lateral_bound)
 
 
 @stored
 def dynamics(variant: str, discretisation: str) -> ca.Function:
-    """One step of the prediction model with derivatives; `variant`, `discretisation` as in `MPCSettings`.
+    """CasADi function of one time step of the prediction model with its derivatives (SI).
 
-    Returns:
-        casadi.Function: (state x[6], differential torque du, base torque u_d, theta[9], par[14], step T, affine) ->
-        x_next[6], its derivatives A by x (6, 6), sparse, and B by du [6]; SI. With affine = 0, x_next is the printed
-        linear model A x + B u, which drops the affine term (D6), otherwise affine = 1.
+    It maps (state x[6], differential torque du, base torque u_d, theta[9], par[14], step T, affine) to the next state
+    x_next[6], its derivative A by x, sparse (6, 6), and its derivative B by du [6]. With affine = 1, x_next is the next
+    state of the model. With affine = 0 it is A x + B u, the printed linear model without affine term (D6).
+
+    Args:
+        variant, discretisation (str): As in `MPCSettings`.
     """
     step = discretise(control_model(variant), discretisation)
     x, du, u_d, affine = ca.SX.sym("x", len(STATES)), ca.SX.sym("du"), ca.SX.sym("u_d"), ca.SX.sym("affine")
@@ -114,7 +118,7 @@ def dynamics(variant: str, discretisation: str) -> ca.Function:
 
 @stored
 def torque_limit() -> ca.Function:
-    """CasADi function (speed (m/s), par by `PARAMETERS`, fields of `Drive` (SI)) -> `Drive.limit` of a motor (N m)."""
+    """CasADi function (speed (m/s), par in the order of `PARAMETERS`, fields of `Drive` (SI)) -> torque limit (N m)."""
     speed, par = ca.SX.sym("speed"), ca.SX.sym("par", len(PARAMETERS))
     numbers, drive = symbols(Drive, "drive")
     limit = drive.limit(speed / par[PARAMETERS.index("r_0")])
@@ -123,7 +127,7 @@ def torque_limit() -> ca.Function:
 
 @dataclass(frozen=True)
 class MPCSettings:
-    """Settings of a predictive controller: weights, horizon, prediction model and bounds."""
+    """Settings of a predictive controller: weights, horizon, prediction model, bounds. InputError for a wrong value."""
 
     q_diag: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     """Diagonal of Q, 6 numbers in the order of the states (1/m^2, 1/rad^2, s^2/m^2, s^2/rad^2, 1/m^2, 1/rad^2)."""
@@ -144,13 +148,13 @@ class MPCSettings:
     bound_weight: Annotated[float, between(0.0, 1e9)] = 100.0
     """Weight of the squared slack of the lateral bound over the weight of y (-)."""
     yielding: bool = True
-    """True: |du| is bounded by the whole motor torque, and the base torque yields, as in `allocate`. False: bounded by
-    the remainder above the base torque, as printed, which is zero when the base torque is at its limit (D10)."""
+    """True: |du| may use the whole motor torque, and the base torque yields, as in `allocate`. False: |du| is limited
+    to what the base torque leaves, as printed, which is nothing when the base torque is at its limit (D10)."""
     informed: bool = True
-    """Whether forecast and prediction model contain the base torque; False sets it to 0 in them."""
+    """Whether forecast and prediction model know the base torque; False: they take it as 0."""
     observer: Annotated[float, between(0.0, 1.0)] = 0.0
-    """Observer gain (-): each sample adds gain * (y - predicted y)/(v T) to the estimated angle between axle and
-    direction of motion (creep, rad); 0 is the paper's controller, which has no such estimate and drifts."""
+    """Gain of the offset observer (-). It estimates the angle between axle and direction of motion (creep, rad): each
+    sample adds gain * (y - predicted y)/(v T). 0: no such estimate, as in the paper, and the prediction drifts."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -163,7 +167,7 @@ class MPCSettings:
             raise InputError(f"MPCSettings: q_diag is {q!r}, {needed}")
 
     def tuning(self) -> np.ndarray:
-        """The tuning vector, shape (len(TUNING),), in the order of `TUNING` and in the units of these settings."""
+        """These settings as a vector in the order of `TUNING`, in the units of the fields."""
         rest = (getattr(self, name) for name in TUNING[len(STATES) :])
         return np.array([*self.q_diag, *rest], dtype=float)
 
@@ -172,8 +176,13 @@ class MPCSettings:
 class Problem:
     """One optimal control problem with all its numbers, so that any solver can solve it again.
 
-    Measured state `x_hat` (6,) (SI), base torque per wheel `u_d` (N m), `ahead` (`railrepro.model.forecast.Forecast`),
-    `parameters` (14,) (`railrepro.model.parameters.PARAMETERS`, SI), torque limit of a motor `tau_max` (N m).
+    Attributes:
+        settings (MPCSettings): Weights, horizon, bounds.
+        x_hat (ndarray, shape (6,)): Measured state (SI).
+        u_d (float): Base torque per wheel (N m).
+        ahead (Forecast): Desired states and track over the horizon.
+        parameters (ndarray, shape (14,)): In the order of `model.parameters.PARAMETERS` (SI).
+        tau_max (float): Torque limit of a motor (N m).
     """
 
     settings: MPCSettings
@@ -185,5 +194,5 @@ class Problem:
 
     @property
     def bound(self) -> float:
-        """Largest |du| (N m): `tau_max`, or without `yielding` what |`u_d`| leaves of it. Source: eq. (31)."""
+        """Largest |du| (N m): `tau_max`, or without `yielding` tau_max - |u_d|, at least 0. Source: eq. (31)."""
         return self.tau_max if self.settings.yielding else max(self.tau_max - abs(self.u_d), 0.0)

@@ -1,8 +1,6 @@
-"""The lateral controllers by name, and their tuned parameters: from a name to a guidance law.
-
-A new controller is one entry in `CONTROLLERS`. Its parameters are those of data/tuned, one file per setting and
-controller, or those that data/tuning.toml gives. Serves the paper's section Multi-Body Simulation Results.
-"""
+"""The lateral controllers by name, and their tuned parameters: from a name to a guidance law. A new controller is one
+entry in `CONTROLLERS`. Its parameters are those of data/tuned, one file per setting and controller, or those that
+data/tuning.toml gives. Serves the paper's section Multi-Body Simulation Results."""
 
 from __future__ import annotations
 
@@ -23,14 +21,14 @@ from railrepro.model.control_model import STATES
 
 TUNED = "data/tuned"
 SETTINGS = ("paper", "equal", "loop")
-"""Settings of comparison: "paper" perfect measurements, dynamic inversions with a designer's poles; "equal" perfect
-measurements, all tuned alike; "loop" sensors, all tuned alike. See data/tuning.toml."""
+"""The three comparisons. "paper": perfect measurements, dynamic inversions with the poles of a designer. "equal":
+perfect measurements, all controllers tuned alike. "loop": sensors, all tuned alike. See data/tuning.toml."""
 PAPER, EQUAL, LOOP = SETTINGS
 
 
 @dataclass(frozen=True)
 class Controller:
-    """Entry of `CONTROLLERS`: how to build a lateral controller from its tuning parameters."""
+    """Entry of `CONTROLLERS`: how a lateral controller is made from its tuning parameters."""
 
     build: Callable
     """Function: settings -> guidance for `simulate.run`, a 1 kHz law or a factory of slower controllers."""
@@ -39,14 +37,15 @@ class Controller:
     preview: bool
     """Whether the controller knows set point and track ahead."""
     quick: dict = field(default_factory=dict)
-    """`options` of `guidance` for many runs: a faster solver, nearly the same torques."""
+    """Argument `options` of `guidance` for studies with many runs: a faster solver with nearly the same torques."""
 
 
 def mpc_settings(parameters: dict) -> MPCSettings:
-    """MPC settings from tuning parameters by name.
+    """`MPCSettings` from a dict of tuning parameters.
 
-    These are q_psi_TrAx (1/rad^2) and q_psidot_Ax (s^2/rad^2), with 1/m^2 for y_TrAx and 0 for other states, period_ms
-    (ms), horizon_s (s; cut to 5 to 100 steps), and fields of `railrepro.control.problem.MPCSettings` such as r.
+    Its keys are q_psi_TrAx (1/rad^2), q_psidot_Ax (s^2/rad^2), period_ms (ms), horizon_s (s), and fields of
+    `MPCSettings` such as r. y_TrAx has the weight 1/m^2, other states 0. The number of steps, horizon_s / period, is
+    limited to 5 to 100.
     """
     p = dict(parameters)
     period = 1e-3 * p.pop("period_ms")
@@ -58,7 +57,13 @@ def mpc_settings(parameters: dict) -> MPCSettings:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Factory (vehicle, route, gear) -> `controller`, the class `NMPC` or `LTVMPC`; `options`: (name, value) pairs."""
+    """Factory (vehicle, route, gear) of predictive controllers.
+
+    Attributes:
+        controller (type): The class `NMPC` or `LTVMPC`.
+        settings (MPCSettings): Settings of the controllers of both gears.
+        options (tuple): Pairs (name, value): further arguments of the class.
+    """
 
     controller: type
     settings: MPCSettings
@@ -77,7 +82,7 @@ def _inversion(**fixed) -> Controller:
 
 
 NOTHING = "nothing"
-"""Name of the controller without differential torque, the baseline of scores; no parameters."""
+"""Name of the controller that gives no differential torque, the baseline of scores. It has no parameters."""
 OURS = "lqg_preview"
 """Name of the controller of this project, which the paper does not have; no claim is judged with it."""
 CONTROLLERS = {
@@ -111,25 +116,20 @@ EMPHASIS = 10.0
 
 
 def with_r_times(parameters: dict, factor: float) -> dict:
-    """Copy of a dict with the entry "r", the weight R of `MPCSettings`, times a factor; other entries as they are."""
+    """Copy of a dict of tuning parameters in which "r", the weight of the torque, is multiplied by `factor`."""
     return parameters | {"r": factor * parameters["r"]}
 
 
 def guidance(name: str, parameters: dict, options: dict | None = None, **changes):
-    """Build a guidance law for `simulate.run`.
+    """Make a lateral controller for `simulate.run`: an object with `torque(q)`, or a factory of slower controllers.
+
+    InputError for an unknown name, or for parameters, options or changes that this controller does not take.
 
     Args:
         name (str): Key of `CONTROLLERS`.
         parameters (dict): Tuning parameters, see data/tuning.toml.
-        options (dict, optional): Further arguments of a predictive controller, for example {"solver": "rti"}.
-        changes (optional): New values of fields of `MPCSettings` or `NDI`, instead of those that follow from
-            `parameters`.
-
-    Returns:
-        LateralLaw or callable: Object with `torque(q)`, or factory (vehicle, route, gear) -> slower controller.
-
-    Raises:
-        InputError: For an unknown name, or parameters, options or changes that this controller does not take.
+        options (dict, optional): Further arguments of a predictive controller, such as {"solver": "rti"}.
+        changes (optional): Fields of `MPCSettings` or `NDI` by name. They replace what follows from `parameters`.
     """
     if name not in tuple(CONTROLLERS):
         raise InputError(f"controller {name!r} is not known; there are {sorted(CONTROLLERS)}")
@@ -145,11 +145,10 @@ def guidance(name: str, parameters: dict, options: dict | None = None, **changes
 
 
 def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> dict:
-    """Dict in <controller>.json of data/tuned/<setting>, or of `folder`: "controller", "setting", "parameters", ….
+    """Content of <controller>.json as a dict: keys "controller", "setting", "parameters", and more about the tuning.
 
-    Raises:
-        InputError: When the file is missing, has no "parameters", or has another "controller" or "setting" than the
-        arguments.
+    The file is in `folder`, by default in data/tuned/<setting>. InputError if it is missing, has no "parameters", or
+    names another controller or setting.
     """
     file = (folder or paths.source(f"{TUNED}/{setting}")) / f"{controller}.json"
     if not file.exists():
@@ -166,10 +165,10 @@ def read(controller: str, setting: str = PAPER, folder: Path | None = None) -> d
 
 
 def tuned_set(controller: str, setting: str = PAPER) -> dict:
-    """Dict "controller", "setting", "parameters": the "designed" ones of data/tuning.toml if any, else as of `read`.
+    """Tuned parameters of a controller as a dict with the keys "controller", "setting", "parameters".
 
-    Raises:
-        InputError: When the setting is not one of `SETTINGS`, or neither source has parameters.
+    What a designer has set (table "designed" of the setting in data/tuning.toml) comes first, else it is the content of
+    `read`. InputError if the setting is not in `SETTINGS`, or there are no parameters.
     """
     require("controller", controller, str)
     if setting not in SETTINGS:
@@ -181,10 +180,17 @@ def tuned_set(controller: str, setting: str = PAPER) -> dict:
 
 
 def parameters(controller: str, setting: str = PAPER) -> dict:
-    """Tuning parameters of a controller in a setting of `SETTINGS`, dict as `guidance` takes it; see `tuned_set`."""
+    """Tuning parameters of a controller in one of `SETTINGS`, as a dict from name to value for `guidance`. InputError
+    as in `tuned_set`."""
     return tuned_set(controller, setting)["parameters"]
 
 
 def tuned(controller: str, options: dict | None = None, setting: str = PAPER, **changes):
-    """Build the guidance law of a controller with its tuned parameters; `options`, `changes` as in `guidance`."""
+    """Make a lateral controller with its tuned parameters for `simulate.run`.
+
+    Args:
+        controller (str): Key of `CONTROLLERS`.
+        setting (str): "paper", "equal" or "loop", see `SETTINGS`.
+        options (dict, optional), changes: As in `guidance`.
+    """
     return guidance(controller, parameters(controller, setting), options, **changes)

@@ -12,7 +12,6 @@ scheduled over the speed, and the creep forces of the wheels turn it:
 
 Creep angle and yaw angle are two states: the car needs the first to carry lateral force, and the inversion of a
 controller must not take it for the second at once. Then both are predicted to the moment when a torque will arrive.
-
 Serves the measured states of the paper's eq. (18).
 """
 
@@ -57,10 +56,8 @@ Estimates = group("Estimates", "y_TrAx m, psi_TrAx rad, psidot_Ax rad/s, xdot m/
 
 
 def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Continuous system matrix (5, 5) and output matrix (3, 5) of the lateral filter at a speed (m/s), SI.
-
-    States: `LATERAL`; outputs: readings of the first three.
-    """
+    """Pair of matrices A (5, 5), C (3, 5) of the lateral filter at a speed (m/s), SI: x' = A x, readings C x. x holds
+    the states `LATERAL`. The readings are y, psi, and r plus the gyro bias."""
     y, psi, r, bias, beta = range(len(LATERAL))
     a, c = np.zeros((5, 5)), np.zeros((3, 5))
     inertia = vehicle.gear.inertia_z
@@ -75,11 +72,8 @@ def lateral_matrices(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, np.nda
 
 
 def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Stationary Kalman gain for x' = a x + noise of spectral density q, read every cycle with covariance r, and the
-    covariance of the states after a reading.
-
-    Source: Van Loan 1978 (discretisation); Anderson and Moore 1979, Optimal Filtering, ch. 4.
-    """
+    """Stationary Kalman gain for x' = a x + noise of spectral density q, read every cycle with covariance r; covariance
+    after a reading. Source: Van Loan 1978; Anderson and Moore 1979, Optimal Filtering, ch. 4."""
     n = len(a)
     both = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * CONTROL_PERIOD)
     step = both[n:, n:].T
@@ -89,8 +83,11 @@ def _stationary(a, c, q, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stationary Kalman gain (5, 3) and covariance (5, 5) after a reading, for the states of `lateral_matrices`, SI;
-    speed in m/s; noise of sensors and process from `loop`, one reading per ms."""
+    """Stationary Kalman filter of the model `lateral_matrices` at a speed (m/s), with a reading every ms (SI).
+
+    `loop` has the noise of sensors and process. Returns a pair: gain (5, 3); covariance (5, 5) of the states `LATERAL`
+    after a reading.
+    """
     rates = loop.filter
     y = max(loop.lateral.noise / np.sqrt(2), _LEAST)
     readings = np.diag([y**2, (2 * y / loop.lateral.base) ** 2, max(loop.gyro.noise, _LEAST) ** 2])
@@ -99,7 +96,8 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
 
 
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
-    """`FilterGains` of one gear for sensors `loop`, with the vehicle as the model of the filter."""
+    """`FilterGains` of one gear, for the noise and latencies of `loop` and the vehicle parameters that the filter
+    assumes."""
     rates = loop.filter
     inertia, radius = vehicle.wheel.spin_inertia, vehicle.wheel.radius
     at_speeds = np.array([lateral_filter(vehicle, loop, speed)[0] for speed in SPEEDS])
@@ -121,19 +119,19 @@ def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
 def observe(
     readings: Any, commands: Sequence[list], track: Any, ticks, sensor: Any, gain: Any, memory: Any
 ) -> tuple[Any, Any]:
-    """Correct the filter of a gear by new readings.
+    """Correct the filter of a gear by the readings of this cycle, and predict to the time when a torque will act.
 
     Args:
         readings (Signals of SX): Delayed readings.
         commands (two lists of SX): Torques sent to left and right wheel before this cycle (N m), newest first.
         track (interface.Track of SX): Track at the gear.
-        ticks (SX): Control cycles since the start; at 0 the filter takes its states from the readings.
+        ticks (SX): Control cycles since the start. At 0 the filter takes its states from the readings.
         sensor (SensorGains of SX): Run-time numbers of the sensors of this gear.
-        gain (LawSignature.Gains of SX): `filter`, `model`, `drive` and `nominal_load` are used.
-        memory (FilterState of SX): States of the filter, predicted to the time of the readings.
+        gain (LawSignature.Gains of SX): Of these `filter`, `model`, `drive` and `nominal_load` are used.
+        memory (FilterState of SX): States of the filter at the time of the readings, before the correction.
 
     Returns:
-        Estimates of SX; and FilterState of SX, corrected states at the time of the readings, for `advance`.
+        tuple: `Estimates` of SX; `FilterState` of SX after the correction, at the time of the readings, for `advance`.
     """
     planes = readings.y_ahead, readings.y_behind
     read = {"y": sum(planes) / 2, "psi": (planes[0] - planes[1]) / sensor.base, "r": readings.psidot_Ax}
@@ -163,7 +161,8 @@ def observe(
 
 
 def advance(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> Any:
-    """`FilterState` 1 ms after `x`; arguments as of `observe`, but `commands` include the torques of this cycle."""
+    """`FilterState` of SX one control cycle after `x`, the second result of `observe`. The other arguments are as in
+    `observe`, but `commands` include the torques of this cycle."""
     h, model = CONTROL_PERIOD, gain.model
 
     def wheel(state: Any, line: list) -> Any:
@@ -202,10 +201,8 @@ def _yaw_acceleration(x: Any, track: Any, gain: Any):
 
 
 def _predicted(x: Any, commands: Sequence[list], track: Any, sensor: Any, gain: Any) -> tuple:
-    """Position, yaw and yaw rate when a torque of this cycle will arrive.
-
-    The present yaw acceleration goes on; torques that are on their way change it as on rolling wheels.
-    """
+    """Position, yaw and yaw rate when a torque of this cycle will arrive; torques under way act as on rolling
+    wheels."""
     steps, model = 5, gain.model
     h = gain.filter.prediction / steps
     y, psi, r, v, yaw = x.y, x.psi, x.r, x.v, _yaw_acceleration(x, track, gain)

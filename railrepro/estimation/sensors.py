@@ -1,8 +1,6 @@
-"""Sensors of a running gear, read every ms: noise, bias, resolution and age of readings; latency of commands.
-
-Noise is counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor.
-The paper names lateral position and yaw difficult or costly to measure; its own loop measures them exactly.
-"""
+"""Sensors of a running gear, read every ms: noise, bias, resolution and age of readings; latency of commands. Noise is
+counter-based: a function of seed, signal and millisecond, so it is the same on every executor and processor. The paper
+names lateral position and yaw difficult or costly to measure; its own loop measures them exactly."""
 
 from __future__ import annotations
 
@@ -49,10 +47,12 @@ def _upto(high: float, unit: str) -> Parameter:
 
 @data.table
 class Lateral:
-    """Sensors of the displacement of the axle against the rails in two planes, `base` (m) apart.
+    """Sensors of the lateral displacement of the axle from the rails, in two planes at a distance `base` (m).
 
-    noise: standard deviation of a reading (m); bias: largest constant offset of a run (m), drawn uniformly from [-bias,
-    bias]; resolution: step of rounding (m), 0 none.
+    Attributes:
+        noise (float): Standard deviation of a reading (m).
+        bias (float): Largest constant offset (m). A run draws its offset uniformly from [-bias, bias].
+        resolution (float): Step to which a reading is rounded (m); 0: not rounded.
     """
 
     base: Annotated[float, Parameter(0.1, 5.0, "m")]
@@ -63,10 +63,8 @@ class Lateral:
 
 @data.table
 class Rate:
-    """Sensor of an angular velocity: yaw rate by the gyroscope of the running gear, or angular speed of a wheel.
-
-    noise, bias, resolution (rad/s), as in `Lateral`; noise is no density.
-    """
+    """Sensor of an angular velocity: the gyroscope for the yaw rate of a running gear, or the speed sensor of a wheel.
+    noise, bias, resolution are as in `Lateral` (rad/s). The noise is a standard deviation per reading, no density."""
 
     noise: Annotated[float, _upto(0.1, "rad/s")]
     bias: Annotated[float, _upto(0.1, "rad/s")]
@@ -75,7 +73,7 @@ class Rate:
 
 @data.table
 class Speed:
-    """Sensor of the speed along the track: noise, bias, resolution (m/s), as in `Lateral`."""
+    """Sensor of the speed along the track; noise, bias, resolution as in `Lateral` (m/s)."""
 
     noise: Annotated[float, _upto(1.0, "m/s")]
     bias: Annotated[float, _upto(1.0, "m/s")]
@@ -84,7 +82,7 @@ class Speed:
 
 @data.table
 class Position:
-    """Sensor of the track coordinate, no delay: noise, bias, resolution (m), as in `Lateral`."""
+    """Sensor of the track coordinate, without delay; noise, bias, resolution as in `Lateral` (m)."""
 
     noise: Annotated[float, _upto(1.0, "m")]
     bias: Annotated[float, _upto(20.0, "m")]
@@ -93,7 +91,8 @@ class Position:
 
 @data.table
 class Latency:
-    """`measurement`: age of all readings but the position (s); `command`: time from a command to the inverter (s)."""
+    """Delays that controllers and filter know: `measurement`, age of all readings but the position (s); `command`, time
+    from the controller to the inverter (s)."""
 
     measurement: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
     command: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
@@ -101,7 +100,8 @@ class Latency:
 
 @data.table
 class Inverter:
-    """Errors unknown to controllers and filter: further `delay` of commands (s); `gain`, torque over command (-)."""
+    """Errors of the inverters that controllers and filter do not know. `delay` (s) is added to the known latency of
+    commands. `gain` is the torque over the commanded torque (-)."""
 
     delay: Annotated[float, _upto(LONGEST * CONTROL_PERIOD, "s")]
     gain: Annotated[float, Parameter(0.0, 10.0, "-")]
@@ -109,11 +109,13 @@ class Inverter:
 
 @data.table
 class Filter:
-    """Process noise of the filter in `observers`, as square roots of spectral densities, and its low-pass filters.
+    """Numbers of the filter in `estimation.observers`: assumed noise (roots of spectral densities), low-pass filters.
 
-    Noise of the time derivatives of creep force `force_rate` (N/s^0.5), creep angle `creep_rate` (rad/s^0.5), yaw rate
-    `yaw_acceleration` and gyro bias `gyro_drift` (rad/s^1.5); time constants (s) of the low-pass filters of estimated
-    creep angle `creep_lag` and read speed `speed_lag`.
+    Attributes:
+        force_rate (float): Noise in the derivative of the creep force of a wheel (N/s^0.5).
+        creep_rate (float): Noise in the derivative of the creep angle (rad/s^0.5).
+        yaw_acceleration, gyro_drift (float): Noise in the derivatives of yaw rate and gyro bias (rad/s^1.5).
+        creep_lag, speed_lag (float): Time constants for the estimated creep angle and for the read speed (s).
     """
 
     force_rate: Annotated[float, _upto(1e7, "N/s^0.5")]
@@ -126,7 +128,8 @@ class Filter:
 
 @data.table
 class Adhesion:
-    """Values of `control.adhesion.AdhesionSettings` with sensors: filter time (s), dead zone (1/s), speed (m/s)."""
+    """Settings of the adhesion law in a run with sensors: filter_time (s), dead_zone (1/s), noise_speed (m/s). They
+    replace the defaults of the fields of the same names in `control.adhesion.AdhesionSettings`."""
 
     filter_time: Annotated[float, _upto(1.0, "s")]
     dead_zone: Annotated[float, _upto(10.0, "1/s")]
@@ -135,7 +138,8 @@ class Adhesion:
 
 @data.table
 class Loop:
-    """Sensors, latencies, inverter errors and filter between car and controllers; defaults in data/sensors.toml."""
+    """What lies between car and controllers: sensors, latencies, inverter errors, filter; made by `load_loop`. The
+    values are in data/sensors.toml."""
 
     lateral: Lateral
     gyro: Rate
@@ -153,14 +157,17 @@ class Loop:
             raise ValueError(f"latency of {1e3 * total:g} ms in all, at most {LONGEST} ms are held")
 
     def perfect(self) -> Loop:
-        """Copy with exact readings, no latency, and adhesion settings that suit them; inverter errors stay."""
+        """Copy with exact readings, without latency. Inverter errors stay. `adhesion` is set to the values for exact
+        readings: filter_time 5 ms, dead_zone 0.001/s, noise_speed 0."""
         exact = dict.fromkeys(_QUALITY, 0.0)
         quiet = {sensor: replace(getattr(self, sensor), **exact) for sensor in _GROUP.values()}
         return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations of noise and of bias, each for displacement y (m), yaw angle psi (rad) and yaw rate r
-        (rad/s), shape (3,); y is the mean of both planes, psi their difference over `base`; a bias is drawn uniformly.
+        """Pair: standard deviations of noise, shape (3,), and of bias, shape (3,), of the readings of y, psi and r.
+
+        The displacement y (m) is the mean of both planes; the yaw angle psi (rad) is their difference over `base`; r is
+        the yaw rate (rad/s). A bias is uniformly distributed.
         """
         of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / self.lateral.base])
         noise = np.append(self.lateral.noise * of_planes, self.gyro.noise)
@@ -169,22 +176,26 @@ class Loop:
 
 
 def load_loop(path: Path | str | None = None, **overrides) -> Loop:
-    """Read and check a TOML file like data/sensors.toml, the default; InputError for a wrong key or value.
-
-    `overrides` are values by dotted key, as `load_loop(**{"gyro.noise": 0.002})` (SI).
-    """
+    """Read and check the sensor data of a TOML file; default data/sensors.toml. InputError for a wrong key or value.
+    `overrides` replace values (SI) by dotted key, as in `load_loop(**{"gyro.noise": 0.002})`."""
     return loaded(Loop, data.location(path, paths.source("data/sensors.toml")), overrides)[0]
 
 
 def readings(perfect: bool = False, seed: int = 0, **overrides) -> Readings:
-    """`Readings` of `load_loop(**overrides)` with a seed; `perfect`: without errors and latency, see `Loop.perfect`."""
+    """`Readings` with the data of data/sensors.toml for the argument `sensors` of `simulate.run`. `perfect`: exact
+    readings without latency, see `Loop.perfect`. `seed` draws noise and biases. `overrides` are as in `load_loop`."""
     loop = load_loop(**overrides)
     return Readings(loop.perfect() if perfect else loop, seed)
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Sensors of one run: their data `loop`, and `seed`, a whole number from 0, which draws noise and biases."""
+    """Sensors of one run.
+
+    Attributes:
+        loop (Loop): Data of the sensors.
+        seed (int): Seed of noise and biases, at least 0.
+    """
 
     loop: Loop
     seed: int = 0
@@ -193,7 +204,7 @@ class Readings:
         data.require("Readings: seed", self.seed, data.between(0, math.inf), whole=True)
 
     def gains(self, gear: int) -> Any:
-        """`SensorGains` of a gear (0 front, 1 rear), its biases drawn from the seed."""
+        """`SensorGains` of a gear (0 front, 1 rear), with biases drawn from the seed."""
         draw, loop, entries = np.random.default_rng((self.seed, gear)), self.loop, []
         for of_signal in _GROUP.values():
             sensor = getattr(loop, of_signal)
@@ -205,13 +216,17 @@ class Readings:
 
 
 def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, dict[str, Any]]:
-    """Readings (`Signals`) of a gear as they reach the controller, and dict of the next delay lines by signal.
+    """Readings of one running gear in this control cycle.
 
     Args:
         truth (Signals of SX): Exact values.
-        ticks (SX): Control cycles since the start; at 0 the delay lines are filled with the first readings.
+        ticks (SX): Control cycles since the start. At 0 the delay lines are filled with the first reading.
         gear (int): 0 front, 1 rear.
-        gain, memory (SensorGains, SensorMemory of SX): Run-time numbers and delay lines of this gear.
+        gain (SensorGains of SX): Run-time numbers of the sensors.
+        memory (SensorMemory of SX): Delay lines after the previous cycle.
+
+    Returns:
+        tuple: `Signals` as they reach the controller; dict from signal to its next delay line, without the signal "p".
     """
     readings, lines = {}, {}
     for i, signal in enumerate(SIGNALS):
@@ -230,19 +245,21 @@ def sense(truth: Any, ticks, gear: int, gain: Any, memory: Any) -> tuple[Any, di
 
 
 def delayed(line: list, cycles):
-    """Value of a delay line (list of a value per cycle, newest first) `cycles` ago, linear between entries."""
+    """Value `cycles` (number or SX) control cycles ago, with linear interpolation. `line` has one entry per cycle,
+    newest first."""
     return sum(ca.fmax(0, 1 - ca.fabs(cycles - k)) * value for k, value in enumerate(line))
 
 
 def received_torque(line: list, gain: Any):
-    """Torque command at a motor in this control cycle (N m), from its `line` (newest first) and `SensorGains`."""
+    """Torque command that reaches a motor in this cycle (N m), after latency, unknown delay and gain error. `line`
+    holds the commands, newest first; `gain` is the `SensorGains` of the gear."""
     return gain.torque_gain * delayed(line, gain.command + gain.unknown_delay)
 
 
 def gaussian(seed, channel: int, ticks):
-    """Pseudorandom number of zero mean and unit variance, nearly normal: scaled sum of four uniform numbers.
+    """Pseudorandom number with zero mean and unit variance, nearly normal: a scaled sum of four uniform numbers.
 
-    A function of seed, channel (number of the source) and control cycle `ticks`, the same bits on every processor.
+    It follows from `seed`, `channel` (number of the noise source) and `ticks` (control cycle), bit for bit.
     """
     total = 0.0
     for k in range(2):

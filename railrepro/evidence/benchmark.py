@@ -56,8 +56,7 @@ ALL = "all"
 LEADERBOARD = "data/results/leaderboard.csv"
 _PATCH = ((0.0, 0.0), (299.5, 0.0), (300.5, 1.0), (499.5, 1.0), (500.5, 0.0))
 _WALKS, _ACTIVITIES = (220.0, 20.0), (20.0, 50.0, 115.0, 500.0)
-"""Walks of lateral force and yaw moment in the quietest run (N/s^0.5, N m/s^0.5), and torques above 5 Hz among which
-the least cost is sought (N m)."""
+"""Walks of force and moment in the quietest run (N/s^0.5, N m/s^0.5); torques above 5 Hz that are tried (N m)."""
 _MODULE = "railrepro_own_controller"
 METRICS = {"error": "m", "limit": "m", "effort_du": "N m", "activity_du": "N m", "utilisation": "-"}
 METRICS |= {"stopping_distance": "m", "comfort": "-", "y_over_q": "-", "sum_y_over_limit": "-", "wheel_unloading": "-"}
@@ -67,11 +66,12 @@ _LARGEST = ("y_over_q", "sum_y_over_limit", "wheel_unloading")
 
 
 def cases(seed: int, names: Sequence[str] | None = None) -> list[Experiment]:
-    """Runs of the suite in the settings "equal" (exact measurements) and "loop" (sensors), without guidance.
+    """Runs of the suite as experiments without guidance; `drive` puts the controller to be scored into them.
 
-    Noise and biases of sensors, irregularities and parameters `MISMATCH` follow from `seed` (0 to 2^31). With `names`
-    only these runs, such as "curve_T3"; InputError when there are none. Labels are scenario (the name), setting and
-    group: runs of one group count as one in the score.
+    Each run is there twice: in the setting "equal" with exact measurements, in "loop" with sensors. `seed` (0 to 2^31)
+    determines sensor noise and biases, irregularities and the values of the parameters `MISMATCH`. `names` selects runs
+    by name, as "curve_T3" (default all); InputError when no run has one of the names. The label of an experiment has
+    the keys scenario (name of the run), setting and group; runs of one group count as one in the score.
     """
     found = []
     for setting, (name, group, draw, scenario, more) in product((EQUAL, LOOP), _runs(seed)):
@@ -118,7 +118,7 @@ def _runs(seed: int) -> list[tuple[str, str, int, Scenario, dict]]:
 
 
 def entry(controller: str) -> str | Path:
-    """Controller to score: the registered name itself, or the resolved path of a file; InputError for another text."""
+    """Controller to score: a registered name as it is, a file as resolved path; InputError for any other text."""
     if controller in CONTROLLERS:
         return controller
     file, known = data.location(controller), [*CONTROLLERS]
@@ -128,12 +128,12 @@ def entry(controller: str) -> str | Path:
 
 
 def name_of(of: str | Path | type) -> str:
-    """Name of a controller in tables: its registered name, class name, or file name with suffix."""
+    """Name of a controller in tables: a registered name as it is, the name of a class, or a file's name with suffix."""
     return of if isinstance(of, str) else getattr(of, "__name__", None) or of.name
 
 
 def load_class(file: Path) -> type:
-    """Run a Python file and return its class with `torque` or `plan`; InputError unless there is exactly one."""
+    """Run a Python file and return its only class with a method `torque` or `plan`; InputError for none or several."""
     defined = [thing for thing in runpy.run_path(str(file), run_name=_MODULE).values() if isinstance(thing, type)]
     own = [each for each in defined if each.__module__ == _MODULE]
     found = [each for each in own if hasattr(each, "torque") or hasattr(each, "plan")]
@@ -143,10 +143,10 @@ def load_class(file: Path) -> type:
 
 
 def made(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
-    """Guidance for `simulate.run` from a controller class and its keyword arguments.
+    """Make the guidance for `simulate.run` from a controller class `own` and its keyword arguments `settings`.
 
-    An object own(**settings), for a class with `plan` a factory of objects own(vehicle, `known` route, gear,
-    **settings).
+    A class without `plan` gives the object own(**settings). A class with `plan` gives a factory; it makes own(vehicle,
+    route, gear, **settings) per gear, on a route without what the controller may not know (`known`).
     """
     if not hasattr(own, "plan"):
         return own(**settings)
@@ -154,17 +154,18 @@ def made(own: type, settings: Mapping[str, float]) -> lateral.Guidance:
 
 
 def known(route: Route) -> Route:
-    """Copy of a route for a scored controller, which may not know irregularities and poor adhesion: these are zero."""
+    """Copy of a route with irregularities and poor adhesion set to zero, as a scored controller may not know them."""
     cells, hidden = np.array(route.cells), (*CHANNELS, "poor_le", "poor_ri")
     cells[:, [i for name, i in INDEX.items() if name in hidden or name.lstrip("d") in hidden]] = 0.0
     return Route(cells, route.length)
 
 
 def drive(of: str | Path | type, case: Experiment) -> dict:
-    """Simulate a run of `cases` under a controller; return a dict of its label, controller, failure and metrics (SI).
+    """Simulate a run of `cases` under a controller; returns a dict.
 
-    `of` is a key of `registry.CONTROLLERS`, a file, which is loaded and run in a worker process, or a class. `failure`
-    is one sentence, empty for a good run; a controller that raises an error has no metrics.
+    `of` is a key of `registry.CONTROLLERS`, a class or a file; a file is loaded and run in a worker process. Keys of
+    the result: those of the run's label; controller (name); failure (one sentence, "" for a good run); the metrics
+    (SI). A run whose controller raises an error has no metrics.
     """
     head = case.label | {"controller": name_of(of), "failure": ""}
     if not isinstance(of, str):
@@ -209,7 +210,10 @@ def _row(run: Run, of: Experiment) -> store.Entry:
 
 
 def cost(row: dict) -> float:
-    """Cost J (-) of a row of `drive` that did not fail, see the head of the module; inf when a metric is missing."""
+    """Cost J (-) of a run that did not fail, from its row of `drive`; inf where a metric is not finite.
+
+    J is the sum at the head of this module: lateral error, differential torque, unused adhesion, too large forces.
+    """
     unused = 1 - min(row["utilisation"], 1.0) if np.isfinite(row.get("utilisation", np.nan)) else 0.0
     unsafe = max(row["y_over_q"] / Y_OVER_Q_LIMIT, row["sum_y_over_limit"])
     value = row["error"] / 1e-3 + row["effort_du"] / 4e3 + max(0.0, row["activity_du"] / 500 - 1)
@@ -218,7 +222,10 @@ def cost(row: dict) -> float:
 
 
 def points(row: dict) -> float:
-    """Points (0 to 100) of a row of `drive` with those of `ends_of_the_scale` added; 0 for a failed run."""
+    """Points of a run (0 to 100) on a scale from no guidance to the limit; 0 for a failed run.
+
+    `row` is a dict of `drive`, joined with the costs nothing and best of `ends_of_the_scale`.
+    """
     if row["failure"]:
         return 0.0
     q, nothing, best = (1 / (1 + value) for value in (cost(row), row["nothing"], row["best"]))
@@ -226,12 +233,12 @@ def points(row: dict) -> float:
 
 
 def ends_of_the_scale(case: Experiment) -> dict[str, float]:
-    """Costs J that give 0 and 100 points in a case, keys `nothing` and `best` (-), and the error `limit` (m).
+    """Costs J (-) worth 0 and 100 points in a run of `cases`, and a bound of the error: dict with three keys.
 
-    `nothing` is the cost without guidance, inf where the car derails. With exact measurements best is 0, limit nan:
-    only the drive limits the error. With sensors linear-quadratic-Gaussian bounds of the RMS error (`uncertainty.limit`
-    on dry rail with the disturbances of the quietest run, mean over seeds) are computed for RMS torques above 5 Hz of
-    20 to 500 N m: `limit` is the least bound, `best` the least bound / 1 mm + torque / 4 kN m.
+    nothing: cost of the run without guidance, inf if it fails. best: cost worth 100 points. limit: least bound of the
+    RMS lateral error (m). With exact measurements best is 0 and limit NaN, as only the drive limits the error. With
+    sensors `uncertainty.limit` bounds the error for each of four RMS torques above 5 Hz (20 to 500 N m), on dry rail
+    with weak disturbances; best is the least sum of bound / 1 mm and torque / 4 kN m.
     """
     row = drive(NOTHING, case)
     found = {"nothing": float("inf") if row["failure"] else cost(row), "best": 0.0, "limit": float("nan")}
@@ -256,11 +263,17 @@ def _bounds(loop: Loop, speed: float) -> store.Entry:
 def score(
     of: str | Path | type, seeds: Sequence[int], names: Sequence[str] | None = None, quiet: bool = False
 ) -> pd.DataFrame:
-    """Score a controller (see `drive`) on the suite: one row per run and seed, as a DataFrame.
+    """Score a controller on the suite: one row per run and seed.
 
-    Columns scenario, setting, group, seed, controller, failure, the metrics of the run (SI, see `METRICS`), points (0
-    to 100), and nothing, best, limit of `ends_of_the_scale`. `names` restricts the runs, see `cases`; `quiet` hides
-    progress bars.
+    Args:
+        of (str, Path or class): Controller, as in `drive`.
+        seeds (sequence of int): Seeds of `cases`, each a suite of its own.
+        names (sequence of str, optional): Names of the runs wanted, see `cases`; default all.
+        quiet (bool): Whether to show no progress bars.
+
+    Returns:
+        DataFrame: Columns scenario (name of the run), setting, group, seed, controller, failure ("" for a good run),
+            metrics of the run (SI, see `METRICS`), points (0 to 100), and nothing, best, limit of `ends_of_the_scale`.
     """
     drawn = [replace(case, label=case.label | {"seed": seed}) for seed in seeds for case in cases(seed, names)]
     ends = ordered_map(ends_of_the_scale, drawn, "limits", quiet)
@@ -270,11 +283,13 @@ def score(
 
 
 def card(table: pd.DataFrame) -> pd.DataFrame:
-    """Summary of one controller's table from `score`, in long form.
+    """Summary of one controller's table from `score`: one row per seed, setting and metric.
 
-    Columns scenario (always `ALL`), controller, metric, value, unit, setting (`ALL` for their mean score), seed.
-    Metrics per setting: score, margins (points of the group `MARGINS`; both 0 to 100), cases (runs, the group counts as
-    one); over the runs outside the group failures (number of failed ones) and each of `METRICS` (mean or largest).
+    Columns scenario (always "all"), controller, metric, value, unit, setting, seed. Runs with more delay or a slower
+    drive (group `MARGINS`) count together as one run. Metrics: score, mean points of all runs; margins, mean points of
+    the group `MARGINS`; cases, number of runs; failures, number of failed runs outside of this group; each of `METRICS`
+    outside of this group, for wheel and track forces the largest value, else the mean. The setting "all" has only
+    score, the mean of the scores of both settings.
     """
     rows = []
     for seed, draw in table.groupby("seed", sort=False):
@@ -301,9 +316,9 @@ def _sums(rows: pd.DataFrame) -> dict[str, float]:
 def ranking(cards: pd.DataFrame) -> pd.DataFrame:
     """Rank controllers from their concatenated `card` tables: one row per controller, the best first.
 
-    Columns ranked (mean score over all seeds but `PUBLISHED`) and spread (standard deviation of this score between
-    seeds); then means over these seeds: equal, loop (score per setting), margins (all 0 to 100), "runs failed" (number
-    per seed), and with sensors "error (mm), loop", "limit (mm), loop" and "torque (N m), loop" (RMS).
+    All values are means over the seeds other than `PUBLISHED`. Columns: ranked, score over both settings; spread,
+    standard deviation of ranked between seeds; equal and loop, score per setting; margins (all 0 to 100); "runs
+    failed", number per seed; with sensors "error (mm), loop", "limit (mm), loop" and "torque (N m), loop" (RMS).
     """
     cards = cards[cards["seed"] != PUBLISHED]
     totals = cards[(cards["setting"] == ALL) & (cards["metric"] == "score")].groupby("controller")["value"]
@@ -316,10 +331,11 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 
 
 def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[[list[dict], list[float]], list[float]]:
-    """Cost function of the controller class `own` for `pso.minimise`: the mean of `tuning.run_cost` over `runs` (-).
+    """Make the cost function with which `pso.minimise` tunes a controller class `own`.
 
-    `runs` are names of runs in data/tuning.toml for the setting. The function takes a list of dicts of gains and, per
-    dict, a limit, above which the remaining runs are skipped and the cost is a lower bound.
+    `runs` are names of runs in data/tuning.toml for the `setting`. The function takes a list of dicts of gains and a
+    list of limits, and returns per dict the mean of `tuning.run_cost` over the runs (-). Once a cost is above its limit
+    the other runs are left out: it is then a lower bound.
     """
     name, task = _registered(own), tuning.load_task(setting=setting)
     chosen = replace(task, runs={each: task.runs[each] for each in task.runs if each in runs})
@@ -327,14 +343,19 @@ def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[[list[
 
 
 def main(controller: str, seed: int | None = None) -> None:
-    """Command `score`: score a registered controller or a file, print its card and write a CSV to build/score.
+    """Command `score`: score a controller with one seed, print its `card` and write its table to build/score.
 
-    `seed` is `PUBLISHED` by default. InputError when the controller cannot be driven at all.
+    `controller` is a registered name or a Python file, `seed` is `PUBLISHED` by default. InputError when not a single
+    run gives metrics.
     """
     of, seed = entry(controller), PUBLISHED if seed is None else seed
+    data.require("seed", seed, data.between(0, 2**31), whole=True)
+    short = load_scenario("curve_entry_T3").but(end_m=30.0)  # what cannot be driven at all is refused at once
+    for first in cases(seed, ["curve_T3"]):
+        row = drive(of, replace(first, scenario=short))
+        if "rmse_y" not in row:
+            raise InputError(row["failure"])
     table = score(of, [seed])
-    if "error" not in table:
-        raise InputError(table["failure"].iloc[0])
     file = paths.BUILD / f"score/{name_of(of)}-{seed}.csv"
     units = {name: f"{name} ({unit})" for name, unit in METRICS.items()}
     data.write(file, table.rename(columns=units).to_csv(index=False, float_format="%.6g"))
@@ -347,7 +368,7 @@ def main(controller: str, seed: int | None = None) -> None:
 
 
 def leaderboard() -> None:
-    """Score the registered controllers and those of examples/ on all seeds, and write data/results/leaderboard.csv."""
+    """Score `SHOWN`, no guidance and two of examples/ on 6 seeds; write `LEADERBOARD` (`card`), print the `ranking`."""
     entries = [*SHOWN, NOTHING, *(paths.ROOT / f"examples/{name}.py" for name in ("only_y", "pid"))]
     found = pd.concat([card(score(of, (PUBLISHED, *RANKED))) for of in entries], ignore_index=True)
     data.write(paths.product(LEADERBOARD), found.to_csv(index=False, float_format="%.6g"))

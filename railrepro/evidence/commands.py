@@ -1,7 +1,4 @@
-"""The commands of `python -m railrepro` and their arguments, which are checked before anything starts.
-
-Modules that a command needs are imported when it runs.
-"""
+"""The commands of `python -m railrepro` and their arguments; modules that a command needs are imported when it runs."""
 
 from __future__ import annotations
 
@@ -37,10 +34,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def report_errors(command: Callable[[], object]) -> int:
-    """Call `command` and return an exit code; an error is printed to stderr in one sentence.
+    """Call `command` and return the exit code of the process.
 
-    The code is the integer that `command` returned, else 0, and another value than None is printed; 1 after an
-    `InputError` or `OSError`. Ctrl-C ends this process and all that it started, with the code 130.
+    An integer that `command` returns is the code; any other result gives 0 and is printed unless it is None. An
+    InputError or OSError is printed to stderr in one sentence and gives 1. Ctrl-C ends this process and all processes
+    that it started with the code 130.
     """
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # of the time of imports, see `railrepro.__main__`
@@ -67,17 +65,18 @@ def report_errors(command: Callable[[], object]) -> int:
 
 
 def end(code: int) -> NoReturn:
-    """Kill all that this process started, and end it at once; files are written whole or not at all."""
+    """Kill all child processes of this process, and end this process at once with the exit code `code`."""
     import psutil
 
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):
             process.kill()
+    sys.stdout.flush()
     os._exit(code)
 
 
 def end_with(leader: int) -> None:
-    """Wait for the end of the process with the id `leader` (make), then `end`."""
+    """Wait until the process with the id `leader` (make) has ended, then `end` this one with the exit code 1."""
     import psutil
 
     with suppress(psutil.NoSuchProcess):
@@ -126,7 +125,7 @@ _ARGUMENTS: list[tuple[str, str, dict]] = [
 
 
 def parser() -> argparse.ArgumentParser:
-    """Parser of the command line; the parsed `call` is the function of the command as "module:name"."""
+    """Parser of the command line; the parsed argument `call` is the function of the command as "module:name"."""
     top = _Parser(
         prog="python -m railrepro", description="Model predictive control of railway running gears, replicated."
     )

@@ -1,9 +1,8 @@
 """Archive of a release: the repository, and the closed-loop runs of Figs. 6 to 9 as data for other programs.
 
-`python -m railrepro release` writes build/railrepro-VERSION.tar.gz by `git archive`. Its folder `runs` has, per figure,
-the car on its route as an FMU, and per controller a CSV with a row per millisecond: the four torque commands, named as
-the FMU's inputs, and its outputs `front.y` and `rear.y` before the step to which the torques belong. Stepped by 1 ms
-with the torques of a file, the FMU gives its displacements to the last digit.
+Its folder `runs` has, per figure, the car on its route as an FMU, and per controller a CSV with a row per millisecond:
+the four torque commands, named as the FMU's inputs, and its outputs `front.y` and `rear.y` before the step to which the
+torques belong. Stepped by 1 ms with the torques of a file, the FMU gives its displacements to the last digit.
 """
 
 from __future__ import annotations
@@ -32,10 +31,11 @@ FIGURES = {
 
 
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
-    """Simulate a controller with its tuned set of setting `paper`; returns one row per millisecond.
+    """Simulate a controller with its tuned set of the setting `paper`; returns one row per millisecond.
 
-    Columns t_s; tau_front_le, tau_front_ri, tau_rear_le and tau_rear_ri, the torque commands (N m) as the inputs of the
-    car's FMU; front.y and rear.y, the lateral positions (m). `controller` may be `TEN_TIMES`.
+    `controller` is a key of `registry.CONTROLLERS`, or `TEN_TIMES`: NMPC with ten times its weight R. Columns t_s (s);
+    tau_front_le, tau_front_ri, tau_rear_le and tau_rear_ri, torque commands of the wheels (N m), as the inputs of the
+    car's FMU are called; front.y and rear.y, lateral positions of the gears (m).
     """
     name, factor = ("nmpc", 10.0) if controller == TEN_TIMES else (controller, 1.0)
     tuned = parameters(name)
@@ -48,7 +48,7 @@ def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
 
 
 def write_runs(folder: Path) -> list[Path]:
-    """Write the car's FMU and the runs (csv) of each of `FIGURES` to a folder; returns the paths of the files."""
+    """Per figure of `FIGURES` write FIGURE_car.fmu and FIGURE_CONTROLLER.csv (`exchanged`) to a folder; their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for figure, (driven, controllers) in FIGURES.items():
@@ -61,7 +61,7 @@ def write_runs(folder: Path) -> list[Path]:
 
 
 def main() -> None:
-    """Write build/railrepro-VERSION.tar.gz of committed files and runs; InputError when something is not committed."""
+    """Write build/railrepro-VERSION.tar.gz: committed files (InputError if one was edited), files of `write_runs`."""
     root, name = paths.ROOT, f"railrepro-{__version__}"
     if subprocess.run(["git", "-C", root, "diff", "--quiet", "HEAD"]).returncode:
         raise InputError("release: there are changes that are not committed, or no git repository")

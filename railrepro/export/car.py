@@ -17,28 +17,33 @@ INPUTS = ("tau_front_le", "tau_front_ri", "tau_rear_le", "tau_rear_ri")
 
 
 def export_fmu(path: Path | str, route: Route | str, speed: float, vehicle: Vehicle | None = None) -> Path:
-    """Write the car on a route as a co-simulation FMU for this platform.
+    """Write the car on a route as a co-simulation FMU (FMI 2.0) for this platform and return the path of the file.
 
-    Inputs are the torque commands `INPUTS` to the motors (N m), outputs `railrepro.car.equations.car().outputs`. The
-    communication step must be a whole number of ms; route and contact table are built in. Parameters are
-    `equations.CarParameters` (such as "body.mass", "adhesion.poor.mu0") and the initial "speed". A torque that is not a
-    number or beyond `component.LARGEST_TORQUE` (N m) gives status Error, as does a car that leaves all bounds.
-    The code runs on any processor of this kind, unless RAILREPRO_CFLAGS asks for more.
+    The inputs are the torque commands `INPUTS` (N m), the outputs those of `railrepro.car.equations.car()`. The
+    parameters are `equations.CarParameters` (such as "body.mass") and the initial "speed". Route and contact table are
+    built in. The communication step has to be a whole number of ms. The FMU returns the status Error for a torque that
+    is no number or above 1e5 N m, and when a state is not finite or reaches 1e7 (SI).
 
     Args:
-        path (path): The .fmu file to write; it is also returned.
+        path (path): The .fmu file to write.
         route (Route or str): Route, or the name of a track.
-        speed (float): Initial speed (m/s).
-        vehicle (Vehicle, optional): Default `load_vehicle()`.
+        speed (float): Initial speed (m/s), above 0 up to 125.
+        vehicle (Vehicle, optional): Default data/vehicle.toml.
 
     Raises:
-        InputError: Without C compiler, with an impossible speed, or where the file cannot be written.
+        InputError: No C compiler, speed out of range, or the file cannot be written.
     """
     return car_fmu(SteppedCar(route, speed, vehicle), speed).write(path)
 
 
 def car_fmu(car: SteppedCar, speed: float, road: Callable = constant) -> Fmu:
-    """`Fmu` of a car with initial speed (m/s); `road`: function (name, `Route.cells`) -> C text of this array."""
+    """`Fmu` of a car, not yet written to a file.
+
+    Args:
+        car (SteppedCar): Car with its route and contact table.
+        speed (float): Initial speed (m/s).
+        road (callable): Function (name, `Route.cells`) -> C text that defines this array.
+    """
     found = parameters(equations.CarParameters, car.parameters)
     found.append(Parameter("speed", speed, "m/s", 0.1, LARGEST_SPEED))
     outputs = equations.car().outputs

@@ -31,7 +31,7 @@ from railrepro.track.route import CELL, Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 TORQUES = INPUTS
-"""Names of the outputs of a controller, torques (N m), which are the inputs of the car."""
+"""Names of the outputs of a controller, motor torques (N m). They are the inputs of the car."""
 _LARGEST = 1e9
 """Largest magnitude of what is measured (SI)."""
 _HERE = Path(__file__).parent
@@ -40,13 +40,13 @@ _AS_FMU = (_HERE / "controller_fmu.c").read_text()
 
 @dataclass(frozen=True)
 class Export:
-    """Controller of both gears on a route, to be written as C or FMU; InputError for an attribute of a wrong type."""
+    """Controller of both gears on a route, for export as C source or FMU. InputError if a field has a wrong type."""
 
     guidance: lateral.Guidance
-    """A 1 kHz law, or a factory of `NMPC` (not by Ipopt), of `LTVMPC` or of `LqgPreview`."""
+    """A 1 kHz law, or a factory of `NMPC` (not with Ipopt), `LTVMPC` or `LqgPreview`."""
     route: Route
     vehicle: Vehicle = field(default_factory=load_vehicle)
-    """Nominal vehicle of the controller."""
+    """Vehicle parameters that the controller assumes."""
     sensors: Readings | None = None
     """Sensors and latencies between car and controller; default none."""
 
@@ -55,11 +55,12 @@ class Export:
         require("export: vehicle", self.vehicle, Vehicle)
 
     def write_source(self, path: Path | str) -> Path:
-        """Write C text that needs nothing else and return its path.
+        """Write C source that needs no other file, and return its path.
 
-        It has controller_t with arrays measured, torque, parameters; controller_reset(c), controller_step(c). Entries
-        are enumerated by name, as c.measured[MEASURED_FRONT_P], c.torque[TORQUE_TAU_FRONT_LE] (SI). A step takes 1 ms.
-        Parameters are changed after controller_reset(c), and controller_start(c) takes them over.
+        Its struct controller_t has the arrays measured, torque and parameters (SI). Entries have enumerated names, as
+        in c.measured[MEASURED_FRONT_P] and c.torque[TORQUE_TAU_FRONT_LE]. controller_reset(c) sets the start;
+        controller_step(c) computes one step of 1 ms. To change parameters, set them after controller_reset(c), then
+        call controller_start(c).
         """
         file = location(path)
         write(file, self.fmu().text.removesuffix(_AS_FMU))
@@ -68,16 +69,15 @@ class Export:
     def write_fmu(self, path: Path | str) -> Path:
         """Write an FMU (FMI 2.0) for this platform and return its path.
 
-        Inputs are `control.interface.MEASURED`, outputs `TORQUES`, parameters the gains of the law ("lateral.k0", …)
-        and, of a predictive controller, weights ("cost.r") and model ("belief.J_z").
+        Inputs are `control.interface.MEASURED`, outputs `TORQUES`. Parameters are the gains of the law, such as
+        "lateral.k0". A predictive controller also has its weights ("cost.r") and the parameters of its model
+        ("belief.J_z").
         """
         return self.fmu().write(path)
 
     def fmu(self, road: Callable = constant) -> Fmu:
-        """`Fmu` of the controller, not yet written to a file; InputError for a slower controller without C of its own.
-
-        `road` writes the route as C, a function (name, array of cells) -> C text; default `export.fmu.constant`.
-        """
+        """`Fmu` of the controller, not yet written to a file. InputError for a slower controller without C of its own.
+        `road` is a function (name, array of cells) -> C text that defines the route; default `export.fmu.constant`."""
         lateral_law, factory = lateral.split(self.guidance)
         ends: dict[str, Any] = {"lateral_limit": DERAILED, "track_end": self.route.length, "stop_speed": -1.0}
         control = law.control_law(self.vehicle, lateral_law, sensors=self.sensors, **ends)

@@ -14,6 +14,7 @@ enum { FIRST_INPUT = N_OUTPUT, FIRST_PARAMETER = N_OUTPUT + N_INPUT, END = FIRST
 
 typedef struct {
   callbacks_t callbacks;
+  int begun;  /* from here on parameters are fixed */
   fmu_t fmu;
 } instance_t;
 
@@ -41,12 +42,12 @@ instance_t *fmi2Instantiate(const char *name, int type, const char *guid, const 
 }
 
 fmi2Status fmi2ExitInitializationMode(instance_t *i) {
-  begin(&i->fmu);
+  begin(&i->fmu), i->begun = 1;
   return fmi2OK;
 }
 
 fmi2Status fmi2Reset(instance_t *i) {
-  reset(&i->fmu);
+  reset(&i->fmu), i->begun = 0;
   return fmi2OK;
 }
 
@@ -62,7 +63,8 @@ fmi2Status fmi2GetReal(instance_t *i, const unsigned r[], size_t n, double v[]) 
 fmi2Status fmi2SetReal(instance_t *i, const unsigned r[], size_t n, const double v[]) {
   for (size_t k = 0; k < n; ++k) {
     double *to = variable(i, r[k]);
-    if (!to || r[k] < FIRST_INPUT) return refused(i, "only inputs and parameters can be set");
+    if (!to || r[k] < FIRST_INPUT || (i->begun && r[k] >= FIRST_PARAMETER))
+      return refused(i, "only inputs can be set, and parameters before initialisation ends");
     if (!(LOWEST[r[k] - FIRST_INPUT] <= v[k] && v[k] <= HIGHEST[r[k] - FIRST_INPUT]))
       return refused(i, "a value is out of the range that modelDescription.xml states");
     *to = v[k];

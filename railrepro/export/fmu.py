@@ -1,8 +1,6 @@
-"""From C source text to an FMU (FMI 2.0) for co-simulation, for this platform.
-
-Each FMU has its own C (`fmu_t`, reset, begin, advance), which fmi2.c translates to the standard. All run-time numbers
-of car and controllers are parameters of their FMUs.
-"""
+"""From C source text to an FMU (FMI 2.0) for co-simulation, for this platform. Each FMU has its own C (`fmu_t`, reset,
+begin, advance), which fmi2.c translates to the standard. All run-time numbers of car and controllers are parameters of
+their FMUs."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ _FOLDER, _SUFFIX = {"darwin": ("darwin64", "dylib")}.get(sys.platform, ("linux64
 
 @dataclass(frozen=True)
 class Parameter:
-    """A run-time number of an exported car or controller: value, its unit (SI) and allowed range, `low` to `high`."""
+    """A run-time number of an exported car or controller: name, value, unit (SI), allowed range `low` to `high`."""
 
     name: str
     value: float
@@ -40,7 +38,8 @@ class Parameter:
 
 
 def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
-    """One `Parameter` per number of the class `of` (see `railrepro.quantities.group`); `values` (SI) in that order."""
+    """`Parameter` list of the entries of a dataclass `of`, which `railrepro.quantities.group` has made. `values` (SI)
+    are in the order of the entries. Ranges are those of the class, +-1e12 where it states none."""
     found = []
     for (name, note), value in zip(notes(of), values, strict=True):
         allowed = note if isinstance(note, data.Quantity) else data.Quantity(-1e12, 1e12, note or "", closed=True)
@@ -50,27 +49,30 @@ def parameters(of: type, values: Iterable[float]) -> list[Parameter]:
 
 
 def parameters_text(of: Sequence[Parameter]) -> str:
-    """C text of parameters `of`: indices PARAMETER_BODY_MASS, …, their number N_PARAMETER, and array PARAMETERS."""
+    """C text of parameters: an enum of their indices (PARAMETER_BODY_MASS, …), N_PARAMETER, array PARAMETERS."""
     text = index_enum("PARAMETER", [one.name for one in of]) + codegen.defines({"N_PARAMETER": len(of)})
     return text + constant("PARAMETERS", np.array([one.value for one in of]))
 
 
 def index_enum(prefix: str, of: Iterable[str]) -> str:
-    """C enumeration of the names `of`, counted from 0: MEASURED_FRONT_P, … for prefix MEASURED and name front.p."""
+    """C enum of the indices of names: for the prefix MEASURED the name front.p becomes MEASURED_FRONT_P."""
     return codegen.enumeration(f"{prefix}_{name.replace('.', '_').upper()}" for name in of)
 
 
 def constant(name: str, values: np.ndarray) -> str:
-    """C text of a constant double array `name` of the values, row by row, hexadecimal and hence exact."""
+    """C text of a constant array of doubles called `name`, row by row. Numbers are hexadecimal, so they are exact."""
     numbers = ",".join(float(v).hex() if v else "0" for v in np.ravel(values))
     return f"static const double {name}[{np.size(values)}] = {{{numbers}}};\n"
 
 
 @dataclass(frozen=True)
 class Fmu:
-    """C source of a car or a controller and the content of its modelDescription.xml; `write` makes the FMU.
+    """Content of an FMU of a car or a controller; `write` makes the file.
 
-    `name` is "car" or "controller"; `outputs` and `inputs` are names of FMU variables (SI) in the order of the C.
+    Attributes:
+        name, description (str): "car" or "controller"; one line on it.
+        outputs, inputs (tuple of str): Names of the variables in the order of the C arrays (SI).
+        parameters (sequence of Parameter): In the order of the C array.
     """
 
     name: str
@@ -85,7 +87,7 @@ class Fmu:
     FMU_OUTPUTS and FMU_PARAMETERS, and the functions reset, begin and advance."""
 
     def write(self, path: Path | str) -> Path:
-        """Compile, write an .fmu file and return its path; InputError where it cannot be written."""
+        """Compile the source, write the .fmu file and return its path. InputError if the file cannot be written."""
         file = location(path)
         limits = [(-self.largest, self.largest)] * len(self.inputs) + [(one.low, one.high) for one in self.parameters]
         lowest, highest = np.transpose(limits)
@@ -102,7 +104,8 @@ class Fmu:
         return file
 
     def model_description(self, guid: str) -> str:
-        """Text of modelDescription.xml with this `guid`; value references count outputs, inputs, then parameters."""
+        """Text of modelDescription.xml with the GUID `guid`. Value references count outputs, then inputs, then
+        parameters."""
         limits = f'min="{-self.largest:g}" max="{self.largest:g}" start="0"'
         shown = [(name, "output", "continuous", "") for name in self.outputs]
         shown += [(name, "input", "continuous", limits) for name in self.inputs]

@@ -1,8 +1,6 @@
 """The live page: car and controllers as WebAssembly in one HTML file that needs neither network nor installation.
-
-`python -m railrepro live` (`make live`) writes build/live/index.html. Its JavaScript (page/) steps the same C as
-the FMUs, so with the committed values its curve is that of `simulate`, bit for bit.
-"""
+`python -m railrepro live` (`make live`) writes build/live/index.html. Its JavaScript (page/) steps the same C as the
+FMUs, so with the committed values its curve is that of `simulate`, bit for bit."""
 
 from __future__ import annotations
 
@@ -14,7 +12,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from railrepro import paths
 from railrepro.car import equations
@@ -75,11 +72,15 @@ def _module(of: Fmu) -> dict:
 
 
 def content() -> dict:
-    """Data of the page as a dict for JSON; arrays of float64 and modules are compressed by zlib and then base64 text.
+    """Data of the live page as a dict for JSON.
 
-    Keys: "columns" (of "cells"), "car" (module, parameters, outputs, measured), "settings" (label by setting),
-    "controllers" (by setting and name: label, module, parameters), "figures" (by scenario: title, "cells", run data,
-    "committed": "y", "p" (m) by setting, controller).
+    Arrays (float64) and WebAssembly modules are compressed by zlib and then base64 text. Keys:
+    - "columns": names of the columns of all "cells" (rows of a route);
+    - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
+    - "settings": label of each setting;
+    - "controllers": by setting, then by name: "label", "module", "parameters";
+    - "figures": by scenario: "title", "cells", "speed_kmh", "stop_kmh", "set_point", "end" (m), "stride" (ms between
+      rows of a curve), "force" (kN, largest demand), "committed" (by setting, then controller: curves "y", "p" in m).
     """
     scenarios = {name: load_scenario(name) for name in FIGURES.values()}
     routes = _alike(scenarios)
@@ -87,11 +88,12 @@ def content() -> dict:
     car = _module(car_fmu(SteppedCar(any_route, 50.0), 50.0, _writable))
     car |= {"outputs": list(equations.car().outputs), "measured": list(interface.MEASURED)}
     controllers: dict[str, dict] = {setting: {} for setting in SETTINGS}
-    for setting, name in tqdm([*product(SETTINGS, (*SHOWN, OWN))], "controllers"):
+    for setting, name in product(SETTINGS, (*SHOWN, OWN)):
+        print(f"compiling {name} of {setting}", flush=True)
         module = _module(Export(_law(name, setting), any_route).fmu(_writable))
         controllers[setting][name] = {"label": SHOWN.get(name, "Law of your own")} | module
     figures = {}
-    for title, name in tqdm(FIGURES.items(), "runs"):
+    for title, name in FIGURES.items():
         figures[name] = {"title": title, "cells": _packed(routes[name].cells)} | _experiment(scenarios[name])
     shown = {"car": car, "settings": SETTINGS, "controllers": controllers, "figures": figures}
     return {"columns": list(COLUMNS)} | shown
@@ -112,7 +114,7 @@ def _experiment(scenario: Scenario) -> dict:
 
 
 def page(found: dict) -> str:
-    """HTML text of the page; `found` is the dict of `content()`, which is embedded."""
+    """HTML text of the live page with the dict `found`, from `content`, embedded in it."""
     text = (_HERE / "page.html").read_text()
     for name in ("uPlot.min.css", "page.css", "uPlot.iife.min.js", "car.mjs", "page.js"):
         text = text.replace(f"/* {name} */", (_HERE / name).read_text().replace("</script", "<\\/script"))
@@ -120,7 +122,7 @@ def page(found: dict) -> str:
 
 
 def main() -> None:
-    """Write build/live/index.html, and beside it car.mjs and content.json, the dict of `content`."""
+    """Write build/live/index.html, and beside it car.mjs and content.json (the dict of `content`)."""
     found, folder = content(), paths.BUILD / "live"
     write(folder / "index.html", page(found))
     write(folder / "car.mjs", (_HERE / "car.mjs").read_text())

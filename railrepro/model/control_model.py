@@ -1,8 +1,6 @@
-"""The control-oriented model as CasADi functions, continuous and discretised.
-
-State x, psi_Ax, xdot, psidot_Ax, y_TrAx, psi_TrAx; inputs tau_ri, tau_le (traction-positive, N m); theta holds the
-track at the present position. Serves the paper's eqs. (7) and (18) to (20).
-"""
+"""The control-oriented model as CasADi functions, continuous and discretised. State x, psi_Ax, xdot, psidot_Ax, y_TrAx,
+psi_TrAx; inputs tau_ri, tau_le (traction-positive, N m); theta holds the track at the present position. Serves the
+paper's eqs. (7) and (18) to (20)."""
 
 from __future__ import annotations
 
@@ -36,24 +34,20 @@ METHODS = tuple(_TABLEAU)
 
 
 def control_model(variant: str = "corrected") -> ca.Function:
-    """The control-oriented model of one running gear.
+    """The control-oriented model of one running gear as a CasADi function.
+
+    It maps (x[6], u[2], theta[9], par[14]) to dx/dt[6] (SI). The orders are those of `STATES`, `INPUTS`, `THETA` and
+    `model.parameters.PARAMETERS`.
 
     Args:
-        variant (str): "corrected", "printed" (all discrepancies kept), or names of `parameters.DISCREPANCIES` to keep,
-            as "D1" or "D1,D3".
-
-    Returns:
-        casadi.Function: (x[6], u[2], theta[9], par[14]) -> dx/dt[6], SI, in the order of `STATES`, `INPUTS`, `THETA`
-        and `parameters.PARAMETERS`.
-
-    Raises:
-        InputError: For an unknown name.
+        variant (str): "corrected"; "printed" (with all errata of the paper); or the errata to keep, such as "D1" or
+            "D1,D3", names in `parameters.DISCREPANCIES`. Another name raises InputError.
     """
     return _rhs(tuple(sorted(kept_as_printed(variant) - {"D4"})))
 
 
 def kept_as_printed(variant: str) -> frozenset[str]:
-    """Names of `parameters.DISCREPANCIES` that a variant keeps, see `control_model`."""
+    """Set of the names in `parameters.DISCREPANCIES` that a model variant keeps as printed, see `control_model`."""
     if variant in ("corrected", "printed"):
         return frozenset(DISCREPANCIES if variant == "printed" else ())
     kept = frozenset(name.strip() for name in variant.split(","))
@@ -64,7 +58,7 @@ def kept_as_printed(variant: str) -> frozenset[str]:
 
 
 def parameter_vector(vehicle: Vehicle) -> np.ndarray:
-    """Model parameters of a vehicle in the order of `PARAMETERS`, shape (14,), SI."""
+    """Parameters of the control model for a vehicle, in the order of `parameters.PARAMETERS` (SI), shape (14,)."""
     suspension, wheel, gear = vehicle.suspension, vehicle.wheel, vehicle.gear
     wheels = 2 * wheel.diametral_inertia  # which the model adds to J_x and J_z
     values = [gear.mass, gear.mass, gear.inertia_x - wheels, gear.inertia_z - wheels]
@@ -98,19 +92,14 @@ def _rhs(discrepancies: tuple[str, ...]) -> ca.Function:
 
 
 def discretise(model: ca.Function, method: str = "euler") -> ca.Function:
-    """One step of a `control_model` with its derivatives, inputs and track held.
+    """CasADi function of one time step of a `control_model`, with inputs and track held constant. Source: eq. (7).
 
-    Chained stage by stage, the derivatives take half the operations of differentiating the whole step.
+    It maps (x[6], u[2], theta[9], par[14], step T (s)) to the state after T, and its Jacobians by x (6, 6) and by u (6,
+    2), both sparse (SI). InputError for another method.
 
     Args:
-        model (casadi.Function): Rates as of `control_model`.
-        method (str): "euler" (the paper), "midpoint" or "rk4".
-
-    Returns:
-        casadi.Function: (x[6], u[2], theta[9], par[14], T (s)) -> x[6] after T, its Jacobians by x (6, 6) and u (6, 2),
-        sparse, SI.
-
-    Source: eq. (7).
+        model (casadi.Function): Function from `control_model`.
+        method (str): "euler" (as in the paper), "midpoint" or "rk4".
     """
     if method not in METHODS:
         raise InputError(f"discretisation {method!r} is not known; there are {METHODS}")

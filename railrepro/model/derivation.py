@@ -34,12 +34,12 @@ arm = {"ri": b / 2 - y, "le": b / 2 + y}
 
 
 def along_track(expression: sp.Expr) -> sp.Expr:
-    """Derivative of an expression by the path x (per m), track angles included, whose slopes count as constant."""
+    """Derivative of an expression by the path x (per m). Track angles vary with x; their slopes count as constant."""
     return sp.diff(expression, x) + sp.diff(expression, psi_Tr) * kappa + sp.diff(expression, phi_Tr) * dphi
 
 
 def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
-    """Total time derivative of an expression in coordinates and rates; `rate_of_rates`: {rate symbol: acceleration}."""
+    """Total time derivative of an expression in coordinates and rates. `rate_of_rates`: dict rate -> acceleration."""
     total = along_track(expression) * xd
     for coordinate, rate in zip(coordinates[1:], rates[1:], strict=True):
         total += sp.diff(expression, coordinate) * rate
@@ -47,9 +47,9 @@ def time_derivative(expression: sp.Expr, rate_of_rates: dict) -> sp.Expr:
 
 
 def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
-    """Rates of y (m/s) and both wheel angles (rad/s) by symbol, as expressions in the rates of x and psi.
+    """Constraints of lateral kinematics and ideal rolling: dict from a dependent rate to its expression in xd and psid.
 
-    From lateral kinematics and ideal rolling; `discrepancies` as of `equations`. Source: eqs. (9) and (12).
+    Its keys are yd (m/s), thd_ri and thd_le (rad/s). `discrepancies`: errata to keep, see `equations`. Eqs. (9), (12).
     """
     turning = psid + kappa * xd if "D3" in discrepancies else psid
     spin_ri = -(xd - arm["ri"] * turning) / radius["ri"]
@@ -58,13 +58,15 @@ def constraints(discrepancies: frozenset[str]) -> dict[sp.Symbol, sp.Expr]:
 
 
 def wheel_rotation(spin: sp.Expr) -> sp.Matrix:
-    """Absolute angular velocity (3, 1) of a wheel in roll, axle and yaw axis (rad/s), from its spin (rad/s)."""
+    """Absolute angular velocity (3, 1) of a wheel about roll, axle and yaw axis (rad/s). `spin` is its speed on the
+    axle (rad/s)."""
     roll_rate = -gamma * yd + dphi * xd
     return sp.Matrix([roll_rate, spin + psid * sp.sin(roll), psid * sp.cos(roll)])
 
 
 def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Kinetic energy (J) in unreduced rates; `discrepancies` as of `equations`. Source: eq. (13a)."""
+    """Kinetic energy (J) as an expression of all five rates, before `constraints` reduce them to two. `discrepancies`:
+    errata to keep, see `equations`. Source: eq. (13a)."""
     height_rate = sp.diff(height, psi) * (psid - kappa * xd) + sp.diff(height, y) * yd
     roll_rate = -gamma * yd + dphi * xd
     inertia = sp.diag(J_Wz, J_Wy, J_Wz)
@@ -78,28 +80,30 @@ def kinetic_energy(discrepancies: frozenset[str]) -> sp.Expr:
 
 
 def potential_energy(discrepancies: frozenset[str]) -> sp.Expr:
-    """Potential energy (J) of both springs and weight; `discrepancies` as of `equations`. Source: eq. (13b)."""
+    """Potential energy (J) of springs and weight; `discrepancies`: errata to keep, see `equations`. Eq. (13b)."""
     deflection = roll if "D7" in discrepancies else roll - phi_Tr
     return (k_sz * (psi - psi_CB) ** 2 + k_sx * deflection**2) / 2 - m * g * height
 
 
 def dissipation(discrepancies: frozenset[str]) -> sp.Expr:
-    """Half the power (W) of yaw and roll damper; `discrepancies` as of `equations`. Source: eq. (13c)."""
+    """Half the power (W) lost in both dampers; `discrepancies`: errata to keep, see `equations`. Source: eq. (13c)."""
     roll_rate = -gamma * yd + (dphi * xd if "D7" in discrepancies else 0)
     return (k_dz * (psid - kappa_CB * xd) ** 2 + k_dx * roll_rate**2) / 2
 
 
 def generalised_forces() -> tuple[sp.Expr, sp.Expr]:
-    """Force along x (N), moment about z (N m) of traction-positive torques. Source: eq. (17), opposite torque sign."""
+    """Pair: force along x (N) and moment about z (N m) of the motor torques, positive in traction. Source: eq. (17)
+    with the opposite sign."""
     pull = {"ri": tau_ri / radius["ri"], "le": tau_le / radius["le"]}
     return pull["ri"] + pull["le"], arm["le"] * pull["le"] - arm["ri"] * pull["ri"]
 
 
 @lru_cache
 def equations(discrepancies: frozenset[str] = frozenset()) -> tuple[sp.Matrix, sp.Matrix]:
-    """Derive the equations of motion M a + h = 0 in the accelerations a = (xdd, psidd): M (2, 2), h (2, 1).
+    """Derive the equations of motion M a + h = 0 of the accelerations a = (xdd, psidd).
 
-    `discrepancies` such as "D1" are kept as printed; none: corrected model.
+    `discrepancies` are the errata, such as "D1", that are kept as printed; none gives the corrected model. Returns the
+    SymPy matrices M (2, 2) and h (2, 1).
     """
     dependent = constraints(discrepancies)
     t, v, d = (f(discrepancies) for f in (kinetic_energy, potential_energy, dissipation))

@@ -1,8 +1,6 @@
-"""Forecast of position, speed, set point and track over the horizon of the predictive controllers.
-
-Serves eq. (34) of the paper; the base torque accelerates with both wheels and the spin inertia (D4 corrected)
-unless the printed forecast is asked for.
-"""
+"""Forecast of position, speed, set point and track over the horizon of the predictive controllers. Serves eq. (34) of
+the paper; the base torque accelerates with both wheels and the spin inertia (D4 corrected) unless the printed forecast
+is asked for."""
 
 from __future__ import annotations
 
@@ -33,9 +31,10 @@ class Forecast:
 
 
 def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.ndarray:
-    """Vehicle data `NOMINAL` of the forecast for a gear (0 front, 1 rear), shape (3,): 1/(kg m), m, kg.
+    """Vehicle data of the forecast of a gear (0 front, 1 rear), in the order of `NOMINAL`, shape (3,): 1/(kg m), m, kg.
 
-    `printed` keeps D4: the base torque of one wheel accelerates, with the opposite sign and without spin inertia.
+    With `printed` the erratum D4 stays: the torque of one wheel accelerates, with opposite sign and without spin
+    inertia.
     """
     gain = 2 / (vehicle.wheel.radius * vehicle.effective_longitudinal_mass)
     if printed:
@@ -45,15 +44,13 @@ def nominal_values(vehicle: Vehicle, gear: int, printed: bool = False) -> np.nda
 
 @stored
 def functions() -> tuple[ca.Function, ca.Function]:
-    """CasADi functions of the forecast of one stage, t (s) ahead; SI.
+    """CasADi functions of the forecast at a time t (s) ahead (SI). Source: eqs. (34) and (14), (15).
 
     Returns:
         position (casadi.Function): (state x_hat[6], base torque u_d, t, nominal[3] of `NOMINAL`) -> track coordinates
-            [this gear, other gear] (m).
-        stage (casadi.Function): (x_hat[6], u_d, t, nominal, here, there) -> x_d[6], theta[9] as `Forecast`; here and
-            there: rows of `Route.cells` at these two coordinates.
-
-    Source: eqs. (34) and (14), (15).
+            of this and of the other gear [2] (m).
+        stage (casadi.Function): (x_hat, u_d, t, nominal, here, there) -> x_d[6], theta[9] as in `Forecast`. here and
+            there are the rows of `Route.cells` at these two coordinates.
     """
     x_hat, u_d, t = ca.SX.sym("x_hat", len(STATES)), ca.SX.sym("u_d"), ca.SX.sym("t")
     vehicle = ca.SX.sym("nominal", len(NOMINAL))

@@ -8,11 +8,10 @@ constant speed v, a car body that stays on the track::
              + M_s + M_d - J_z v^2 kappa'
     E' = r_0/J_Wy (tau - r_0 F_x) - v^2 kappa' b/2,   T_m tau' = du - tau,   F_x = k_11/v (E - r b/2 - lambda v y/r_0)
 
-with a_y = g phi_Tr - v^2 kappa, E = r_0 (w_le - w_ri)/2 - kappa v b/2, force F_s of the suspension, lateral creep
-force F_y and moment M_s of both contacts, force F_N normal to the rails, and half the difference F_x of the
-longitudinal creep forces. Forces of the contact count y from the rails. The slopes of a profile are secants.
-
-Serves the lateral dynamics that the paper's eq. (7) leaves out.
+with a_y = g phi_Tr - v^2 kappa, E = r_0 (w_le - w_ri)/2 - kappa v b/2, force F_s of the suspension, lateral creep force
+F_y and moment M_s of both contacts, force F_N normal to the rails, and half the difference F_x of the longitudinal
+creep forces. Forces of the contact count y from the rails. The slopes of a profile are secants. Serves the lateral
+dynamics that the paper's eq. (7) leaves out.
 """
 
 from __future__ import annotations
@@ -47,12 +46,8 @@ def _profile(vehicle: Vehicle) -> tuple[dict[str, float], float, float, float]:
 
 
 def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tuple[float, np.ndarray]:
-    """k_11 (N); lateral force (N) and moment (N m) of both wheels on dry rail per displacement (m), lateral creepage
-    (-) and turning r/v (1/m), shape (2, 3); contact in the middle and its steepening as of `_profile`.
-
-    Kalker's linear forces, reduced as Polach's law is at small creepage. The spin of the right wheel is
-    r/v - sin(angle)/r_0, that of the left one has the other sign of the angle.
-    """
+    """k_11 (N); force (N) and moment (N m) of both wheels per displacement, lateral creepage and r/v, shape (2, 3):
+    Kalker's linear forces on dry rail, reduced as Polach's law is at small creepage."""
     contact, dry = vehicle.contact, vehicle.adhesion["dry"]
     root = np.sqrt(middle["semi_axis_x_m"] * middle["semi_axis_y_m"])
     reduced = (dry.k_a + min(dry.k_s, dry.k_a)) / 2 * contact.shear_modulus
@@ -63,9 +58,10 @@ def _creep(vehicle: Vehicle, middle: dict[str, float], steepening: float) -> tup
 
 
 def lateral_model(vehicle: Vehicle, speed: float) -> tuple[np.ndarray, ...]:
-    """Matrices a (6, 6), b (6,), e (6, 7), d (6, 2) of x' = a x + b du + e known + d unknown at a speed (m/s).
+    """Lateral model of a running gear at a speed (m/s): x' = a x + b du + e known + d unknown (SI).
 
-    x, known and unknown as `STATES`, `KNOWN` and `UNKNOWN`, du the differential torque; SI.
+    x, known and unknown are in the order of `STATES`, `KNOWN` and `UNKNOWN`; du is the differential torque. Returns a
+    (6, 6), b (6,), e (6, 7) and d (6, 2).
     """
     names = (*STATES, "du", *KNOWN, *UNKNOWN)
     z = dict(zip(names, np.eye(len(names)), strict=True))  # each quantity is a row of factors of all of these

@@ -12,10 +12,8 @@ the displacement y_k from the set point over the rails and the torque du_k, the 
     sum_k  y_k^2 + rho (du_k - du_(k-1))^2
 
 over an infinite horizon; the track ahead is known over a preview and constant behind it. The rear gear knows the rails
-that the front gear found, by a smoother of fixed lag.
-
-Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8; Anderson and Moore 1979, Optimal Filtering, ch. 7
-(smoothing) and 10 (several models).
+that the front gear found, by a smoother of fixed lag. Source: Anderson and Moore 1990, Optimal Control, ch. 2, 4 and 8;
+Anderson and Moore 1979, Optimal Filtering, ch. 7 (smoothing) and 10 (several models).
 """
 
 from __future__ import annotations
@@ -56,18 +54,23 @@ _N, _RAIL, _RATE, _MODEL, _FREE = len(STATES), *(len(STATES) + k for k in (2, 3,
 
 
 class Design:
-    """Kalman filters and regulator of a gear at a speed (m/s), in steps of 1 ms.
+    """Kalman filters and regulator of a gear at one speed, in steps of 1 ms.
 
-    `loop` are the sensors; without them (None) both filters assume ideal rails.
+    Args:
+        vehicle (Vehicle): Vehicle parameters that the controller assumes.
+        speed (float): Speed (m/s).
+        settings (LqgPreview): Weights and noise.
+        loop (Loop or None): Sensors. None: no sensors, and both filters assume ideal rails.
 
     Attributes:
-        a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known: x are
-            `gear_model.STATES`, unknown force and moment, offset of the rails (m), its rate (m/s); du acts (N m).
-        late, sent (int): Time from reading to torque (ms), 0 without sensors; number of torques under way or acting, at
-            least one.
-        rails (tuple of float): Amplitude A that each filter assumes (m rad).
-        read, noise, drift (ndarray, shapes (3, 12), (3,), (2,)): Readings y (m), psi (rad), r (rad/s) from x and biases
-            of psi and r; standard deviations of their noise; random walk of both biases (unit per s^0.5).
+        a, b, e (ndarray, shapes (10, 10), (10,), (10, 7)): Model over 1 ms, x+ = a x + b du + e known. x are
+            `gear_model.STATES`, unknown force and moment, offset of the rails (m) and its rate (m/s).
+        late (int): Time from a reading to the torque (ms); 0 without sensors.
+        sent (int): Number of torques that are under way or acting, at least 1.
+        rails (tuple of float): Amplitude A of the rail spectrum (see `railrepro.own.lqg`) in both filters (m rad).
+        read (ndarray, shape (3, 12)): Maps x and the biases of psi and r to the readings y (m), psi (rad), r (rad/s).
+        noise, drift (ndarray, shapes (3,), (2,)): Standard deviations of the readings; random walk of the two biases
+            (rad/s^0.5, rad/s^1.5).
     """
 
     def __init__(self, vehicle: Vehicle, speed: float, settings: LqgPreview, loop: Loop | None):
@@ -99,8 +102,14 @@ class Design:
         self._units = np.array([*UNITS, settings.force, settings.moment, 1e-3, 1e-3 * speed])
 
     def kalman(self, rough: float) -> tuple[np.ndarray, ...]:
-        """Filter for rails of amplitude A = `rough` (m rad): gain (12, 3) from innovation of y, psi, r to x and biases;
-        covariance of the innovation (3, 3); smoother gain (`LAGS`, 2, 3) to past rail offset (m), direction (rad)."""
+        """Stationary Kalman filter for rails of amplitude A = `rough` (m rad).
+
+        Returns:
+            gain (ndarray, shape (12, 3)): From the innovation of y, psi, r to x and the two biases.
+            covariance (ndarray, shape (3, 3)): Covariance of the innovation.
+            smoother (ndarray, shape (LAGS, 2, 3)): Row k: from the innovation to rail offset (m) and direction (rad), k
+                times `LAG` (s) ago.
+        """
         s, h, read, drive = self.settings, CONTROL_PERIOD, self.read, np.zeros((_MODEL, 4))
         drive[_N, 0], drive[_N + 1, 1], drive[STATES.index("tau"), 2] = s.force, s.moment, s.twist
         drive[_RATE, 3] = np.sqrt(np.pi * rough * _SHORT**2 * self.speed**3)
@@ -120,8 +129,13 @@ class Design:
         return gain, covariance, smoother
 
     def regulator(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gains to the change of torque (N m): from x and torques sent, last first, shape (10 + sent,); from known
-        inputs and set point at the points of the preview, `TAP` apart, shape (points, 7 + 1)."""
+        """Gains of the regulator, whose output is the change of the torque from one ms to the next (N m).
+
+        Returns:
+            feedback (ndarray, shape (10 + sent,)): Factors of x, then of the torques sent, latest first.
+            preview (ndarray, shape (points, 8)): Factors of the 7 known inputs and of the set point, at points `TAP`
+                (s) apart.
+        """
         n, h = _MODEL + self.sent, CONTROL_PERIOD
         a, b, error = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         a[:_MODEL, :_MODEL], a[_MODEL, _MODEL], b[_MODEL] = self.a, 1.0, 1.0
@@ -145,7 +159,7 @@ class Design:
         return -feedback, np.hstack([_on_taps(times + h / 2, known, taps), _on_taps(times + h, point, taps)])
 
     def table(self) -> np.ndarray:
-        """All numbers of the design as a vector in the order of the struct `lqg_design_t` of lqg.c."""
+        """All numbers of the design as a vector, in the order of the struct `lqg_design_t` of lqg.c."""
         parts = [self.a, self.b, self.e, *self.regulator()]
         for rough in self.rails:
             gain, covariance, smoother = self.kalman(rough)
@@ -162,9 +176,9 @@ def _on_taps(times: np.ndarray, factors: np.ndarray, taps: int) -> np.ndarray:
 def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> np.ndarray:
     """Stabilising solution p (n, n) of the discrete algebraic Riccati equation, by doubling.
 
-    For x+ = a x + b u, a (n, n), b (n, m), and cost x' q x + u' u, q (n, n); `units` (n,): magnitudes of the states.
-
-    Source: Chu, Fan, Lin and Wang 2004, International Journal of Control 77, algorithm SDA.
+    The system is x+ = a x + b u with a (n, n), b (n, m). The cost is x' q x + u' u with q (n, n). `units` (n,) are
+    usual magnitudes of the states, which scale the equation. Source: Chu, Fan, Lin and Wang 2004, Int. J. Control 77,
+    algorithm SDA.
     """
     a, b, p = a * units / units[:, None], b / units[:, None], q * np.outer(units, units)
     g, one = b @ b.T, np.eye(len(a))
@@ -181,7 +195,8 @@ _DESIGNED: dict[tuple, np.ndarray] = {}
 
 
 def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[Design, np.ndarray]:
-    """(`Design` at the first of `SPEEDS`, array (46, n) of `Design.table` at each of them); `loop` None: no sensors."""
+    """Designs at all `SPEEDS`; `loop` None: without sensors. Returns the `Design` at the first speed, and an array (46,
+    n) with `Design.table` at each speed."""
     first = Design(vehicle, SPEEDS[0], settings, loop)
     key = repr(vehicle), settings, first.late, *first.noise, *first.drift
     if key not in _DESIGNED:
@@ -206,7 +221,8 @@ def _source(late: int, taps: int) -> tuple[str, dict[str, int]]:
 
 @lru_cache
 def library(late: int, taps: int) -> tuple[ctypes.CDLL, Any]:
-    """Compiled lqg.c and the ctypes class of its struct `lqg_t` for `Design.late` and a number of points of preview."""
+    """Compile lqg.c; returns the shared object and the ctypes class of its struct `lqg_t`. `late` is `Design.late`,
+    `taps` the number of points of the preview."""
     text, sizes = _source(late, taps)
     loaded = codegen.library((), codegen.PREAMBLE + text)
     loaded.lqg_sample.restype = ctypes.c_double
@@ -214,7 +230,8 @@ def library(late: int, taps: int) -> tuple[ctypes.CDLL, Any]:
 
 
 class LqgGear:
-    """LQG controller with preview of one gear (0 front, 1 rear), a `railrepro.control.lateral.SlowController` in C."""
+    """LQG controller with preview of one gear (0 front, 1 rear) in compiled C: a
+    `railrepro.control.lateral.SlowController`."""
 
     period = CONTROL_PERIOD
 
@@ -222,10 +239,8 @@ class LqgGear:
         self.vehicle, self.route, self.gear, self.settings = vehicle, route, gear, settings
 
     def compiled(self, loop: Loop | None, leader: LqgGear | None = None) -> tuple[int, int]:
-        """Addresses of the C function of a sample and of its memory, see `lateral.SlowController`.
-
-        `loop`: sensors, None without; `leader`: front controller, which hands the rails that it finds to this rear one.
-        """
+        """Addresses (C function of a sample, its memory), see `lateral.SlowController`. `loop` are the sensors, None
+        without. `leader` is given for the rear gear: the front controller, which passes on the rails that it finds."""
         (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
         self.sizes = first.late, round(self.settings.preview / TAP) + 1
@@ -252,7 +267,8 @@ class LqgGear:
         return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: list[LqgGear], loop: Loop | None) -> str:
-        """C text of the controllers `gears` [front, rear] with their tables, for an export; `loop` None: no sensors."""
+        """C text of the controllers of both gears with their tables, for an export. `gears` are the controllers [front,
+        rear], `loop` the sensors, None without."""
         for gear in gears:
             gear.compiled(loop)
         memories = ", ".join(codegen.initialiser(gear.memory) for gear in gears)
@@ -264,7 +280,8 @@ class LqgGear:
 
 @dataclass(frozen=True)
 class LqgPreview:
-    """Guidance for `simulate.run`: factory of the LQG controllers of both gears; `11_lqg` derives its settings."""
+    """Guidance for `simulate.run`: the LQG controller with preview, as a factory. Notebook `11_lqg` derives
+    settings."""
 
     change: Annotated[float, between(1e-13, 1e-3, "m2/(N m)2")] = 1.5e-9
     """Weight rho of the squared change of torque per millisecond, relative to that of y (m2/(N m)2)."""
@@ -287,5 +304,5 @@ class LqgPreview:
         check_fields(self)
 
     def __call__(self, vehicle: Vehicle, route: Route, gear: int) -> LqgGear:
-        """The controller of a gear (0 front, 1 rear)."""
+        """Make the controller of a gear (0 front, 1 rear)."""
         return LqgGear(vehicle, route, gear, self)

@@ -1,8 +1,6 @@
-"""One driven wheel on a bare adhesion characteristic under the adhesion law: many cases at once.
-
-The smallest system on which the law can be watched: wheel spin, speed of a quarter of the car, Polach's creep law,
-1 kHz law. Serves the paper's Fig. 5 and section Adhesion Control.
-"""
+"""One driven wheel on a bare adhesion characteristic under the adhesion law: many cases at once. The smallest system on
+which the law can be watched: wheel spin, speed of a quarter of the car, Polach's creep law, 1 kHz law. Serves the
+paper's Fig. 5 and section Adhesion Control."""
 
 from __future__ import annotations
 
@@ -28,16 +26,16 @@ _SUBSTEPS, _LIMIT = 20, 1e5
 
 @dataclass(frozen=True)
 class Case:
-    """One simulated wheel: settings of its adhesion law, and the adhesion set (Polach's parameters) of its rail."""
+    """One simulated wheel: `law`, the settings of its adhesion law, and `adhesion`, the friction of its rail."""
 
     law: AdhesionSettings
     adhesion: AdhesionSet
 
 
 Traces = group("Traces", "adhesion -, slip -, torque N m, speed m/s, segment -")
-"""Time series of single wheels, each an array of shape (time, cases) with a row per ms: adhesion f_x (longitudinal
-force over wheel load, traction-positive), slip s_x = (v - w r)/v, motor torque (traction-positive), running speed,
-active segment I, II or III of the adhesion law as 1, 2 or 3."""
+"""Time series of single wheels. Each is an array with one row per ms and one column per wheel: adhesion f_x
+(longitudinal force over wheel load, traction-positive); slip s_x = (v - w r)/v; motor torque (traction-positive);
+running speed; active segment of the adhesion law, 1 to 3."""
 _State = group("State", "w rad/s, v m/s, u N m", {"law": AdhesionMemory})
 
 
@@ -73,16 +71,16 @@ def _cycle(vehicle: Vehicle) -> ca.Function:
 
 
 def simulate(vehicle: Vehicle, cases: Sequence[Case], speed, demand) -> Any:
-    """Simulate single driven wheels under the 1 kHz adhesion law and return `Traces`, a column per wheel.
+    """Simulate single driven wheels under the 1 kHz adhesion law; returns their `Traces`.
 
-    Wheels start rolling freely with zero torque. Each carries the nominal wheel load Q and accelerates a mass of Q/g.
+    Each wheel starts rolling freely with zero torque, carries the nominal wheel load Q, and accelerates the mass Q/g.
 
     Args:
         vehicle (Vehicle): Source of wheel, load and contact patch.
         cases (sequence of Case): Adhesion law and rail of each wheel.
-        speed (float or array_like, shape (cases,)): Initial running speeds (m/s).
-        demand (array_like, shape (time,) or (time, cases)): Adhesion set point f_x*, traction-positive, one row per ms
-            (-).
+        speed (float or array_like, shape (wheels,)): Initial running speeds (m/s).
+        demand (array_like, shape (time,) or (time, wheels)): Set point of the adhesion f_x, traction-positive, one row
+            per ms (-).
     """
     demand = np.asarray(demand, dtype=float)
     demand = np.ascontiguousarray(np.broadcast_to(demand.reshape(len(demand), -1), (len(demand), len(cases))))

@@ -1,7 +1,5 @@
-"""Car and control law coupled at 1 kHz: one call runs many control cycles.
-
-The loop of `loop.c` runs over the compiled car and the control cycle of `railrepro.control.cycle`.
-"""
+"""Car and control law coupled at 1 kHz: one call runs many control cycles. The loop of `loop.c` runs over the compiled
+car and the control cycle of `railrepro.control.cycle`."""
 
 from __future__ import annotations
 
@@ -29,7 +27,8 @@ _MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
 
 @lru_cache
 def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
-    """Compile `loop.c` with the 1 kHz law of `signature`; return the library and the ctypes class of its `loop_t`."""
+    """Compile `loop.c` with the 1 kHz law of this signature; returns the shared object and the ctypes class of its
+    `loop_t`."""
     text = codegen.PREAMBLE + cycle.c_text(signature, len(names(signature.Gains)))
     text += codegen.defines({"MEASURED_OF_OUTPUT": "{" + ", ".join(map(str, _MEASURED)) + "}"})
     loaded = codegen.library((law.function(signature),), text + _SOURCE)
@@ -39,17 +38,17 @@ def library(signature: law.LawSignature) -> tuple[ctypes.CDLL, Any]:
 
 
 class ClosedLoop:
-    """The car on a route under a control law; `run` advances it by whole control cycles of 1 ms.
+    """The car on a route under a control law. `run` advances both by whole control cycles of 1 ms.
 
     Attributes:
         car (SteppedCar): The simulated car on its route.
         control (ControlLaw): The 1 kHz law of both gears, from `railrepro.control.law.control_law`.
-        ended (bool): Whether the last `run` stopped before its number of cycles.
+        ended (bool): Whether the last `run` reached a limit.
         state (ndarray, shape (len(car.model.states),)): State of the car (SI), the array `car.state`; writable.
-        held (ndarray, shape (2,)): Last differential torques of slower lateral controllers, front and rear gear (N m);
+        held (ndarray, shape (2,)): Last differential torques of slower controllers, front and rear gear (N m);
             writable.
         memory (ndarray): States of the law (SI), in the order of the names `control.signature.memory`; writable.
-        columns (tuple of str): Names of the columns that `run` returns: outputs of the car, then records of the law.
+        columns (tuple of str): Columns that `run` returns: outputs of the car, then what the law logs.
     """
 
     def __init__(self, car: SteppedCar, control: law.ControlLaw):
@@ -70,12 +69,10 @@ class ClosedLoop:
         self.held, self.memory, self._margins = found["held"], found["memory"], found["margins"]
 
     def run(self, n: int) -> np.ndarray:
-        """Advance by up to n control cycles of 1 ms.
+        """Advance by n control cycles of 1 ms, or fewer when a limit is reached (see `margins`).
 
-        Returns:
-            ndarray, shape (m, len(columns)): Values of `columns` (SI), one row per cycle, taken before the car
-            advances. m = n, or fewer when a limit of the run (see `margins`) was reached: `ended` is then true, and the
-            last row and `state` are at the limit.
+        Returns an array with one row per cycle and the columns `columns` (SI), taken before the car advances. When a
+        limit is reached, `ended` is True, and the last row and `state` are at the limit.
         """
         blocks = [np.empty((0, len(self.columns)))]
         for first in range(0, n, _BLOCK):
@@ -89,10 +86,11 @@ class ClosedLoop:
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:
-        """Register a slower controller per gear, which `run` calls before the law in each `every`-th cycle of 1 ms.
+        """Register a slower controller for each gear, which `run` calls before the law every `every` cycles of 1 ms.
 
-        `planners` has for front and rear gear the addresses (int) of the controller's C function and of its memory, for
-        the signature see `railrepro.control.cycle.SAMPLE`. With sensors its states are estimates of the cycle before.
+        `planners` holds a pair for the front and one for the rear gear: addresses (int) of a C function of type
+        `railrepro.control.cycle.SAMPLE` and of its memory. With sensors this function gets the estimated states of the
+        previous cycle.
         """
         slot, _ = cycle.structures(self.control.signature)
         self._c.every = every
@@ -101,5 +99,6 @@ class ClosedLoop:
 
     @property
     def margins(self) -> dict[str, float]:
-        """Distances to the limits of a run, see `interface.Margins`, by name; the run ends when one is <= 0."""
+        """Distances to the limits of a run as a dict, keys as in `interface.Margins`. The run ends when one is not
+        positive."""
         return dict(zip(interface.MARGINS, self._margins.tolist(), strict=True))

@@ -1,7 +1,5 @@
-"""Figures of merit of a run: tracking error, delay, effort, stopping distance, adhesion utilisation.
-
-Serves the paper's section Multi-Body Simulation Results.
-"""
+"""Figures of merit of a run: tracking error, delay, effort, stopping distance, adhesion utilisation. Serves the paper's
+section Multi-Body Simulation Results."""
 
 from __future__ import annotations
 
@@ -18,18 +16,19 @@ from railrepro.simulation.scenarios import Scenario
 from railrepro.vehicle.parameters import Vehicle
 
 FLANGE_ANGLE = np.radians(30)
-"""Contact angle above which a wheel touches with its flange (rad); the tread of S1002 stays far below it."""
+"""Contact angle above which a wheel counts as touching with its flange (rad); the tread of S1002 stays far below it."""
 FLANGEWAY = 7e-3
-"""Displacement from the middle of the rails at which S1002 wheels are on their flanges; cones have none (m)."""
+"""Displacement of a gear from the middle of the rails above which its flanges count as touching (m); S1002 does at 6 to
+8 mm."""
 ACTIVITY = 5.0
-"""Frequency above which a differential torque follows no set point (Hz): a sweep of 40 m at 400 km/h has 2.8 Hz."""
+"""Cut-off frequency of `activity` (Hz). Above it no set point acts: a sweep of 40 m at 400 km/h has 2.8 Hz."""
 
 
 class Part:
-    """Columns of one part of the car (gear, wheel, floor point) in the series of a run, as attributes of shape (n,).
+    """Columns of one part of the car in the series of a run, as attributes of shape (n,).
 
-    `series` is `simulate.Run.series`, `of` the name of the part: `Part(series, "front").y_ref` is the column
-    `front.y_ref`. InputError for a column that is missing or not numeric.
+    `Part(series, "front").y_ref` is the column `front.y_ref` of `series` (`simulate.Run.series`). A part is a gear, a
+    wheel or a floor point. InputError for a column that is missing or not numeric.
     """
 
     def __init__(self, series: pd.DataFrame, of: str):
@@ -43,10 +42,8 @@ class Part:
 
 
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
-    """Lateral displacement from the ideal track less its set point, y - y* (m), in each row of a run, shape (n,).
-
-    `series` is `simulate.Run.series`, `gear` "front" or "rear".
-    """
+    """Lateral error y - y* of a gear in each row of a run (m): displacement from the ideal track minus set point.
+    `series` is `simulate.Run.series`, `gear` is "front" or "rear"."""
     return Part(series, gear).y - Part(series, gear).y_ref
 
 
@@ -60,15 +57,15 @@ def rmse(series: pd.DataFrame, gear: str = "front") -> float:
 
 
 def followed_rmse(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square over a run of a gear's displacement from the actual, irregular rails less its set point (m)."""
+    """Root mean square over a run of the displacement of a gear from the irregular rails minus its set point (m)."""
     return _rms(lateral_error(series, gear) - Part(series, gear).rail_y)
 
 
 def on_flange(series: pd.DataFrame) -> np.ndarray:
-    """Whether, in each row, any wheel of the car touches its rail with the flange: booleans, shape (n,).
+    """Whether a wheel touches its rail with the flange, for each row of a run: bool, shape (n,).
 
-    True for a contact angle above 30 degrees or, since cones have no flange, a displacement of a gear from the rails
-    above 7 mm. Flanges hold S1002 wheels on the rail whatever the torque does: active guidance ends there.
+    It counts if the contact angle of any wheel exceeds 30 degrees, or a gear is more than 7 mm from the middle of the
+    rails; cones have no flange, so only the second applies to them.
     """
     gears = [Part(series, gear) for gear in GEARS]
     aside = np.max([np.abs(gear.y - gear.rail_y) for gear in gears], axis=0) > FLANGEWAY
@@ -77,15 +74,15 @@ def on_flange(series: pd.DataFrame) -> np.ndarray:
 
 
 def reaches_flange(series: pd.DataFrame) -> bool:
-    """Whether any row of a run is `on_flange`."""
+    """Whether a wheel touches its rail with the flange in any row of a run, see `on_flange`."""
     return bool(on_flange(series).any())
 
 
 def delay(series: pd.DataFrame, gear: str = "front") -> float:
-    """Distance by which a gear's lateral displacement y trails its set point y* along the track (m).
+    """Distance along the track by which the lateral displacement y of a gear trails its set point y* (m).
 
-    The lag, from -60 to 60 m in steps of 0.1 m, with the largest cross-correlation of the detrended signals. Positive
-    when y comes after y*; nan when y* is constant or the car does not move.
+    Both signals are detrended by a straight line and put on a grid of 0.1 m. The result is the lag within +-60 m with
+    the largest mean product of both, positive when y comes after y*. nan when y* is constant or the car does not move.
     """
     of_gear, step = Part(series, gear), 0.1
     p = of_gear.p
@@ -112,31 +109,31 @@ def _detrended(values: np.ndarray) -> np.ndarray:
 
 
 def effort(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square over a run of the differential torque of a gear (N m)."""
+    """Root mean square of the differential torque of a gear over a run (N m)."""
     return _rms(Part(series, gear).du)
 
 
 def activity(series: pd.DataFrame, gear: str = "front") -> float:
-    """Root mean square of a gear's differential torque above 5 Hz (N m): amplified noise and limit cycles.
-
-    Zero-phase high-pass (Butterworth, fourth order, forwards and backwards); the series needs a row per ms.
-    """
+    """Root mean square of the components above 5 Hz of a gear's differential torque (N m): noise or a limit cycle. The
+    high-pass is a Butterworth of fourth order, run forwards and backwards. `series` needs a row per ms."""
     sections = scipy.signal.butter(4, ACTIVITY, "highpass", fs=1 / CONTROL_PERIOD, output="sos")
     du = Part(series, gear).du
     return _rms(scipy.signal.sosfiltfilt(sections, du, padlen=min(100, du.size - 1)))
 
 
 def stopping_distance(series: pd.DataFrame) -> float:
-    """Distance that the front gear covers from the first to the last row (m), whether the car stops or not."""
+    """Distance of the front gear from the first to the last row of a run (m), also if the car does not stop."""
     return float(Part(series, "front").p[-1] - Part(series, "front").p[0])
 
 
 def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
-    """Lateral metrics of a run, of the front gear unless named otherwise: name -> (value, unit).
+    """Lateral metrics of a run as a dict: name -> (value, unit). All are for the front gear, except rmse_y_rear.
 
-    rmse_y, rmse_y_rear, followed_rmse_y, delay (m), effort_du, activity_du (N m): see the functions of these names.
-    rail_rmse_y (RMS distance from the middle of the irregular rails), mean_error_last_third (mean of y - y* over the
-    last third of the rows), largest_error (max |y - y*|) (m).
+    - rmse_y, rmse_y_rear, followed_rmse_y, delay (m): see `rmse`, `followed_rmse` and `delay`.
+    - effort_du, activity_du (N m): see `effort` and `activity`.
+    - rail_rmse_y (m): root mean square of the displacement from the irregular rails.
+    - mean_error_last_third (m): mean of y - y* over the last third of the rows.
+    - largest_error (m): largest |y - y*|.
     """
     error, front = lateral_error(series), Part(series, "front")
     return {
@@ -153,10 +150,15 @@ def summary(series: pd.DataFrame) -> dict[str, tuple[float, str]]:
 
 
 def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, vehicle: Vehicle) -> np.ndarray:
-    """Largest longitudinal adhesion (force over nominal wheel load, -) that the rail allows, shape (n,).
+    """Largest longitudinal adhesion that the rail allows (force over nominal wheel load, -), shape (n,).
 
-    `speed` (m/s) and `share` of the poor adhesion set of the scenario (0 to 1) have the shape (n,); between good and
-    poor the limit is interpolated linearly. For evaluation only, no controller knows it.
+    It is used for evaluation only; no controller knows it.
+
+    Args:
+        speed (ndarray, shape (n,)): Speed (m/s).
+        share (ndarray, shape (n,)): Share of the poor adhesion set, 0 to 1. The limit is linear in it.
+        scenario (Scenario): Names of the good and the poor adhesion set.
+        vehicle (Vehicle): Adhesion sets, wheel load and contact patch.
     """
     patch = (vehicle.wheel_load, *middle_patch(vehicle), vehicle.contact.shear_modulus)
     grid = np.linspace(max(speed.min(), 1.0), max(speed.max(), 1.1), 12)
@@ -168,11 +170,14 @@ def adhesion_limit(speed: np.ndarray, share: np.ndarray, scenario: Scenario, veh
 
 
 def longitudinal(series: pd.DataFrame, scenario: Scenario, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """Metrics of traction and braking: name -> (value, unit).
+    """Metrics of traction and braking as a dict: name -> (value, unit).
 
-    Of the front gear: stopping_distance (m), and with a force demand utilisation (-), mean adhesion of its wheels over
-    `adhesion_limit` in rows where the demand exceeds that limit (nan without any). Of all wheels: largest_slip (max
-    |s_x|, -). Slip and utilisation count above 2 m/s.
+    - stopping_distance (m): of the front gear, see the function of this name.
+    - largest_slip (-): largest |s_x| of all wheels, nan without any row that counts.
+    - utilisation (-), only with a force demand: adhesion of the front gear over `adhesion_limit`, mean over the rows in
+      which the demand exceeds that limit; nan without such rows.
+
+    Rows count for slip and utilisation where the front gear is faster than 2 m/s.
     """
     front = Part(series, "front")
     p, v = front.p, front.v

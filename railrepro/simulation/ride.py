@@ -1,13 +1,9 @@
 """Ride and safety of a run in the quantities of vehicle acceptance: rail forces, flange contact, wear, comfort.
 
 Functions work on arrays of shape (n,) over a run (SI, forces on the rail): `p` is the track coordinate (m), `rate` the
-samples per second (Hz). `ride_summary` takes the series of a run and is the edge where units of the trade appear. The
-source of a number stands with it: *read* in a public document that quotes the standard, *recalled* from the standard.
-The standards themselves were not at hand.
-
-Forces are low-passed forwards and backwards (no phase), so that peaks keep their position on the track and those of
-different wheels can be added. Comfort weightings run forwards only: the standards give a transfer function, a second
-pass would square it, and root mean squares do not see the phase.
+samples per second (Hz). The source of a number stands with it: *read* in a public document that quotes the standard,
+*recalled* from the standard, which was not at hand. Forces are low-passed forwards and backwards, so that peaks keep
+their position on the track. Comfort weightings run forwards only, as the standards give one transfer function.
 """
 
 from __future__ import annotations
@@ -33,7 +29,6 @@ COMFORT_BLOCK, BLOCK_STEP = 5.0, 0.5
 # Transition frequency (Hz), upward step f5 (Hz), Q5, f6 (Hz), Q6, and gain above the step.
 WEIGHTINGS = {"Wd": (2.0, None, 1.0), "Wb": (16.0, (2.5, 0.8, 4.0, 0.8), 1.024)}
 """Frequency weightings: Wd of ISO 2631-1, Wb of EN 12299 (ISO 2631-4 and BS 6841 have another curve of that name).
-
 Source: Wd: ISO 8041 (read in the manuals of two vibration meters); Wb: EN 12299:2009 (read in open software, agrees
 with what is recalled of UIC 513)."""
 _BAND = (0.4, 100.0)
@@ -44,18 +39,20 @@ _OUTWARDS = {"le": -1, "ri": 1}
 
 
 def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[float, str]]:
-    """Ride and safety figures of a run: name -> (value, unit); InputError without a column, or below 2 m.
+    """Figures of ride and safety of a run as a dict: name -> (value, unit). InputError if a column is missing.
 
-    Largest of the run: sum_y_over_limit, the track shifting force of a gear over Prud'homme's limit; y_over_q (Y/Q),
-    wheel_unloading (dQ/Q0) (-). Sum over the wheels: flange_contacts (1/km). Means: t_gamma, creep_work (N), see
-    `creep_work`. Per point of `FLOOR`: n_mv_* (`mean_comfort`, -).
+    - sum_y_over_limit (-): largest track shifting force of a gear over Prud'homme's limit.
+    - y_over_q (-): largest mean of Y/Q over 2 m, of all wheels. A run shorter than 2 m raises InputError.
+    - wheel_unloading (-): largest loss of wheel load over the load at rest, dQ/Q0, of all wheels.
+    - flange_contacts (1/km): sum over the wheels.
+    - t_gamma, creep_work (N): see the function `creep_work`.
+    - n_mv_floor_front, n_mv_floor_centre, n_mv_floor_rear (-): `mean_comfort` at each point of `FLOOR`.
 
     Args:
-        series (DataFrame): Of a run (`simulate.Run.series`): t_s; p and phi (roll against the track, rad) of both
-            gears; N, Fx, Fy, nu_x, nu_y, M_spin, spin, angle of each wheel; ax, ay, az (m/s2) of each point of
-            `FLOOR`, in axes of the car body, as an accelerometer reads them. Columns are called `front.p`,
-            `front_le.N`, `floor_centre.az`.
-        vehicle (Vehicle): The simulated car (`plant_vehicle` of a run).
+        series (DataFrame): `simulate.Run.series`, of which these columns are read: t_s; p and phi of both gears; N, Fx,
+            Fy, nu_x, nu_y, M_spin, spin, angle of each wheel; ax, ay, az of each point of `FLOOR`. Columns have names
+            such as `front.p`, `front_le.N`, `floor_centre.az`.
+        vehicle (Vehicle): The simulated car (`plant_vehicle` of the run).
     """
     t = series["t_s"].to_numpy()
     rate = (t.size - 1) / (t[-1] - t[0])
@@ -68,13 +65,9 @@ def ride_summary(series: pd.DataFrame, vehicle: Vehicle) -> dict[str, tuple[floa
 
 
 def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict[str, tuple[float, str]]:
-    """Largest rail forces of a run, and flange contacts.
-
-    Y/Q is the quotient of both forces after the low-pass, then its means over 2 m. The limit of sum-Y is that of
-    Prud'homme for passenger vehicles and locomotives, 10 kN + 2 Q0 / 3.
-
-    Source: EN 14363 and UIC 518 (read; Prud'homme's limit recalled).
-    """
+    """Largest rail forces of a run, and flange contacts. Y/Q is the quotient of both low-passed forces, then its means
+    over 2 m; Prud'homme's limit is 10 kN + 2 Q0 / 3. Source: EN 14363 and UIC 518 (read; Prud'homme's limit
+    recalled)."""
     shifting, ratios, unloading, contacts = [], [], [], 0.0
     for gear in GEARS:
         p, phi, lateral = Part(series, gear).p, Part(series, gear).phi, []
@@ -99,19 +92,18 @@ def _force_figures(series: pd.DataFrame, wheel_load: float, rate: float) -> dict
 
 
 def rail_forces(normal, creep, angle, side: str, roll=0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Lateral and vertical force of a wheel on its rail.
+    """Lateral force Y and vertical force Q of a wheel on its rail (N), in axes of the track.
 
     Args:
-        normal, creep (array_like, shape (n,)): Normal force and lateral creep force on the wheel, positive to the right
-            (N); outputs `N` and `Fy` of the car.
+        normal (array_like, shape (n,)): Normal force (N), output `N` of the car.
+        creep (array_like, shape (n,)): Lateral creep force on the wheel, positive to the right (N), output `Fy`.
         angle (array_like, shape (n,)): Contact angle against the axle, positive towards the flange (rad).
         side (str): "le" or "ri".
-        roll (array_like, optional): Roll of the axle against the track (rad). Zero gives the forces in axes of the
-            axle; 1 mrad is worth 0.16 kN of sum-Y with 16 t on the rails.
+        roll (array_like, optional): Roll of the axle against the track (rad). With 0 the forces are in axes of the
+            axle; 1 mrad changes the sum of Y of a gear that carries 16 t by 0.16 kN.
 
     Returns:
-        y, q (ndarray, shape (n,)): Y, positive to the right on both rails, and Q, positive downwards (N), in axes of
-            the track.
+        y, q (ndarray, shape (n,)): Y, positive to the right on both rails, and Q, positive downwards (N).
     """
     tilt = _OUTWARDS[side] * np.asarray(angle, dtype=float) - roll
     y = np.multiply(normal, np.sin(tilt)) - np.multiply(creep, np.cos(tilt))
@@ -120,21 +112,18 @@ def rail_forces(normal, creep, angle, side: str, roll=0.0) -> tuple[np.ndarray, 
 
 
 def low_pass(values, rate: float) -> np.ndarray:
-    """Zero-phase low-pass of values sampled at `rate` (Hz), shape (n,) like the input and in its unit.
+    """Low-pass without phase shift. `rate` is the sampling rate (Hz); shape (n,) and unit stay.
 
-    Butterworth of second order, forwards and backwards; together -3 dB at 20 Hz, with 24 dB per octave beyond.
-
-    Source: EN 14363 (cut-off read, slope of 24 dB per octave recalled).
+    Butterworth of second order, forwards and backwards: in all -3 dB at 20 Hz, with 24 dB per octave beyond. Source: EN
+    14363 (cut-off read, slope of 24 dB per octave recalled).
     """
     single = FORCE_CUTOFF / (np.sqrt(2) - 1) ** 0.25
     return scipy.signal.sosfiltfilt(scipy.signal.butter(2, single, fs=rate, output="sos"), values)
 
 
 def sliding_mean(values, p) -> np.ndarray:
-    """Means of `values` (n,) over sliding windows of the track coordinate `p` (m, shape (n,)), shape (windows,).
-
-    Windows are 2 m long and start every 0.5 m; InputError when the run is shorter than one window.
-    """
+    """Means over windows of the track coordinate, shape (windows,). A window is 2 m long and starts every 0.5 m.
+    `values` and the track coordinate `p` (m) have the shape (n,). InputError if the run is shorter than 2 m."""
     p = np.maximum.accumulate(np.asarray(p, dtype=float))  # a car that has come to a stand rolls back a little
     room = p[-1] - p[0] - WINDOW
     if room < 0:
@@ -145,10 +134,9 @@ def sliding_mean(values, p) -> np.ndarray:
 
 
 def flange_contacts(angle, p) -> float:
-    """Flange contacts of a wheel per distance (1/km): stretches with a contact angle above 30 degrees.
+    """Number of flange contacts of a wheel per distance (1/km): stretches with a contact angle above 30 degrees.
 
-    `angle` (rad) and track coordinate `p` (m) have the shape (n,). Stretches less than 1 m apart count as one, so that
-    a bouncing flange is one contact.
+    `angle` (rad) and track coordinate `p` (m) have the shape (n,). Stretches less than 1 m apart count as one contact.
     """
     p = np.asarray(p, dtype=float)
     edges = np.diff((np.abs(angle) > FLANGE_ANGLE).astype(int), prepend=0, append=0)
@@ -158,12 +146,11 @@ def flange_contacts(angle, p) -> float:
 
 
 def creep_work(series: pd.DataFrame) -> dict[str, float]:
-    """Energy dissipated in the contacts per metre, mean over the distance and the four wheels (N, that is J/m).
+    """Energy lost to creep per metre (N, that is J/m), mean over the distance and the four wheels, as a dict.
 
-    Keys `t_gamma`, the wear number without spin, and `creep_work`, which includes the spin moment: with an inclined
-    contact, as on S1002, spin does a good part of the work. Columns of `series` as in `ride_summary`.
-
-    Source: Elkins and Eickhoff 1982 (recalled).
+    Key "t_gamma" is the wear number, without spin. Key "creep_work" includes the spin moment, which does a good part of
+    the work where the contact is inclined, as on S1002. `series` is as in `ride_summary`. Source: Elkins and Eickhoff
+    1982 (recalled).
     """
     lost: dict[str, list[float]] = {"t_gamma": [], "creep_work": []}
     for name, (gear, _) in GEAR_AND_SIDE.items():
@@ -175,14 +162,13 @@ def creep_work(series: pd.DataFrame) -> dict[str, float]:
 
 
 def weighting_filter(name: str, rate: float) -> np.ndarray:
-    """Digital frequency weighting "Wd" or "Wb" for a sampling `rate` (Hz): second-order sections.
+    """Digital filter of the frequency weighting "Wd" or "Wb" at a sampling `rate` (Hz), as second-order sections.
 
-    Shape (3, 6), or (4, 6) where there is an upward step, for `scipy.signal.sosfilt`. Band limits of 0.4 and 100 Hz
-    (Butterworth, second order), transition from acceleration to velocity, upward step; each analogue factor goes
-    through the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 % of the analogue ones up to
-    20 Hz and within 4 % up to 80 Hz.
-
-    Source: ISO 2631-1, annex A (read in the manual of a vibration meter).
+    The result is an array for `scipy.signal.sosfilt`: shape (3, 6) for "Wd"; (4, 6) for "Wb", which also has an upward
+    step. Band limits of 0.4 and 100 Hz (Butterworth, second order), transition from acceleration to velocity, and
+    upward step go through the bilinear transform without pre-warping. At 1 kHz the weights are within 0.2 % of the
+    analogue ones up to 20 Hz and within 4 % up to 80 Hz. Source: ISO 2631-1, annex A (read in the manual of a vibration
+    meter).
     """
     transition, step, gain = WEIGHTINGS[name]
     low, high = (_quadratic(f, 1 / np.sqrt(2)) for f in _BAND)
@@ -201,14 +187,17 @@ def _quadratic(frequency: float, quality: float) -> np.ndarray:
 
 
 def mean_comfort(along, across, vertical, rate: float) -> float:
-    """Mean comfort N_MV of a floor point (-): 6 times the root of the summed squares of three 95th percentiles.
+    """Mean comfort N_MV at a floor point (-); nan for a run shorter than 5 s.
 
-    Longitudinal, lateral and vertical acceleration (m/s2, shape (n,), sampled at `rate` in Hz) are weighted by Wd, Wd
-    and Wb; percentiles are those of the root mean squares over blocks of 5 s that start every 0.5 s. The standard asks
-    for 60 blocks (5 minutes), so a shorter run compares controllers, not with published values; nan below 5 s.
-    Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable (recalled).
+    Below 1.5 is very comfortable, 1.5 to 2.5 comfortable, from 4.5 on very uncomfortable. Each acceleration is weighted
+    (Wd, Wd, Wb). Root mean squares are taken over blocks of 5 s, which start every 0.5 s. The 95th percentile of these
+    values is a number per direction. N_MV is 6 times the root of the sum of its three squares. The standard asks for 60
+    blocks (5 minutes): with fewer, compare controllers only. Source: EN 12299:2009, mean comfort, standard method
+    (formula read in open software; scale recalled).
 
-    Source: EN 12299:2009, mean comfort, standard method (formerly simplified; formula read in open software).
+    Args:
+        along, across, vertical (array_like, shape (n,)): Accelerations in the three directions (m/s2).
+        rate (float): Sampling rate (Hz).
     """
     directions = ((along, "Wd"), (across, "Wd"), (vertical, "Wb"))
     blocks = [_block_rms(np.asarray(values, dtype=float), name, rate) for values, name in directions]
@@ -216,11 +205,8 @@ def mean_comfort(along, across, vertical, rate: float) -> float:
 
 
 def _block_rms(values: np.ndarray, name: str, rate: float) -> np.ndarray:
-    """Root mean squares of a weighted acceleration over blocks of 5 s, shape (blocks,), empty below 5 s.
-
-    The filter starts settled at the first sample, as if that value had lasted forever: gravity in the reading of an
-    accelerometer, or steady cant deficiency, makes no transient.
-    """
+    """Root mean squares of a weighted acceleration over blocks of 5 s, shape (blocks,), empty below 5 s. The filter
+    starts settled at the first sample, so that gravity or steady cant deficiency makes no transient."""
     sections = weighting_filter(name, rate)
     weighted, _ = scipy.signal.sosfilt(sections, values, zi=scipy.signal.sosfilt_zi(sections) * values[0])
     block, step = round(COMFORT_BLOCK * rate), round(BLOCK_STEP * rate)

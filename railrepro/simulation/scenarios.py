@@ -1,7 +1,5 @@
-"""Experiments as data: a scenario names track, speed, adhesion, set point and demand, and lays its route.
-
-Serves the paper's section Test Tracks and the captions of Figs. 6 to 9.
-"""
+"""Experiments as data: a scenario names track, speed, adhesion, set point and demand, and lays its route. Serves the
+paper's section Test Tracks and the captions of Figs. 6 to 9."""
 
 from __future__ import annotations
 
@@ -31,16 +29,19 @@ _FORCES = Annotated[tuple[tuple[_POSITION, Annotated[Number, between(-500.0, 500
 
 @data.table
 class NoSetPoint:
-    """Set point y* = 0: the running gears are to follow the centre line of the track. `kind` is "none"."""
+    """Entry for the set point y* = 0, with the `kind` "none": the gears are to follow the centre line of the track."""
 
     kind: Literal["none"]
 
 
 @data.table
 class Sine:
-    """Sinusoidal lateral set point from `start_m` to `end_m` of the track coordinate: `railrepro.track.route.SetPoint`.
+    """Entry for a sinusoidal lateral set point, see `railrepro.track.route.SetPoint`. `kind` is "sine".
 
-    `period_m`: wavelength; `fade_m`: length over which the amplitude rises and falls, default 30 m; no `end_m`: no end.
+    Attributes:
+        amplitude_mm, period_m (float): Amplitude (mm), wavelength (m).
+        start_m, end_m (float): Track coordinates between which it acts (m); without `end_m` it has no end.
+        fade_m (float): Length over which the amplitude rises and falls (m); without it 30 m.
     """
 
     kind: Literal["sine"]
@@ -56,9 +57,10 @@ class Sine:
 
 @data.table
 class Sweep:
-    """Sine-sweep lateral set point from `start_m` to `end_m` of the track coordinate: `railrepro.track.route.SetPoint`.
+    """Entry for a lateral set point with a varying wavelength, see `railrepro.track.route.SetPoint`. `kind` is "sweep".
 
-    Periods: wavelengths at start and end; `fade_m`: length over which the amplitude rises and falls, default 30 m.
+    `period_start_m` and `period_end_m` are the wavelengths at start and end; all else as in `Sine`, but `end_m` is
+    needed.
     """
 
     kind: Literal["sweep"]
@@ -86,19 +88,21 @@ else:  # checked as one of these, and kept as the table that it is
 
 @data.table
 class Scenario:
-    """One entry of data/scenarios.toml: track, speed, adhesion, lateral set point and force demand of a run.
+    """One experiment, an entry of data/scenarios.toml.
 
     Attributes:
-        track, paper (str): Name in data/tracks.toml, or path of a CSV (`railrepro.track.table.read_table`); figure or
-            section of the paper.
-        speed_kmh, stop_kmh, end_m (float): Initial speed (km/h); the run ends below `stop_kmh` (km/h) or when the front
-            gear reaches `end_m` (m).
-        good, poor (str): Names of adhesion sets of the vehicle.
-        poor_share, poor_share_left, poor_share_right (tuple of pairs): Points (p (m), share of the adhesion set `poor`
-            (0 to 1)), linear in between; left or right replaces `poor_share` on that rail.
-        force_kN (tuple of pairs): Steps of p (m) and force demand per running gear (kN), traction positive, held until
-            the next p.
-        set_point (dict): Fields of `NoSetPoint`, `Sine` or `Sweep`.
+        name, paper (str): Name of the entry; figure or section of the paper.
+        track (str): Name in data/tracks.toml, or path of a CSV for `railrepro.track.table.read_table`.
+        speed_kmh (float): Initial speed (km/h).
+        end_m, stop_kmh (float): The run ends when the front gear reaches `end_m` (m) or is slower than `stop_kmh`
+            (km/h).
+        good, poor (str): Names of the two adhesion sets of the vehicle.
+        poor_share (tuple of pairs): Points (p (m), share of the set `poor` (0 to 1)), linear in between, for both
+            rails.
+        poor_share_left, poor_share_right (tuple of pairs): Replace `poor_share` on one rail.
+        force_kN (tuple of pairs): Pairs (p (m), force demand per running gear (kN, traction positive)), each held from
+            its p to the next.
+        set_point (dict): Lateral set point, with the fields of `NoSetPoint`, `Sine` or `Sweep`.
     """
 
     name: str
@@ -126,24 +130,22 @@ class Scenario:
 
     @property
     def stop_speed(self) -> float:
-        """Speed below which the run ends (m/s); a negative number means never."""
+        """Speed below which the run ends (m/s). Without `stop_kmh` it is -1, which no run falls below."""
         return -1.0 if self.stop_kmh is None else self.stop_kmh / 3.6
 
     @property
     def poor_shares(self) -> tuple[tuple, tuple]:
-        """Points (p (m), share of the poor adhesion set (0 to 1)): a tuple for the left and one for the right rail."""
+        """Pair (left rail, right rail): each a tuple of points (p (m), share of the poor adhesion set (0 to 1))."""
         both = self.poor_share or ((0.0, 0.0),)
         return self.poor_share_left or both, self.poor_share_right or both
 
     def but(self, **changes) -> Scenario:
-        """Copy with changed fields, given by name; InputError for a value that data/scenarios.toml may not have."""
+        """Copy with the fields in `changes` replaced. InputError for a value that data/scenarios.toml may not have."""
         return data.build(Scenario, vars(self) | changes, "scenario")
 
     def route(self, irregularities=None, line=None) -> route.Route:
-        """Lay the scenario along its track: route of length `end_m`; InputError when the track is shorter.
-
-        `irregularities` and `line` (planned set point) as in `railrepro.track.route.lay`, default none.
-        """
+        """`Route` of length `end_m` along the track of the scenario. InputError if the track is shorter.
+        `irregularities` and `line` (a planned set point) are as in `railrepro.track.route.lay`; default none."""
         left, right = self.poor_shares
         track, poor = load_track(self.track_file()), (_ramps(left), _ramps(right))
         way = route.lay(track, self.reference(), poor, _steps(self.force_kN), irregularities, line)
@@ -154,12 +156,13 @@ class Scenario:
         return replace(way, length=self.end_m)
 
     def track_file(self) -> str:
-        """Argument for `load_track`: name of the track, or path of its CSV, looked up in the repository first."""
+        """Argument for `load_track`: the name of the track, or the path of its CSV. A relative path is looked for in
+        the checkout first, then in the working folder."""
         file = paths.source(self.track)
         return str(file) if self.track.endswith(".csv") and file.is_file() else self.track
 
     def reference(self) -> ca.Function | None:
-        """Lateral set point as a scalar CasADi function, track coordinate p (m) -> y* (m); None for the kind "none"."""
+        """Lateral set point as a CasADi function from track coordinate p (m) to y* (m). None if `kind` is "none"."""
         point = self.set_point
         if point["kind"] == "none":
             return None
@@ -180,7 +183,7 @@ def _steps(points):
 
 
 def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
-    """All scenarios of a TOML file (default data/scenarios.toml) by name; InputError for a wrong entry."""
+    """All scenarios of a TOML file as a dict by name; default data/scenarios.toml. InputError for a wrong entry."""
     file = data.location(path, paths.source("data/scenarios.toml"))
     content = data.read(file)
     for name, entry in content.items():
@@ -190,7 +193,7 @@ def load_scenarios(path: Path | str | None = None) -> Entries[Scenario]:
 
 
 def load_scenario(name: str) -> Scenario:
-    """One scenario of data/scenarios.toml by name; InputError with the known names for another one."""
+    """One scenario of data/scenarios.toml by its name. InputError, with the known names, for another one."""
     scenarios = load_scenarios()
     if not isinstance(name, str) or name not in scenarios:
         raise InputError(f"scenario {name!r} is not known; there are {sorted(scenarios)}")

@@ -1,7 +1,5 @@
 """The multi-rate co-simulation: the car and the control law at 1 kHz, slower lateral controllers at their own period.
-
-Serves the paper's Fig. 4 and section Simulation Environment.
-"""
+Serves the paper's Fig. 4 and section Simulation Environment."""
 
 from __future__ import annotations
 
@@ -35,17 +33,16 @@ from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 @dataclass(frozen=True)
 class Run:
-    """Outcome of a simulation.
+    """Result of a simulation.
 
     Attributes:
-        series (DataFrame): One row per control cycle (1 ms): t_s (s) and `ClosedLoop.columns` (SI), such as `front.y`,
-            `front_le.N`.
-        ended (str): Why the run ended, one sentence.
-        failed (bool): True when it ended by derailment or by a number that is not finite.
-        warnings (tuple of str): Where the run first left the validity of a model, one sentence each.
-        controllers (tuple): Slower lateral controllers of both gears, empty without; `fallbacks` of each counts samples
-            without solution.
-        memory (dict): States of the control law at the end by name (SI), see `law.LawSignature.memory`.
+        series (DataFrame): One row per ms: t_s (s), then `ClosedLoop.columns` (SI), such as `front.y` and `front_le.N`.
+        ended (str): Why the run ended, in one sentence.
+        failed (bool): Whether it ended by derailment or by a number that is not finite.
+        warnings (tuple of str): Sentences on where the run first left the range in which a model is valid.
+        controllers (tuple): Slower lateral controllers of front and rear gear, empty without. The attribute `fallbacks`
+            of an MPC counts samples without solution.
+        memory (dict): Name in `law.LawSignature.memory` -> state of the control law at the end (SI).
     """
 
     series: pd.DataFrame
@@ -69,26 +66,23 @@ def run(
     line: tuple[np.ndarray, np.ndarray] | None = None,
     substeps: int = 1,
 ) -> Run:
-    """Simulate the car under its controllers through a scenario and return the `Run`.
+    """Simulate the car with its controllers through a scenario.
 
     Args:
         scenario (Scenario): Track, speed, rails, force demand and set point.
-        guidance (LateralLaw or callable): A 1 kHz law such as `NDI`, or a factory (vehicle, route, gear) of slower
-            controllers such as `NMPC`; see `railrepro.control.lateral`.
+        guidance (LateralLaw or callable): Lateral control: a 1 kHz law such as `NDI()`, or a factory (vehicle, route,
+            gear) of slower controllers, such as `NMPC`.
         vehicle (Vehicle, optional): Vehicle parameters that the controllers assume; default data/vehicle.toml.
         plant_vehicle (Vehicle, optional): Parameters of the simulated car; default `vehicle`.
-        adhesion (AdhesionSettings, optional): Settings of the adhesion law; default those of `law.control_law`.
-        fixed_share (float): Share of the torque limit that is reserved for the differential torque (-); 0: variable
-            allocation (paper).
+        adhesion (AdhesionSettings, optional): Settings of the adhesion law; default as in `law.control_law`.
+        fixed_share (float): Share of the torque limit reserved for the differential torque (-), see `allocate`.
         sensors (Readings, optional): Sensors between car and controllers; default exact measurements.
-        irregularities, line (optional): Irregular rails and a planned lateral set point, see
-            `railrepro.track.route.lay`; default none.
+        irregularities, line (optional): Irregular rails, planned set point; see `track.route.lay`; default none.
         substeps (int): Integration steps of the car per millisecond, see `SteppedCar`.
 
     Raises:
-        InputError: An argument of another kind or beyond its range, or a vehicle that lacks an adhesion set of the
-            scenario.
-        ArithmeticError: When a lateral controller returns no finite number.
+        InputError: An argument has a wrong type or value, or a vehicle lacks an adhesion set of the scenario.
+        ArithmeticError: A slower lateral controller returned no finite number.
     """
     vehicle = load_vehicle() if vehicle is None else vehicle
     body = vehicle if plant_vehicle is None else plant_vehicle
@@ -121,6 +115,8 @@ def _controllers(factory: lateral.Factory, vehicle: Vehicle, route: Route) -> tu
     controllers = tuple(factory(vehicle, route, gear) for gear in range(len(GEARS)))
     for controller in controllers:
         owner = f"lateral controller {type(controller).__name__}"
+        if not (hasattr(controller, "plan") or hasattr(controller, "compiled")):
+            raise InputError(f"{owner}: has no plan(x_hat, u_d)")
         require(f"{owner}: period", getattr(controller, "period", None), above(0.0, 1.0, "s"))
     periods = {round(controller.period / CONTROL_PERIOD, 6) for controller in controllers}
     if len(periods) != 1 or not float(min(periods)).is_integer() or min(periods) < 1:
@@ -132,10 +128,15 @@ def start(
     scenario: Scenario, guidance: lateral.LateralLaw, route: Route, vehicle: Vehicle, body: Vehicle,
     substeps: int = 1, **settings: Any,
 ) -> ClosedLoop:  # fmt: skip
-    """Closed loop of car and 1 kHz law at the start of a scenario, in vertical equilibrium at its initial speed.
+    """`ClosedLoop` of car and 1 kHz law at the start of a scenario, in vertical equilibrium at its initial speed.
 
-    `guidance` is the 1 kHz lateral law, `route` is from `Scenario.route`; the controllers assume `vehicle`, `body` has
-    the parameters of the simulated car; `settings` are `adhesion`, `fixed_share` and `sensors` of `run`.
+    Args:
+        scenario (Scenario): Initial speed, adhesion sets, stop speed.
+        guidance (LateralLaw): The 1 kHz lateral law.
+        route (Route): Route from `Scenario.route`.
+        vehicle, body (Vehicle): Parameters that the controllers assume; parameters of the simulated car.
+        substeps (int): See `SteppedCar`.
+        settings: `adhesion`, `fixed_share` and `sensors` of `run`.
     """
     settings |= {"lateral_limit": DERAILED, "track_end": route.length, "stop_speed": scenario.stop_speed}
     control = law.control_law(vehicle, guidance, **settings)
@@ -161,10 +162,7 @@ def _drive(loop: ClosedLoop, controllers: tuple, longest: int, sensors: Loop | N
 
 
 def _sample(controller: lateral.SlowController, gear: str, sensors: Loop | None, faults: list) -> Callable:
-    """A sample of a controller written in Python, for the loop; what it raises is kept and ends the run.
-
-    With sensors a torque acts a latency after the readings that it answers, those of the cycle before.
-    """
+    """A sample of a controller written in Python, for the loop; what it raises is kept and ends the run."""
     delay = sum(vars(sensors.latency).values()) + CONTROL_PERIOD if sensors else 0.0
     samples, n_readings = itertools.count(), len(names(interface.ReadGear))
 

@@ -1,10 +1,6 @@
-"""Track alignments and how data/tracks.toml describes them.
-
-A track is a sequence of segments along which curvature, cant angle and inclination change linearly: straight, clothoid
-with cant ramp, arc.
-
-Serves the paper's section Test Tracks (Table I).
-"""
+"""Track alignments and how data/tracks.toml describes them. A track is a sequence of segments along which curvature,
+cant angle and inclination change linearly: straight, clothoid with cant ramp, arc. Serves the paper's section Test
+Tracks (Table I)."""
 
 from __future__ import annotations
 
@@ -29,9 +25,10 @@ LENGTH, RADIUS = above(0.0, LONGEST, "m"), above(50.0, math.inf, "m", signed=Tru
 
 @dataclass(frozen=True)
 class Segment:
-    """Stretch of a track, `length` in m, with pairs (value at its start, at its end), linear in between.
+    """Stretch of a track with the length `length` (m).
 
-    Curvature kappa (1/m, to the right), cant angle phi (rad, right side down), inclination eps (rad, uphill) positive.
+    `kappa`, `phi` and `eps` are pairs (value at the start, value at the end), linear in between: curvature (1/m,
+    positive to the right), cant angle (rad, positive right side down), inclination (rad, positive uphill).
     """
 
     length: float
@@ -42,7 +39,12 @@ class Segment:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Track as a named sequence of segments; `design_speed` (m/s) is that of a curve entry, else None."""
+    """Track as a sequence of segments.
+
+    Attributes:
+        name (str), segments (tuple of Segment): Name of the track; its segments in order.
+        design_speed (float or None): Design speed of a curve entry (m/s); None for a track given by segments.
+    """
 
     name: str
     segments: tuple[Segment, ...]
@@ -55,11 +57,10 @@ class Alignment:
 
 
 def superelevation_angle(speed: float, radius: float, unbalanced_acceleration: float) -> float:
-    """Cant angle phi_Tr (rad, with the sign of the radius) that leaves an unbalanced lateral acceleration (m/s2).
+    """Cant angle of a curve (rad), with the sign of the radius. InputError if no angle fits.
 
-    Speed in m/s, radius in m (negative: left-hand curve); InputError where no angle does.
-
-    Source: paper, footnote to Table I.
+    `speed` in m/s; `radius` in m, negative for a curve to the left; `unbalanced_acceleration`: lateral acceleration
+    that the cant leaves (m/s2). Source: paper, footnote to Table I.
     """
     sine = (speed**2 / abs(radius) - unbalanced_acceleration) / GRAVITY
     if not -1 < sine < 1:
@@ -69,10 +70,8 @@ def superelevation_angle(speed: float, radius: float, unbalanced_acceleration: f
 
 @data.table
 class CurveEntry:
-    """Curve entry of data/tracks.toml: straight, clothoid with cant ramp, and arc (negative radius: to the left).
-
-    The cant of the arc leaves the given unbalanced lateral acceleration at the design speed.
-    """
+    """Entry of data/tracks.toml for a curve entry: a straight, a clothoid with cant ramp, an arc. The cant is chosen so
+    that `unbalanced_acceleration_mps2` remains at the design speed. A negative radius is a curve to the left."""
 
     design_speed_kmh: Annotated[Number, above(0.0, 450.0, "km/h")]
     unbalanced_acceleration_mps2: Annotated[Number, between(-3.0, 3.0, "m/s2")]
@@ -91,7 +90,7 @@ class CurveEntry:
         return superelevation_angle(self.design_speed_kmh / 3.6, self.radius_m, self.unbalanced_acceleration_mps2)
 
     def alignment(self, name: str) -> Alignment:
-        """Alignment with this name and the segments straight, clothoid and arc."""
+        """`Alignment` called `name` with the three segments straight, clothoid and arc."""
         kappa, phi, level = 1 / self.radius_m, self.cant, (0.0, 0.0)
         segments = (
             Segment(self.straight_m, level, level, level),
@@ -103,10 +102,10 @@ class CurveEntry:
 
 @data.table
 class SegmentEntry:
-    """Segment of data/tracks.toml: length, and radius (negative: left), superelevation and inclination at its end.
+    """One segment in data/tracks.toml: its length, and radius, superelevation and inclination at its end.
 
-    A missing key keeps the value at the end of the previous segment; a track begins straight and level. `radius_m` of
-    a straight is inf.
+    Without a key the value is that at the end of the previous segment; a track begins straight and level. A negative
+    radius is a curve to the left, inf is straight.
     """
 
     length_m: Annotated[Number, LENGTH]
@@ -117,12 +116,12 @@ class SegmentEntry:
 
 @data.table
 class SegmentsEntry:
-    """Track of data/tracks.toml that is given as a list of segments."""
+    """Entry of data/tracks.toml for a track as a tuple of `SegmentEntry`; the first begins straight and level."""
 
     segments: Annotated[tuple[SegmentEntry, ...], data.NOT_EMPTY]
 
     def alignment(self, name: str) -> Alignment:
-        """Alignment with this name and these segments, each starting with the end values of the previous one."""
+        """`Alignment` called `name`. Each segment starts with the values at the end of the previous one."""
         made, kappa, phi, eps = [], 0.0, 0.0, 0.0
         for entry in self.segments:
             end_kappa = kappa if entry.radius_m is None else 1 / entry.radius_m
@@ -134,7 +133,7 @@ class SegmentsEntry:
 
 
 def alignments(path: Path | str | None = None) -> Entries[Alignment]:
-    """Alignments of a TOML file (default data/tracks.toml) by name; InputError for a wrong entry."""
+    """Dict: name -> `Alignment` of a track in a TOML file, default data/tracks.toml. InputError for a wrong entry."""
     file = data.location(path, paths.source("data/tracks.toml"))
     found: dict = {}
     for name, entry in data.read(file).items():

@@ -45,8 +45,10 @@ HALF_BASE = 0.75
 class Quality:
     """Track quality, an entry of data/irregularities.toml.
 
-    Standard deviations (mm) of longitudinal level and alignment of one rail at wavelengths from 3 to 25 m, and the
-    confidence in both numbers, from "VV" (reproduced) to "A" (assumed).
+    Attributes:
+        level_mm, alignment_mm (float): Standard deviation of longitudinal level and of alignment of one rail at
+            wavelengths of 3 to 25 m (mm).
+        confidence (str): Trust in both numbers: VV reproduced, V read, D derived, R recalled, A assumed.
     """
 
     level_mm: Annotated[Number, above(0.05, 20.0, "mm")]
@@ -55,19 +57,17 @@ class Quality:
 
 
 def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -> np.ndarray:
-    """One-sided power spectral density of an irregularity channel, in the shape of `wavenumber`.
+    """One-sided power spectral density of one channel of irregularities, in the shape of `wavenumber`.
 
-    The gauge has the shape of the cross level with an amplitude of its own; its numbers are recalled from the German
-    high-speed spectra that share all other numbers with ERRI B176 (confidence R).
+    The gauge spectrum has the form of the cross-level spectrum. Its amplitude is recalled from German high-speed
+    spectra (confidence R). Source: ERRI B176.
 
     Args:
-        spectrum (str): "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300": the shapes
-            of "erri_low", level and cross level scaled together, alignment and gauge scaled together, so that each rail
-            has the entry's standard deviation at wavelengths of 3 to 25 m.
+        spectrum (str): "erri_low", "erri_high", or an entry of data/irregularities.toml such as "en_B_300". An entry
+            scales "erri_low" to the standard deviations of its `Quality`: "vertical" and "crosslevel" by one factor,
+            "lateral" and "gauge" by another.
         channel (str): "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
         wavenumber (ndarray): Angular wavenumber (rad/m).
-
-    Source: ERRI B176.
     """
     amplitude = _amplitudes(spectrum)
     w2, c2, r2, s2 = wavenumber**2, _C**2, _R**2, _S**2
@@ -97,28 +97,26 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
 
 
 def track_quality() -> dict[str, Quality]:
-    """Entries of data/irregularities.toml by name."""
+    """The `Quality` entries of data/irregularities.toml, as a dict by name."""
     file = paths.source("data/irregularities.toml")
     return data.build(dict[str, Quality], data.read(file), file.name)
 
 
 def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> pd.DataFrame:
-    """Random realisation of track irregularities, to be superposed on a route.
+    """Random irregularities of the rails as a frame for `railrepro.track.route.lay`.
 
-    A sum of cosines with random phases at multiples of the frequency 1 / period. The period is the least power of two
-    (m) that covers the track and 32 of the longest waves (100 m): 4096 m for all tracks up to this length, which thus
-    have the same rails at the same p, but for the fade at their ends.
+    They are a sum of cosines with random phases and wavelengths of 3 to 100 m, faded in and out over 30 m at the ends.
+    The sum repeats after 4096 m (a longer track: the next power of two), so shorter tracks have the same rails at the
+    same p. Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral representation by FFT).
 
     Args:
-        p (ndarray, shape (n,)): Track coordinates (m), increasing by steps of up to 1.5 m, half the shortest wave.
+        p (ndarray, shape (n,)): Track coordinates (m), increasing by steps of up to 1.5 m.
         spectrum (str): See `irregularity_spectrum`.
-        seed (int): Seed of the random phases; each channel has a generator of its own.
+        seed (int): Seed of the random phases. Each channel has its own generator.
 
     Returns:
         DataFrame: Columns p_m, lateral_m (right positive), vertical_m (down positive), crosslevel_rad (right rail down
-        positive), gauge_m (wider positive); faded in and out smoothly over 30 m.
-
-    Source: Shinozuka and Deodatis 1991, Applied Mechanics Reviews 44, 191 (spectral representation by FFT).
+            positive), gauge_m (wider positive).
     """
     p = _coordinates(p, SHORTEST / 2)
     period = 2.0 ** math.ceil(math.log2(max(p[-1] - p[0], 32 * LONGEST)))
@@ -141,9 +139,10 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
 
 
 def check(frame: pd.DataFrame) -> None:
-    """Raise InputError unless a frame has increasing p_m and all columns of `CHANNELS`, finite and within range.
+    """Raise InputError unless a frame of irregularities is valid: columns p_m and those of `CHANNELS`, p_m increasing.
 
-    Ranges: lateral_m +-0.02 m, gauge_m -0.01 to 0.035 m, vertical_m +-0.1 m, crosslevel_rad +-0.1 rad.
+    Permitted are lateral_m of +-0.02 m, gauge_m of -0.01 to 0.035 m, vertical_m of +-0.1 m, crosslevel_rad of +-0.1
+    rad.
     """
     require("irregularities", frame, pd.DataFrame)
     missing = sorted({"p_m", *CHANNELS.values()} - set(frame))
@@ -170,6 +169,6 @@ def _coordinates(p, longest: float) -> np.ndarray:
 
 
 def smooth_step(r: np.ndarray) -> np.ndarray:
-    """Smooth step from 0 (r <= 0) to 1 (r >= 1), first and second derivative zero at both ends; shape of r (-)."""
+    """Smooth step (-) from 0 (r <= 0) to 1 (r >= 1), in the shape of r; two derivatives are 0 at both ends."""
     r = np.clip(r, 0, 1)
     return r**3 * (10 - 15 * r + 6 * r**2)

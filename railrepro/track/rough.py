@@ -1,8 +1,6 @@
-"""Rough rails: random irregularities with localised defects.
-
-All of them are frames of irregularities, see `railrepro.track.irregularity`, at the same track coordinates, so they add
-up. Serves the paper's outlook (known lateral track irregularities).
-"""
+"""Rough rails: random irregularities with localised defects. All of them are frames of irregularities, see
+`railrepro.track.irregularity`, at the same track coordinates, so they add up. Serves the paper's outlook (known lateral
+track irregularities)."""
 
 from __future__ import annotations
 
@@ -23,12 +21,12 @@ _HEIGHT = Annotated[Number, between(-LARGEST, LARGEST, "m")]
 
 @data.table
 class Dip:
-    """Vertical dip of one or both rails in the shape of a versine, depth / 2 (1 - cos(2 pi (p - start) / length)).
+    """Vertical dip of one or both rails: depth / 2 (1 - cos(2 pi (p - start) / length)).
 
     Attributes:
         start, length (float): Track coordinate at which the dip begins, and its whole length (m).
-        depth (float): Depth in the middle of the dip (m), down positive; negative is a hump.
-        rail: "both", "le" (left) or "ri" (right)
+        depth (float): Depth in the middle (m), positive downwards; negative is a hump.
+        rail (str): "both", "le" (left) or "ri" (right).
     """
 
     start: _START
@@ -38,7 +36,7 @@ class Dip:
     kind: Literal["dip"] = "dip"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Frame of irregularities due to the dip alone at coordinates p (m), shape (n,)."""
+        """DataFrame like that of `irregularities` with this dip alone, at track coordinates p (m), shape (n,)."""
         shape = _versine(p, self.start, self.length, self.depth)
         left, right = (shape * (self.rail in ("both", side)) for side in ("le", "ri"))
         return _frame(p, vertical_m=(right + left) / 2, crosslevel_rad=(right - left) / (2 * HALF_BASE))
@@ -46,12 +44,11 @@ class Dip:
 
 @data.table
 class AlignmentFault:
-    """Lateral excursion of both rails in the shape of a versine, amplitude / 2 (1 - cos(2 pi (p - start) / length)).
+    """Lateral excursion of both rails: amplitude / 2 (1 - cos(2 pi (p - start) / length)).
 
     Attributes:
         start, length (float): Track coordinate at which the fault begins, and its whole length (m).
-        amplitude (float): Peak excursion in the middle of the fault, from the ideal track (m), right positive; no
-            mid-chord offset.
+        amplitude (float): Excursion in the middle from the ideal track (m), positive to the right; no mid-chord offset.
     """
 
     start: _START
@@ -60,18 +57,17 @@ class AlignmentFault:
     kind: Literal["alignment_fault"] = "alignment_fault"
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Frame of irregularities due to the fault alone at coordinates p (m), shape (n,)."""
+        """DataFrame like that of `irregularities` with this fault alone, at track coordinates p (m), shape (n,)."""
         return _frame(p, lateral_m=_versine(p, self.start, self.length, self.amplitude))
 
 
 @data.table
 class LateralOffset:
-    """Stretch on which both rails lie aside by a constant offset, as at a switch.
+    """Stretch on which both rails are shifted sideways by a constant offset, as at a switch.
 
     Attributes:
-        start, length (float): Track coordinate at which the first transition begins, and length including both
-            transitions (m).
-        offset (float): Lateral offset between the transitions (m), right positive.
+        start, length (float): Track coordinate at which it begins, and its whole length with both transitions (m).
+        offset (float): Offset between the transitions (m), positive to the right.
         transition (float): Length of each transition, a `smooth_step` (m).
     """
 
@@ -86,7 +82,7 @@ class LateralOffset:
             raise ValueError(f"is {self.length:g} m long, at least two transitions of {self.transition:g} m are needed")
 
     def at(self, p: np.ndarray) -> pd.DataFrame:
-        """Frame of irregularities due to the offset alone at coordinates p (m), shape (n,)."""
+        """DataFrame like that of `irregularities` with this offset alone, at track coordinates p (m), shape (n,)."""
         there, back = p - self.start, self.start + self.length - p
         return _frame(p, lateral_m=self.offset * smooth_step(np.minimum(there, back) / self.transition))
 
@@ -101,7 +97,8 @@ def _frame(p: np.ndarray, **channels: np.ndarray) -> pd.DataFrame:
 
 @data.table
 class Rough:
-    """Arguments of `rough_track`: `spectrum` (name) and random `seed` of `irregularities`, and added `defects`."""
+    """Arguments of `rough_track`: `spectrum` and `seed` as in `irregularities`, and `defects`, a tuple of `Dip`,
+    `AlignmentFault` and `LateralOffset` to add."""
 
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"
@@ -109,11 +106,11 @@ class Rough:
 
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:
-    """Random irregularities with localised defects added, at track coordinates p (m), shape (n,); see `irregularities`.
+    """Random irregularities with local defects at track coordinates p (m), shape (n,): a frame like `irregularities`.
 
-    `arguments` are fields of `Rough`; `defects` as dicts such as {"kind": "dip", "start": 300.0, "length": 8.0,
-    "depth": 3e-3}. Returns a DataFrame with the columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m. InputError
-    unless p covers the defects, with four steps or more in each dip, fault and transition.
+    `arguments` are fields of `Rough`. `defects` is a list of dicts, such as {"kind": "dip", "start": 300.0, "length":
+    8.0, "depth": 3e-3}. InputError unless p covers every defect, with at least four steps in each dip, fault and
+    transition.
     """
     rough = data.build(Rough, arguments, "irregular")
     total = irregularities(p, rough.spectrum, rough.seed)

@@ -48,13 +48,13 @@ Profile = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Route:
-    """Track geometry, irregularities, set point, adhesion and force demand, tabulated in cells of 0.5 m; made by `lay`.
+    """Track geometry, irregularities, set point, adhesion and force demand in cells of 0.5 m length; made by `lay`.
 
     Attributes:
-        cells (ndarray, shape (n, len(COLUMNS))): One row per cell, columns `COLUMNS` (SI): values at the start `p` (m)
-            of the cell; a name with k letters d in front is the k-th derivative over p.
-        length (float): Track coordinate at which a run ends (m): from `lay` the end of the track, from `Scenario.route`
-            its `end_m`.
+        cells (ndarray, shape (n, len(COLUMNS))): One row per cell: values of `COLUMNS` (SI) at the start of the cell. A
+            name with k letters d in front is the k-th derivative over p.
+        length (float): Track coordinate at which a run ends (m): `lay` sets the end of the track, `Scenario.route`
+            `end_m`.
     """
 
     cells: np.ndarray
@@ -66,7 +66,8 @@ class Route:
         return self.cells[0, INDEX["p"]]
 
     def rows_at(self, p: np.ndarray) -> np.ndarray:
-        """Rows of `cells` in which coordinates p (m, (n,)) lie, shape (n, len(COLUMNS)); off the route its end rows."""
+        """Row of `cells` for each of the track coordinates p (m, shape (n,)), shape (n, len(COLUMNS)). Beyond the ends
+        of the route it is the first or the last row."""
         index = np.clip((np.asarray(p, dtype=float) - self.start) / CELL, 0, len(self.cells) - 1)
         return self.cells[index.astype(int)]
 
@@ -74,10 +75,8 @@ class Route:
         return dict(zip(COLUMNS, self.rows_at(np.atleast_1d(p)).T, strict=True))
 
     def track_at(self, p: np.ndarray) -> np.ndarray:
-        """Yaw, roll and pitch of the track with their rates at coordinates p (m, shape (n,)), shape (6, n).
-
-        Rows psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m).
-        """
+        """Track angles and their derivatives at track coordinates p (m, shape (n,)), shape (6, n). The rows are psi
+        (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp (rad/m)."""
         return np.array(track_in(self._named(p), p))
 
     def reference_at(self, p: np.ndarray) -> np.ndarray:
@@ -86,20 +85,16 @@ class Route:
 
 
 def reference_in(cell: dict, p) -> tuple:
-    """Lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the coordinate p (m) inside a cell.
-
-    `cell` maps the names in `COLUMNS` to numbers, arrays or CasADi symbols; the result is of the same kind.
-
-    Source: eq. (34), y*.
-    """
+    """Tuple of lateral set point y* (m), dy*/dp (-) and d2y*/dp2 (1/m) at the track coordinate p (m) inside a cell.
+    `cell` is a row of `Route.cells` as a dict: name in `COLUMNS` -> value. `p` and the values are numbers, arrays or
+    CasADi symbols. Source: eq. (34)."""
     return _cubic([cell[name] for name in _SET_POINT], p - cell["p"])
 
 
 def irregularity_in(cell: dict, channel: str, p) -> tuple:
-    """Irregularity (m or rad) and its slope over p (- or rad/m) at the coordinate p (m) inside a cell.
-
-    `channel` is a key of `railrepro.track.irregularity.CHANNELS`; `cell` as in `reference_in`.
-    """
+    """Irregularity at the track coordinate p (m) inside a cell, as a pair: value (m; rad for "crosslevel") and its
+    slope over p (-; rad/m). `channel` is "lateral", "vertical", "crosslevel" or "gauge". `p` and `cell` are as in
+    `reference_in`."""
     return _cubic([cell[name] for name in _orders(channel)], p - cell["p"])[:2]
 
 
@@ -117,21 +112,21 @@ def lay(
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Route:
-    """Lay set point, adhesion, force demand and irregularities along a track; InputError when one is not finite.
+    """Make a `Route` along a track with set point, adhesion, force and irregularities. InputError if one is not finite.
 
     Args:
-        track: Track
-        reference (casadi.Function, optional): Lateral set point as a scalar map p (m) -> y* (m), see the function
-            `reference`; default y* = 0.
-        poor (pair of callables, optional): Share of the poor adhesion set on the left and on the right rail, 0 to 1: p
-            (m), (n,) -> (n,). Default 0.
-        force (callable, optional): Demanded longitudinal force F_x* per running gear (N), traction positive: p (m),
-            (n,) -> (n,). Default 0.
-        irregularities (DataFrame, optional): Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m; joined by a
-            cubic spline, zero outside.
-        line (pair of ndarray, shapes (m,) and (4, m), optional): Coordinates (m), and at these a set point (m) with its
-            first three derivatives over p (-, 1/m, 1/m2); a cubic from one to the next, zero outside; added to
-            `reference`. See `railrepro.evidence.runs.preview.plan`.
+        track (Track): Geometry of the track.
+        reference (casadi.Function, optional): Lateral set point p (m) -> y* (m), see the function `reference`; default
+            0.
+        poor (pair of callables, optional): For the left and the right rail, p (m), shape (n,) -> share of the poor
+            adhesion set, 0 to 1, shape (n,); default 0.
+        force (callable, optional): p (m), shape (n,) -> demanded longitudinal force per running gear (N), traction
+            positive, shape (n,); default 0.
+        irregularities (DataFrame, optional): Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m, increasing in
+            p_m. A cubic spline joins the rows; outside of them the irregularities are 0.
+        line (pair of ndarray, optional): Planned set point, which is added to `reference`: track coordinates (m), shape
+            (m,); the set point (m) there and its first three derivatives over p, shape (4, m). It is a cubic from one
+            coordinate to the next, 0 outside. See `railrepro.evidence.runs.preview.plan`.
     """
     require("track", track, Track)
     columns = dict(_geometry(track))
@@ -167,9 +162,7 @@ def _geometry(track: Track) -> dict[str, np.ndarray]:
 
 def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarray]:
     """Columns of the irregularities at p: cubics through the values and slopes of a spline at the ends of each cell.
-
-    Source: de Boor, A Practical Guide to Splines, ch. IV (cubic Hermite interpolation).
-    """
+    Source: de Boor, A Practical Guide to Splines, ch. IV (cubic Hermite interpolation)."""
     check(irregularities)
     at = irregularities["p_m"].to_numpy()
     spline = CubicSpline(at, irregularities[list(CHANNELS.values())], bc_type="clamped")
@@ -209,16 +202,15 @@ def _differentiated(term: ca.SX, s: ca.SX) -> ca.SX:
 
 
 SetPoint = group("SetPoint", "kind -, amplitude m, period_start m, period_end m, start m, end m, fade m")
-"""Lateral set point y* by numbers: none (kind 0), a sine of `period_start` (1), or a sweep between both spatial periods
-with a wavenumber linear in p (2). Outside `start` to `end` (track coordinates) y* is 0; over the length `fade` the
-amplitude rises after `start` and falls before `end`.
-
-Source: paper, caption of Fig. 7 (sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
+"""Lateral set point y* by numbers. `kind` is 0 none, 1 a sine with the wavelength `period_start`, 2 a sweep from
+`period_start` to `period_end` with a wavenumber linear in p. Outside `start` to `end` (track coordinates) y* is 0. The
+amplitude rises over the length `fade` after `start` and falls over it before `end`. Source: paper, caption of Fig. 7
+(sine of 150 m), Figs. 6 and 9 (sweep, parameters not printed)."""
 
 
 @lru_cache
 def reference(of: Any) -> ca.Function:
-    """Sine or sweep given by a `SetPoint` as a scalar CasADi function p (m) -> y* (m)."""
+    """Sine or sweep of a `SetPoint` as a CasADi function from track coordinate p (m) to y* (m)."""
     s = ca.SX.sym("p")
     return ca.Function("reference", [s], [_sine(s, of) if of.kind == 1 else _sweep(s, of)])
 

@@ -1,9 +1,6 @@
-"""Tables made from track alignments, and the track that interpolates in them.
-
-Yaw psi is positive to the right, roll phi positive right side down, pitch eps positive nose up.
-
-Serves the paper's section Train-Track Interaction (eqs. track).
-"""
+"""Tables made from track alignments, and the track that interpolates in them. Yaw psi is positive to the right, roll
+phi positive right side down, pitch eps positive nose up. Serves the paper's section Train-Track Interaction (eqs.
+track)."""
 
 from __future__ import annotations
 
@@ -26,11 +23,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) -> pd.DataFrame:
-    """Tabulate an alignment with a row every `step` (m), from p = 0 on.
+    """Tabulate an alignment with a row every `step` (m) from p = 0 on. InputError if it is shorter than a step.
 
-    Columns p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m. The track begins at
-    the origin with the yaw angle `heading` (rad). Segment ends that are multiples of the step are met exactly;
-    InputError when the track is shorter than a step.
+    The columns are p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m. The track
+    begins at the origin with the yaw angle `heading` (rad). Ends of segments at multiples of the step are met exactly.
     """
     if not alignment.length >= step:
         raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, at least {step:g} m are needed")
@@ -56,10 +52,14 @@ def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Tabulated track geometry with interpolation that is exact on straights, clothoids, arcs and linear cant ramps.
+    """Tabulated track that is interpolated exactly on straights, clothoids, arcs and linear cant ramps.
 
-    Before the first row the track goes straight on, after the last row with the curvature, cant and inclination of the
-    last row. `table` is that of `build_table`; `design_speed` is in m/s, None where none is known.
+    Before the first row the track is straight. After the last row it keeps curvature, cant and inclination of that row.
+
+    Attributes:
+        name (str): Name of the track.
+        table (DataFrame): Table as from `build_table`.
+        design_speed (float or None): Design speed (m/s); None if unknown.
     """
 
     name: str
@@ -85,12 +85,11 @@ class Track:
         return np.clip(np.searchsorted(self._rows["p"], p, side="right") - 1, 0, len(self.table) - 1)
 
     def interpolate(self, p) -> np.ndarray:
-        """Track angles and rates per metre at coordinates p (m, shape (n,)), shape (6, n).
+        """Track angles and their derivatives at track coordinates p (m, shape (n,)), shape (6, n).
 
-        Rows psi (rad), dpsi_dp (rad/m), phi (rad), dphi_dp (rad/m), eps (rad), deps_dp (rad/m); rates of a cant ramp
-        are right-continuous.
-
-        Source: eq. (3) of the paper, without the factor dp/dt.
+        The rows are psi (yaw, rad), dpsi_dp (rad/m), phi (roll, rad), dphi_dp (rad/m), eps (pitch, rad), deps_dp
+        (rad/m). At the start or end of a cant ramp, dphi_dp is the slope behind that point. Source: eq. (3), without
+        the factor dp/dt.
         """
         p, first = np.atleast_1d(np.asarray(p, dtype=float)), self._rows["p"][0]
         index = self._index(p)
@@ -100,9 +99,10 @@ class Track:
         return np.array(track_in(row, p))
 
     def travel(self, start: np.ndarray, length: np.ndarray) -> np.ndarray:
-        """Displacement along stretches of the track in fixed axes x, y (right), z (down) (m), shape (3, n).
+        """Displacement along n stretches of the track (m), shape (3, n), in fixed axes x, y (right), z (down).
 
-        `start` (m) and signed `length` (m) of the stretches, shape (n,) each; each stretch lies within one table row.
+        Stretch i begins at `start` (m, shape (n,)) and has the signed `length` (m, shape (n,)). It has to lie within
+        one row of the table.
         """
         total = np.zeros((3, len(start)))
         for node, weight in zip(_NODES, _WEIGHTS, strict=True):
@@ -111,7 +111,7 @@ class Track:
         return total * length / 2
 
     def position(self, p) -> np.ndarray:
-        """Centre line at p (m, shape (n,)): coordinates x, y (right), z (down) in fixed axes (m), shape (3, n)."""
+        """Centre line of the track at p (m, shape (n,)): x, y (right), z (down) in fixed axes (m), shape (3, n)."""
         p = np.atleast_1d(np.asarray(p, dtype=float))
         index = self._index(p)
         begin = self._rows["p"][index]
@@ -126,12 +126,11 @@ class Track:
 
 
 def track_in(cell: dict, p) -> tuple:
-    """Yaw, roll and pitch of the track with their rates at the coordinate p (m) inside a cell.
+    """Track angles and their derivatives at a coordinate p (m) inside a cell. Source: eq. (3).
 
-    Tuple psi, dpsi_dp, phi, dphi_dp, eps, deps_dp (rad, rad/m). `cell` maps the names p, psi, kappa, dkappa, phi, dphi,
-    eps, deps to the values at the start of the cell (SI): numbers, arrays or CasADi symbols.
-
-    Source: eq. (3).
+    Returns the tuple psi (yaw), dpsi_dp, phi (roll), dphi_dp, eps (pitch), deps_dp (rad, rad/m). `cell` is a dict of
+    the values at the start of the cell (SI): numbers, arrays or CasADi symbols with the keys p, psi, kappa, dkappa,
+    phi, dphi, eps, deps.
     """
     d = p - cell["p"]
     psi = cell["psi"] + (cell["kappa"] + cell["dkappa"] * d / 2) * d
@@ -140,7 +139,8 @@ def track_in(cell: dict, p) -> tuple:
 
 
 def load_track(name: Path | str) -> Track:
-    """Load a track by its name in data/tracks.toml, or from a CSV (`read_table`) when the name ends in .csv."""
+    """`Track` of a name in data/tracks.toml. A name that ends in .csv is the path of a file for `read_table`.
+    InputError for an unknown name."""
     if str(name).endswith(".csv"):
         return Track(Path(name).stem, read_table(name))
     return _built(str(name), paths.source("data/tracks.toml").stat().st_mtime_ns)
@@ -155,7 +155,7 @@ def _built(name: str, _changed: int) -> Track:
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
-    """Write a table of `build_table` as a CSV with 17 digits, so that its numbers read back exactly."""
+    """Write a table of `build_table` as CSV with 17 digits, so that reading gives the same numbers."""
     table.to_csv(path, index=False, float_format="%.17g")
 
 
@@ -165,15 +165,14 @@ _LARGEST |= {"psi_rad": (1e3, "rad")}
 
 
 def read_table(path: Path | str) -> pd.DataFrame:
-    """Read a track from a CSV: curvature, cant and inclination at points, which change linearly in between.
+    """Read a track from a CSV and return a table as of `build_table`, with heading and positions integrated.
 
-    Returns a table as `build_table` makes it, with heading and positions integrated. The file has one row per point;
-    yaw is positive to the right, roll right side down, pitch nose up. Columns, others are ignored:
-
-    - p_m: distance along the line (m), increasing; the track begins at the first point, with coordinate 0;
+    The file has one row per point; curvature, cant and inclination change linearly in between. Yaw is positive to the
+    right, roll right side down, pitch nose up. Columns (others are ignored):
+    - p_m: distance along the line (m), increasing; the first point becomes the coordinate 0;
     - dpsi_dp_1pm: curvature (1/m);
     - phi_rad, eps_rad: cant angle and inclination (rad), optional, default 0;
-    - psi_rad (rad), optional: its value in the first row is the heading with which the track begins, default 0.
+    - psi_rad: optional; its first value is the initial heading (rad), default 0.
 
     InputError for a missing column, a number that is not finite, points that do not increase, and magnitudes beyond
     what railways build (wrong unit).

@@ -1,7 +1,5 @@
-"""Vehicle data as frozen, validated dataclasses; the numbers live in data/vehicle.toml only.
-
-Serves the paper's sections Control-Oriented Model and Simulation Environment, which print none of them.
-"""
+"""Vehicle data as frozen, validated dataclasses; the numbers live in data/vehicle.toml only. Serves the paper's
+sections Control-Oriented Model and Simulation Environment, which print none of them."""
 
 from __future__ import annotations
 
@@ -22,10 +20,10 @@ from railrepro.data import InputError
 
 @data.table
 class Entry:
-    """Table of one parameter in a file such as data/vehicle.toml: symbol in formulas, value, unit and source.
+    """Table of one parameter in a file such as data/vehicle.toml; `symbol` is its name in formulas.
 
-    `confidence` is VV read in the source and reproduced, V read there, D derived, R recalled from the literature, A
-    assumed; `range` is "fixed" or [low, high] around the value, in its unit: what robustness studies sample.
+    `confidence`: VV read in the source and reproduced, V read there, D derived, R recalled from the literature, A
+    assumed. `range`: "fixed", or [low, high] in the unit of the value, from which robustness studies sample.
     """
 
     symbol: str
@@ -38,7 +36,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Parameter(data.Quantity):
-    """Unit and permitted range of a field whose value a file gives as an `Entry` with the same unit."""
+    """Unit and permitted range of a field whose value stands in a file as an `Entry` with the same unit."""
 
     def __get_pydantic_core_schema__(self, source, handler):
         value = super().__get_pydantic_core_schema__(source, handler) if source is float else handler(source)
@@ -72,10 +70,12 @@ AngularDamping = Annotated[float, _from_zero(1e8, "N m s/rad")]
 
 @data.table
 class CarBody:
-    """Car body: mass (kg), inertia_x, inertia_y, inertia_z in roll, pitch and yaw about its centre of gravity (kg m2).
+    """Data of the car body.
 
-    cg_height and floor_height are above the top of the rails, gear_spacing lies between the two running gears, length
-    is that of the body (all in m).
+    Attributes:
+        mass, inertia_x, inertia_y, inertia_z: Mass (kg); roll, pitch, yaw inertia about the centre of gravity (kg m2).
+        cg_height, floor_height: Height of centre of gravity and of floor above the top of the rails (m).
+        gear_spacing, length: Distance between the two running gears; length of the body (m).
     """
 
     mass: Mass
@@ -90,11 +90,13 @@ class CarBody:
 
 @data.table
 class Gear:
-    """Running gear, a wheel carrier with two wheels: mass (kg), inertia (kg m2), contact_base, axle_damping.
+    """Data of a running gear: a wheel carrier with two wheels.
 
-    mass, inertia_x (roll) and inertia_z (yaw) contain the wheels, inertia_y (pitch) leaves out their spin_inertia.
-    contact_base is the lateral distance b of the two contacts (m), axle_damping the torque between the wheels over the
-    difference of their speeds (N m s/rad), 0 for independent wheels.
+    Attributes:
+        mass, inertia_x, inertia_z: Mass (kg), roll and yaw inertia (kg m2), all including the wheels.
+        inertia_y: Pitch inertia (kg m2), including the mass of the wheels but not their `spin_inertia`.
+        contact_base: Lateral distance b of the two contacts (m).
+        axle_damping: Torque between the wheels over the difference of their speeds (N m s/rad); 0: independent wheels.
     """
 
     mass: Mass
@@ -107,10 +109,12 @@ class Gear:
 
 @data.table
 class Wheel:
-    """One independently rotating wheel with its motor: nominal rolling radius r_0 (m), moments of inertia (kg m2).
+    """Data of one independently rotating wheel with its motor.
 
-    spin_inertia, about the axle, contains the rotor of the motor; diametral_inertia is about a diameter. cone_angle
-    delta_0 (rad) is that of the control model, and of the car's wheels only where the profile is "cone".
+    Attributes:
+        radius: Nominal rolling radius r_0 (m).
+        spin_inertia, diametral_inertia: Inertia about the axle, including the rotor, and about a diameter (kg m2).
+        cone_angle: Cone angle delta_0 in the control model (rad); that of the car's wheels only for the profile "cone".
     """
 
     radius: Annotated[float, Parameter(0.1, 1.0, "m")]
@@ -121,11 +125,12 @@ class Wheel:
 
 @data.table
 class Suspension:
-    """Suspension of the car body on a running gear: lengths (m), stiffness (N/m, N m/rad), damping (N s/m, N m s/rad).
+    """Suspension between the car body and one running gear: stiffness (N/m, N m/rad), damping (N s/m, N m s/rad).
 
-    Two springs with dampers at half_spacing to each side and at a height above the rails, each with k_x, c_x along x,
-    likewise y and z; a longitudinal traction link, a torsion bar against roll, rods against pitch under motor torque.
-    Stops in yaw beyond yaw_stop_angle (rad) and in lateral deflection beyond bump_clearance (m), to either side.
+    A spring with a damper stands `half_spacing` (m) to each side, `height` (m) above the rails; each has the stiffness
+    k_x and the damping c_x along x, likewise y and z. A traction link acts lengthwise, a torsion bar against roll, rods
+    against pitch under motor torque. Stops act in yaw beyond yaw_stop_angle (rad) and sideways beyond bump_clearance
+    (m).
     """
 
     half_spacing: Annotated[float, Parameter(0.1, 2.0, "m")]
@@ -170,26 +175,28 @@ class Suspension:
 
 @data.table
 class Drive:
-    """Motor of one wheel: torque_limit, of either sign (N m), and lag, the time constant of its torque (s)."""
+    """Data of the motor of a wheel: `torque_limit` for both signs (N m); `lag`, time constant of the torque (s)."""
 
     torque_limit: Annotated[float, Parameter(0.0, 1e5, "N m")]
     lag: Annotated[float, Parameter(0.0, 1.0, "s")]
 
     def limit(self, wheel_speed):
-        """Torque limit of either sign (N m) at a wheel speed (rad/s; number, array or SX): always `torque_limit`.
-
-        Car and controllers ask here, so that a limit that depends on speed is stated once.
-        """
+        """Torque limit for both signs (N m) at a wheel speed (rad/s): at present `torque_limit` at any speed. The speed
+        is a number, array or SX. Car and controllers ask here, so that a limit that depends on speed is stated once."""
         return self.torque_limit
 
 
 @data.table
 class WheelRail:
-    """Wheel-rail contact: young, shear_modulus (Pa), poisson (-) of the material; wheel profile "cone" or "s1002".
+    """Data of the wheel-rail contact.
 
-    The normal force is k q^1.5 (1 + d dq/dt) at a penetration q (m), with k normal_stiffness (N/m^1.5) and d
-    normal_damping (s/m). Contact ellipses are tabulated at nominal_load (N). Creepages are sliding speeds over
-    sqrt(v^2 + rest_speed^2) (m/s), so that they are finite at standstill.
+    Attributes:
+        young, shear_modulus, poisson: Moduli (Pa) and Poisson's ratio (-) of the material.
+        nominal_load: Normal force at which contact ellipses are tabulated (N).
+        normal_stiffness, normal_damping: k (N/m^1.5) and d (s/m) of the normal force k q^1.5 (1 + d dq/dt) at a
+            penetration q.
+        rest_speed: Creepages are sliding speeds over sqrt(v^2 + rest_speed^2), finite also at standstill (m/s).
+        profile: Wheel profile, "cone" or "s1002".
     """
 
     young: Annotated[float, Parameter(1e9, 1e12, "Pa")]
@@ -204,10 +211,12 @@ class WheelRail:
 
 @data.table
 class AdhesionSet:
-    """Polach's creep law: reduction factors k_a, k_s (-) in the areas of adhesion and slip, and falling friction.
+    """Adhesion set: parameters of Polach's creep law for one state of the rail.
 
-    Friction at a slip speed w (m/s) is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio), with b_decay in s/m. Creep
-    stiffness at rest is (k_a + k_s)/2 of Kalker's; a k_s above k_a counts as k_a.
+    Attributes:
+        k_a, k_s: Reduction factors in the areas of adhesion and of slip (-); a k_s above k_a counts as k_a. The creep
+            stiffness at rest is (k_a + k_s)/2 of Kalker's.
+        mu0, a_ratio, b_decay: Friction (-) is mu0 ((1 - a_ratio) exp(-b_decay w) + a_ratio) at a slip speed w (m/s).
     """
 
     k_a: Annotated[float, Parameter(0.0, 1.0, "-")]
@@ -219,17 +228,15 @@ class AdhesionSet:
 
 @data.table
 class Environment:
-    """Surroundings: `gravity`, the gravitational acceleration (m/s2)."""
+    """Data of the surroundings: `gravity`, the gravitational acceleration (m/s2)."""
 
     gravity: Annotated[float, Parameter(0.0, 20.0, "m/s2")]
 
 
 @data.table
 class Vehicle:
-    """All data of the car, whose running gears, wheels and motors are alike; the class of each group states the units.
-
-    `adhesion` has sets by name, in data/vehicle.toml "dry", "poor", "very_poor" and "wet".
-    """
+    """All data of the car. Both running gears are alike, and so are the wheels and the motors. `adhesion` is a dict of
+    adhesion sets by name; data/vehicle.toml has "dry", "poor", "very_poor" and "wet"."""
 
     body: CarBody
     gear: Gear
@@ -255,11 +262,11 @@ class Vehicle:
 
     @property
     def gamma(self) -> float:
-        """Roll of the axle per lateral displacement on cones, Gamma (rad/m). Source: paper, eqs. (10), (11)."""
+        """Roll angle of the axle per lateral displacement on cones, Gamma (rad/m). Source: paper, eqs. (10), (11)."""
         return self.roll_per_shift(math.tan(self.wheel.cone_angle))
 
     def roll_per_shift(self, slope: float) -> float:
-        """Roll of the axle per lateral displacement (rad/m) where the tangent of the contact angle is `slope` (-)."""
+        """Roll angle of the axle per lateral displacement (rad/m). `slope` (-) is the tangent of the contact angle."""
         return slope / (self.gear.contact_base / 2 - self.wheel.radius * slope)
 
     @property
@@ -284,15 +291,12 @@ class Vehicle:
 
 
 def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
-    """Read and check vehicle data.
+    """Read and check vehicle data. InputError for a wrong file, key or value.
 
     Args:
         path (path, optional): A TOML file like data/vehicle.toml, the default.
-        overrides: Changed values (SI) by dotted key, as `load_vehicle(**{"wheel.radius": 0.43, "adhesion.poor.mu0":
-            0.12})`.
-
-    Raises:
-        InputError: For a wrong file, key or value: one sentence with file, key, what was found and what is allowed.
+        overrides: Values (SI) that replace those of the file, by dotted key, as in `load_vehicle(**{"wheel.radius":
+            0.43, "adhesion.poor.mu0": 0.12})`.
     """
     vehicle = loaded(Vehicle, data.location(path, paths.source("data/vehicle.toml")), overrides)[0]
     if "wheel.cone_angle" in overrides and vehicle.contact.profile != "cone":
@@ -303,9 +307,10 @@ def load_vehicle(path: Path | str | None = None, **overrides) -> Vehicle:
 
 
 def loaded(kind: type, file: Path, overrides: dict) -> tuple[Any, dict[str, dict]]:
-    """Instance of `kind`, a `data.table` class, from a file of `Entry` tables; and dotted key -> `Entry` as a dict.
+    """Read a file of `Entry` tables. Returns a pair: instance of the `data.table` class `kind`; dict of all entries.
 
-    `overrides` replace values of the file (SI) by dotted key such as "wheel.radius"; their range becomes "fixed".
+    The dict maps a dotted key such as "wheel.radius" to its `Entry` as a dict. `overrides` replace values of the file
+    (SI) by dotted key; the range of such a parameter becomes "fixed". InputError for a wrong file, key or value.
     """
     content = data.read(file)
     built, entries = data.build(kind, content, file.name), dict(_entries(content))
@@ -322,6 +327,6 @@ def _entries(content: dict, place: str = "") -> Iterator[tuple[str, dict]]:
 
 
 def sample_ranges() -> dict[str, tuple[float, float]]:
-    """Dotted key -> (low, high), bounds (SI) of each parameter in data/vehicle.toml that is not fixed, for studies."""
+    """Ranges of the parameters in data/vehicle.toml that are not fixed, as a dict: dotted key -> (low, high) (SI)."""
     entries = loaded(Vehicle, paths.source("data/vehicle.toml"), {})[1]
     return {key: tuple(entry["range"]) for key, entry in entries.items() if entry["range"] != "fixed"}

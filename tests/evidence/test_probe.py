@@ -95,8 +95,9 @@ def test_the_smallest_fixed_share_is_found_by_halving(ladder, monkeypatch):
 
 @pytest.mark.parametrize(("speed", "failed", "way"), [(0.1, False, 900.0), (0.3, False, np.inf), (0.1, True, np.inf)])
 def test_a_run_that_does_not_stop_has_no_stopping_distance(speed, failed, way):
-    row = {"rmse_y": 1e-3, "stopping_distance": 900.0, "final_speed": speed}
-    found, _ = probe.braked(SimpleNamespace(failed=failed), SimpleNamespace(values=lambda _: row))
+    row = {"rmse_y": 1e-3, "stopping_distance": 900.0}
+    run = SimpleNamespace(failed=failed, series=pd.DataFrame({"front.v": [50.0, speed]}))
+    found, _ = probe.braked(run, SimpleNamespace(values=lambda _: row))
     assert found == {"rmse_y": 1e-3 if way == 900.0 else np.inf, "stopping_distance": way}
 
 

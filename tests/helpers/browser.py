@@ -51,10 +51,10 @@ class Page:
 
 
 @contextlib.contextmanager
-def opened(url, folder):
+def opened(url, folder, size="1440,900"):
     """The page of an address, in a browser of its own in a new folder."""
     browser = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"]
-    browser += ["--remote-allow-origins=*", f"--user-data-dir={folder}", "--window-size=1440,900", url]
+    browser += ["--remote-allow-origins=*", f"--user-data-dir={folder}", f"--window-size={size}", url]
     process, page = subprocess.Popen(browser, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL), ""
     try:
         for _ in range(600):

@@ -20,12 +20,8 @@ nan, inf = np.nan, np.inf
 WAY = np.arange(0.0, 100.0, 0.5)
 FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
 SWITCH = {"kind": "lateral_offset", "start": 50.0, "length": 10.0, "offset": 5e-3, "transition": 8.0}
-SINE = {"kind": "sine", "amplitude_mm": 3, "period_m": 50, "start_m": 0}
 CONES = load_vehicle(**{"contact.profile": "cone"})
 """A car whose contact table takes no time."""
-POINTS = "part,lateral_mm,height_mm\n"
-ROUGH = "p_m,lateral_m,vertical_m,crosslevel_rad,gauge_m\n"
-GOOD = "".join(f"{p},0,0,0,0\n" for p in range(20))
 
 
 def scenario(**changes):

@@ -1,7 +1,5 @@
-"""The stated optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers.
-
-Serves the paper's section Nonlinear Model Predictive Control.
-"""
+"""The stated optimal control problem as a nonlinear program for Ipopt, the reference of the other solvers. Serves the
+paper's section Nonlinear Model Predictive Control."""
 
 from __future__ import annotations
 
@@ -30,11 +28,14 @@ SLACK = 1e-3
 
 @lru_cache
 def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
-    """Multiple-shooting NLP over L = `steps` steps: dict of symbols and expressions for `casadi.nlpsol`.
+    """Nonlinear program (multiple shooting) over `steps` time steps, as the dict that `casadi.nlpsol` takes.
 
-    x: deviations from the desired states over `SCALE` (6 (L + 1)), torques (kN m) (L), slacks (mm) (L); p: desired
-    states, track theta (9 L), model parameters, tuning, base torque; f: `COST` times the cost of `problem`; g: scaled
-    defects (6 L), to be 0, and excess over the lateral bounds less slack (2 L), to be at most 0.
+    Its keys, with L = `steps`, are:
+    - "x", unknowns: deviations from the desired states over `SCALE`, 6 (L + 1); torques (kN m), L; slacks (mm), L;
+    - "p", parameters: desired states, track theta (9 L), model parameters, tuning vector, base torque;
+    - "f": `COST` times the cost of `control.problem`;
+    - "g": defects of the dynamics over `SCALE`, 6 L, to be 0; excess over the lateral bounds minus slack, 2 L, to be <=
+      0.
     """
     step = problem.dynamics(variant, discretisation)
     z, du, slack = ca.MX.sym("z", _N, steps + 1), ca.MX.sym("du", steps), ca.MX.sym("slack", steps)
@@ -65,11 +66,8 @@ def _solver(variant: str, discretisation: str, steps: int) -> ca.Function:
 
 
 def solve(horizon: Horizon) -> int | None:
-    """Solve the optimal control problem of a horizon by Ipopt: its trajectory `x`, `u` becomes that of the solution.
-
-    Returns:
-        int or None: Number of iterations; None when Ipopt does not succeed or the measured state is not finite.
-    """
+    """Solve the problem of a horizon by Ipopt and write the solution into its arrays `x` and `u`. Returns the number of
+    iterations. Returns None, and leaves `x` and `u`, when Ipopt fails or the state is not finite."""
     s, steps = horizon.settings, horizon.settings.steps
     x_d, bound = horizon.x_d, horizon.c.bound / UNIT
     initial = (horizon.x_hat - x_d[0]) / SCALE

@@ -1,10 +1,6 @@
-"""The Riccati recursion as CasADi functions, with bounds as active sets and barrier terms for bounds.
-
-Hessians and gradients are CasADi's derivatives of the costs stated in `railrepro.control.problem`, all of them halved.
-Serves the paper's section Nonlinear Model Predictive Control.
-
-Source: Rao, Wright and Rawlings 1998.
-"""
+"""The Riccati recursion as CasADi functions, with bounds as active sets and barrier terms for bounds. Hessians and
+gradients are CasADi's derivatives of the costs stated in `railrepro.control.problem`, all of them halved. Serves the
+paper's section Nonlinear Model Predictive Control. Source: Rao, Wright and Rawlings 1998."""
 
 from __future__ import annotations
 
@@ -24,12 +20,15 @@ def _halved(cost: ca.SX, by: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 @stored
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Riccati recursion for the quadratic problem in steps (dx, du) from a trajectory (x, u).
+    """CasADi functions of the Riccati recursion, for the quadratic problem in steps (dx, du) from a trajectory (x, u).
 
-    `variant`, `discretisation`, A and B as of `problem.dynamics`, tuning: `problem.TUNING`. Halved cost-to-go
-    dx' P dx / 2 + p' dx; next state x_next by the model, x_plus of the trajectory; desired state x_d; side: active
-    lateral bound (1, -1, 0 none); fixed not 0: the torque step du is to_bound (N m), else feedback' dx + feed-forward;
-    terms[4]: Hessian and gradient by the torque, then by y, added for bounds that an interior point method stands for.
+    Their arguments are:
+    - P, p: matrix and vector of the cost-to-go dx' P dx / 2 + p' dx;
+    - x_next, x_plus, x_d: next state by the model, next state of the trajectory, desired state;
+    - A, B, tuning: derivatives as of `problem.dynamics`, tuning vector in the order of `problem.TUNING`;
+    - side: active lateral bound: 1 upper, -1 lower, 0 none;
+    - fixed, to_bound: where fixed is not 0, du is to_bound (N m), else feedback' dx + feed-forward;
+    - terms[4]: Hessian and gradient by the torque, then by y, that stand for the bounds in the interior point method.
 
     Returns:
         terminal (casadi.Function): (x[6], x_d[6], side, terms, tuning) -> P (6, 6), p[6] of the last stage.

@@ -1,12 +1,8 @@
 """The compiled horizon: forecast, linearisation and Riccati recursion of one sample, without Python between stages.
 
-One optimal control problem needs one call. The time grows linearly with the horizon; torque limits and the soft lateral
-bound are active sets around the recursion. Where these do not settle, an interior point method on the same recursion
-finds them, so that a sample has a largest time. `riccati.c` and `interior.c` drive the functions of `recursion`,
-`planner.c` a whole sample.
-
-Source: Rao, Wright and Rawlings 1998 (recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and
-Kunisch 2002 (primal-dual active sets).
+Torque limits and the soft lateral bound are active sets around the recursion. Where these do not settle, an interior
+point method on the same recursion finds them, so that a sample has a largest time. Source: Rao, Wright and Rawlings
+1998 (recursion, interior points); Mehrotra 1992 (their steps); Hintermueller, Ito and Kunisch 2002 (active sets).
 """
 
 from __future__ import annotations
@@ -28,13 +24,14 @@ from railrepro.model.control_model import STATES, THETA
 from railrepro.track.route import CELL, COLUMNS, Route
 
 MOST_SETS = 8
-"""Number of active sets tried per quadratic problem before the interior point method takes over."""
+"""Number of active sets tried in one quadratic problem; after them the interior point method solves it."""
 _SOURCES = [Path(__file__).with_name(name).read_text() for name in ("riccati.c", "interior.c", "planner.c")]
 
 
 @lru_cache
 def functions(variant: str, discretisation: str) -> tuple[ca.Function, ...]:
-    """CasADi functions that the C of `c_text` calls: `forecast.functions`, `recursion`, `torque_limit`."""
+    """CasADi functions that the C of `c_text` calls: `forecast.functions`, `recursion`, `torque_limit` as one tuple.
+    Model variant and discretisation are as in `MPCSettings`."""
     return *forecast.functions(), *recursion(variant, discretisation), torque_limit()
 
 
@@ -51,7 +48,8 @@ def _lanes(variant: str, discretisation: str) -> str:
 
 
 def c_text(variant: str, discretisation: str) -> str:
-    """C text of riccati.c, interior.c and planner.c with array sizes, to follow call.h and the C of `functions`."""
+    """C text of riccati.c, interior.c and planner.c, with arguments as in `functions`. In a source it has to follow
+    call.h and the C generated from `functions`."""
     names = {"STATE": STATES, "TUNING": TUNING, "THETA": THETA}
     extra = lanes_header()
     extra += "".join(codegen.enumeration(f"{kind}_{name}" for name in entries) for kind, entries in names.items())
@@ -70,19 +68,24 @@ def _compiled(variant: str, discretisation: str) -> tuple[ctypes.CDLL, Any, Any]
 
 
 class Horizon:
-    """Problem, trajectory and compiled solver of one predictive controller; arrays are views of its memory in C (SI).
+    """Problem, trajectory and compiled solver of one predictive controller. Arrays are views of its memory in C (SI).
 
-    `nominal` (3,) as `railrepro.model.forecast.NOMINAL`, `parameters` (14,) as `railrepro.model.parameters.PARAMETERS`.
-    Active sets are kept from one problem to the next.
+    Active sets are kept from one problem to the next. L is `settings.steps`.
+
+    Args:
+        settings (MPCSettings): Weights, horizon, bounds.
+        nominal (ndarray, shape (3,)): In the order of `model.forecast.NOMINAL`.
+        parameters (ndarray, shape (14,)): In the order of `model.parameters.PARAMETERS`.
+        route (Route): Track and set point ahead.
 
     Attributes:
-        stages (ndarray, shape (L + 1,)): `stage_t` of riccati.c as a structured array.
-        x_d, theta (ndarray, shape (L + 1, 6) and (L + 1, 9)): Forecast of desired states and track parameters.
-        x, u (ndarray, shape (L + 1, 6) and (L,)): Trajectory: states and differential torques; `x[0]` may differ from
-            the measured state `x_hat` (6,).
+        x_hat (ndarray, shape (6,)): Measured state.
+        x_d, theta (ndarray, shapes (L + 1, 6), (L + 1, 9)): Forecast of desired states and track parameters.
+        x, u (ndarray, shapes (L + 1, 6), (L,)): Trajectory of states and differential torques; `x[0]` need not be
+            `x_hat`.
         plan (ndarray, shape (L,)): Differential torques of the plan (N m).
-        c (ctypes.Structure): `horizon_t` of riccati.c, with base torque and bound of the differential torque (N m).
-        pointer (ctypes pointer): Pointer to `c`, the argument of the functions of `library`.
+        stages (ndarray, shape (L + 1,)): All stages as a structured array, `stage_t` of riccati.c.
+        c (ctypes.Structure), pointer: `horizon_t` of riccati.c; pointer to `c` for calls of `library`.
         library (ctypes.CDLL): The functions of riccati.c and planner.c.
     """
 
@@ -103,7 +106,16 @@ class Horizon:
         self.x_hat, self.pointer = codegen.arrays(self.c)["x_hat"], ctypes.byref(self.c)
 
     def forecast(self, x_hat: np.ndarray, u_d: float) -> forecast.Forecast:
-        """Fill `x_d`, `theta` by the forecast from a measured state (6,) and base torque (N m); returns a copy."""
+        """Compute desired states and track parameters over the horizon, which are stored in `x_d` and `theta`.
+
+        Args:
+            x_hat (ndarray, shape (6,)): Measured state: track coordinate (m), heading (rad), speed (m/s), yaw rate
+                (rad/s), lateral displacement (m), yaw angle against the track (rad).
+            u_d (float): Base torque per wheel (N m), taken as constant over the horizon.
+
+        Returns:
+            Forecast: Copies of `x_d`, shape (L + 1, 6), and `theta`, shape (L + 1, 9).
+        """
         self.x_hat[:], self.c.u_d = x_hat, u_d
         self.library.horizon_forecast(self.pointer)
         return forecast.Forecast(self.x_d.copy(), self.theta.copy())

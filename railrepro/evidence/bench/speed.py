@@ -1,8 +1,7 @@
 """Times of the solvers of the predictive controllers, as ratios within one run.
 
-`python -m railrepro bench` writes solve_times.csv and horizon_times.csv of data/results and prints them. Times of
-different machines are never compared; the machine's name stands in each table.
-Serves the paper's section Evaluation of Lateral Control (computation times).
+`python -m railrepro bench` writes solve_times.csv and horizon_times.csv of data/results. Times of different machines
+are never compared. Serves the paper's section Evaluation of Lateral Control (computation times).
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ WINDOW = 32
 
 @dataclass(frozen=True)
 class Recording:
-    """Name and route of a simulated scenario, and successive optimal control problems of its front gear's NMPC."""
+    """Name and route of a simulated scenario, and successive optimal control problems of the NMPC of its front gear."""
 
     scenario: str
     route: Route
@@ -41,20 +40,24 @@ class Recording:
 
 
 class Recorder(NMPC):
-    """NMPC that keeps each optimal control problem (`Problem`) in its list `problems` before it solves it."""
+    """NMPC that appends each optimal control problem (`Problem`) to its list `problems` before it solves it."""
 
     def __init__(self, *arguments) -> None:
         super().__init__(*arguments)
         self.problems: list[Problem] = []
 
     def plan(self, x_hat: np.ndarray, u_d: float) -> float:
-        """Keep the problem, then plan as NMPC: torque du (N m) from states x_hat (6,) and base torque u_d (N m)."""
+        """Record the problem, then plan as NMPC: torque du (N m) from states x_hat (6,) and base torque u_d (N m)."""
         self.problems.append(self.problem(x_hat, u_d))
         return super().plan(x_hat, u_d)
 
 
 def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WINDOW) -> Recording:
-    """Simulate a scenario (`name`) under NMPC with `settings`; keep `count` successive problems from mid-run."""
+    """Simulate a scenario under NMPC and keep successive optimal control problems of the front gear.
+
+    `name` is the scenario in data/scenarios.toml; braking ends after 500 m. `settings` are those of the NMPC. `count`
+    is the number of problems kept; the first of them is the middle one of the run.
+    """
     scenario = scenarios.load_scenario(name)
     if name == "braking":
         scenario = scenario.but(end_m=500.0)
@@ -65,7 +68,7 @@ def record(name: str, settings: MPCSettings, vehicle: Vehicle, count: int = WIND
 
 
 def tightened(recording: Recording) -> Recording:
-    """Copy of a recording with bounds that act: torque |du| <= 60 N m, soft |y| <= 0.6 times the largest set point."""
+    """Copy of a recording with active bounds: |du| <= 60 N m, and as soft bound |y| <= 0.6 max |set point of y|."""
     problems = recording.problems
     largest = max(np.abs(problem.ahead.x_d[:, Y]).max() for problem in problems)
     tight = replace(problems[0].settings, lateral_bound=0.6 * largest, yielding=True)
@@ -76,8 +79,9 @@ def tightened(recording: Recording) -> Recording:
 def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Solve the n problems of a recording in order, each warm-started by the previous one as in closed loop.
 
-    `kind` is one of `KINDS`. Returns planned differential torques over the horizon (n, L) (N m), processor time per
-    problem with forecast and preparation (n,) (s), iterations (n,), and the number of problems without a solution.
+    `kind` is the solver, one of `KINDS`. Returns a tuple: planned differential torques over the L steps of the horizon
+    (n, L) (N m); processor time per problem, with forecast and preparation (n,) (s); iterations (n,); number of
+    problems without a solution.
     """
     first, torques = recording.problems[0], []
     limited = replace(vehicle, drive=replace(vehicle.drive, torque_limit=first.tau_max))
@@ -91,11 +95,12 @@ def solve_all(kind: str, recording: Recording, vehicle: Vehicle) -> tuple[np.nda
 
 
 def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.DataFrame:
-    """Compare the solvers `KINDS` on recordings of scenarios, plain and `tightened`: one row per solver and recording.
+    """Compare the solvers `KINDS` on recorded problems: one row per solver and recording.
 
-    `settings` are those of NMPC, `names` scenarios. Columns solver, scenario, n (problems), median_ms, p95_ms, max_ms
-    (time per problem), iterations_median, ratio_to_ipopt (of median times), failures (problems without a solution),
-    largest_torque_difference to ipopt over the torque limit (-).
+    Each scenario of `names` is recorded under NMPC with `settings`, and gives two recordings: as it is, and
+    `tightened`. Columns: solver; scenario; n, number of problems; median_ms, p95_ms and max_ms, time per problem (ms);
+    iterations_median; ratio_to_ipopt, of the median times (-); failures, number of problems without a solution;
+    largest_torque_difference, largest difference from the torques of ipopt over the torque limit (-).
     """
     rows = []
     plain = [record(name, settings, vehicle) for name in names]
@@ -114,7 +119,10 @@ def solve_times(vehicle: Vehicle, settings: MPCSettings, names=SCENARIOS) -> pd.
 
 
 def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
-    """Solution times on T3 by horizon length: columns solver, steps (L), median_ms (per problem), iterations_median."""
+    """Solution times on curve entry T3 for horizons of 10 to 160 steps: one row per solver and length of the horizon.
+
+    `settings` of NMPC are kept but for steps. Columns solver, steps, and per problem median_ms and iterations_median.
+    """
     rows = []
     for steps in tqdm((10, 20, 40, 80, 160), desc="horizons", unit="length"):
         recording = record("curve_entry_T3", replace(settings, steps=steps), vehicle, count=12)
@@ -126,7 +134,7 @@ def horizon_times(vehicle: Vehicle, settings: MPCSettings) -> pd.DataFrame:
 
 
 def machine() -> str:
-    """Name of this machine's processor."""
+    """Name of this machine's processor, as "AMD EPYC 7763"; its architecture where the name is unknown."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
@@ -134,7 +142,7 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Measure solve_times and horizon_times, write them to data/results as CSV and print them."""
+    """Write and print solve_times.csv (all settings) and horizon_times.csv (setting "equal") of data/results."""
     vehicle, of = load_vehicle(), {name: mpc_settings(parameters("nmpc", name)) for name in SETTINGS}
     solvers = pd.concat([solve_times(vehicle, settings).assign(setting=name) for name, settings in of.items()])
     tables = {"solve_times": solvers, "horizon_times": horizon_times(vehicle, of[EQUAL])}

@@ -19,8 +19,8 @@ _SAVED = re.compile(r"save_figure\([^\n]*?[\"'](fig\d\d_\w+)[\"']")
 def html() -> Path:
     """Make the book in build/html from the executed notebooks; returns the path of its first page.
 
-    Notebooks that were never executed are run first; stale ones are shown as last executed.
-    InputError when a notebook fails, Sphinx warns or its packages are missing.
+    Notebooks that were never executed are run first; stale ones are shown as last executed. InputError when a notebook
+    fails, Sphinx warns or its packages are missing.
     """
     absent = [notebook.name for notebook in chain().values() if not notebook.executed.exists()]
     if absent and figures(absent):
@@ -43,7 +43,7 @@ def html() -> Path:
 
 
 def chapter(notebook: Notebook) -> dict:
-    """Content of an executed notebook as a page: its number in the title, links to chapters, captions of figures."""
+    """Page of the book (dict of nbformat) from an executed notebook: numbered title, links to chapters, captions."""
     content = data.read(notebook.executed)
     captions = data.read(paths.NOTEBOOKS / "book/captions.toml")
     cells: list[dict] = []

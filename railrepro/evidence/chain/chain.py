@@ -1,8 +1,7 @@
 """The chain of notebooks: which are stale and why, how they run, and where each product (written file) comes from.
 
-notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.paths`). Staleness
-is decided by content, never by time. No notebook reads what another one writes, so they run in any order. Each has a
-kernel of its own and a temporary folder; its products are moved from there after a successful run.
+notebooks/chain.toml says what each notebook writes; what it reads is noted while it runs (`railrepro.paths`). Content
+decides what is stale, never time. No notebook reads what another one writes, so they run in any order.
 """
 
 from __future__ import annotations
@@ -37,10 +36,11 @@ EDITED = "an input was edited while it ran"
 
 @data.table
 class Notebook:
-    """Notebook of the chain, an entry of notebooks/chain.toml: file name without ending, title, and what it writes.
+    """Notebook of the chain, an entry of notebooks/chain.toml.
 
-    `writes` are paths of tables, `figures` names figNN_name; `parameters` and `test_parameters` are values for its
-    parameters cell in the real run and in tests; `minutes` is its run time (min), `seed` the random seed that it uses.
+    `name` is its file name without ending, `writes` the paths of its tables, `figures` the names of its figures
+    (figNN_name). `parameters` are the values of its parameters cell, `test_parameters` those in tests. `minutes` is its
+    run time (min), `seed` the random seed that it uses (None if it uses none).
     """
 
     name: str
@@ -64,7 +64,7 @@ class Notebook:
 
     @property
     def products(self) -> tuple[str, ...]:
-        """Paths of all files that the notebook writes, relative to the checkout; a figure is a png and a csv."""
+        """Paths of all files that the notebook writes, relative to the checkout; each figure is a png and a csv."""
         return self.writes + tuple(f"figures/{figure}.{suffix}" for figure in self.figures for suffix in ("png", "csv"))
 
     @property
@@ -75,20 +75,20 @@ class Notebook:
 
 @data.table
 class Chain:
-    """Content of notebooks/chain.toml: its notebooks in order, and the tolerances with which `verify` compares."""
+    """Content of notebooks/chain.toml: all notebooks in order, and the tolerances with which `verify` compares."""
 
     notebook: tuple[Notebook, ...] = ()
     verify: compare.Tolerance = compare.Tolerance()
 
 
 def load(file: Path | None = None) -> Chain:
-    """Read a file like notebooks/chain.toml, which is the default; InputError for wrong entries."""
+    """Read the chain of notebooks from a TOML file (default notebooks/chain.toml); InputError for wrong entries."""
     file = file or paths.NOTEBOOKS / "chain.toml"
     return data.build(Chain, data.read(file), file.name)
 
 
 def chain() -> dict[str, Notebook]:
-    """Name -> notebook of notebooks/chain.toml, in order."""
+    """Notebooks of notebooks/chain.toml in order: name -> `Notebook`."""
     return {one.name: one for one in load().notebook}
 
 
@@ -106,10 +106,10 @@ def _content(file: Path) -> bytes:
 
 
 def inputs(notebook: Notebook, taken: Reads) -> dict[str, str]:
-    """Name -> present hash or version of each input of a notebook except the machine (`store.machine`).
+    """Present state of the inputs of a notebook, except the machine (`store.machine`): name -> hash or version.
 
-    Inputs are its cells, its parameters, the files and entries of `taken` (as `run` returns them), packages, and the
-    modules of railrepro that it can import.
+    Inputs are its cells, its parameters, files that it read, packages, and modules of railrepro that it can import.
+    `taken` maps files to the entries that its last run read from them, as returned by `run`.
     """
     cells = data.read(notebook.path)["cells"]
     found = {"its cells": _hash(json.dumps(["".join(cell["source"]) for cell in cells]).encode())}
@@ -138,9 +138,10 @@ def _products(notebook: Notebook) -> dict[str, str]:
 
 
 def last_run(notebook: Notebook) -> dict[str, dict]:
-    """Record of the last successful run of a notebook in this checkout, or {}.
+    """Record of the last successful run of a notebook in this checkout; {} if there is none.
 
-    Keys: reads (`Reads`), inputs (`inputs`), machine (`store.machine`), products (path -> SHA-256).
+    Keys: reads (files and entries that it read, `Reads`), inputs (their state then, see `inputs`), machine
+    (`store.machine`), products (path of each written file -> SHA-256).
     """
     try:
         return data.read(notebook.stamp)
@@ -149,7 +150,7 @@ def last_run(notebook: Notebook) -> dict[str, dict]:
 
 
 def why_stale(notebook: Notebook) -> str:
-    """Why a notebook is stale, in words: the first input or product that changed since its last run; "" if fresh."""
+    """Why a notebook must run again: the input or product that changed since its last run, in words; "" if none."""
     last = last_run(notebook)
     if not last:
         return "it has not run here"
@@ -206,7 +207,7 @@ def _execute(notebook: Notebook, parameters: dict, staging: Path) -> tuple[Any, 
     except papermill.PapermillExecutionError as error:
         failure = f"cell {error.exec_count} failed with {error.ename}: {error.evalue}".splitlines()[0]
     except (RuntimeError, TimeoutError) as error:
-        failure = f"its kernel did not start or ended before its time ({str(error).splitlines()[0]})"
+        failure = f"its kernel did not start or ended before its time ({str(error).partition(chr(10))[0]})"
     content = nbformat.read(output if output.exists() else notebook.path, 4)
     _make_deterministic(content)
     for i, cell in enumerate(content.cells, 1):
@@ -228,18 +229,21 @@ def _make_deterministic(content: Any) -> None:
 
 
 def run(notebook: Notebook, parameters: dict, root: Path) -> Reads:
-    """Execute a notebook and move its products below `root`; returns as `Reads` what of data/ and figures/ it read.
+    """Execute a notebook and move the files that it writes, its products, below `root`.
 
-    The executed notebook is in build/notebooks, or for another root in root/notebooks; a failed one is kept there as
-    NAME.failed.ipynb. InputError when a cell fails, a product was not written, or a product of another notebook was
-    read; and when notebook, parameters and inputs are as committed, yet a sentence that it prints (`report.sentences`)
-    is false. With changed inputs a false sentence is no error.
+    The executed notebook is saved in build/notebooks or root/notebooks, a failed one as NAME.failed.ipynb.
 
     Args:
         notebook: Notebook
         parameters (dict): Values for its parameters cell, by name.
-        root (Path): Products are written to root/data and root/figures; TOML files in root/data are read in place of
-            those of data/.
+        root (Path): Folder for data/ and figures/ that it writes; TOML files in root/data replace those of data/.
+
+    Returns:
+        dict: Path of each file of data/ and figures/ that it read -> names of the entries taken from it, see `Reads`.
+
+    Raises:
+        InputError: When a cell fails, a product was not written, a product of another notebook was read, or a sentence
+            that it prints (`report.sentences`) is false while notebook, parameters and inputs are as committed.
     """
     import nbformat
 
@@ -275,10 +279,7 @@ def _taken(log: Path, notebook: Notebook) -> Reads:
 
 
 def _is_committed(notebook: Notebook, parameters: dict, taken: Reads, root: Path) -> bool:
-    """Whether a notebook, its parameters and the inputs that it reads are those of the last commit.
-
-    A file of one's own below `root` counts as changed, and all do where no Git answers.
-    """
+    """Whether notebook, parameters and inputs are those of the last commit; not with files of one's own in `root`."""
     if parameters != notebook.parameters or (root != paths.ROOT and any((root / file).exists() for file in taken)):
         return False
     command = ["git", "-C", str(paths.ROOT), "status", "--porcelain", "--", str(notebook.path), *taken]
@@ -301,7 +302,7 @@ def _fault(notebook: Notebook, taken: Reads, staging: Path, false: list[str]) ->
 
 
 def refresh(notebook: Notebook) -> None:
-    """Run a notebook (errors as `run`) and record it (`last_run`); if an input was edited meanwhile it stays stale."""
+    """Run a notebook (errors as `run`), record it for `last_run`; it stays stale if an input was edited meanwhile."""
     begin, own = time.time(), inputs(notebook, {})
     taken = run(notebook, notebook.parameters, paths.ROOT)
     found = inputs(chain()[notebook.name], taken)
@@ -313,10 +314,10 @@ def refresh(notebook: Notebook) -> None:
 
 
 def figures(names: Sequence[str] = ()) -> int:
-    """Run the stale ones of some notebooks, one per processor at a time, at most four.
+    """Command `figures`: run those notebooks among `names` that are stale, in parallel (up to four, one per core).
 
-    `names` are names of notebooks or figures, or their beginnings, as "fig06" (InputError if none fits); empty takes
-    all. Returns 1 when a notebook failed, else 0.
+    `names` are names of notebooks or figures, or their beginnings, as "fig06"; empty takes all. InputError when nothing
+    begins with a name. Returns 1 when a notebook failed, else 0.
     """
     notebooks = chain()
     wanted = set() if names else set(notebooks)
@@ -340,10 +341,7 @@ def figures(names: Sequence[str] = ()) -> int:
 
 
 def _run_all(names: Collection[str], task: Callable[[Notebook], object]) -> dict[str, str]:
-    """Call `task` with notebooks, side by side; returns name -> message of those that failed, which stop no other.
-
-    It says which run, how many are left and for about how long (minutes).
-    """
+    """Call `task` with notebooks side by side; returns name -> message of those that failed, which stop no other."""
     notebooks = [chain()[name] for name in names]
     left = {notebook.name: notebook.minutes for notebook in notebooks}
     processors = os.cpu_count() or 1
@@ -398,24 +396,25 @@ def _write_manifests(names: Collection[str]) -> None:
 
 
 def drive(vehicle: Path) -> int:
-    """Run the notebooks 00 to 09 with the car of a file like data/vehicle.toml; results are in build/tried/NAME.
+    """Command `drive`: run the notebooks 00 to 09 with another car; results are written to build/tried/NAME.
 
-    Committed files stay as they are. Prints the sentences that do not hold on this car; returns 1 when a notebook
-    failed, else 0.
+    `vehicle` is a file NAME.toml like data/vehicle.toml. Committed files stay as they are. Prints the sentences of the
+    notebooks that do not hold on this car; returns 1 when a notebook failed, else 0.
     """
     load_vehicle(vehicle)
     root = paths.BUILD / "tried" / vehicle.stem
     write(root / "data/vehicle.toml", vehicle.read_bytes())
-    failed = _run_all([name for name in chain() if name < "10"], lambda one: run(one, one.parameters, root))
-    for executed in sorted((root / "notebooks").glob("*.ipynb")):
-        for sentence in false_in(data.read(executed)["cells"]):
-            _say(f"{executed.stem}: does not hold on this car: {sentence}")
+    names = [name for name in chain() if name < "10"]
+    failed = _run_all(names, lambda one: run(one, one.parameters, root))
+    for name in [name for name in names if name not in failed]:
+        for sentence in false_in(data.read(root / f"notebooks/{name}.ipynb")["cells"]):
+            _say(f"{name}: does not hold on this car: {sentence}")
     _say(f"figures and executed chapters are in {root}")
     return int(bool(failed))
 
 
 def verify() -> int:
-    """Run all notebooks with products in build/verify and print how these differ from the committed products.
+    """Command `verify`: run all notebooks anew in build/verify and print how products differ from the committed ones.
 
     Returns 1 when a notebook fails or a product differs by more than its tolerance, else 0.
     """

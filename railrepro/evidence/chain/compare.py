@@ -18,9 +18,9 @@ _SHARE = Annotated[Number, between(0.0, 1.0)]
 
 @data.table
 class Own:
-    """Entry [[verify.own]] of notebooks/chain.toml: relative tolerance (-) of a column of a table, and why.
+    """Tolerance for one column of a table, an entry [[verify.own]] of notebooks/chain.toml.
 
-    `rows` is a query of pandas for the rows that it holds for.
+    `table` is a file name, `rows` a query of pandas that selects rows, `relative` the tolerance (-), `why` its reason.
     """
 
     table: str
@@ -32,9 +32,10 @@ class Own:
 
 @data.table
 class Tolerance:
-    """Table [verify] of notebooks/chain.toml: relative tolerance of tables (-), RMS tolerance of images (grey levels).
+    """Tolerances for the comparison of two runs, the table [verify] of notebooks/chain.toml.
 
-    Columns in `not_compared` (computation times) may differ; `own` has the tolerances of single columns.
+    `relative` is that of tables (-), `image_rms` that of images (RMS, grey levels of 255). `own` has tolerances of
+    single columns. Columns named in `not_compared` (computation times) may differ by any amount.
     """
 
     relative: _SHARE = 0.0
@@ -46,8 +47,9 @@ class Tolerance:
 def compare(committed: Path, rerun: Path, tolerance: Tolerance) -> pd.DataFrame:
     """Compare two tables (csv) or two images (png): one row per entry of a table, one row for an image.
 
-    Columns name (column and metric, or in words what differs), apart (-: difference over the largest magnitude of the
-    same name; of an image its root mean square over white), outcome (one of `OUTCOMES`).
+    Columns: name, the column with its metric, or in words what differs; apart, the difference (-); outcome, "same",
+    "within tolerance" or "different". In tables `apart` is relative to the largest magnitude under the same name, in
+    images the RMS of the levels, white being 1. A missing file, or another shape, is one row with `apart` inf.
     """
     for path in (committed, rerun):
         if not path.exists():
@@ -80,10 +82,7 @@ def _judged(name, apart, limit) -> pd.DataFrame:
 
 
 def _column(table: pd.DataFrame, again: pd.DataFrame, column: str, file: str, tolerance: Tolerance) -> pd.DataFrame:
-    """Entries of a column of two tables, apart by their difference over the largest magnitude; inf without numbers.
-
-    In the column `value` of a tidy table that of the same metric counts, whose name is in another column.
-    """
+    """Entries of a column of two tables; in the column `value` of a tidy table magnitudes are per metric."""
     old, new = table[column], again[column]
     names = [name for name in ("metric", "quantity") if column == "value" and name in table]
     kind = table[names[0]].astype(str) if names else None
@@ -93,7 +92,7 @@ def _column(table: pd.DataFrame, again: pd.DataFrame, column: str, file: str, to
         largest = size.max() if kind is None else size.groupby(kind).transform("max")
         apart = ((old.astype(float) - new).abs() / largest).fillna(np.inf).to_numpy(copy=True)
     same = (old == new) | (old.isna() & new.isna())
-    apart[same if column not in tolerance.not_compared else slice(None)] = 0.0
+    apart[same | (column in tolerance.not_compared)] = 0.0
     limit = np.full(len(table), tolerance.relative)
     for own in tolerance.own:
         if (own.table, own.column) == (file, column):

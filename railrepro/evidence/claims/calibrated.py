@@ -1,12 +1,9 @@
 """The calibrated car: a documented car, its controllers and experiments, on which the paper's statements hold together.
 
-data/paper_like.toml lists every choice that was made for it: nominal, changed to, range in the literature, source, the
-statements that it was chosen for. It shows that such a car exists and what it takes; it makes no verdict "reproduced",
-its results stand in a column of their own. `python -m railrepro calibrated` writes data/results:
-paper_like.csv (what holds, and by how much), paper_like_conflicts.csv (statements on Fig. 9 over its shortest wave) and
-paper_like_perturbed.csv (all changed numbers off by one and by three percent).
-
-Serves the paper's section Multi-Body Simulation Results.
+data/paper_like.toml lists every choice that was made for it. It shows that such a car exists and what it takes; it
+makes no verdict "reproduced", its results stand in a column of their own. `python -m railrepro calibrated` writes the
+tables paper_like.csv, paper_like_conflicts.csv and paper_like_perturbed.csv. Serves the paper's section Multi-Body
+Simulation Results.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ PARTS = ("curve", "sine", "loss", "brake")
 SIZES, DRAWS, SEED = (0.01, 0.03), 20, 2026
 """Largest relative perturbations, draws of each, seed of the first."""
 WAVE, WAVES = "brake_sweep:period_end_m", (10.0, 12.5, 15.0, 17.5, 20.0, 25.0, 30.0, 40.0)
-"""A choice that some statements on Fig. 9 want small and another large, the shortest wave (m), and its levels."""
+"""Shortest wave of Fig. 9 (m), which some statements want small and others large, and its levels."""
 _LARGEST = {"adhesion.poor.k_a": 1.0, "adhesion.poor.k_s": 1.0}
 
 
@@ -41,8 +38,8 @@ class Choice:
     """One choice made for the calibrated car: a parameter with its value, an entry of data/paper_like.toml.
 
     Attributes:
-        nominal, value (number, text or list): Values of the uncalibrated car at the setting `paper`, and of the
-            calibrated car, in `unit`.
+        nominal (number, text or list): Value in `unit` of the uncalibrated car in the setting `paper`.
+        value (number, text or list): Value in `unit` of the calibrated car.
         unit: str
         range (list of two numbers, or "free"): Range in the literature in `unit`; "free" where none was found or the
             paper leaves the value open.
@@ -61,7 +58,7 @@ class Choice:
 
 
 def load(path: Path | str | None = None) -> dict[str, Choice]:
-    """Choices of a TOML file (default data/paper_like.toml) by name; InputError for a wrong entry."""
+    """Choices for the calibrated car in a TOML file (default data/paper_like.toml), by name; InputError if wrong."""
     file = data.location(path, paths.source("data/paper_like.toml"))
     choices = data.build(dict[str, Choice], data.read(file), file.name)
     try:
@@ -77,15 +74,16 @@ def _values(choices: Mapping[str, Choice]) -> dict[str, Any]:
 
 
 def cars() -> dict[str, ProbeSetup]:
-    """Setups of the probe: "calibrated", and "uncalibrated" (nominal car, tuned controllers of the setting `paper`)."""
+    """Name -> `ProbeSetup` of two cars: "calibrated", and "uncalibrated" (nominal, tuned controllers of `paper`)."""
     return {"calibrated": setup(_values(load())), "uncalibrated": setup({})}
 
 
 def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
-    """Judge a car with its controllers (`world`) by the paper's statements that the runs of `parts` (`PARTS`) decide.
+    """Judge the paper's statements on a car with its controllers (`world`): one row per statement.
 
-    A row per statement: statement (id), value and its limits above, below (unit of the statement), margin (relative
-    distance from the nearer limit, absolute from a limit of zero; positive inside), holds (whether it is reproduced).
+    `parts` are names of groups of runs (`PARTS`); statements that need other runs have no row. Columns: statement (id);
+    value; above and below, its limits (NaN for none); margin, distance of the value from the nearer limit over this
+    limit (absolute for a limit of zero), positive inside; holds, whether the statement is reproduced.
     """
     found, rows = statements.findings(Evidence({(s, c, m): v for s, c, m, v in probe(world, parts)})), []
     for identity, rule in statements.load().items():
@@ -103,9 +101,10 @@ def judged(world: ProbeSetup, parts: Iterable[str] = PARTS) -> pd.DataFrame:
 
 
 def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str, Any]:
-    """Values of all choices by name, every number other than nominal times 1 + size u with u uniform in [-1, 1].
+    """Values of all `choices` (from `load`) by name, perturbed at random.
 
-    `choices` are from `load`, `draw` is the seed of u. k_a and k_s of poor rail stay at most 1.
+    Every number that differs from nominal is multiplied by 1 + `size` u with u uniform in [-1, 1]; `draw` seeds u.
+    Other values stay as they are. k_a and k_s of poor rail stay at most 1.
     """
     rng, values = np.random.default_rng([SEED, draw]), _values(choices)
     for name, choice in choices.items():
@@ -115,18 +114,19 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
 
 
 def conflict(wave: float) -> pd.DataFrame:
-    """Judge the calibrated car with `wave` (m) as shortest wave in Fig. 9: columns of `judged`, and wave_m (m)."""
+    """Table of `judged` for the calibrated car in Fig. 9 with last period `wave` (m) of y*; column wave_m has it."""
     return judged(setup(_values(load()) | {WAVE: wave}), ["brake"]).assign(wave_m=wave)
 
 
-def main(draws: int | None = None) -> None:
-    """Judge the calibrated car and `draws` perturbations of each size (default `DRAWS`), write the tables, print sums.
+def main() -> None:
+    """Command `calibrated`: judge the calibrated car and perturbed ones, write three tables to data/results.
 
-    Columns of paper_like.csv: see `judged`; of paper_like_conflicts.csv: see `conflict`; of paper_like_perturbed.csv:
-    size (relative), draw (number), holds (number of statements that hold), falls (ids of those that no longer do).
+    paper_like.csv has the columns of `judged`, paper_like_conflicts.csv those of `conflict`. paper_like_perturbed.csv
+    has a row per size in `SIZES` and draw: size (relative), draw (seed), holds (number of statements that hold), falls
+    (ids of those that hold only without perturbation).
     """
     choices = load()
-    moves = [(size, draw) for size in SIZES for draw in range(DRAWS if draws is None else draws)]
+    moves = [(size, draw) for size in SIZES for draw in range(DRAWS)]
     cases = [_values(choices), *(perturbed(choices, size, draw) for size, draw in moves)]
     judgements = ordered_map(lambda case: judged(setup(case)), cases, "calibrated car")
     conflicts = pd.concat(ordered_map(conflict, WAVES, "conflicts"))

@@ -1,7 +1,4 @@
-"""Evidence on the nominal case: the stored probes of each setting, as `statements.Evidence`.
-
-What predicates read comes from nominal_metrics.csv (`python -m railrepro probe`), the same runs as in the studies.
-"""
+"""Evidence on the nominal case: the stored probes of each setting (nominal_metrics.csv), as `statements.Evidence`."""
 
 from __future__ import annotations
 
@@ -21,17 +18,15 @@ METRICS = "nominal_metrics"
 
 
 def result(name: str) -> pd.DataFrame | None:
-    """Table of data/results by its name without ending, such as "nominal_metrics"; None if there is no such file."""
+    """Read a table of data/results by its name without ending, as "nominal_metrics"; None if there is no such file."""
     file = paths.source(f"data/results/{name}.csv")
     return pd.read_csv(file) if file.exists() else None
 
 
 class Nominal:
-    """Metrics of the nominal car from the tables of data/results, by setting of comparison.
+    """Stored metrics of the nominal car, per setting of comparison ("paper", "equal", "loop").
 
-    Args:
-        results (callable, optional): Reads a table of data/results: name without ending -> DataFrame, or None if there
-            is no such file.
+    `results` reads a table of data/results: its name without ending -> DataFrame, or None if there is no such file.
     """
 
     def __init__(self, results: Callable[[str], pd.DataFrame | None] = result):
@@ -59,20 +54,20 @@ class Nominal:
 
 
 def tuned_metrics(rows: pd.DataFrame) -> dict[Key, float]:
-    """(scenario, controller, metric) -> value (SI) with each controller's tuned set, mean over the seeds of the noise.
+    """Metrics with tuned sets, mean over the seeds of the noise: (scenario, controller, metric) -> value (SI).
 
-    `rows` has the columns scenario, controller, metric, value, swarm (rank by cost, 0 the tuned set). `failed` is 1
-    where a run with any seed of the noise failed.
+    `rows` are of one setting, columns scenario, controller, metric, value (SI), swarm (rank of the swarm by cost);
+    only rows with swarm 0, the tuned set, count. The metric `failed` is 1 if a run with any seed failed.
     """
     values = rows[rows["swarm"] == 0].groupby(["scenario", "controller", "metric"], sort=False)["value"]
     return values.mean().to_dict() | {key: value for key, value in values.max().items() if key[2] == "failed"}
 
 
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
-    """(scenario, controller, metric) -> ln(largest / smallest absolute value) over the seeds of swarms and noise.
+    """Scatter between the seeds of swarms and noise: (scenario, controller, metric) -> ln(largest / smallest |value|).
 
-    For the metrics rmse_y and stopping_distance; `rows` has the columns scenario, controller, metric, value (SI). The
-    result is inf for rmse_y where a run failed, and 0 where a value is 0 or not finite.
+    `rows` are of one setting, columns scenario, controller, metric, value (SI). Only the metrics rmse_y and
+    stopping_distance count. The scatter is inf for rmse_y where a run failed, else 0 where a value is 0 or not finite.
     """
     found: dict[Key, float] = {}
     lost = {(r.scenario, r.controller) for r in rows.itertuples() if r.metric == "failed" and r.value > 0}

@@ -1,8 +1,7 @@
 """What the paper's statements ask of one car and its controllers: a few runs, and the metrics that predicates read.
 
 The nominal results in three settings and each sample of the robustness study are probes, so that one predicate
-(`statements`) judges all of them. `python -m railrepro probe` simulates the nominal ones and writes
-data/results/nominal_metrics.csv. Serves the paper's section Multi-Body Simulation Results.
+(`statements`) judges all of them. Serves the paper's section Multi-Body Simulation Results.
 """
 
 from __future__ import annotations
@@ -33,10 +32,9 @@ from railrepro.track.table import Track, build_table, load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
 PARTS = ("curve", "curves", "sine", "loss", "brake")
-"""Parts of every probe: curve entry on T3; those on T1, T2, T4; sine at several speeds; loss of adhesion; braking."""
+"""Groups of runs in every probe: curve entry on T3; on T1, T2, T4; sine at five speeds; loss of adhesion; braking."""
 ONCE = ("causes", "sudden", "share", "rails")
-"""Parts of the nominal case alone, once per setting: creep and cones, sudden losses of adhesion, allocation and base
-torque, irregular rails with and without preview."""
+"""Groups of runs once per setting: creep and cones, sudden losses of adhesion, allocation, irregular rails."""
 PERTURBED = (0.98, 0.99, 1.0, 1.01, 1.02)
 """Factors on R of the runs over which Fig. 8 is averaged: at the adhesion maximum single runs are chaotic."""
 R_FACTORS, POLES = (1.0, 10**0.5, 10.0, 10**1.5, 100.0), (8.0, 15.0, 25.0, 40.0, 60.0)
@@ -46,8 +44,7 @@ NEIGHBOURS = (0.9, 1.0, 1.1)
 SHARES = (0.0, 0.02, 0.03, 0.045, 0.07, 0.1, 0.15, 0.22, 0.33)
 """Fixed shares of torque for guidance (-), tried from below; too large a share lengthens the way and so the error."""
 REGULAR_END, DEMANDED, REACHED = 110.0, 130.0, 240.0
-"""Track coordinates in Fig. 8 (m) where the adhesion law has climbed to its set point (1.8 kN m by 2 N m per ms), where
-the set point exceeds the adhesion maximum, and where the paper's run reaches this maximum."""
+"""Track coordinates in Fig. 8 (m): adhesion is at its set point, this exceeds the maximum, the run reaches it."""
 PATCH, SUDDEN_KMH, SUDDEN_KN, CHECKED = (300.0, 500.0), 280.0, 17.0, 100.0
 """Sudden loss: begin and end of the very poor rail (m), speed (km/h), force per gear in traction and braking (kN), and
 the way before (m) on which operation must be regular: the steps of the law have climbed to the set point by 160 m."""
@@ -71,10 +68,11 @@ Measured = Iterator[tuple[str, str, dict[str, float]]]
 
 
 def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
-    """Simulate parts of the probe, by name (`PARTS`, `ONCE`), with the car and the controllers of the setup `world`.
+    """Simulate the runs by which the paper's statements are judged, with the car and the controllers of `world`.
 
-    Returns rows (scenario, controller, metric, value in SI units). A failed run has few metrics and `failed` = 1, a
-    braking run without a stop has inf.
+    `parts` are names of groups of these runs, from `PARTS` and `ONCE`. Returns a list of rows (scenario, controller,
+    metric, value in SI units). A failed run has the metric `failed` = 1 and few others; rmse_y and stopping_distance of
+    a braking run without a stop are inf.
     """
     rows: Rows = []
     for part in parts:
@@ -84,7 +82,7 @@ def probe(world: ProbeSetup, parts: Iterable[str] = PARTS) -> Rows:
 
 
 def nothing(scenario: Scenario) -> dict[str, float]:
-    """Metrics (m) of a gear that stays at y = 0: rmse_y, largest_error; shortest_wave, shortest wavelength of y*."""
+    """Dict (m): rmse_y and largest_error of a gear that stays at y = 0, and shortest_wave, shortest period of y*."""
     reference = scenario.reference()
     values = ca.DM(reference(np.arange(0.0, scenario.end_m, 0.1))).full()
     found = {"rmse_y": float(np.sqrt(np.mean(values**2))), "largest_error": float(np.abs(values).max())}
@@ -93,9 +91,10 @@ def nothing(scenario: Scenario) -> dict[str, float]:
 
 
 def following(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Lateral metrics of a run, for `Experiment.measured`: (dict, None); `failed` (0 or 1) alone of a failed run.
+    """Lateral metrics of the front gear in the `run` of `experiment`; a measure for `Experiment.measured`.
 
-    rmse_y, largest_error, mean_error_last_third of the front gear (m), effort_du (N m), see `metrics.summary`.
+    Returns (dict, None). Keys rmse_y, largest_error and mean_error_last_third (m), effort_du (N m), see
+    `metrics.summary`; failed (0 or 1). A failed run has only the key failed.
     """
     names = ("rmse_y", "largest_error", "mean_error_last_third", "effort_du")
     return _unless_failed(run, experiment, *names), None
@@ -108,10 +107,10 @@ def _unless_failed(run: simulate.Run, experiment: Experiment, *names: str) -> di
 
 
 def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run of Fig. 6, for `Experiment.measured`: (dict, every tenth row of the series by `tidy`).
+    """Metrics of a run of Fig. 6; a measure for `Experiment.measured`, so it returns a pair (dict, DataFrame).
 
-    Those of `following`, delay and shortfall (m), torque_step (N m), path_error (-); of a failed run those of
-    `following` alone, and None for the series.
+    Keys: those of `following`; delay of y behind y* and `shortfall` (m); `torque_step` (N m); `path_error` (-). The
+    DataFrame is `tidy` with stride 10. A failed run has only the key failed, and None for the DataFrame.
     """
     values, _ = following(run, experiment)
     if run.failed:
@@ -122,11 +121,11 @@ def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run of Fig. 8, for `Experiment.measured`: (dict, None).
+    """Metrics of a run of Fig. 8; a measure for `Experiment.measured`, so it returns (dict, None).
 
-    Those of `following`, of `macro_slips` and of `oscillation`; largest_slip of all wheels (-), utilisation_late (-),
-    adhesion over the adhesion maximum from `REACHED` on; flange, 1 if a flange touches a rail, else 0;
-    regular_deviation, see `deviation` (-). A failed run has only `failed` and regular_deviation.
+    Keys: those of `following`, `macro_slips` and `oscillation`; largest_slip of all wheels (-); utilisation_late,
+    adhesion over the adhesion maximum from p = 240 m on (-); flange, 1 if a flange touches a rail, else 0;
+    regular_deviation from 110 to 130 m, see `deviation` (-). A failed run has only failed and regular_deviation.
     """
     (values, _), series = following(run, experiment), tidy(run.series, 10)
     if not run.failed:
@@ -142,10 +141,10 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run with a sudden loss of adhesion, for `Experiment.measured`: (dict, None).
+    """Metrics of a run over a slippery patch; a measure for `Experiment.measured`, so it returns (dict, None).
 
-    largest_slip (-); utilisation, mean adhesion of the left front wheel on the slippery patch over the adhesion maximum
-    there (-); regular_deviation before the patch, see `deviation` (-); failed (0 or 1).
+    Keys largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel on the patch over the
+    adhesion maximum there (-); regular_deviation before the patch, see `deviation` (-); failed (0 or 1).
     """
     scenario, car, series = experiment.scenario, experiment.car(), tidy(run.series, 10)
     patch = series[series["p_m"].between(*PATCH)]
@@ -158,18 +157,21 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def riding(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run on irregular rails, for `Experiment.measured`: (dict, None).
+    """Metrics of a run on irregular rails; a measure for `Experiment.measured`, so it returns (dict, None).
 
-    rail_rmse_y, error against the irregular rails (m); sum_y_over_limit, track shifting force over its limit (-);
-    n_mv_floor_front, comfort index above the front gear (-); failed (0 or 1). A failed run has only `failed`.
+    Keys rail_rmse_y, RMS error from the irregular rails (m); sum_y_over_limit, track shifting force over its limit (-);
+    n_mv_floor_front, comfort index above the front gear (-); failed (0 or 1). A failed run has only failed.
     """
     return _unless_failed(run, experiment, "rail_rmse_y", "sum_y_over_limit", "n_mv_floor_front"), None
 
 
 def braked(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """rmse_y and stopping_distance (m), for `Experiment.measured`: (dict, None); both inf without a stop."""
+    """Metrics of a braking run; a measure for `Experiment.measured`, so it returns (dict, None).
+
+    Keys rmse_y and stopping_distance (m); both are inf when the run failed or the car did not stop.
+    """
     row = experiment.values(run)
-    stopped = not run.failed and row["final_speed"] < 0.2
+    stopped = not run.failed and run.series["front.v"].iloc[-1] < 0.2
     return {name: row[name] if stopped else float("inf") for name in ("rmse_y", "stopping_distance")}, None
 
 
@@ -246,6 +248,7 @@ def _causes(world: ProbeSetup) -> Measured:
     """NMPC in the curve (as it is: `_curve`) and on sines, on cones, nearly without creep, in the curve with both."""
     sine, curve = load_scenario("sine_tracking"), load_scenario(T3)
     driven = curve, curve.but(track="T5"), sine.but(speed_kmh=160.0), sine
+    # the stiff contact is one in which wheels nearly roll
     cones, stiff = {"contact.profile": "cone"}, {"contact.shear_modulus": 12.0 * world.car().contact.shear_modulus}
     for case, scenario in zip(statements.CASES, driven, strict=True):
         plants = {statements.CONES: cones, statements.NO_CREEP: stiff}
@@ -330,10 +333,7 @@ def _share(world: ProbeSetup) -> Measured:
 
 
 def _allocated(world: ProbeSetup, ladder: tuple[float, ...] = SHARES, halvings: int = 6) -> dict[str, float]:
-    """The smallest fixed share of the torque with which NMPC guides as accurately as with a variable one.
-
-    The first step of the ladder that is enough, then by halving, so that no grid decides; infinite where none is.
-    """
+    """Run with the least fixed share of torque with which NMPC guides as well as with a variable one; inf if none."""
     enough = statements.GUIDES_AS_WELL * _braked(world)["rmse_y"]
     tried = ((low, share, _braked(world, fixed_share=share)) for low, share in pairwise(ladder))
     low, high, found = next((step for step in tried if step[2]["rmse_y"] <= enough), (0.0, np.nan, {}))
@@ -355,7 +355,8 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
 def torque_step(series: pd.DataFrame) -> float:
     """Mean differential torque over the first wave of the set point less the mean before that wave (N m).
 
-    Columns y_ref_m, du_Nm of a run of Fig. 6, where clothoid and set point begin together; nan without a whole wave.
+    `series` has the columns y_ref_m and du_Nm. The wave lasts from the first set point other than 0 to the end of its
+    second half; NaN without a whole wave.
     """
     reference = series["y_ref_m"].to_numpy()
     begin = int(np.argmax(reference != 0))
@@ -367,10 +368,10 @@ def torque_step(series: pd.DataFrame) -> float:
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
-    """Lag of the differential torque of NDI, run `second`, behind that of another controller; columns p_m, du_Nm.
+    """Lag of the differential torque in the run `second` behind the one in the run `first`, as a dict.
 
-    Dict with ndi_later, the lag along the track at which both torques correlate best, within -15 to 40 m, and
-    ndi_alike, their correlation at this lag (-).
+    Both have the columns p_m and du_Nm. Keys ndi_later, the lag along the track at which the torques correlate best (m,
+    -15 to 40 m), and ndi_alike, their correlation at this lag (-).
     """
     grid = np.arange(60.0, 590.0, 0.25)
     one, other = (np.interp(grid, rows["p_m"], rows["du_Nm"]) for rows in (first, second))
@@ -381,9 +382,9 @@ def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
 
 
 def shortfall(series: pd.DataFrame) -> float:
-    """Mean amount by which y falls short of the crests of its set point to the right or left, whichever is larger (m).
+    """Mean amount by which y falls short of the crests of its set point y* (m): the larger of right and left.
 
-    Columns y_m, y_ref_m. A crest is where the magnitude of the set point exceeds 5/6 of its maximum (2.5 of 3 mm).
+    `series` has the columns y_m and y_ref_m (y*). Crests are rows in which |y*| exceeds 5/6 of its maximum.
     """
     reference = series["y_ref_m"]
     short, crest = reference - series["y_m"], reference.abs().max() * 5 / 6
@@ -391,19 +392,19 @@ def shortfall(series: pd.DataFrame) -> float:
 
 
 def path_error(series: pd.DataFrame) -> float:
-    """RMS yaw of a gear against the track over the RMS heading of the track (-); 1 for a gear that goes straight on.
+    """RMS yaw of a gear against the track over the RMS heading of the track (-); 1 if the gear keeps its direction.
 
-    Columns psi_trax_rad, the yaw against the track, and psi_ax_rad, the heading of the gear.
+    `series` has the columns psi_trax_rad, yaw against the track, and psi_ax_rad, yaw of the gear.
     """
     heading = series["psi_ax_rad"] - series["psi_trax_rad"]
     return float(np.sqrt((series["psi_trax_rad"] ** 2).mean() / (heading**2).mean()))
 
 
 def oscillation(series: pd.DataFrame) -> dict[str, float]:
-    """Dict of two measures of how y follows its set point in Fig. 8 from p = `REACHED` on; columns p_m, y_m, y_ref_m.
+    """How y follows its set point in Fig. 8 from p = 240 m on, as a dict; `series` has the columns p_m, y_m, y_ref_m.
 
-    set_point_gain: slope of the regression of y on the set point through the origin (-), 0 for y = 0. error_growth: RMS
-    error on the second half of the way over that on the first half (-).
+    set_point_gain: slope of the regression of y on the set point through the origin (-). error_growth: RMS error on the
+    second half of this way over the RMS error on its first half (-).
     """
     rows = series[series["p_m"] >= REACHED]
     error, half = rows["y_m"] - rows["y_ref_m"], rows["p_m"] >= rows["p_m"].iloc[[0, -1]].mean()
@@ -413,9 +414,10 @@ def oscillation(series: pd.DataFrame) -> dict[str, float]:
 
 
 def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
-    """Mean of |f - f*| / |f*| (-) between two track coordinates (m), of the adhesion f of a gear and its set point f*.
+    """Mean relative deviation |f - f*| / |f*| (-) of the adhesion f of a gear from its set point f*.
 
-    Columns p_m, fx_ri, fx_le (adhesion of its wheels, f is their mean), f_star. inf if the run ended before `begin`.
+    The mean is over the rows of `series` from p = `begin` to p = `end` (m), inf without rows. Columns p_m, f_star (f*),
+    fx_ri and fx_le (adhesion of both wheels, f is their mean).
     """
     rows = series[series["p_m"].between(begin, end, inclusive="left")]
     if rows.empty:
@@ -425,17 +427,18 @@ def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
 
 
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
-    """Count macro slips and approaches to the adhesion peak from p = `REACHED` on, where the paper's run reaches it.
+    """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on.
 
     Args:
-        series (DataFrame): Run of Fig. 8, `experiment.tidy`: p_m, t_s, u_d_Nm, fx_ri, fx_le, sx_ri, sx_le.
-        peak, slip (float): Adhesion of the peak, and its slip (-); a macro slip begins where a wheel slips more.
+        series (DataFrame): Run as made by `experiment.tidy`: p_m, t_s, u_d_Nm, fx_ri, fx_le, sx_ri, sx_le.
+        peak (float): Adhesion at the peak (-).
+        slip (float): Slip at the peak (-). A macro slip begins where the slip of a wheel exceeds this value.
 
     Returns:
-        dict: Numbers of: macro_slips more than `RECOVERY` before the end; recovered, those of them with a fall of the
-        torque by `FALL` and the slip back within `RECOVERY`; approaches, one before each macro slip and one after the
-        last; approached, approaches that reach `APPROACH` times the peak. A last approach shorter than `REACHED -
-        DEMANDED` counts only if it reaches this.
+        dict: Numbers. macro_slips: macro slips that begin more than 0.135 s before the end. recovered: such macro slips
+            in which, within 0.135 s, the base torque falls by a tenth and the slip falls below `slip`. approaches: one
+            before each macro slip and one after the last. approached: approaches in which the adhesion reaches
+            0.9 `peak`. A last approach shorter than 110 m counts only if the adhesion reaches this value.
     """
     rows = series[series["p_m"] >= REACHED]
     time, torque = rows["t_s"].to_numpy(), rows["u_d_Nm"].to_numpy()
@@ -461,13 +464,13 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
 
 
 def adhesion_peak(scenario: Scenario, car: Vehicle) -> tuple[float, float]:
-    """Adhesion maximum of a scenario's poor rail at its initial speed and the static wheel load, and its slip (-)."""
+    """Pair (largest adhesion, its slip) (-) on the poor rail of a scenario, at initial speed and static wheel load."""
     patch = car.wheel_load, *middle_patch(car), car.contact.shear_modulus
     return adhesion_maximum(car.adhesion[scenario.poor], scenario.speed, *patch)
 
 
 def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
-    """Slip (-) beyond that of `adhesion_peak` down to which `APPROACH` of the peak is left on the falling branch."""
+    """Largest slip (-) with more than 0.9 of the adhesion maximum (`adhesion_peak`) left on a scenario's poor rail."""
     (peak, best), (a, b, kalker) = adhesion_peak(scenario, car), middle_patch(car)
     slips, rail = np.geomspace(best, 1.0, 2000), astuple(car.adhesion[scenario.poor])
     contact = car.wheel_load, a, b, *kalker, car.contact.shear_modulus, *rail
@@ -476,10 +479,10 @@ def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
 
 
 def nominal(settings: Iterable[str] = tuning.SETTINGS) -> pd.DataFrame:
-    """Simulate the probes of the nominal car in settings of comparison; one metric of a run is a row of the DataFrame.
+    """Simulate the runs of `probe` with the nominal car in settings of comparison: one row per metric of a run.
 
-    Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank by cost, 0 the tuned set), seed
-    (of the sensor noise; 0 without sensors).
+    Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank of the parameter set by cost, 0
+    is the tuned set), seed (of the sensor noise; 0 without sensors).
     """
     tasks = []
     for each in settings:
@@ -500,7 +503,7 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Simulate the nominal probes in the named settings, or all, and write data/results/nominal_metrics.csv."""
+    """Write data/results/nominal_metrics.csv: `nominal` in some settings (default all), InputError for others."""
     unknown = set(settings) - set(tuning.SETTINGS)
     if unknown:
         raise InputError(f"setting {min(unknown)!r} is not known; there are {tuning.SETTINGS}")

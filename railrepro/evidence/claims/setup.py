@@ -1,7 +1,4 @@
-"""Setup of a probe: car, controllers and choices for the experiments, and the one mapping from names to these.
-
-Choices of the calibrated car, answers to open questions and samples of the robustness study are values by name.
-"""
+"""Setup of a probe: car, controllers and choices for the experiments, and the one mapping from names to these."""
 
 from __future__ import annotations
 
@@ -31,8 +28,8 @@ class ProbeSetup:
         amplitude_mm, period_start_m, period_end_m, clothoid_factor (float): Set point of Fig. 6: amplitude, first and
             last period (mm, m); factor on the clothoid length of T3 (-).
         sensors (dict): Arguments of `estimation.sensors.readings`; empty gives the controllers the true signals.
-        r_loss, r_brake, r_second (float): Factors on R of `parameters` for NMPC in Fig. 8 and in Fig. 9, and on that of
-            Fig. 9 for its second NMPC (-).
+        r_loss, r_brake (float): Factors on the weight R of NMPC in Fig. 8 and in Fig. 9 (-).
+        r_second (float): Further factor on R, besides r_brake, for the second NMPC of Fig. 9 (-).
         brake_sweep (dict): Changed entries of the set point of Fig. 9, as {"period_end_m": 30.0}.
         ltv (str): Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
     """
@@ -64,14 +61,14 @@ class ProbeSetup:
         return Experiment(scenario, driver, parameters=tuned, setting=self.setting, **given, **changed)
 
     def car(self) -> Vehicle:
-        """Vehicle parameters of the simulated car, with `vehicle` and `profile`."""
+        """Vehicle parameters of the simulated car, with the changes of `vehicle` and `profile`."""
         return load_vehicle(**self.vehicle, **self._plant())
 
     def _plant(self) -> dict[str, str]:
         return {"contact.profile": self.profile} if self.profile else {}
 
     def scenario(self, name: str) -> Scenario:
-        """Scenario of data/scenarios.toml by name, those of Figs. 6 (not on `stretched`) and 9 with own set point."""
+        """Scenario of data/scenarios.toml by name; those of Figs. 6 and 9 have the set points of this setup."""
         base = load_scenario(name)
         sweep = {key: getattr(self, key) for key in ("amplitude_mm", "period_start_m", "period_end_m")}
         chosen = {T3: sweep, BRAKE: self.brake_sweep}.get(name, {})
@@ -93,7 +90,7 @@ _FIELDS = {one.name for one in fields(ProbeSetup)} - {"parameters", "setting", "
 
 
 def triple_pole(pole: float) -> dict[str, float]:
-    """Tuning parameters of NDI with a triple pole (rad/s): `pole`, `frequency` (rad/s) and `damping` (-)."""
+    """Tuning parameters of NDI with all three poles at `pole` (rad/s): keys pole, frequency (rad/s), damping (-)."""
     return {"pole": pole, "frequency": pole, "damping": 1.0}
 
 
@@ -113,8 +110,9 @@ def setup(
             takes the weights of NMPC with R times this); dotted keys of the vehicle.
         setting (str): Setting of comparison from which tuning parameters are taken.
         controllers (iterable of str): Controllers whose tuning parameters are taken.
-        rank (int): Rank of the swarm by cost; the tuned set for 0 and where there is no such swarm.
-        seed (int, optional): Seed of the sensors in the setting "loop"; without it, or elsewhere, signals are true.
+        rank (int): Rank of the parameter set among the swarms by cost; 0, or a rank beyond them, is the tuned set.
+        seed (int, optional): Seed of the sensors in the setting "loop". Without it, and in other settings, controllers
+            get the true signals.
 
     Raises:
         InputError: For a key of no such kind. Dotted keys of the vehicle are checked only when the car is built.

@@ -1,8 +1,7 @@
 """The paper's statements as predicates: one function and one rule per statement, for report, studies and tests.
 
-The function computes a number from metrics of runs; the rule in data/claims.toml has the limits between which the
-statement holds. `Evidence` holds the metrics from any source, so that the nominal results and a sample of the
-robustness study are judged alike. Serves the paper's section Multi-Body Simulation Results.
+The function computes a number from `Evidence`, which holds metrics from any source; the rule in data/claims.toml has
+the limits between which the statement holds. Serves the paper's section Multi-Body Simulation Results.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ NOTHING, SOFT = "nothing", f"nmpc, R x {EMPHASIS:g}"
 SOFTEST, BETWEEN = "nmpc, second R", "nmpc, R between"
 """Names of NMPC with the second, larger R of Fig. 9, and with an R between the first and the second."""
 FIXED, UNINFORMED, GUIDES_AS_WELL = "nmpc, fixed share", "nmpc, base torque unknown", 1.1
-"""Names of NMPC with the smallest fixed share of torque for guidance (`allocate`) whose error is at most 1.1 times that
-with variable allocation, and of NMPC that does not know the base torque; and this factor (-)."""
+"""NMPC with the least fixed share of torque whose error is at most 1.1 times that with a variable one; without u_d."""
 REGULAR = {name: f"{name}, regular operation" for name in ("nmpc", SOFT)}
 """Name of NMPC -> name that has its metric `regular_deviation` of Fig. 8, also if the run fails later."""
 NO_LAW = {name: f"{name}, no slip control" for name in ("nmpc", SOFT)}
@@ -63,10 +61,9 @@ class Finding:
     """Result of the predicate of a statement, which `Statement.judge` compares with the limits of the statement.
 
     Attributes:
-        value (float): Number to be compared, in `Statement.unit`; with nan the statement does not hold.
-        weaker (float or None): That of the weaker form of the statement (its easier part); None if there is none.
-        tie (float): Natural logarithm of the scatter (largest over smallest value between seeds); a value within a
-            factor exp(tie) of a limit is a tie.
+        value (float): Number to be compared, in `Statement.unit`; with NaN the statement does not hold.
+        weaker (float or None): `value` for the weaker form of the statement; None if it has no weaker form.
+        tie (float): Scatter, ln(largest / smallest value between seeds); within a factor exp(tie) of a limit is a tie.
     """
 
     value: float
@@ -79,10 +76,10 @@ class Evidence:
     """Metrics of runs and tables of results, from which the predicates judge the statements.
 
     Attributes:
-        metrics (mapping): (scenario, controller, metric) -> value (SI); `failed` is 1 where a run derailed.
-        spread (mapping): The same keys -> natural logarithm of largest over smallest value between seeds.
+        metrics (mapping): (scenario, controller, metric) -> value (SI); `failed` is 1 where a run failed.
+        spread (mapping): (scenario, controller, metric) -> scatter between seeds, ln(largest / smallest value).
         tables (callable or None): Name of a table of data/results -> its DataFrame, or None if it is missing.
-        setting (str): Setting of comparison (`registry.SETTINGS`) of metrics and tables; "" if no controller enters.
+        setting (str): Setting of comparison (`registry.SETTINGS`) of metrics and tables; "" for tables without one.
     """
 
     metrics: Mapping[tuple[str, str, str], float]
@@ -91,7 +88,7 @@ class Evidence:
     setting: str = ""
 
     def __call__(self, scenario: str, controller: str, metric: str) -> float:
-        """Value of a metric (SI); of a failed run inf if less is better, else nan; MissingEvidence if not known."""
+        """Value of a metric (SI); for a failed run inf if less is better, else NaN; MissingEvidence if not stored."""
         if self.metrics.get((scenario, controller, "failed"), 0.0) > 0 and metric != "failed":
             return float("inf") if metric in _WORST_IS_INFINITE else float("nan")
         try:
@@ -100,9 +97,9 @@ class Evidence:
             raise MissingEvidence(f"{scenario}, {controller}, {metric}") from None
 
     def table(self, name: str) -> pd.DataFrame:
-        """Rows of a table of data/results for `setting`; with setting "" a table that has no column `setting`.
+        """Rows of a table of data/results in `setting`; MissingEvidence when there is no such table or row.
 
-        MissingEvidence when there is no such table or row.
+        With the setting "" only tables without a column `setting` are found.
         """
         table = self.tables(name) if self.tables else None
         if table is None:
@@ -113,20 +110,20 @@ class Evidence:
         return own
 
     def ratio(self, scenario: str, first: str, second: str, metric: str = "rmse_y") -> float:
-        """Metric of the first controller over that of the second (-); nan where the second failed."""
+        """Metric of the controller `first` over metric of `second` in a scenario (-); NaN if the second failed."""
         other = self(scenario, second, metric)
         return self(scenario, first, metric) / other if np.isfinite(other) else float("nan")
 
     def tie(self, scenario: str, controllers: Iterable[str], metric: str = "rmse_y") -> float:
-        """Largest `spread` of a metric among controllers (natural logarithm of a ratio); 0 where none is known."""
+        """Largest scatter between seeds (`spread`) of a metric among `controllers`; 0 where none is stored."""
         return max(self.spread.get((scenario, name, metric), 0.0) for name in controllers)
 
     def ahead(self, scenario: str, first: str, second: str) -> bool:
-        """Whether RMSE of y of `first` times exp(`tie`) is below that of `second`; False if either run failed."""
+        """Whether RMSE of y of `first` times exp(`tie`) is below RMSE of y of `second`; False if a run failed."""
         return self.ratio(scenario, first, second) * np.exp(self.tie(scenario, (first, second))) < 1
 
     def sines(self) -> dict[int, str]:
-        """Speed (km/h, ascending) -> scenario of the sine (Fig. 7) that NMPC drove; MissingEvidence if under two."""
+        """Scenarios of Fig. 7 that NMPC drove: speed (km/h, ascending) -> name; MissingEvidence for fewer than two."""
         found = {s for s, name, _ in self.metrics if name == "nmpc" and s.startswith("sine_tracking ")}
         if len(found) < 2:
             raise MissingEvidence("sine_tracking at two speeds")
@@ -135,13 +132,13 @@ class Evidence:
 
 @data.table
 class Statement:
-    """Statement of the paper with its rule, an entry of data/claims.toml.
+    """Statement of the paper with the rule by which it is judged, an entry of data/claims.toml.
 
-    A statement holds for values (in `unit`) between `above` and `below`, chosen for the `reason`, and partly between
-    `partly_above` and `partly_below`; a limit that is None does not bind. `statement` says what `section` of the paper
-    claims, `paper` is the number printed there. `evidence`, made by `notebook`, is a figure, as "fig06_curve_entry", or
-    the path of a table; ValueError if missing, or for kind "statement" without a limit. `control` has the names, joined
-    by "; ", of negative controls: tests with wrong inputs that must refute the claim.
+    A value (in `unit`) between `above` and `below` reproduces it, one between `partly_above` and `partly_below` does so
+    partly. None is no limit; `reason` says why the limits are so. `statement` is what `section` of the paper claims,
+    `paper` the number printed there. `evidence` is a figure, as "fig06_curve_entry", or the path of a table, made by
+    `notebook`. `control` names tests with wrong inputs that must refute the claim, joined by "; ". ValueError when the
+    evidence does not exist, or when kind is "statement" and both `above` and `below` are None.
     """
 
     section: str
@@ -166,10 +163,11 @@ class Statement:
             raise ValueError("has neither above nor below; a statement needs a limit")
 
     def judge(self, finding: Finding) -> str:
-        """Verdict on a finding: `REPRODUCED`, `TIE`, `PARTLY` (the weaker form of the statement holds) or `NOT`.
+        """Verdict on a finding: `REPRODUCED`, `TIE`, `PARTLY` or `NOT`, the first that applies.
 
-        The weaker form is `Finding.weaker` (else the value) within `partly_above` and `partly_below` (else the same
-        limits). A value within a factor exp(`Finding.tie`) of a limit, on either side, is a tie.
+        `REPRODUCED`: `value` is between `above` and `below` by more than a factor exp(tie). `TIE`: it is within this
+        factor of a limit. `PARTLY`: the weaker form of the statement holds, `Finding.weaker` (else `value`) is between
+        `partly_above` and `partly_below` (without both: `above` and `below`).
         """
         if _within(finding.value, self.above, self.below, finding.tie):
             return REPRODUCED
@@ -188,7 +186,7 @@ def _within(value: float, above: float | None, below: float | None, tie: float) 
 
 
 def load(path: Path | str | None = None) -> dict[str, Statement]:
-    """Read the statements of a TOML file (default data/claims.toml) by id, as "C05"; InputError for wrong entries."""
+    """Statements of a TOML file (default data/claims.toml): id, as "C05" -> `Statement`; InputError if wrong."""
     file = data.location(path, paths.source("data/claims.toml"))
     found = data.build(dict[str, Statement], data.read(file), file.name)
     for identity, statement in found.items():
@@ -198,13 +196,13 @@ def load(path: Path | str | None = None) -> dict[str, Statement]:
 
 
 def find(identity: str, evidence: Evidence) -> Finding:
-    """Result of the predicate of statement `identity`, as "C05"; MissingEvidence when a metric or table is missing."""
+    """Compute the finding of a statement by its id, as "C05"; MissingEvidence when a metric or table is missing."""
     found = VALUES[identity](evidence)
     return found if isinstance(found, Finding) else Finding(float(found))
 
 
 def findings(evidence: Evidence) -> dict[str, Finding]:
-    """Statement id -> result of its predicate, for all statements whose metrics and tables `evidence` has."""
+    """Findings of all statements for which `evidence` has the metrics and tables: id -> `Finding`."""
     found = {}
     for identity in VALUES:
         with suppress(MissingEvidence):
@@ -269,7 +267,7 @@ def _gyroscope(e: Evidence) -> float:
 
 
 def usual_times(e: Evidence, solver: str, column: str) -> pd.Series:
-    """Series scenario -> `column` of table solve_times for `solver`, as "median_ms" (ms), without tightened bounds."""
+    """`column` of table solve_times, as "median_ms", for a solver: Series by scenario, without active bounds."""
     times = e.table("solve_times").query("solver == @solver")
     return times[~times["scenario"].str.contains("bounds")].set_index("scenario")[column]
 
@@ -358,10 +356,7 @@ def _stable_on_poor_rail(e: Evidence, name: str) -> float:
 
 
 def _poor_is_harder(e: Evidence) -> Finding:
-    """Error as a share of that of y = 0, on poor rail over dry rail, at 400 km/h, the least of NMPC and NDI.
-
-    That of a controller that reaches the flanges on poor rail is infinite: these hold the car, whatever the rail is.
-    """
+    """Error over that of y = 0, poor over dry rail at 400 km/h, least of NMPC and NDI; inf where flanges hold."""
     dry = "sine_tracking 400"
     free = [name for name in ("nmpc", NDI) if e(LOSS, name, "flange") == 0]
     ratios = [e.ratio(LOSS, name, NOTHING) / e.ratio(dry, name, NOTHING) for name in free]
@@ -379,10 +374,7 @@ def _front(e: Evidence, kind: str) -> list[tuple[float, float]]:
 
 
 def _saved(e: Evidence, runs: list[tuple[float, float]]) -> float:
-    """Share of the stopping distance that the last of three rising R saves against the first, beyond the scatter of R.
-
-    Not a number where a run failed, the error rises by less than its scatter, or the one between is not between.
-    """
+    """Share of the stopping distance saved from first to third R beyond scatter; nan unless smooth and none failed."""
     (way, error), between, (last, largest) = runs
     scatter = [e(BRAKE, "nmpc", f"{metric}_spread") for metric in ("stopping_distance", "rmse_y")]
     smooth = last < between[0] < way and error < between[1] < largest and largest > error * np.exp(scatter[1])
@@ -398,10 +390,7 @@ def _trade_off(e: Evidence) -> Finding:
 
 
 def _more_smoothly(e: Evidence) -> float:
-    """Share of the steps of R that trade error for distance, less that of the poles of NDI, where errors overlap.
-
-    A step counts when the distance falls by half a percent and the error rises by a hundredth at least.
-    """
+    """Share of steps of R that trade 1 % error for 0.5 % distance, less that of NDI poles, where errors overlap."""
     sweeps = [_front(e, kind) for kind in ("sweep of R", "sweep of poles")]
     errors = [[error for _, error in sweep] for sweep in sweeps]
     low, high = max(map(min, errors)), min(map(max, errors))

@@ -1,8 +1,7 @@
 """Verdicts on the paper's statements, in each setting of comparison; REPLICATION.md is rendered from them.
 
 `data/claims.toml` has the rules, `railrepro.evidence.claims.statements` a predicate for each, data/results/claims.csv
-the accepted verdicts, `data/theses.toml` why a statement fails. The headline verdict is that in the setting `paper` on
-the uncalibrated car; that on the calibrated car has a column of its own.
+the accepted verdicts, `data/theses.toml` why a statement fails.
 """
 
 from __future__ import annotations
@@ -27,13 +26,20 @@ _CONTRACT = {FRAGILE: PARTLY, TIE: NOT}
 
 
 def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
-    """Verdicts from the stored metrics (default `Nominal()`), one row per statement and setting of comparison.
+    """Verdicts from stored metrics (default `Nominal()`): one row per statement and setting of comparison.
 
-    Columns id, paper_ref, statement, kind, setting ("" if it depends on no tuned controller), paper_value and
-    measured_value (in `unit`), judged (one of `ORDER`; fragile is reproduced with share_low of at most 0.5), verdict
-    (the same, but fragile is "partly" and tie "not reproduced"), share of sampled cars on which it holds (-) with 95 %
-    limits share_low and share_high, evidence (figure or table), data (path of the table judged), calibrated (whether
-    it holds on the calibrated car: "yes", "no", or "" where not judged).
+    A reproduced statement is fragile when the lower 95 % limit of its share of sampled cars is at most 0.5.
+
+    Returns:
+        DataFrame: Columns
+        id, paper_ref, statement, kind, unit: The statement, from data/claims.toml.
+        setting: Setting of comparison; "" for a statement on no tuned controller, or without metrics.
+        paper_value, measured_value: In `unit`; NaN where there is none.
+        judged: Verdict, one of `ORDER`.
+        verdict: As `judged`, but "partly" for fragile and "not reproduced" for a tie.
+        share, share_low, share_high: Share of sampled cars on which it holds (-), with its 95 % limits.
+        evidence, data: Figure or table of the statement; path of the table that was judged.
+        calibrated: Whether it holds on the calibrated car: "yes", "no", or "" where that was not judged.
     """
     nominal = nominal or Nominal()
     robust = shares(nominal.results("robustness_samples")).set_index(["id", "setting"])
@@ -69,9 +75,10 @@ def evaluate(nominal: Nominal | None = None) -> pd.DataFrame:
 
 
 def headline(rows: pd.DataFrame) -> str:
-    """Headline verdict of one statement from its rows of `evaluate`: that in `paper`, or that without a setting.
+    """Headline verdict of one statement: the one in the setting `paper`, or the one without a setting.
 
-    `NO_VERDICT` for an entry that is no statement, `UNTESTABLE` where neither row is there.
+    `rows` are the rows of one id from `evaluate`. Returns `NO_VERDICT` for an entry whose kind is not "statement", and
+    `UNTESTABLE` where neither row is there.
     """
     if set(rows["kind"]) != {"statement"}:
         return NO_VERDICT

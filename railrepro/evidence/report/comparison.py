@@ -14,15 +14,25 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from railrepro.control.registry import CONTROLLERS, PAPER, with_r_times
+from railrepro.control.ndi import NDI
+from railrepro.control.registry import CONTROLLERS, PAPER, tuned, with_r_times
 from railrepro.evidence.claims import calibrated
 from railrepro.evidence.claims.setup import ProbeSetup, setup
 from railrepro.evidence.report import figures
 from railrepro.evidence.report.sentences import sentences
 from railrepro.evidence.runs.experiment import run_all
+from railrepro.model.control_model import PSI_AX, PSI_TRAX, STATES, XDOT, X, Y
 from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.vehicle.parameters import load_vehicle
 
-__all__ = ["Comparison", "calibrated", "compare", "figures", "sentences"]  # one line imports what a chapter needs
+__all__ = [
+    "Comparison",
+    "calibrated",
+    "compare",
+    "figures",
+    "gain_ratio",
+    "sentences",
+]  # one line imports what a chapter needs
 QUANTITIES = {
     **{"rmse_mm": ("rmse_y", 1e3), "rmse_rear_mm": ("rmse_y_rear", 1e3), "drift_mm": ("mean_error_last_third", 1e3)},
     **{"largest_error_mm": ("largest_error", 1e3), "delay_m": ("delay", 1.0), "effort_Nm": ("effort_du", 1.0)},
@@ -40,33 +50,38 @@ PANELS = {
     "slip": ("slip (‰)", ["sx_ri", "sx_le"], -1e3, ""),
     "speed": ("speed (km/h)", ["v_mps"], 3.6, ""),
 }
-"""Panel of a figure -> label of its axis, columns of `Comparison.series` (right before left wheel), factor from SI,
-column of the set point or ""."""
+"""Panel -> label of its axis, columns of `Comparison.series` (right wheel first), factor from SI, set point or ""."""
+_DASHES = ("-", "--", ":", "-.")
+_OF_SCENARIO = {field.name for field in fields(Scenario)}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Metrics and series of several runs, with tables and figures of them; made by `compare`."""
+    """Metrics and series of several runs, with tables and figures of them; made by `compare`.
+
+    Attributes:
+        rows (DataFrame): One row per run: its labels and its metrics in SI units, see `Experiment.values`.
+        series (DataFrame): Time series of all runs below each other (`experiment.tidy`), with labels, controller and
+            error_m (y - y_ref, m).
+        labels (tuple of str): Names of the columns by which the runs differ, as ("speed_kmh", "controller").
+    """
 
     rows: pd.DataFrame
-    """One row per run: its labels and its metrics in SI units, see `Experiment.values`."""
     series: pd.DataFrame
-    """Time series of all runs, concatenated (`experiment.tidy`), with labels, controller and error_m (y - y_ref, m)."""
     labels: tuple[str, ...]
-    """Names of the columns by which the runs differ, as ("speed_kmh", "controller")."""
 
     def __getitem__(self, quantity: str) -> pd.Series:
-        """One number per run, indexed by `labels`: a key of `QUANTITIES`, in its unit, or a column of `rows`."""
+        """Series by run (index `labels`) of a key of `QUANTITIES`, in its unit, or of a column of `rows` (SI)."""
         column, factor = QUANTITIES.get(quantity, (quantity, 1.0))
         found = self.rows.set_index(list(self.labels))[column].rename(quantity)
         return found if factor == 1.0 else factor * found
 
     def table(self, *quantities: str) -> pd.DataFrame:
-        """One row per run (index `labels`), a column per quantity: one of `QUANTITIES` in its unit, or of `rows`."""
+        """Table with a row per run (index `labels`) and a column per quantity, each as in `comparison[quantity]`."""
         return pd.DataFrame({name: self[name] for name in quantities})
 
     def data(self, *panels: str) -> pd.DataFrame:
-        """Series that `plot` draws for `panels` (keys of `PANELS`): labels, p_m and the columns of the panels (SI)."""
+        """The columns of `series` that `plot` draws for `panels` (keys of `PANELS`), with labels and p_m (m)."""
         named = [name for name in ("car", "setting", "scenario", "controller", *self.labels) if name in self.series]
         drawn = [name for panel in panels for name in (PANELS[panel][3], *PANELS[panel][1]) if name]
         return self.series[list(dict.fromkeys([*named, "p_m", *drawn]))]
@@ -76,7 +91,7 @@ class Comparison:
 
         Args:
             panels (str): Keys of `PANELS`, one per row.
-            columns (str): Label with a column of panels per value, as "car"; empty has one column with all runs.
+            columns (str): Name of a label, as "car", each value of which has a column of panels; "" is one column.
             height (float): Height of a row (in).
             more (int): Number of empty rows below, for other diagrams.
         """
@@ -100,9 +115,9 @@ class Comparison:
         return figure, axes
 
     def draw(self, axes: Sequence[Axes], panels: Sequence[str], series: pd.DataFrame) -> None:
-        """Draw `series` (rows of `self.series`) over the track coordinate (m) into axes, one for each of `panels`.
+        """Draw runs over the track coordinate (m) into existing `axes`, one for each of `panels` (keys of `PANELS`).
 
-        The left wheel is paler than the right one.
+        `series` has rows of `self.series`. The left wheel is paler than the right one.
         """
         labels = [name for name in self.labels if name == "controller" or series[name].nunique() > 1] or ["controller"]
         drawn: list[str] = []
@@ -123,10 +138,6 @@ class Comparison:
                 axis.plot(run["p_m"], PANELS[panel][2] * run[reference], **figures.LOOKS["set point"].line)
 
 
-_DASHES = ("-", "--", ":", "-.")
-_OF_SCENARIO = {field.name for field in fields(Scenario)}
-
-
 def compare(
     scenario: str | Scenario | list | Mapping[str, Scenario], controllers: Sequence[str] | Mapping[str, str | dict],
     setting: str | list = PAPER, *, car: Mapping[str, ProbeSetup] | None = None, solver: str = "rti",
@@ -137,11 +148,10 @@ def compare(
     Args:
         scenario (str, Scenario, list or mapping): Name in data/scenarios.toml or a `Scenario`; a list of these, or a
             mapping of names to scenarios.
-        controllers (sequence of str, or mapping): Keys of `CONTROLLERS`; or name of a case -> key, or -> {"controller":
-            key, "r_times": factor on R, fields of `Experiment`}.
+        controllers (sequence or mapping): Keys of `CONTROLLERS`; or name in tables -> key, or -> dict with the key
+            controller, and as needed r_times (factor on R) and fields of `Experiment`.
         setting (str or list): Setting of comparison whose tuned sets are taken; `loop` has sensors.
-        car (mapping, optional): Name -> `ProbeSetup` with a car, controllers and scenarios of its own
-            (`calibrated.cars()`).
+        car (mapping, optional): Name -> `ProbeSetup`, each with own car, controllers, scenarios (`calibrated.cars()`).
         solver (str): Solver of NMPC: rti, gauss_newton or ipopt.
         noise_seed (int): Random seed of the sensors in the setting `loop`.
         stride (int): Every n-th control cycle (1 ms) is kept in the series.
@@ -179,3 +189,21 @@ def compare(
 
 def _listed(given) -> list:
     return given if isinstance(given, list) else [given]
+
+
+def gain_ratio(controller: str, setting: str, speed: float) -> float:
+    """Ratio k1 / k0 (s) of a tuned controller at a speed (m/s): torque per lateral rate over torque per displacement.
+
+    With a creep angle psi of the wheels, which no model here knows, the steady error in a curve is -(k1 / k0) v psi.
+    `controller` is NDI, which has these gains, or a predictive one, whose gains follow from the torques that it plans
+    first for a turned and for a displaced gear. `setting` ("paper", "equal" or "loop") chooses its tuned set.
+    """
+    guidance = tuned(controller, setting=setting)
+    if isinstance(guidance, NDI):
+        return guidance.gains()["k1"] / guidance.gains()["k0"]
+    straight = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=3.6 * speed)
+    asked, centred, small = guidance(load_vehicle(), straight.route(), 0), np.zeros(len(STATES)), 1e-4
+    centred[[X, XDOT]] = 100.0, speed
+    displaced, turned = centred.copy(), centred.copy()
+    displaced[Y] = turned[PSI_AX] = turned[PSI_TRAX] = small
+    return asked.plan(turned, 0.0) / asked.plan(displaced, 0.0) / speed

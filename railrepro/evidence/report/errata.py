@@ -15,10 +15,10 @@ _TRIPLED = 2
 
 
 def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd.DataFrame:
-    """Simulate NMPC with variants of its prediction model (`MPCSettings.variant`) and with the printed torque limit.
+    """Simulate NMPC with variants of its prediction model, and with the printed torque limit (erratum D10).
 
-    Returns a row of metrics per run (`run_all`), with `scenario`, `variant` ("D10" for the printed limit) and `flange`
-    (whether a wheel touched its flange or lifted).
+    `variants` are values of `MPCSettings.variant`. Returns a row of metrics per run (`run_all`) with the columns
+    scenario, variant ("D10" for the printed limit) and flange (whether a wheel touched its flange or lifted).
     """
     changed = {variant: {"variant": variant} for variant in variants} | {"D10": {"yielding": False}}
     tried = [(s, v) for s in scenarios for v in variants] + [(s, "D10") for s in scenarios]
@@ -30,9 +30,10 @@ def model_variants(scenarios: Sequence[Scenario], variants: Sequence[str]) -> pd
 
 
 def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
-    """Simulate NMPC and LTV-MPC, corrected and printed (D6), with the weights of NMPC of the setting `equal`.
+    """Simulate NMPC, LTV-MPC with the corrected linearisation and LTV-MPC with the printed one (erratum D6).
 
-    Returns a row of metrics per run (`run_all`), with `scenario`, `controller` and `flange` as in `model_variants`.
+    All have the weights of NMPC in the setting `equal`. Returns a row of metrics per run (`run_all`) with the columns
+    scenario, controller and flange (whether a wheel touched its flange or lifted).
     """
     weights = tuning.load("nmpc", "equal")["parameters"]
     table, _ = run_all([
@@ -43,11 +44,13 @@ def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
 
 
 def effects(variants: pd.DataFrame, linear: pd.DataFrame) -> pd.DataFrame:
-    """Effect of each erratum by scenario, from the tables of `model_variants` and `linearisations`.
+    """Effect of each erratum in each scenario: one row per pair.
 
-    Columns id, scenario, rmse_y and rmse_y_corrected (m), rmse_change and effort_change (of RMSE of y and RMS torque,
-    relative, -), lost. An RMSE that more than doubles has two digits, as such runs amplify rounding. A run at its
-    flanges, or with more than three times the RMSE, is `lost` and has no numbers. No run depends on D8.
+    `variants` is a table of `model_variants`, `linear` one of `linearisations`. Columns id (of the erratum); scenario;
+    rmse_y and rmse_y_corrected, RMSE of y with the printed and with the corrected equation (m); rmse_change and
+    effort_change, relative change of RMSE of y and RMS torque (-); lost (bool). A run is lost if it reaches flanges or
+    its RMSE is more than three times as large: changes and rmse_y are then NaN. If the RMSE more than doubles, two
+    digits are kept, as rounding grows in such runs. The changes of D8 are 0, because no run depends on it.
     """
     is_corrected, controller = variants["variant"] == "corrected", linear["controller"]
     found = pd.concat([

@@ -35,7 +35,7 @@ _FILE, _MATPLOTLIB = "data/style.toml", "matplotlib"
 
 @files.table
 class Look:
-    """Look of a controller in every figure (data/style.toml): label, and colour, line style and so on of Matplotlib."""
+    """Look of a controller in every figure (data/style.toml): label of the legend, and properties of Matplotlib."""
 
     label: str
     color: str
@@ -59,7 +59,7 @@ SETTING_MARKERS = {"paper": "o", "equal": "s", "loop": "^"}
 
 
 def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: float = WIDTH, **options):
-    """Figure and axes of `plt.subplots` (with `options`) in a common style; height of a row, width of a column (in)."""
+    """Pair (figure, axes) of `plt.subplots` (takes `options`) in a common style; row height, column width (in)."""
     mpl.rcParams.update(_SETTINGS[_MATPLOTLIB])
     figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), **options)
     plt.close(figure)  # a notebook would show it at the end of the cell that begins it
@@ -67,7 +67,7 @@ def new_figure(rows: int = 1, columns: int = 1, height: float = 1.5, width: floa
 
 
 def handles(axes: Iterable[Axes]) -> dict[str, Artist]:
-    """Label -> artist of the legend entries of several axes, each label once, for a common legend."""
+    """Legend entries of several axes for a common legend: label -> artist, each label once."""
     return {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
 
 
@@ -79,7 +79,7 @@ def points(name: str, **options) -> dict:
 
 
 def save_figure(figure: Figure, name: str, data: pd.DataFrame) -> None:
-    """Write figures/NAME.png, and the plotted `data` as figures/NAME.csv; in a notebook also show the figure.
+    """Write a figure to figures/NAME.png and its plotted `data` to figures/NAME.csv; a notebook also shows it.
 
     `name` is of the form figNN_name; columns of `data` have their unit in the name. Several panels get letters. Equal
     content gives equal bytes.
@@ -120,7 +120,7 @@ def _fix_layout(figure: Figure) -> None:
 
 
 def clip(axes: Iterable[Axes], low: float, high: float) -> None:
-    """Limit the ordinate of each of `axes` to low … high; note on it the largest or smallest value of curves beyond."""
+    """Limit the ordinate of each of `axes` to low ... high; if curves go beyond, a text there has the extreme value."""
     for axis in axes:
         lines = [line for line in axis.lines if line.get_transform() == axis.transData]
         values = np.concatenate([np.asarray(line.get_ydata(), float) for line in lines])
@@ -134,7 +134,7 @@ def clip(axes: Iterable[Axes], low: float, high: float) -> None:
 
 
 def mark(axes: Iterable[Axes], places: Mapping[float, str]) -> None:
-    """Draw dotted vertical lines at `places` (abscissa -> name) through all axes; the first axes also has the names."""
+    """Draw dotted vertical lines at `places` (abscissa -> name) in all `axes`; the names stand in the first of them."""
     for i, axis in enumerate(axes):
         for x, name in places.items():
             axis.axvline(x, color="0.4", linestyle=":", linewidth=0.7, zorder=0)

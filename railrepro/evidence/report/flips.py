@@ -1,7 +1,6 @@
 """Verdicts that flip with answers of the paper's authors to open questions: `python -m railrepro probe FILE.toml`.
 
-FILE.toml is a filled copy of data/answers.toml. Answers change the set-up of the probe (`claims.probe`) of the setting
-`paper`; only the parts that depend on them are simulated again.
+FILE.toml is a filled copy of data/answers.toml; answers change the set-up of the probe (`claims.probe`) in `paper`.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from railrepro.evidence.runs import tuning
 
 @data.table
 class Question:
-    """Open question in data/answers.toml: its text, the names of `claims.setup` that its answer sets, and the answer.
+    """Open question to the authors of the paper, an entry of data/answers.toml.
 
-    `parts` are the parts of the probe (`probe.PARTS`) that depend on the answer; `answer` has a value per name of
-    `sets`, in `unit`, repeated where it has fewer, or is empty. ValueError if its number of values does not divide that
-    of `sets`.
+    `asks` is its text. `sets` are the names (keys of `claims.setup.setup`) that the answer sets. `parts` are the groups
+    of runs (`probe.PARTS`) that depend on it. `answer` has a value per name in `unit`; fewer values are repeated, and
+    () is no answer yet. ValueError when the number of values does not divide the number of names.
     """
 
     asks: str
@@ -43,15 +42,16 @@ class Question:
 
 
 def load(path: Path | str | None = None) -> dict[str, Question]:
-    """Read the questions of a file (default data/answers.toml) by name; InputError for wrong entries."""
+    """Open questions of a TOML file (default data/answers.toml): name -> `Question`; InputError for wrong entries."""
     file = data.location(path, paths.source("data/answers.toml"))
     return data.build(dict[str, Question], data.read(file), file.name)
 
 
 def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
-    """Verdicts in the setting `paper` before and after answers: columns id, statement (text), before, after (verdicts).
+    """Verdicts before and after answers to open questions, one row per statement of the setting `paper`.
 
-    `answered` are questions by name, all with an answer; the parts of the probe that depend on them are simulated.
+    `answered` maps names to questions with an answer. Only the runs that depend on an answer are simulated again.
+    Columns id, statement (its text), before, after (verdicts).
     """
     given = {
         key: value for each in answered.values() for key, value in zip(each.sets, cycle(each.answer), strict=False)
@@ -76,10 +76,9 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Run the probes of some settings of comparison (default all) and write data/results/nominal_metrics.csv.
+    """Command `probe`: simulate settings of comparison (default all), or print verdicts that answers flip.
 
-    With one TOML file in place of settings: print the verdicts that its answers flip. InputError for a file without an
-    answer.
+    `settings` are names, or one filled copy of data/answers.toml; InputError for a file without an answer.
     """
     if not settings or not settings[0].endswith(".toml"):
         return probe.main(settings)

@@ -1,9 +1,8 @@
 """The report: REPLICATION.md, figures/README.md and the results in README.md, rendered from Jinja templates in data/.
 
-data/replication.md.j2 is the whole report, data/gallery.md.j2 the page figures/README.md, data/readme.md.j2 the part of
-README.md between two marks. data/theses.toml has sentences with the conditions under which they are true. A number in
-them is an expression such as `{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`, shown as a link to its
-table. Expressions may use the public members of `Page` and the names that its constructor adds.
+data/theses.toml has sentences with the conditions under which they are true. A number in them is an expression such as
+`{{ q('paper', 'braking', 'ndi', 'stopping_distance', 'm') }}`, shown as a link to its table. Expressions may use the
+public members of `Page` and the names that its constructor adds.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ _LINK = re.compile(r"\[([^]]+)\]\(([^)]+)\)")
 
 @data.table
 class Thesis:
-    """Entry of data/theses.toml: a sentence (`says`), and the conditions (`true`) that must all hold to show it.
+    """Sentence of the report with the conditions under which it is true, an entry of data/theses.toml.
 
-    `says` is text with Jinja expressions, each condition one expression (see `Page`). `role` is where the sentence
-    stands, `of` the ids of the statements that it explains.
+    `says` is the text with Jinja expressions. `true` has Jinja conditions; the sentence is shown only if all hold.
+    `role` is the place in the report, `of` are the ids of the statements that the sentence explains.
     """
 
     says: str
@@ -49,12 +48,12 @@ class Thesis:
 
 
 def theses() -> dict[str, Thesis]:
-    """Read data/theses.toml: name -> sentence with its conditions, in the order of the file."""
+    """Read the sentences of data/theses.toml in the order of the file: name -> `Thesis`."""
     return data.build(dict[str, Thesis], data.read(paths.source("data/theses.toml")), "theses.toml")
 
 
 def main() -> int:
-    """Judge the paper's statements, write claims.csv, REPLICATION.md, figures/README.md and the results in README.md.
+    """Command `report`: judge the statements and write claims.csv, REPLICATION.md, figures/README.md, README.md.
 
     Returns 1 when a sentence of data/theses.toml is not true, else 0.
     """
@@ -72,10 +71,14 @@ def main() -> int:
 
 
 class Page:
-    """Functions and values for the Jinja templates of the report, from verdicts and stored metrics.
+    """Functions and values for the Jinja templates of the report: REPLICATION.md, figures/README.md, README.md.
 
-    `judged` is a table of `claims.evaluate`, `nominal` has the metrics. A setting is one of comparison: "paper",
-    "equal", "loop", or "" for the tables that do not depend on it; an identity is the id of a statement, as "C05".
+    Args:
+        judged (DataFrame): Verdicts as from `claims.evaluate`.
+        nominal (Nominal): Stored metrics.
+
+    In all methods `setting` is a setting of comparison, "paper", "equal" or "loop", or "" for tables that do not depend
+    on it; `identity` is the id of a statement, as "C05".
     """
 
     def __init__(self, judged: pd.DataFrame, nominal: Nominal):
@@ -115,18 +118,18 @@ class Page:
         return "## ".join(_linked_once(section) for section in text.split("## "))
 
     def gallery(self) -> str:
-        """Text of figures/README.md: the figures of each chapter with their captions."""
+        """Text of figures/README.md (Markdown): the figures of each chapter of the book with their captions."""
         chapters, captions = (data.read(paths.NOTEBOOKS / name) for name in ("chain.toml", "book/captions.toml"))
         return self._jinja.get_template("gallery.md.j2").render(chapters=chapters["notebook"], captions=captions)
 
     def readme(self, text: str) -> str:
-        """Text of README.md with its results replaced (between `BEGIN` and `END`); ValueError without these marks."""
+        """The old `text` of README.md with new results between the lines `BEGIN` and `END`; ValueError without them."""
         head, rest = text.split(BEGIN)
         _, tail = rest.split(END)
         return head + BEGIN + self._jinja.get_template("readme.md.j2").render() + END + tail
 
     def contract(self) -> pd.DataFrame:
-        """Table of data/results/claims.csv: the verdicts, and the reason (`why`) of those not reproduced."""
+        """Content of claims.csv: `judged` without column data, with column why (text: reasons if not reproduced)."""
         reasons, table = self.sentences("why"), self.judged.drop(columns="data")
         why = pd.Series([" ".join(says for of, says in reasons if identity in of) for identity in table["id"]])
         fails = (self.judged["judged"] != REPRODUCED) & (self.judged["data"] != "")
@@ -134,36 +137,37 @@ class Page:
         return table
 
     def text(self, text: str) -> str:
-        """Render a text with Jinja expressions, as `says` of a `Thesis`."""
+        """Render a text with Jinja expressions, such as `Thesis.says`."""
         return self._jinja.from_string(text).render()
 
     def true(self, condition: str) -> bool:
-        """Evaluate a Jinja condition, as one of `Thesis.true`; False when the results lack a value that it needs."""
+        """Whether a Jinja condition (text, as in `Thesis.true`) holds; False when the results lack a needed value."""
         try:
             return bool(self._jinja.compile_expression(condition, undefined_to_none=False)())
         except MissingEvidence:
             return False
 
     def refuted(self) -> dict[str, list[str]]:
-        """Name of each false sentence of data/theses.toml -> its conditions that are not true."""
+        """Sentences of data/theses.toml that are not true: name -> list of the conditions that do not hold."""
         found = {name: [c for c in thesis.true if not self.true(c)] for name, thesis in theses().items()}
         return {name: wrong for name, wrong in found.items() if wrong}
 
     def sentences(self, role: str) -> list[tuple[list[str], str]]:
-        """True sentences of a role ("summary", "why", "holds_if", "readme"), as rendered text.
+        """True sentences of a role, as pairs (ids, text).
 
-        Each with the ids that it explains of statements not "reproduced" (headline verdict).
+        `role` is "summary", "why", "holds_if" or "readme". `ids` are the statements that the sentence explains and
+        whose headline verdict is not "reproduced". `text` is the rendered `Thesis.says`.
         """
         said = [thesis for thesis in theses().values() if thesis.role == role and all(map(self.true, thesis.true))]
         still = [i for i, verdict in self.statements.items() if verdict != REPRODUCED]
         return [([i for i in thesis.of if i in still], self.text(thesis.says)) for thesis in said]
 
     def e(self, setting: str, scenario: str, controller: str, metric: str) -> float:
-        """Value (SI) of a metric of a controller in a scenario and setting, see `statements.Evidence`."""
+        """Value (SI) of a metric of a controller in a scenario and setting, see `statements.Evidence.__call__`."""
         return self.nominal.evidence(setting)(scenario, controller, metric)
 
     def q(self, setting: str, scenario: str, controller: str, metric: str, unit: str = "") -> str:
-        """Metric `e` as text with three digits and unit (see `quantity`), as a Markdown link to its table."""
+        """Markdown link "[value unit](its table)" of a metric: value of `e` in `unit`, three digits (`quantity`)."""
         return linked(self.e(setting, scenario, controller, metric), METRICS, unit)
 
     def find(self, identity: str, setting: str) -> Finding:
@@ -171,7 +175,7 @@ class Page:
         return statements.find(identity, self.nominal.evidence(setting))
 
     def holds(self, identity: str, setting: str) -> bool:
-        """Whether a statement is reproduced in `setting`; "calibrated" as `setting` asks for the calibrated car."""
+        """Whether a statement is reproduced in a setting, or with `setting` "calibrated" on the calibrated car."""
         if setting == "calibrated":
             return self.calibrated_car.get(identity) == "yes"
         return self.rules[identity].judge(self.find(identity, setting)) == REPRODUCED
@@ -184,48 +188,55 @@ class Page:
         return found
 
     def cell(self, name: str, column: str, **where):
-        """Value in `column` of data/results/NAME.csv, in the only row with the values `where`, or MissingEvidence."""
+        """Value in `column` of data/results/NAME.csv, in the only row whose columns have the values `where`.
+
+        MissingEvidence when there is no such file, or not exactly one such row.
+        """
         table = self.table(name)
         rows = table.loc[np.logical_and.reduce([table[key] == value for key, value in where.items()]), column]
         if len(rows) != 1:
             raise MissingEvidence(f"{name}: {len(rows)} rows with {where}")
         return rows.iloc[0]
 
+    def tuned_rmse(self, controller: str, setting: str) -> float:
+        """RMSE of y (m) on T3 with the tuned set of a controller in a setting, from settings_metrics.csv."""
+        seed = min(tuning.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
+        where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
+        return self.cell("settings_metrics", "value", metric="rmse_y", **where)
+
     def time(self, solver: str, column: str = "median_ms") -> float:
-        """Computation time (ms) of a solver: median over scenarios of `column` in solve_times.csv, setting `paper`."""
+        """Median over the scenarios of a `column` of solve_times.csv (ms) for a `solver`, in the setting "paper"."""
         return float(statements.usual_times(self.nominal.evidence(tuning.PAPER), solver, column).median())
 
     def figure(self, name: str, car: str) -> pd.DataFrame:
-        """Rows of figures/NAME.csv in the setting `paper` of a car, "uncalibrated" or "calibrated"."""
+        """Read figures/NAME.csv: its rows in the setting "paper" for a `car`, "uncalibrated" or "calibrated"."""
         table = pd.read_csv(paths.source(f"figures/{name}.csv"))
         return table[(table["setting"] == tuning.PAPER) & (table["car"] == car)]
 
     def value(self, identity: str) -> str:
-        """Measured value of a statement behind its headline verdict, with unit, as a Markdown link to its table."""
+        """Value behind the headline verdict of a statement (id, as "C05") as Markdown: "[value unit](its table)"."""
         own = self.judged[(self.judged["id"] == identity) & self.judged["setting"].isin(("", claims.HEADLINE))]
         row = own.iloc[-1]
         return linked(number(row["measured_value"], row["unit"]), row["data"])
 
 
 def csv(relative: str) -> pd.DataFrame:
-    """Read a csv file by its path in the repository, all cells as text, empty ones as ""."""
+    """Read a csv file, given by its path in the repository, with all cells as text and empty ones as ""."""
     return pd.read_csv(paths.source(relative), dtype=str).fillna("")
 
 
 def quantity(value: float, unit: str = "") -> str:
-    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, "n/a" for nan."""
-    if np.isinf(value):
-        return "derailed"
-    if np.isnan(value):
-        return UNKNOWN
+    """Text of an SI value with three digits in `unit` (SI, "mm" or "%"); "derailed" for inf, "n/a" for NaN."""
+    if not np.isfinite(value):
+        return UNKNOWN if np.isnan(value) else "derailed"
     shown = {"mm": 1e3, "%": 100.0}.get(unit, 1.0) * value
     return (f"{shown:.3g}" if abs(shown) < 100 else f"{shown:.1f}".removesuffix(".0")) + (f" {unit}" if unit else "")
 
 
 def linked(value: float | str, table: str, unit: str = "") -> str:
-    """Markdown link with a value as text (`quantity`; a text stays as it is) to a table of data/results or a path.
+    """Markdown link "[value](path of table)"; `value` is a text, or an SI number that `quantity` shows in `unit`.
 
-    Without a table, or without a value, the bare text.
+    `table` is a name in data/results or a path. With "" for `table`, or NaN for `value`, the text has no link.
     """
     shown = value if isinstance(value, str) else quantity(float(value), unit)
     path = table if "/" in table else f"data/results/{table}.csv"
@@ -245,7 +256,7 @@ def _linked_once(section: str) -> str:
 
 
 def number(value: float, unit: str = "") -> str:
-    """Write the value of a statement: three digits, four near one."""
+    """Value of a statement as text with unit, three digits, four near 1; "a run failed" for inf, "no value" for NaN."""
     if np.isnan(value):
         return "no value"
     shown = f"{value:.4g}" if abs(value - 1) < 0.01 else f"{value:.3g}"

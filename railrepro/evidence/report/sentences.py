@@ -1,7 +1,6 @@
 """Sentences that a notebook prints about its runs, each with the condition under which it is true.
 
-With the committed inputs a false sentence makes the run of the notebook fail; where a reader changed values the
-sentence is marked as false, and the notebook goes on.
+With the committed inputs a false sentence makes the run fail; with other values it is only marked as false.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ _KEY = "railrepro_false"
 
 
 class Sentences(list):
-    """List of (sentence, whether it holds); a call appends one."""
+    """List of pairs (text of a statement on results, bool: whether it holds); calling the list appends a pair."""
 
     def __call__(self, text: str, *holds: object) -> None:
-        """Append a sentence, true when all conditions (booleans, arrays of them) hold; an empty array does not hold."""
+        """Append `text`; it holds if there are conditions `holds` (bool or not empty bool array), all of them true."""
         conditions = [np.asarray(one, bool) for one in holds]
         self.append((text, bool(conditions) and all(one.size and one.all() for one in conditions)))
 
 
 @contextmanager
 def sentences() -> Iterator[Sentences]:
-    """Context manager: collect sentences (`with sentences() as says: says("…", holds)`) and display them as a list.
+    """Context manager: collect sentences (`with sentences() as says: says("…", holds)`) and display them at its end.
 
-    False ones are marked. Where a table lacks a value that a sentence needs (LookupError, ValueError, ArithmeticError),
-    the block ends with a false sentence that names the error.
+    Sentences that do not hold are marked with `MARK`. A LookupError, ValueError or ArithmeticError in the block, as
+    from a missing value, ends the block; a last sentence that does not hold then names the error.
     """
     from IPython.display import display  # the library does without it
 
@@ -47,6 +46,6 @@ def sentences() -> Iterator[Sentences]:
 
 
 def false_in(cells: list[dict]) -> list[str]:
-    """Texts of the false sentences in the outputs of the cells of an executed notebook."""
+    """Texts that `sentences` marked as not holding, from the `cells` (nbformat dicts) of an executed notebook."""
     outputs = [output for cell in cells for output in cell.get("outputs", [])]
     return [text for output in outputs for text in output.get("metadata", {}).get(_KEY, [])]

@@ -1,4 +1,4 @@
-"""Controllers in the settings of comparison: errors of all tuned sets, stability margins."""
+"""Runs of all tuned sets in the three settings of comparison, and their table of metrics."""
 
 from __future__ import annotations
 
@@ -33,11 +33,15 @@ def experiments(
     names: Sequence[str], cases: Sequence[str], noise_seeds: Sequence[int], swarms: int | None, scale: float,
     stress: Mapping[str, float],
 ) -> list[Experiment]:  # fmt: skip
-    """Experiments of all tuned sets in all settings: the best set with all noise seeds, sets of other swarms with one.
+    """Experiments with all tuned sets in all settings of comparison, for the cases of `CASES`.
 
-    `names` are controllers, `cases` keys of `CASES`, `noise_seeds` those of the sensors in the setting `loop`, `swarms`
-    the number of swarms per controller (None for all), `scale` a factor on the length of the runs (-), `stress` changes
-    of data/sensors.toml in the cases "…stressed", as {"inverter.gain": 1.2}.
+    Args:
+        names (sequence of str): Controllers.
+        cases (sequence of str): Keys of `CASES`.
+        noise_seeds (sequence of int): Seeds of the sensors in the setting `loop`; all but the best set have the first.
+        swarms (int or None): Number of sets per controller, of the swarms with the lowest cost; None for all.
+        scale (float): Factor on the length of the runs (-).
+        stress (mapping): Changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}.
     """
     found = []
     for setting, name in product(tuning.SETTINGS, names):
@@ -59,37 +63,13 @@ def experiments(
 
 
 def metrics(table: pd.DataFrame) -> pd.DataFrame:
-    """Table of data/results/settings_metrics.csv from one row per run of `experiments`: a row per run and metric.
+    """Long form of a table of runs, as stored in data/results/settings_metrics.csv: a row per run and metric.
 
-    Columns scenario (the case), controller, metric, value (in `unit`), unit, setting, swarm and seed.
+    `table` has one row per run of `experiments`, from `run_all`. Columns of the result: scenario (the case),
+    controller, metric, value (in `unit`), unit, setting, swarm (its seed), seed (of the sensors).
     """
     keys = ["scenario", "controller", "setting", "swarm", "seed"]
     wide = table.drop(columns="scenario").rename(columns={"case": "scenario"}).reindex(columns=[*keys, *_UNITS])
     tidy = wide.melt(keys, var_name="metric").dropna()
     tidy = tidy.assign(unit=tidy["metric"].map(_UNITS))
     return tidy[["scenario", "controller", "metric", "value", "unit", "setting", "swarm", "seed"]]
-
-
-def judged(table: pd.DataFrame) -> pd.DataFrame:
-    """Add columns to `table`, one row per run of `experiments`: error_mm (RMSE of y, mm), lost and best (booleans).
-
-    A run is lost if it failed or has a warning, best if its tuned set is that of the best swarm. On irregular rails
-    with sensors the error counts from the rails, because sensors measure from them.
-    """
-    sensed_rough = (table["setting"] == LOOP) & (table["case"] == "T3_irregular")
-    return table.assign(
-        error_mm=1e3 * table["rmse_y"].mask(sensed_rough, table["followed_rmse_y"]),
-        lost=table["failed"].astype(bool) | (table["warnings"] != ""),
-        best=table["swarm"] == table.groupby(["setting", "controller"])["swarm"].transform("first"),
-    )
-
-
-def errors(runs: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Two tables from one of `judged`, of the best sets, with index (case, setting) and a column per controller.
-
-    The first has the mean RMSE of y over the noise seeds (mm), the second whether guidance was lost with any of them.
-    """
-    best = runs[runs["best"]].groupby(["case", "setting", "controller"], sort=False)
-    names = list(dict.fromkeys(runs["controller"]))
-    error = best["error_mm"].apply(lambda e: e.mean(skipna=False)).unstack("controller")[names]
-    return error, best["lost"].any().unstack("controller")[names]

@@ -1,10 +1,8 @@
 """Parallel studies: functions called in threads, whose simulations are computed by processes or a Dask cluster.
 
-`ordered_map` calls a function with each argument in a thread of its own. Calls that the function hands to `work` are
-computed by a process, and only meanwhile do other threads run: two threads must not use CasADi's objects at a time. The
-caller looks results up in `store` before, so that stored ones start no process. There is one process per core, or
-`RAILREPRO_WORKERS` of them; `RAILREPRO_DASK=tcp://host:port` takes those of a running Dask scheduler. Results do not
-depend on this choice, because random seeds belong to the task.
+Threads of `ordered_map` look results up in `store`; what they hand to `work` is computed by a process, and only
+meanwhile do other threads run: two threads must not use CasADi's objects at a time. Results do not depend on the number
+of processes or the cluster, because random seeds belong to the task.
 """
 
 from __future__ import annotations
@@ -40,7 +38,6 @@ _OTHER_CODE = (
     "meanwhile or another machine has another version; restart (in Jupyter the kernel) and run again to resume"
 )
 
-
 _around = threading.local()
 """In a thread of `ordered_map`: its `pool`."""
 _turn = threading.Lock()
@@ -49,10 +46,11 @@ _turn = threading.Lock()
 
 @contextmanager
 def executor() -> Iterator[Executor]:
-    """Context manager of the pool of processes: local ones (`RAILREPRO_WORKERS`) or those of `RAILREPRO_DASK`.
+    """Context manager of the processes that compute simulations, as an `Executor`.
 
-    Local processes stay for the next study, as starting them takes seconds; an exception (also Ctrl-C) ends them.
-    InputError when `RAILREPRO_WORKERS` is no whole number from 1 to 4096, or no Dask scheduler answers.
+    With the environment variable RAILREPRO_DASK, an address, the processes are those of this Dask scheduler. Else they
+    are local, RAILREPRO_WORKERS of them (default one per core); they stay for the next study, and an exception (also
+    Ctrl-C) ends them. InputError if RAILREPRO_WORKERS is no whole number from 1 to 4096, or the scheduler is silent.
     """
     if address := os.environ.get("RAILREPRO_DASK"):
         with _cluster(address) as pool:
@@ -107,7 +105,7 @@ def _follow_the_parent() -> None:
 def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
     """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
-    Each call has a thread of its own; what it hands to `work` is computed by a process of `executor`. `title` names the
+    Each call has a thread of its own; the processes of `executor` compute what it hands to `work`. `title` names the
     progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process ended or imported
     another version of railrepro.
     """
@@ -134,7 +132,7 @@ def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = F
 
 
 def work(function: Callable, *arguments):
-    """Return `function(*arguments)`; in a task of `ordered_map` a process of the pool computes it, else this one."""
+    """Return `function(*arguments)`; in a task of `ordered_map` a process of `executor` computes it, else this one."""
     pool = getattr(_around, "pool", None)
     if pool is None:
         return function(*arguments)

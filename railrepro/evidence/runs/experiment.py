@@ -1,7 +1,4 @@
-"""Experiments: a scenario, a controller and changes of both, from which a run and its row of metrics are computed.
-
-Notebooks and studies are lists of experiments; `executor` decides where they run, `store` whether they must.
-"""
+"""Experiments: a scenario, a controller and changes of both, from which a run and its row of metrics are computed."""
 
 from __future__ import annotations
 
@@ -41,44 +38,47 @@ _WHEEL = {"tau": "tau_{}_Nm", "adhesion": "fx_{}", "sx": "sx_{}"}
 
 @dataclass(frozen=True)
 class Experiment:
-    """One closed-loop run to be simulated; calling it returns its metrics (and the series that it keeps)."""
+    """One closed-loop run that is yet to be simulated; calling it returns its metrics and the series that it keeps.
+
+    Attributes:
+        scenario: Scenario
+        controller: Key of `registry.CONTROLLERS`.
+        label: Column -> value, added to the row of metrics and to the series, to tell runs apart.
+        parameters: Tuning parameters by name (data/tuning.toml); None takes the tuned set of `setting`.
+        options: Arguments of a predictive controller, as {"solver": "rti"}, see `registry.guidance`.
+        changes: Changed fields of the controller's settings (`MPCSettings`, `NDI`), see `registry.guidance`.
+        vehicle: Changed vehicle parameters, dotted key -> value as in `load_vehicle`, known to car and controllers.
+        plant: Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`.
+        adhesion: Settings of the adhesion law (slip control); None takes its defaults, or those that the sensors need.
+        fixed_share: Share of the torque limit reserved for guidance (-); 0 is the paper's allocation.
+        alignment: Alignment of a track in place of the scenario's own track; None keeps that.
+        irregular: Arguments of `rough_track` besides p, as {"spectrum": "en_B_300", "seed": 3}; {} is an ideal track.
+        preview: Arguments of `preview.plan` besides `frame`; {} is a controller without preview of irregular rails.
+        sensors: Arguments of `estimation.sensors.readings`; {} gives the controllers the true signals.
+        setting: Setting of comparison whose tuned parameters are taken: "paper", "equal" or "loop".
+        substeps: Integration steps of the car per ms; None is 2 for ride figures on irregular rails, else 1.
+        ride: Whether the row also has the comfort and force figures of `ride.ride_summary`.
+        stride: Every n-th control cycle (1 ms) of the front gear is kept as a series (`tidy`); 0 keeps none.
+    """
 
     scenario: Scenario
     controller: str
-    """Key of `registry.CONTROLLERS`."""
     label: dict = field(default_factory=dict)
-    """Column -> value, added to the row of metrics and to the series, to tell runs apart."""
     parameters: dict | None = None
-    """Tuning parameters of the controller by name (data/tuning.toml); None takes the tuned ones of `setting`."""
     options: dict = field(default_factory=dict)
-    """Arguments of a predictive controller, as {"solver": "rti"}, see `registry.guidance`."""
     changes: dict = field(default_factory=dict)
-    """Changed fields of the controller's settings (`problem.MPCSettings`, `ndi.NDI`), see `registry.guidance`."""
     vehicle: dict = field(default_factory=dict)
-    """Changed vehicle parameters, dotted key -> value as in `load_vehicle`, known to car and controllers."""
     plant: dict = field(default_factory=dict)
-    """Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`."""
     adhesion: AdhesionSettings | None = None
-    """Settings of the adhesion law (slip control); None takes its defaults, or those that the sensors need."""
     fixed_share: float = 0.0
-    """Share of the torque limit reserved for guidance (-), see `allocation.allocate`; 0 is the paper's allocation."""
     alignment: Alignment | None = None
-    """Alignment of a track in place of the scenario's own track; None keeps that."""
     irregular: dict = field(default_factory=dict)
-    """Arguments of `rough_track` besides p, as {"spectrum": "en_B_300", "seed": 3}; empty is an ideal track."""
     preview: dict = field(default_factory=dict)
-    """Arguments of `preview.plan` besides `frame`, for a controller that previews the irregular rails; empty is no
-    preview."""
     sensors: dict = field(default_factory=dict)
-    """Arguments of `railrepro.estimation.sensors.readings`; empty gives the controllers the true signals."""
     setting: str = registry.PAPER
-    """Setting of comparison whose tuned parameters are taken: "paper", "equal" or "loop"."""
     substeps: int | None = None
-    """Integration steps of the car per control cycle of 1 ms; None is 2 for ride figures on irregular rails, else 1."""
     ride: bool = False
-    """Whether the row also has the comfort and force figures of `ride.ride_summary`."""
     stride: int = 0
-    """Every n-th control cycle (1 ms) of the front gear is kept as a series (`tidy`); 0 keeps none."""
 
     def __post_init__(self) -> None:
         require("experiment: scenario", self.scenario, Scenario)
@@ -90,15 +90,16 @@ class Experiment:
         return load_vehicle(**self.vehicle | self.plant)
 
     def tuned(self) -> dict:
-        """Tuning parameters of the controller by name: `parameters`, or else the tuned ones of `setting`."""
+        """Tuning parameters of the controller by name: `parameters`, or without them the tuned ones of `setting`."""
         if self.parameters is not None:
             return self.parameters
         return registry.parameters(self.controller, self.setting)
 
     def rails(self) -> tuple[pd.DataFrame | None, tuple[np.ndarray, np.ndarray] | None]:
-        """Irregularities up to the end of the scenario (`rough_track`), and the planned line (p, y) of `preview.plan`.
+        """Irregularities of the rails, and the line that a controller plans with them, as a pair.
 
-        The first is None on an ideal track, the second without preview; InputError for a preview on an ideal track.
+        The first is a DataFrame of `rough_track` up to the end of the scenario, None on an ideal track. The second is
+        the pair (p, line) of `preview.plan`, None without preview. InputError for a preview on an ideal track.
         """
         if not self.irregular and not self.preview:
             return None, None
@@ -110,7 +111,7 @@ class Experiment:
         return _rails(self.scenario.end_m, json.dumps(self.irregular), json.dumps(self.preview))
 
     def run(self) -> simulate.Run:
-        """Simulate, without the store, and return the whole run: series of both gears and why it ended."""
+        """Simulate and return the whole run: series of both gears and why it ended. The store is not used."""
         rough, line = self.rails()
         with self._laid() as scenario:
             return simulate.run(
@@ -138,10 +139,10 @@ class Experiment:
             yield self.scenario.but(track=str(file))
 
     def key(self, measure: Measure) -> str | None:
-        """Key under which `store` has the result of `measure` (see `measured`) for this run; None if not to be stored.
+        """Key of a result of this run in `store`, a hash; None for a controller from a user's file (not stored).
 
-        A hash of the code and of all resolved values of vehicle, tuning parameters, track and sensors, not of their
-        names; labels do not count. None for a controller from a user's file.
+        `measure` is the function that computes the result, see `measured`. The key depends on the code and all values
+        of vehicle, tuning parameters, track and sensors; names and labels do not count.
         """
         if not _is_ours(self.controller):
             return None  # of a user's file
@@ -160,24 +161,29 @@ class Experiment:
         return store.key(measure.__module__, measure.__qualname__, read)
 
     def measured(self, measure: Measure) -> store.Entry:
-        """Return measure(run, experiment) of this run: read from the store, else simulated by `executor.work`.
+        """Result of `measure(run, experiment)` for this run: read from the store, else simulated by `executor.work`.
 
-        `measure` is a module-level function (Run, Experiment) -> (dict of plain values, DataFrame of numbers or None);
-        it must not use labels of the experiment.
+        `measure` is a module-level function. It returns a pair: a dict of plain values, and a DataFrame of numbers or
+        None. It must not use labels of the experiment.
         """
         return store.entry(self.key(measure), lambda: work(_measured, self, measure))
 
     def __call__(self) -> tuple[dict, pd.DataFrame | None]:
-        """Row (dict) of scenario, controller, labels and metrics (`values`); and the kept series (`tidy`) or None."""
+        """Simulate the run, or read its result from the store; returns a pair (row, series).
+
+        row: dict with the keys scenario, controller, those of `label` and those of `values`. series: DataFrame of
+        `tidy` with the `label` as columns, None for a `stride` of 0.
+        """
         values, series = self.measured(_values)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
         return row, None if series is None else series.assign(**self.label)
 
     def values(self, run: simulate.Run) -> dict:
-        """Metrics of a run (SI): `metrics.summary`, `metrics.longitudinal` and, with `ride`, `ride.ride_summary`.
+        """Metrics of a run in SI units, as a dict: name -> value.
 
-        Also `failed_at_m` (nan unless failed), `failed`, `ended`, `warnings` and `fallbacks` (samples of both gears
-        without a solution of the predictive controller). A failed run has nan for the metrics of `summary`.
+        Keys: names of `metrics.summary` (NaN if the run failed), of `metrics.longitudinal` and, with `ride`, of
+        `ride.ride_summary`; failed (bool); failed_at_m (NaN unless failed); ended, why the run ended (text); warnings
+        (text); fallbacks, number of samples of both gears in which a predictive controller found no solution.
         """
         vehicle, series = self.car(), run.series
         values = metrics.summary(series)
@@ -204,9 +210,10 @@ def _rails(end: float, irregular: str, known: str) -> tuple[pd.DataFrame, tuple[
 def tidy(series: pd.DataFrame, stride: int) -> pd.DataFrame:
     """Every `stride`-th row of the series of a run (`Run.series`), front gear only.
 
-    Columns t_s, p_m and v_mps along the track, lateral y_ref_m and y_m, yaw psi_ax_rad (gear) and psi_trax_rad (against
-    the track), torques du_Nm, u_d_Nm, tau_long_Nm, adhesion set point f_star (-), segment (of the adhesion law),
-    creep_rad (between heading and motion); right wheel: torque tau_ri_Nm, adhesion fx_ri, slip sx_ri (-); le: left.
+    Columns: t_s; p_m and v_mps along the track; lateral y_ref_m and y_m; yaw psi_ax_rad (gear) and psi_trax_rad
+    (against the track); torques du_Nm, u_d_Nm, tau_long_Nm; f_star, set point of the adhesion (-); segment of the
+    adhesion law; creep_rad, angle between heading and motion. Right wheel: torque tau_ri_Nm, adhesion fx_ri (-), slip
+    sx_ri (-); the left wheel has le for ri.
     """
     rows = series.iloc[::stride]
     columns = {"t_s": rows["t_s"]} | {new: rows[f"front.{old}"] for old, new in _SERIES.items()}
@@ -245,7 +252,7 @@ def run_all(
     Returns:
         table (DataFrame): One row per experiment, in order: scenario, controller, labels and metrics (SI) of
             `Experiment.values`.
-        series (DataFrame or None): Series (`tidy`) below each other, with labels and the column `controller`; None when
+        series (DataFrame or None): Series (`tidy`) below each other, with labels and the column controller; None when
             no experiment keeps one.
     """
     results = ordered_map(call, experiments, title, quiet)

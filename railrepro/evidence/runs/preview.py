@@ -1,7 +1,4 @@
-"""What a controller may know of the irregularities ahead, and the line that it plans with this knowledge.
-
-Serves the paper's outlook: set-point preview for known track irregularities.
-"""
+"""What a controller may know of the irregularities ahead, and the line that it plans with it (the paper's outlook)."""
 
 from __future__ import annotations
 
@@ -14,11 +11,11 @@ from railrepro.data import InputError, above, between, require
 
 
 def known(frame: pd.DataFrame, amplitude_error: float = 0.0, localisation_error_m: float = 0.0) -> pd.DataFrame:
-    """Irregularities as a controller believes them: a table with the columns of `frame` (true ones, `rough_track`).
+    """Irregularities as a controller believes them, in a table with the columns of `frame`, which has the true ones.
 
-    `frame` has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: 0.1 believes them ten per cent
-    too large. `localisation_error_m` is the believed less the true coordinate of a feature (m); beyond the frame they
-    are zero.
+    `frame` (from `rough_track`) has evenly spaced p_m (m) and any channels. `amplitude_error` is relative: 0.1 believes
+    irregularities 10 % too large. `localisation_error_m` is the believed less the true coordinate of a feature (m).
+    Believed irregularities from beyond the ends of `frame` are zero.
     """
     p, channels = frame["p_m"].to_numpy(), frame.drop(columns="p_m")
     place = p - localisation_error_m
@@ -39,12 +36,10 @@ def plan(
     """Lateral set point between the ideal line and the rails, planned ahead within the flangeway.
 
     Minimises sum (y - share lateral)^2 + smoothing_m^4 sum (y'')^2 subject to |y - lateral| <= limit + gauge / 2 at
-    every row, so a wave of wavenumber w keeps 1 / (1 + (smoothing_m w)^4) of its amplitude where the limit is far. The
-    line begins and ends on the ideal line.
+    every row. The line begins and ends on the ideal line.
 
     Args:
-        frame (DataFrame): True irregularities (`rough_track`), as `known` takes them; they begin and end within the
-            limit.
+        frame (DataFrame): True irregularities (`rough_track`), as in `known`; they begin and end within the limit.
         share (float): 0 asks for the ideal line, 1 for the middle between the rails.
         smoothing_m (float): Length over which the line is smooth (m); 0 asks for no smoothness.
         limit (float): Lateral play of a wheel pair to either side between rails of nominal gauge (m).
@@ -52,8 +47,7 @@ def plan(
 
     Returns:
         p (ndarray, shape (n,)): Track coordinates (m).
-        line (ndarray, shape (4, n)): Set point (m) and its first three derivatives (1, 1/m, 1/m^2) at p: a cubic
-            spline, in the form in which cells of a `Route` hold a set point.
+        line (ndarray, shape (4, n)): Set point (m) and its first three derivatives (1, 1/m, 1/m^2) at p (cubic spline).
     """
     frame = known(frame, amplitude_error, localisation_error_m)
     require("planned line: share", share, between(0.0, 1.0))

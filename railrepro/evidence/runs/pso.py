@@ -19,13 +19,15 @@ CONSTRICTION, ATTRACTION = 0.7298, 2.05
 
 @dataclass(frozen=True)
 class Dimension:
-    """One searched parameter with its bounds, in the unit of the parameter; InputError for an impossible range."""
+    """One searched parameter with its bounds `low` and `high`; InputError for an impossible range.
+
+    On the scale "linear" the swarm moves in the value, on "log" in its log10; "integer" rounds to whole numbers.
+    """
 
     name: str
     low: float
     high: float
     scale: str = "linear"
-    """One of "linear", "log" (the swarm moves in log10) or "integer" (values are rounded)."""
 
     def __post_init__(self):
         bounds = self.low, self.high
@@ -35,7 +37,7 @@ class Dimension:
             raise InputError(f"dimension {self.name}: bounds {self.low}..{self.high} do not span a {self.scale} range")
 
     def value(self, position: float) -> float:
-        """Parameter value at a position: 0 is `low`, 1 is `high`, between by `scale`."""
+        """Parameter value at a position of the swarm: 0 is `low`, 1 is `high`, between them by `scale`."""
         if self.scale == "log":
             return float(self.low * (self.high / self.low) ** position)
         value = self.low + position * (self.high - self.low)
@@ -51,10 +53,10 @@ class Dimension:
 
 
 class Swarm:
-    """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes the costs and moves them.
+    """State of a particle swarm: `ask` gives a parameter set per particle, `tell` takes their costs and moves them.
 
-    Random numbers belong to (seed, iteration, particle), so parallel evaluation changes nothing. The first particle
-    begins at `start` (name -> value of each parameter) if given; InputError when one is missing or beyond its bounds.
+    `start` (name -> value) is the parameter set of the first particle, all other particles begin at random. InputError
+    when `start` lacks a parameter or is beyond the bounds. `seed` is the seed of the random numbers.
     """
 
     def __init__(self, dimensions: list[Dimension], particles: int, seed: int, start: dict[str, float] | None = None):
@@ -72,14 +74,14 @@ class Swarm:
         return np.random.default_rng((self.seed, self.iteration, particle)).random(count)
 
     def ask(self) -> list[dict[str, float]]:
-        """Return the parameter sets to be evaluated: per particle a dict, name -> value."""
+        """Parameter sets to be evaluated, one per particle, each a dict: name -> value."""
         return [self._values(particle) for particle in self.position]
 
     def _values(self, position: np.ndarray) -> dict[str, float]:
         return {d.name: d.value(x) for d, x in zip(self.dimensions, position, strict=True)}
 
     def tell(self, costs: list[float]) -> None:
-        """Take the costs of the parameter sets of the last `ask`, in order, and move the particles."""
+        """Take the costs of the parameter sets of the last `ask`, in their order, and move the particles."""
         costs = np.where(np.isfinite(costs), costs, np.inf)
         for i, (values, cost) in enumerate(zip(self.ask(), costs, strict=True)):
             self.rows.append({"iteration": self.iteration, "particle": i, "cost": float(cost), **values})
@@ -101,8 +103,7 @@ class Swarm:
 
     @property
     def limits(self) -> list[float]:
-        """Lowest cost of each particle so far (inf before its first); the evaluation of its next parameter set may stop
-        above this cost, as a set that costs more has no influence on the swarm."""
+        """Lowest cost of each particle so far, inf before its first; the swarm ignores a set that costs more."""
         return self.own_cost.tolist()
 
     @property
@@ -117,11 +118,11 @@ class Swarm:
 
     @property
     def history(self) -> pd.DataFrame:
-        """One row per evaluated particle: iteration, particle, cost and a column per parameter."""
+        """One row per evaluated particle, columns iteration, particle (its number), cost (-) and each parameter."""
         return pd.DataFrame(self.rows)
 
     def stagnant(self, patience: int, tolerance: float = 1e-4) -> bool:
-        """True when the best cost has fallen by less than `tolerance` (relative) over `patience` iterations."""
+        """Whether the best cost has fallen by less than `tolerance` (relative) over the last `patience` iterations."""
         if self.iteration <= patience:
             return False
         costs = self.history.groupby("iteration")["cost"].min().cummin().to_numpy()
@@ -143,9 +144,10 @@ def minimise(
     It ends after `iterations` moves of all particles, or when it is `stagnant`.
 
     Args:
-        evaluate (callable): (parameter sets, limits) -> costs, one per particle, in order; a cost that is not finite
-            counts as worst. For a set that costs more than its limit (`Swarm.limits`) any number above the limit will
-            do.
+        evaluate (callable): Takes a parameter set (dict) and a limit (`Swarm.limits`) per particle, as two lists, and
+            returns a list of costs. A cost above its limit may be any larger number; one that is not finite is worst.
+        particles, iterations (int): Size of the swarm, and its largest number of moves.
+        seed (int): Seed of the random numbers.
         patience (int): Iterations without improvement (1e-4 relative) after which it stops.
         start (dict, optional): Parameter set of the first particle; the others begin at random.
         title (str): Text of the progress bar; empty for none.

@@ -54,11 +54,11 @@ def _plain(value) -> object:
 
 
 def key(module: str, *parts) -> str | None:
-    """Key (hexadecimal hash) of a computation on this machine; None when it cannot be stored.
+    """Key of a computation in the store: a hexadecimal hash; None when its result cannot be stored.
 
-    `module` is the module that computes; nothing is stored for modules outside of railrepro or after an edit of its
-    files. `parts` are the name of the computation and all that it reads: numbers, text, arrays, DataFrames,
-    dataclasses, and lists and dictionaries of these. Also None with a part of another type, such as a function.
+    `module` is the module that computes. `parts` are the name of the computation and all that it reads: numbers, text,
+    arrays, DataFrames, dataclasses, lists and dicts of these. None with a part of another type, for a module outside of
+    railrepro, and when files of railrepro were edited after their import.
     """
     made_by = code.version(), code.reached(f"from {module} import {module}")
     if not module.startswith("railrepro.") or not code.unchanged():
@@ -76,7 +76,7 @@ def digest(*parts) -> str:
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, str]:
-    """Name -> version or value of what decides the last digits of results: compiler, flags, packages, processor."""
+    """What decides the last digits of results on this machine, name -> value: compiler, flags, packages, processor."""
     found = {f"environment {name}": os.environ.get(name, "") for name in _NUMERICS}
     found |= {"the compiler": cache.identity(cache.compiler(), cache.flags())}
     found |= {"Python": sys.version, "the processor": platform.machine()}
@@ -84,7 +84,7 @@ def machine() -> dict[str, str]:
 
 
 def folder() -> Path | None:
-    """Folder of the entries; None with RAILREPRO_STORE=off. InputError when the variable is no absolute path."""
+    """Folder of the stored results; None with RAILREPRO_STORE=off. InputError when the variable is no absolute path."""
     given = os.environ.get(FOLDER, "")
     if given == "off":
         return None
@@ -93,27 +93,24 @@ def folder() -> Path | None:
     return Path(given) if given else paths.BUILD / "store"
 
 
-def _packed(row: dict, table: pd.DataFrame | None) -> bytes:
-    content = [row, None if table is None else table.to_dict("list")]
-    return json.dumps(content, default=np.generic.item).encode()
-
-
 def _unpacked(content: bytes) -> Entry:
     row, columns = json.loads(content)
     return row, None if columns is None else pd.DataFrame(columns)
 
 
 def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
-    """Return the entry stored under the key `name`; else compute() and store its result.
+    """Return the result stored under the key `name`; else call `compute`, store its result and return it.
 
-    `compute` returns (dict of plain values, DataFrame of numbers or None), which also come back when read. With None
-    for `name`, or when railrepro was edited meanwhile, nothing is stored.
+    `compute` returns a pair: a dict of plain values, and a DataFrame of numbers or None. Nothing is stored when `name`
+    is None, or when railrepro was edited meanwhile.
     """
     place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
     if place is not None:
         with suppress(OSError, ValueError, TypeError, RecursionError):  # there is none, or it is broken
             return _unpacked(place.read_bytes())
-    content = _packed(*compute())
+    row, table = compute()
+    values = [row, None if table is None else table.to_dict("list")]
+    content = json.dumps(values, default=np.generic.item).encode()
     if place is not None and code.unchanged():
         write(place, content)
     return _unpacked(content)

@@ -2,10 +2,8 @@
 
 The ranking of controllers depends on their tuning and measurements, so there are three settings: `paper` (perfect
 measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
-with the same cost and budget) and `loop` (as `equal`, with sensor noise, latency and filter). `python -m railrepro
-tune [setting …] [controller …]` tunes and writes data/tuned; an interrupted run goes on where it was.
-
-Serves the paper's section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
+with the same cost and budget) and `loop` (as `equal`, with sensor noise, latency and filter). Serves the paper's
+section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
 """
 
 from __future__ import annotations
@@ -43,22 +41,24 @@ SEED = Annotated[int, between(0, 2**63)]
 class Task:
     """Tuning task of one setting of comparison: the runs, their cost, and the parameters that swarms search.
 
-    `budget` and `cost` are the tables of these names in data/tuning.toml, see `Budget` and `Cost`.
+    Attributes:
+        setting: Setting of comparison.
+        budget, cost: Tables of data/tuning.toml, see `Budget` and `Cost`.
+        runs: Name -> run without controller. The cost is the mean over these runs; the hardest is the last.
+        dimensions: Controller -> parameters that its swarms search, with bounds.
+        designed: Controller -> tuning parameters chosen by hand, name -> value.
+        start: Controller -> tuning parameters at which the first particle of each swarm begins.
+        searched_too: Controllers in `designed` that a swarm tunes as well, for comparison.
     """
 
     setting: str
     budget: dict
     cost: dict
     runs: dict[str, Experiment]
-    """Runs over which the cost is averaged, by name, without controller; the hardest is the last."""
     dimensions: dict[str, list[pso.Dimension]]
-    """Controller -> its searched parameters."""
     designed: dict[str, dict] = field(default_factory=dict)
-    """Controller -> tuning parameters chosen by hand, name -> value."""
     start: dict[str, dict] = field(default_factory=dict)
-    """Controller -> tuning parameters at which the first particle of each swarm begins."""
     searched_too: tuple[str, ...] = ()
-    """Controllers in `designed` that a swarm tunes as well, for comparison."""
 
     @property
     def searched(self) -> list[str]:
@@ -68,7 +68,7 @@ class Task:
 
 @data.table
 class Budget:
-    """Size of a search: particles per swarm, iterations, those without improvement until it stops, a seed per swarm."""
+    """Size of a search: particles per swarm, iterations, iterations without improvement (`patience`), swarm seeds."""
 
     particles: COUNT
     iterations: COUNT
@@ -90,9 +90,10 @@ class Cost:
 
 @data.table
 class RunEntry:
-    """A run in data/tuning.toml: name of a scenario, its end (m), random seed of its sensors, and optional changes.
+    """Run of the tuning task, an entry of data/tuning.toml: a scenario by name with changes.
 
-    `speed_kmh` is in km/h, `irregular` and `plant` are as in `Experiment`, `inverter` as in data/sensors.toml.
+    `end_m` is the end of the run (m), `seed` the one of its sensors, `speed_kmh` its speed (None: of the scenario).
+    `irregular` and `plant` are as in `Experiment`, `inverter` has changed entries of data/sensors.toml.
     """
 
     scenario: str
@@ -142,7 +143,7 @@ def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
 
 
 def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
-    """Read the tuning task of a setting from a TOML file (default data/tuning.toml); InputError for wrong entries."""
+    """Tuning task of a setting of comparison from a TOML file (default data/tuning.toml); InputError if it is wrong."""
     file = data.location(path, paths.source("data/tuning.toml"))
     content = data.build(TaskFile, data.read(file), file.name)
     _known([setting], content.setting, f"{file.name}: setting")
@@ -180,11 +181,11 @@ def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
 
 
 def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
-    """Metrics of a run from which `run_cost` computes its cost, as a `store.Entry`: (dict, None).
+    """Metrics from which `run_cost` computes the cost of a run; a measure for `Experiment.measured`.
 
-    Mean over both gears of the RMSE of y (`rmse_y`, m), the RMS of du (`effort_du`, N m) and of its part above 5 Hz
-    (`activity_du`, N m; nan when failed); `done`, the share of the distance before flange contact or failure (-); and
-    `failed`, true also after flange contact. With imperfect sensors the error counts from the irregular rails.
+    Returns (dict, None). Keys rmse_y (m), effort_du (RMS of du, N m), activity_du (RMS of du above 5 Hz, N m; NaN if
+    failed), each the mean over both gears; failed, whether the run failed or a wheel touched its flange; done, share of
+    the way before that (-). With sensors that have errors rmse_y counts from the irregular rails.
     """
     sensed = bool(experiment.sensors) and not experiment.sensors.get("perfect", False)
 
@@ -202,10 +203,10 @@ def driven(run: simulate.Run, experiment: Experiment) -> store.Entry:
 
 
 def run_cost(parts: dict, cost: dict) -> float:
-    """Cost of a run (-) from its metrics `parts` (of `driven`) and the table [cost] of data/tuning.toml, `cost`.
+    """Cost of a run (-) from its metrics `parts` (dict of `driven`) and the table `cost` of data/tuning.toml.
 
-    1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0); a
-    failed run costs failure (2 - done).
+    1e3 rmse_y / y_scale_mm + weight effort_du / du_scale_Nm + activity_weight max(activity_du / activity_Nm - 1, 0)
+    with entries of `parts` and `cost`. A failed run costs failure (2 - done) instead.
     """
     if parts["failed"]:
         return cost["failure"] * (2 - parts["done"])
@@ -215,10 +216,10 @@ def run_cost(parts: dict, cost: dict) -> float:
 
 
 def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.inf) -> tuple[float, list[dict]]:
-    """Mean cost (-) of tuning `parameters` over the runs of a task, and per run a dict: run, cost, metrics of `driven`.
+    """Mean cost (-) of tuning `parameters` over the runs of a task; returns a pair (cost, runs).
 
-    The hardest run, the last of the task, is simulated first. Once the mean is above `limit` the other runs are left
-    out and count as zero: the cost is then a lower bound.
+    runs is a list of dicts, the last run of the task first, with the keys run (name), cost and the metrics of `driven`.
+    Once the mean is above `limit` the other runs are left out and count as zero: the cost is then a lower bound.
     """
     quick, number = CONTROLLERS[controller].quick, len(task.runs)
     costs, parts = [], []
@@ -238,11 +239,11 @@ def evaluate(controller: str, task: Task, parameters: dict, limit: float = np.in
 
 
 def tune(controller: str, task: Task, quiet: bool = False) -> dict:
-    """Tune one controller with a swarm per seed, in parallel (`executor`); finished runs are read from the store.
+    """Tune one controller with a swarm per seed of the budget, in parallel (`executor`); stored runs are read.
 
-    Returns a dict: the tuned set, that of the best swarm (`controller`, `setting`, `parameters`, `cost` (-), `runs` as
-    from `evaluate`), `swarms` (per swarm seed, cost, evaluations, parameters), `origin` (version and budget), and
-    `history`, a DataFrame of all evaluated particles (`Swarm.history` and seed).
+    Returns a dict. Of the best swarm: controller, setting, parameters, cost (-), runs (as from `evaluate`). swarms: a
+    list of dicts with seed, cost, evaluations and parameters of each swarm. origin: dict of version and `Budget`.
+    history: DataFrame with a row per evaluated particle (`Swarm.history`) and the column seed.
     """
     budget, evaluated, found = task.budget, partial(evaluate, controller, task), {}
 
@@ -274,7 +275,7 @@ def tune(controller: str, task: Task, quiet: bool = False) -> dict:
 
 
 def save(found: dict, folder: Path) -> None:
-    """Write `found`, a result of `tune`, to a folder: CONTROLLER.json, its history CONTROLLER_particles.csv."""
+    """Write `found`, a result of `tune`, to a folder: CONTROLLER.json, and its history to CONTROLLER_particles.csv."""
     content = {key: value for key, value in found.items() if key != "history"}
     particles = found["history"].to_csv(index=False, float_format="%.6g")
     data.write(folder / f"{found['controller']}_particles.csv", particles)
@@ -282,21 +283,25 @@ def save(found: dict, folder: Path) -> None:
 
 
 def particles(controller: str, setting: str = EQUAL) -> pd.DataFrame:
-    """Read a row per evaluated particle: iteration, particle, cost (-), a column per parameter, seed of the swarm."""
+    """Evaluated particles of all swarms of a tuning, read from data/tuned: a row each, columns as `tune`'s history."""
     return pd.read_csv(paths.source(f"{TUNED}/{setting}/{controller}_particles.csv"))
 
 
 def load(controller: str, setting: str = PAPER, searched: bool = False) -> dict:
-    """Tuned set of a controller in a setting of comparison, see `tune` (without `history`).
+    """Tuned set of a controller in a setting of comparison: the dict of `tune` without history.
 
-    A designed controller has only `controller`, `setting` and `parameters`; with `searched` the set that a swarm found
-    for it (`Task.searched_too`). InputError when there is none.
+    A designed controller has only the keys controller, setting and parameters; with `searched` it is the set that a
+    swarm found for this controller (`Task.searched_too`). InputError when there is none.
     """
     return read(controller, setting) if searched else tuned_set(controller, setting)
 
 
 def main(names: list[str]) -> None:
-    """Tune the controllers among `names` (none: all) in the settings among them (none: all) and write data/tuned."""
+    """Command `tune`: tune controllers and write data/tuned.
+
+    `names` are controllers and settings of comparison, InputError for others. Without a controller among `names` all
+    controllers are tuned, without a setting all settings.
+    """
     known = load_task().dimensions
     settings = [name for name in names if name in SETTINGS] or SETTINGS
     wanted = [name for name in names if name not in SETTINGS]

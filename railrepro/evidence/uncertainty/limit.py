@@ -65,10 +65,10 @@ class System(NamedTuple):
 
 
 def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]) -> System:
-    """Build the linear system of a gear at a constant speed (m/s) with noise, biases and latency of the sensors `loop`.
+    """Build the linear system of a gear at a constant speed (m/s) behind the sensors `loop`.
 
     `walks` are the intensities of the random walks of lateral force (N/s^0.5) and yaw moment (N m/s^0.5). States: those
-    of `railrepro.own.gear_model`, force and moment, biases of y, psi, r, torque commands on their way, newest first.
+    of `railrepro.own.gear_model`; force and moment; biases of y, psi, r; torque commands on their way, newest first.
     """
     h, n = CONTROL_PERIOD, len(STATES)
     rates, du, _, unknown = lateral_model(vehicle, speed)
@@ -96,10 +96,10 @@ def system(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float
 
 
 def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float], activity: float = ACTIVITY) -> float:
-    """Bound of the lateral error (m) of all causal laws whose differential torque above 5 Hz has the RMS `activity`.
+    """Lower bound of the lateral error (m) of all causal laws with a given differential torque above 5 Hz.
 
-    Standard deviation of y from the set point at the track coordinate that sensors report. `activity` is in N m, other
-    parameters as in `system`: car, sensors, speed (m/s), random walks of the disturbances.
+    The error is the standard deviation of y from the set point at the measured track coordinate. `activity` is the RMS
+    of the torque above 5 Hz (N m). `loop` are the sensors, `speed` is in m/s, `walks` are disturbances as in `system`.
     """
     of = system(vehicle, loop, speed, walks)
     log_weight = brentq(lambda log: np.log(at_weight(of, 10.0**log)[2] / activity), -10.0, 0.0, xtol=1e-3)
@@ -107,10 +107,9 @@ def limit(vehicle: Vehicle, loop: Loop, speed: float, walks: tuple[float, float]
 
 
 def at_weight(of: System, weight: float) -> tuple[float, float, float]:
-    """Standard deviations under the optimal law of a weight (1/(N m)^2) of the squared change, see `feedback`.
+    """Standard deviations under the optimal law (`feedback`) for a `weight` of the torque change (1/(N m)^2).
 
-    Of the error y (m), of its part that no torque removes, the Kalman filter's error (m), and of the torque above 5 Hz
-    (N m).
+    Returns a triple: y (m); part of y that no torque removes, the Kalman filter's error (m); torque above 5 Hz (N m).
     """
     p, m = np.zeros_like(of.a), TORQUE  # the torques are known
     p[:m, :m] = solve_discrete_are(of.a[:m, :m].T, of.c[:, :m].T, of.q[:m, :m], np.eye(len(of.c)))
@@ -137,10 +136,10 @@ def feedback(of: System, weight: float) -> np.ndarray:
 
 
 def with_place(error: float, slopes: np.ndarray, loop: Loop) -> float:
-    """Add the bias of the measured track coordinate p, which shifts the set point y*(p), to a bound `error` (m).
+    """Bound of the lateral error (m) from the set point y*(p) at the true track coordinate p.
 
-    Returns the bound (m) with y* at the true p: root of the sum of squares of `error`, which has y* at the measured p,
-    and of the standard deviation of the bias (sensors `loop`) times the RMS of `slopes`, dy*/dp (-), shape (n,).
+    `error` is the bound (m) from y* at the measured p, whose bias adds an error: standard deviation of the bias of
+    `loop` times RMS of `slopes` dy*/dp (-), shape (n,). The result is the root of the sum of squares of both.
     """
     return float(np.hypot(error, loop.position.bias / np.sqrt(3) * np.sqrt(np.mean(np.square(slopes)))))
 

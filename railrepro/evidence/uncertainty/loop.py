@@ -1,9 +1,8 @@
 """The closed loop with sensors over unseen seeds: the project's controller, rivals, and the bound of `limit`.
 
-`python -m railrepro loop` writes data/results/loop_table.csv; runs that were made before are in the store. Kinds:
-`loop` are the runs of tuning with other seeds, `stressed` has what tuning's stressed run has, `held out` is what tuning
-never sees, `irregular` are rails of two classes from 80 to 400 km/h, whose draw goes with the seed. Errors count from
-the set point at the true position of a gear.
+Kinds of runs in loop_table.csv: `loop` are the runs of tuning with other seeds, `stressed` has what tuning's stressed
+run has, `held out` is what tuning never sees, `irregular` are rails of two classes from 80 to 400 km/h. Errors count
+from the set point at the true position of a gear.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ _PATCH = ((0.0, 0.0), (200.0, 0.0), (201.0, 1.0), (300.0, 1.0), (301.0, 0.0))
 
 
 def experiments() -> list[Experiment]:
-    """All runs of data/results/loop_table.csv, concatenated results of `row`; the label of a run has kind and case."""
+    """All runs of data/results/loop_table.csv, from calls of `row`; their labels have the keys kind and case."""
     ends = {"curve_entry_T1": 50.0, "curve_entry_T2": 200.0, _CURVE: 280.0, "curve_entry_T4": 330.0, _FAST: 250.0}
     runs = [run for name, end in ends.items() for run in row("loop", name, name, {"end_m": end})]
     short, sine, curve = {"end_m": 500.0}, {"end_m": 250.0}, {"end_m": 280.0}
@@ -73,10 +72,10 @@ def experiments() -> list[Experiment]:
 
 
 def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Experiment]:
-    """Runs of one row of loop_table.csv: a scenario (its name) for all controllers `COMPARED` and all `SEEDS`.
+    """Runs of one case of loop_table.csv, with each controller of `COMPARED` and each of `SEEDS`.
 
-    `change` has changed fields of the scenario; `kind` ("irregular": seeds `FEW` only) and `case` label the runs;
-    `more` are fields of `Experiment` such as irregular, plant and sensors.
+    `kind` and `case` label the runs. With the kind "irregular" the seeds are `FEW`, and each also draws the rails.
+    `scenario` is a name, `change` has changed fields of this scenario, `more` further fields of `Experiment`.
     """
     driven, label = load_scenario(scenario).but(**change), {"kind": kind, "case": case}
     runs = []
@@ -90,10 +89,10 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
 
 
 def limit_of(run: Experiment) -> dict:
-    """Lower bounds of the RMS lateral error y - y* that the sensors allow in a run, see `uncertainty.limit.limit`.
+    """Lower bounds of the RMS lateral error y - y* that the sensors allow in a run (`limit.limit`), as a dict.
 
-    Keys limit_mm, set point y* at the true track coordinate, and limit_at_believed_place_mm, y* at the measured track
-    coordinate (mm). Empty unless the run is of kind "loop" on ideal dry rails.
+    Keys limit_mm, with y* at the true track coordinate, and limit_at_believed_place_mm, with y* at the measured one
+    (mm). Empty unless the run is of the kind "loop" on ideal dry rails.
     """
     scenario, loop = run.scenario, load_loop()
     if run.label["kind"] != "loop" or run.irregular or scenario.poor_share:
@@ -104,10 +103,10 @@ def limit_of(run: Experiment) -> dict:
 
 
 def followed(run: simulate.Run, _experiment: Experiment) -> store.Entry:
-    """Store entry (dict, None) of a run with the keys error_mm, rear_mm, activity_Nm, failed.
+    """Metrics of a run with sensors; a measure for `Experiment.measured`, so it returns (dict, None).
 
-    RMS error of front and rear gear against the actual rails (mm), front torque above 5 Hz (N m, RMS), and whether the
-    run failed or reached the flanges; the numbers of such a run are nan.
+    Keys error_mm and rear_mm, RMS error of front and rear gear from the actual rails (mm); activity_Nm, RMS of the
+    front torque above 5 Hz (N m); failed, whether the run failed or reached the flanges. If failed, the others are NaN.
     """
     if run.failed or metrics.reaches_flange(run.series):
         return dict.fromkeys(("error_mm", "rear_mm", "activity_Nm"), float("nan")) | {"failed": True}, None
@@ -120,11 +119,11 @@ def _rms(values: pd.Series) -> float:
 
 
 def table(runs: Sequence[Experiment]) -> pd.DataFrame:
-    """Run experiments in parallel and summarise them over the seeds, one row per case and controller.
+    """Run experiments in parallel and summarise them over the seeds: one row per kind, case and controller.
 
-    Columns kind, case, controller, seeds (number of runs), failed (number of runs that failed or reached the flanges);
-    over the other runs error_mm, rear_mm (RMS error of front and rear gear, mm), spread_mm (standard deviation of the
-    front error between seeds, mm), activity_Nm (mean RMS of the front torque above 5 Hz, N m); and those of `limit_of`.
+    Columns kind, case, controller; seeds, number of runs; failed, number of runs that failed or reached the flanges. Of
+    all other runs: error_mm, rear_mm, RMS error of front and rear gear (mm); spread_mm, standard deviation of error_mm
+    between seeds (mm); activity_Nm, mean RMS of the front torque above 5 Hz (N m). Further columns: keys of `limit_of`.
     """
 
     def driven(run: Experiment) -> dict:

@@ -1,8 +1,4 @@
-"""Stability margins of each tuned controller, and its measured sensitivity.
-
-`python -m railrepro margins` writes data/results/margins.csv and sensitivity.csv. Nothing is
-linearised by hand: the loop runs as it is, with sampling, filter and latency, and is disturbed.
-"""
+"""Stability margins and measured sensitivity of each tuned controller, in the loop as it is: nothing is linearised."""
 
 from __future__ import annotations
 
@@ -69,17 +65,19 @@ class _ProbedFactory(_Probed):
 
 
 def multisine(t, sine: Callable = np.sin):
-    """Sum over `FREQUENCIES` of sine(2 pi f t - phase), t in s, in the shape of t. Source: Schroeder 1970 (phases)."""
+    """Disturbance for `sensitivity` (-): sum over `FREQUENCIES` f of sine(2 pi f t - phase), in type and shape of t.
+
+    `t` is a number, array or CasADi expression (s); `sine` is its sine function. Source: Schroeder 1970 (phases).
+    """
     count = len(FREQUENCIES)
     return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
 
 
 def disk_margin(values: np.ndarray) -> float:
-    """Symmetric disk margin a (-) of the complex `sensitivity` S at several frequencies, a = 1 / max |S - 1/2|.
+    """Symmetric disk margin a = 1 / max |S - 1/2| (-) from the complex `sensitivity` S at several frequencies.
 
-    The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad).
-
-    Source: Seiler, Packard and Gahinet 2020.
+    The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad). Source: Seiler,
+    Packard and Gahinet 2020.
     """
     return float(1 / np.abs(values - 0.5).max())
 
@@ -89,9 +87,9 @@ def sensitivity(
 ) -> np.ndarray | None:
     """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track.
 
-    Complex, shape (len(FREQUENCIES),): differential torque over disturbance, from the difference of a run with and one
-    without disturbance at `speed_kmh`. `guidance` and `vehicle` as in `simulate.run`, `sensors` are arguments of
-    `sensors.readings`; their noise is equal in both runs and cancels. None when a run fails or the loop is unstable.
+    It compares runs at `speed_kmh` with and without the disturbance `multisine`. Returns the complex ratio of torque to
+    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `guidance` and `vehicle` are as in
+    `simulate.run`. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs and cancels.
     """
     end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
     scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
@@ -114,10 +112,10 @@ def sensitivity(
 
 
 def delay_margin(setting: str, controller: str) -> float:
-    """Largest extra delay of the torque (s) with which a tuned controller avoids the flanges at 400 km/h on poor rail.
+    """Largest delay (s) added to the torque command with which no wheel touches its flange at 400 km/h on poor rail.
 
-    Whole milliseconds up to `LONGEST_MS`, by bisection; nan where it reaches the flanges without delay. `setting`
-    ("paper", "equal", "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned parameters.
+    Whole milliseconds up to `LONGEST_MS` are tried, by bisection. NaN if a flange is touched without added delay.
+    `setting` ("paper", "equal", "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned set.
     """
     sensors = {"seed": 101} | ({} if setting == tuning.LOOP else {"perfect": True})
     scenario, quick = load_scenario("adhesion_loss").but(end_m=600.0), CONTROLLERS[controller].quick
@@ -133,7 +131,7 @@ def delay_margin(setting: str, controller: str) -> float:
 
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
-    """Keys peak_sensitivity (max |S|), disk_margin (-) of a tuned controller; inf, 0 where `sensitivity` is None."""
+    """Dict of a tuned controller with keys peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if unstable."""
     around = load_loop() if setting == tuning.LOOP else None
     read = controller, speed_kmh, tuning.load(controller, setting)["parameters"], around, load_vehicle()
     key = store.key(__name__, "sensitivity", read)
@@ -148,7 +146,7 @@ def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
 
 
 def main() -> None:
-    """Measure all tuned controllers and write data/results/margins.csv and sensitivity.csv."""
+    """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the controllers `SHOWN`."""
     pairs = [*product(tuning.SETTINGS, SHOWN)]
     loops = [(*pair, speed) for pair in pairs for speed in _KMH]
     delays = ordered_map(lambda pair: delay_margin(*pair), pairs, "delay margins")

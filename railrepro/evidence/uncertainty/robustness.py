@@ -1,8 +1,6 @@
 """Robustness of the verdicts: all statements on cars that are drawn from what the paper leaves open.
 
-`python -m railrepro robustness` writes data/results/pole_verdicts.csv, some statements over the poles of NDI, and after
-each setting of comparison robustness_samples.csv and robustness_claims.csv. Every finished run is in the store, so an
-interrupted study goes on where it was. Serves the question what the unpublished parameters decide.
+Every finished run is in the store, so an interrupted study goes on where it was.
 """
 
 from __future__ import annotations
@@ -28,8 +26,7 @@ from railrepro.evidence.runs.tuning import driven, run_cost
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, LONG, SEED = 128, 32, 2026
-"""Samples of the sequence, the same in each setting; so many at its begin also have the runs of `probe.ONCE`, which
-take most of the time; its seed."""
+"""Samples per setting, the same in each; so many at the begin also have the (long) runs of `probe.ONCE`; seed."""
 TUNING, JUDGING = 1, 101
 """Seeds of the noise, in the setting `loop`."""
 OPEN = (
@@ -51,7 +48,7 @@ LABELS = ("number", "setting", "profile", "ltv")
 
 
 def prior() -> tuple[Dimension, ...]:
-    """Sampled parameters with bounds: ranges of data/vehicle.toml without wet and very poor rail, then `OPEN`."""
+    """Sampled parameters with bounds: ranges of data/vehicle.toml, without wet and very poor rail, then `OPEN`."""
     known = {dimension.name for dimension in OPEN}
     unused = ("adhesion.wet.", "adhesion.very_poor.")
     ranges = {k: v for k, v in sample_ranges().items() if not k.startswith(unused) and k not in known}
@@ -60,17 +57,20 @@ def prior() -> tuple[Dimension, ...]:
 
 @dataclass(frozen=True)
 class Sample:
-    """One sampled combination of the parameters that the paper does not publish."""
+    """One sampled combination of the parameters that the paper does not publish.
+
+    Attributes:
+        number (int): Index in the Sobol sequence of `draw`.
+        setting (str): Setting of comparison, one of `tuning.SETTINGS`.
+        values (tuple): Pairs of dimension name (see `prior`) and value in its unit; dimensions not named stay nominal.
+    """
 
     number: int
-    """Index in the Sobol sequence of `draw`."""
     setting: str
-    """Setting of comparison, one of `tuning.SETTINGS`."""
     values: tuple[tuple[str, float], ...]
-    """Pairs of dimension name (see `prior`) and value in its unit; dimensions not named stay nominal."""
 
     def world(self, seed: int | None = None) -> ProbeSetup:
-        """Setup of the probe: controllers of the setting, car and experiments of the sample; `seed`: see `setup`."""
+        """Car, controllers and experiments of the sample as a `ProbeSetup`; `seed` is the seed of the sensor noise."""
         v = dict(self.values)
         if _PROFILE in v:
             v["profile"] = ("cone", "s1002")[int(v.pop(_PROFILE))]
@@ -89,10 +89,10 @@ def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> lis
 
 
 def evaluate(sample: Sample) -> dict:
-    """Retune the paper's three controllers slightly on a sampled car, then run the probe with another noise seed.
+    """Retune the paper's three controllers slightly on a sampled car, then simulate `probe.probe` with another seed.
 
-    Returns a row as dict: number and setting of the sample, profile ("cone", "s1002"), ltv (variant of LTV-MPC), values
-    of the sample by dimension name, and metrics "scenario/controller/metric" -> value (SI) of `claims.probe.probe`.
+    Returns a dict. Keys: number and setting of the sample; profile ("cone", "s1002"); ltv (variant of LTV-MPC); each
+    name in `Sample.values`, with its value; "scenario/controller/metric", with metrics (SI) of `probe.probe`.
     """
     world = sample.world(JUDGING)
     tuned = {name: _retuned(sample, name) for name in PAPER_TRIO}
@@ -118,10 +118,10 @@ def _retuned(sample: Sample, name: str) -> dict:
 
 
 def holds(table: pd.DataFrame) -> pd.DataFrame:
-    """Judge the paper's statements on each sample; `table` has the rows of `evaluate`.
+    """Judge the paper's statements on each sample: one row per sample.
 
-    Returns one row per sample: columns `LABELS`, and one per statement (named by its id, such as "C04"): True where the
-    sample reproduces the statement, False where not, nan where metrics for it are missing.
+    `table` has the rows of `evaluate`. Columns number, setting, profile, ltv, and one per statement (its id, as "C04"):
+    True where the sample reproduces it, False where not, NaN where metrics for it are missing.
     """
     known = {i: statement for i, statement in statements.load().items() if statement.kind == "statement"}
     nominal, rows = Nominal(), []
@@ -134,10 +134,10 @@ def holds(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def shares(table: pd.DataFrame | None) -> pd.DataFrame:
-    """Share of samples (0 to 1) in which each statement holds, by setting, with a 95 % interval (Clopper-Pearson).
+    """Share of samples in which each statement holds (0 to 1): one row per statement and setting.
 
-    `table` has the rows of `evaluate`; without it (None) the result is empty. Columns id (of the statement), setting,
-    share, low, high (ends of the interval), samples (number judged), cone, s1002 (share among samples of this profile).
+    `table` has the rows of `evaluate`; None gives no rows. Columns id (of the statement); setting; share; low and high,
+    its 95 % interval (Clopper-Pearson); samples, number judged; cone and s1002, share among samples with this profile.
     """
     columns = ["id", "setting", "share", "low", "high", "samples", "cone", "s1002"]
     if table is None:
@@ -155,10 +155,10 @@ def shares(table: pd.DataFrame | None) -> pd.DataFrame:
 
 
 def decided(table: pd.DataFrame) -> pd.DataFrame:
-    """Table of `shares` with a column `decided_by`: at most three names (of `prior`), joined by commas.
+    """Table of `shares` with a column decided_by: names of the parameters (of `prior`) on which a statement depends.
 
-    They are the parameters whose ranks correlate with whether the statement holds, far beyond chance. `table` has the
-    rows of `evaluate` in one setting.
+    decided_by has up to three names, joined by commas: parameters whose rank correlation with the truth of the
+    statement is significant (p < 0.001, Bonferroni). `table` has rows of `evaluate` in one setting.
     """
     found, judged = shares(table), holds(table)
     factors, deciding = table[[dimension.name for dimension in prior()]], []
@@ -169,8 +169,7 @@ def decided(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _deciding(factors: pd.DataFrame, held: pd.Series, most: int = 3, chance: float = 1e-3) -> list[str]:
-    """Parameters by rank correlation with whether a statement holds, strongest first, each less what those before it
-    explain; only where chance among all parameters gives as much in less than one of a thousand studies."""
+    """At most three parameters by rank correlation with a verdict, strongest first, less what earlier ones explain."""
     columns, y = factors.rank(), held.rank()
     columns, y = columns - columns.mean(), y - y.mean()
     found: list[str] = []
@@ -195,10 +194,10 @@ BY_POLE = ("C04", "C05", "C17", "C20", "C31")
 
 
 def over_poles() -> pd.DataFrame:
-    """Verdicts on the statements `BY_POLE` for each triple pole of NDI in `POLES`, nominal car, setting `paper`.
+    """Verdicts on the statements `BY_POLE` by triple pole of NDI (`POLES`) on the nominal car in the setting `paper`.
 
-    Columns poles (rad/s, as text, or "swarm" for parameters found by the swarm), id (of the statement), value (in the
-    unit of the statement, compared with its limits), verdict (text of `Statement.judge`).
+    One row per pole and statement. Columns poles (rad/s, as text; "swarm" for the parameters found by the swarm), id
+    (of the statement), value (in the unit of the statement), verdict (text of `Statement.judge`).
     """
     spread, known = Nominal().evidence(tuning.PAPER).spread, statements.load()
     swarm = tuning.load(statements.NDI, tuning.PAPER, searched=True)["parameters"]
@@ -215,12 +214,12 @@ def over_poles() -> pd.DataFrame:
     return pd.DataFrame([row for own in rows for row in own], columns=["poles", "id", "value", "verdict"])
 
 
-def main(samples: int | None = None) -> None:
-    """Run `over_poles`, and `evaluate` on `samples` (default `SAMPLES`) per setting; write tables to data/results."""
+def main() -> None:
+    """Write pole_verdicts (`over_poles`), robustness_samples (`evaluate`), robustness_claims (`decided`) as csv."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
     for setting in tuning.SETTINGS:
-        drawn = draw(samples or SAMPLES, settings=(setting,))
+        drawn = draw(SAMPLES, settings=(setting,))
         finished.append(pd.DataFrame(ordered_map(evaluate, drawn, f"robustness, {setting}")))
         table, found = pd.concat(finished), pd.concat([decided(each) for each in finished])
         write(paths.product("data/results/robustness_samples.csv"), table.to_csv(index=False, float_format="%.6g"))
