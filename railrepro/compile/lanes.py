@@ -77,12 +77,13 @@ def lanes_text(function: ca.Function, common: Sequence[str] = ()) -> str:
     """C source of a function that is evaluated for several sets of arguments at once, one set per lane of a register.
 
     Args:
-        function (casadi.Function): Function of the scalar operations in `_OPERATIONS`.
+        function (casadi.Function): Function of scalars (SX): sums, products, quotients, elementary functions, choices.
         common (sequence of str): Inputs with one value for all sets. What depends on these alone is computed once.
 
     Returns:
-        str: `static void NAME_lanes(inputs, outputs)` with a pointer for each input and output in CasADi's order: to
-            double for the common inputs, to lanes_t for all others.
+        str: `static void NAME_lanes(...)`, with NAME of the function. Its arguments are the inputs, then the
+            outputs: arrays of their nonzeros in CasADi's order, of double for common inputs, else of lanes_t, the
+            vector of lanes.h with one double per set.
     """
     inputs, outputs = function.name_in(), function.name_out()
     kinds = ["double" if name in common else "lanes_t" for name in inputs]

@@ -62,10 +62,11 @@ MODEL = {
 
 
 class LateralLaw(Protocol):
-    """Lateral guidance law that is evaluated every millisecond: any object with the method `torque(q)`.
+    """Lateral guidance law that is evaluated every millisecond: an object with a method `torque(q)`, which returns an
+    expression (CasADi SX) of the quantities q.
 
-    It may also have two optional members. `memory` is a tuple with the names of its own states, which are separate for
-    each gear and start at 0. `gains()` returns a dict from name to value of its run-time numbers.
+    Two members are optional. `memory` is a tuple with the names of its own states, which are separate for each gear and
+    start at 0. `gains()` returns a dict from name to value of numbers that can change without compiling again.
     """
 
     def torque(self, q: SimpleNamespace) -> ca.SX | tuple[ca.SX, dict[str, ca.SX]]:
@@ -80,6 +81,7 @@ class SlowController(Protocol):
     """Lateral guidance of one running gear that is sampled at its own `period`, a multiple of 1 ms, by `plan`.
 
     It may have two more methods:
+
     - `read(readings, delay)`, for a controller with a filter of its own. With sensors it is called before `plan`.
       `readings` are lateral displacement (m), yaw angle against the track (rad) and yaw rate (rad/s) as read; `delay`
       is the time from reading to torque (s).

@@ -44,9 +44,10 @@ class LawSignature:
     def Gains(self) -> Any:
         """Dataclass type that names all run-time numbers of the law (SI).
 
-        Its fields are `lateral`, `adhesion` (gains of both laws), `fixed_share`, `nominal_load`, `model`, `drive`
-        (vehicle) and `limit` (end of a run). With sensors it also has `front`, `rear` (sensors of each gear) and
-        `filter`.
+        Fields: `lateral`, `adhesion`, gains of the two laws; `fixed_share` (-), see `allocate`; `nominal_load` of a
+        wheel (N); `model`, `drive`, parameters of the vehicle; `limit`, displacement, coordinate and speed at which a
+        run ends. A law that reads sensors also has `front` and `rear`, the errors of each gear's sensors, and `filter`,
+        the gains of the state estimation.
         """
         laws = {"lateral": listed(self.lateral.gains), "adhesion": AdhesionSettings}
         car = {"model": interface.Model, "drive": Drive, "limit": interface.Limits}

@@ -112,10 +112,10 @@ class PredictiveController:
 
 @dataclass
 class NMPC(PredictiveController):
-    """Nonlinear MPC of one running gear. All solvers minimise the same cost.
+    """Nonlinear MPC of one running gear: `plan` returns the torque once a `period`, see `PredictiveController`.
 
     `solver` is "gauss_newton" (default): Newton iterations until convergence; "rti": real-time iteration, one per
-    sample, prepared before the state is measured; or "ipopt": the reference.
+    sample, prepared before the state is measured; or "ipopt": slower, to compare with. All minimise the same cost.
     """
 
     solver: str = "gauss_newton"

@@ -77,7 +77,7 @@ def effort_cost(du, t: Tuning):
 
 
 def slack_cost(slack, t: Tuning):
-    """Cost (s) of exceeding the lateral bound by `slack` (m) at one state, with the weights `t`."""
+    """Cost (s: a number per second times the time step) of exceeding the lateral bound by `slack` (m) at one state."""
     return t.bound_weight * t.q[Y] * t.period * slack**2
 
 

@@ -164,10 +164,10 @@ class Loop:
         return replace(self, **quiet, latency=Latency(0.0, 0.0), adhesion=Adhesion(5e-3, 1e-3, 0.0))
 
     def lateral_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pair: standard deviations of noise, shape (3,), and of bias, shape (3,), of the readings of y, psi and r.
+        """Pair: standard deviations of noise per sample, shape (3,), and of the uniform bias, shape (3,), of y, psi, r.
 
-        The displacement y (m) is the mean of both planes; the yaw angle psi (rad) is their difference over `base`; r is
-        the yaw rate (rad/s). A bias is uniformly distributed.
+        The displacement y (m) is the mean of what a gear measures in front and behind, the yaw angle psi (rad) their
+        difference over the distance `base`; r is the yaw rate (rad/s).
         """
         of_planes = np.array([1 / np.sqrt(2), np.sqrt(2) / self.lateral.base])
         noise = np.append(self.lateral.noise * of_planes, self.gyro.noise)

@@ -75,6 +75,7 @@ def content() -> dict:
     """Data of the live page as a dict for JSON.
 
     Arrays (float64) and WebAssembly modules are compressed by zlib and then base64 text. Keys:
+
     - "columns": names of the columns of all "cells" (rows of a route);
     - "car": its "module", "parameters", "outputs", and the names "measured" by controllers;
     - "settings": label of each setting;

@@ -40,8 +40,8 @@ class Run:
         ended (str): Why the run ended, in one sentence.
         failed (bool): Whether it ended by derailment or by a number that is not finite.
         warnings (tuple of str): Sentences on where the run first left the range in which a model is valid.
-        controllers (tuple): Slower lateral controllers of front and rear gear, empty without. The attribute `fallbacks`
-            of an MPC counts samples without solution.
+        controllers (tuple): Lateral controllers of both gears with a sampling time of their own, as MPC; () for a 1 kHz
+            law. The attribute `fallbacks` of an MPC counts samples without solution.
         memory (dict): Name in `law.LawSignature.memory` -> state of the control law at the end (SI).
     """
 

@@ -31,6 +31,7 @@ def program(variant: str, discretisation: str, steps: int) -> dict[str, ca.MX]:
     """Nonlinear program (multiple shooting) over `steps` time steps, as the dict that `casadi.nlpsol` takes.
 
     Its keys, with L = `steps`, are:
+
     - "x", unknowns: deviations from the desired states over `SCALE`, 6 (L + 1); torques (kN m), L; slacks (mm), L;
     - "p", parameters: desired states, track theta (9 L), model parameters, tuning vector, base torque;
     - "f": `COST` times the cost of `control.problem`;

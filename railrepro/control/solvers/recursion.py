@@ -22,7 +22,8 @@ def _halved(cost: ca.SX, by: ca.SX) -> tuple[ca.SX, ca.SX]:
 def recursion(variant: str, discretisation: str) -> tuple[ca.Function, ca.Function, ca.Function]:
     """CasADi functions of the Riccati recursion, for the quadratic problem in steps (dx, du) from a trajectory (x, u).
 
-    Their arguments are:
+    `variant` and `discretisation` of the prediction model are as in `MPCSettings`. Arguments of the functions:
+
     - P, p: matrix and vector of the cost-to-go dx' P dx / 2 + p' dx;
     - x_next, x_plus, x_d: next state by the model, next state of the trajectory, desired state;
     - A, B, tuning: derivatives as of `problem.dynamics`, tuning vector in the order of `problem.TUNING`;

@@ -231,7 +231,8 @@ def _make_deterministic(content: Any) -> None:
 def run(notebook: Notebook, parameters: dict, root: Path) -> Reads:
     """Execute a notebook and move the files that it writes, its products, below `root`.
 
-    The executed notebook is saved in build/notebooks or root/notebooks, a failed one as NAME.failed.ipynb.
+    The executed notebook goes to build/notebooks, for a root other than the checkout to root/notebooks, a failed one as
+    NAME.failed.ipynb.
 
     Args:
         notebook: Notebook

@@ -114,7 +114,7 @@ def perturbed(choices: Mapping[str, Choice], size: float, draw: int) -> dict[str
 
 
 def conflict(wave: float) -> pd.DataFrame:
-    """Table of `judged` for the calibrated car in Fig. 9 with last period `wave` (m) of y*; column wave_m has it."""
+    """Table of `judged` for the calibrated car whose set point of Fig. 9 ends with the wavelength `wave` (m)."""
     return judged(setup(_values(load()) | {WAVE: wave}), ["brake"]).assign(wave_m=wave)
 
 

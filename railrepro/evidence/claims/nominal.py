@@ -40,7 +40,7 @@ class Nominal:
         return [setting for setting in tuning.SETTINGS if setting in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
-        """Metrics and tables of a setting of comparison; for "" no metrics, but tables without a column `setting`."""
+        """Metrics and tables of "paper", "equal" or "loop"; for "" the tables that depend on no setting, no metrics."""
         if setting not in self._evidence:
             rows = self._rows.get(setting)
             known = ({}, {}) if rows is None else (tuned_metrics(rows), seeds_spread(rows))
@@ -66,8 +66,8 @@ def tuned_metrics(rows: pd.DataFrame) -> dict[Key, float]:
 def seeds_spread(rows: pd.DataFrame) -> dict[Key, float]:
     """Scatter between the seeds of swarms and noise: (scenario, controller, metric) -> ln(largest / smallest |value|).
 
-    `rows` are of one setting, columns scenario, controller, metric, value (SI). Only the metrics rmse_y and
-    stopping_distance count. The scatter is inf for rmse_y where a run failed, else 0 where a value is 0 or not finite.
+    `rows` are of one setting, columns scenario, controller, metric, value (SI), a row per seed. Only rmse_y and
+    stopping_distance count. Where a run failed the scatter of rmse_y is inf; where a value is 0 or not finite it is 0.
     """
     found: dict[Key, float] = {}
     lost = {(r.scenario, r.controller) for r in rows.itertuples() if r.metric == "failed" and r.value > 0}

@@ -76,9 +76,9 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
 
 
 def main(settings: Sequence[str] = ()) -> None:
-    """Command `probe`: simulate settings of comparison (default all), or print verdicts that answers flip.
+    """Command `probe`: simulate what the statements need in `settings`, names of settings of comparison (none: all).
 
-    `settings` are names, or one filled copy of data/answers.toml; InputError for a file without an answer.
+    Or, with the path of a filled copy of data/answers.toml: print the statements whose verdict its answers change.
     """
     if not settings or not settings[0].endswith(".toml"):
         return probe.main(settings)

@@ -39,11 +39,11 @@ def plan(
     every row. The line begins and ends on the ideal line.
 
     Args:
-        frame (DataFrame): True irregularities (`rough_track`), as in `known`; they begin and end within the limit.
+        frame (DataFrame): True irregularities (`rough_track`): p_m, lateral_m, gauge_m; they end within the limit.
         share (float): 0 asks for the ideal line, 1 for the middle between the rails.
         smoothing_m (float): Length over which the line is smooth (m); 0 asks for no smoothness.
         limit (float): Lateral play of a wheel pair to either side between rails of nominal gauge (m).
-        amplitude_error, localisation_error_m (float): Errors of what is `known` of the irregularities.
+        amplitude_error, localisation_error_m (float): The controller's errors, relative (-) and in m, see `known`.
 
     Returns:
         p (ndarray, shape (n,)): Track coordinates (m).
