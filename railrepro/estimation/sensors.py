@@ -47,9 +47,10 @@ def _upto(high: float, unit: str) -> Parameter:
 
 @data.table
 class Lateral:
-    """Sensors of the lateral displacement of the axle from the rails, in two planes at a distance `base` (m).
+    """Two sensors of the lateral displacement of the axle from the rails, in planes across the track.
 
     Attributes:
+        base (float): Distance of the two planes along the track (m).
         noise (float): Standard deviation of a reading (m).
         bias (float): Largest constant offset (m). A run draws its offset uniformly from [-bias, bias].
         resolution (float): Step to which a reading is rounded (m); 0: not rounded.

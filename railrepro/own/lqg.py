@@ -267,8 +267,8 @@ class LqgGear:
         return ctypes.cast(self.library.lqg_sample, ctypes.c_void_p).value or 0, ctypes.addressof(self.memory)
 
     def exported(self, gears: list[LqgGear], loop: Loop | None) -> str:
-        """C text of the controllers of both gears with their tables, for an export. `gears` are the controllers [front,
-        rear], `loop` the sensors, None without."""
+        """C text of `gears`, the controllers [front, rear], and of the tables of their designs, for an export. It does
+        not matter which instance is asked. `loop`: the sensors, or None for a control without."""
         for gear in gears:
             gear.compiled(loop)
         memories = ", ".join(codegen.initialiser(gear.memory) for gear in gears)

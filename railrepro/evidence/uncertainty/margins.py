@@ -131,7 +131,7 @@ def delay_margin(setting: str, controller: str) -> float:
 
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
-    """Dict of a tuned controller with keys peak_sensitivity (max |S|) and disk_margin (-); inf and 0 if unstable."""
+    """Dict peak_sensitivity (max |S| at the torque), disk_margin (-) of a tuned controller; inf and 0 if unstable."""
     around = load_loop() if setting == tuning.LOOP else None
     read = controller, speed_kmh, tuning.load(controller, setting)["parameters"], around, load_vehicle()
     key = store.key(__name__, "sensitivity", read)
