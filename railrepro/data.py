@@ -14,6 +14,7 @@ import json
 import math
 import numbers
 import os
+import pickle
 import reprlib
 import sys
 import threading
@@ -21,7 +22,7 @@ import tomllib
 import typing
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -113,7 +114,7 @@ def check_fields(settings: Any) -> None:
     """Raise InputError if a field of a dataclass instance is invalid: a number outside its annotated `Quantity`, or a
     value of another type in a field of type bool or str."""
     kind: Any = type(settings)
-    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+    for name, hint in _hints(kind, include_extras=True).items():
         base, *notes = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint, hint)
         for allowed in notes:
             if isinstance(allowed, Quantity) or allowed in (bool, str):
@@ -153,14 +154,14 @@ INCREASING = pydantic.AfterValidator(_increasing)
 
 def _known_keys(cls: type, value):
     """Refuse an unknown key with a list of the known ones, before pydantic looks at the values."""
-    known = [field.name for field in fields(cls)]
+    known = [one.name for one in fields(cls)]
     unknown = sorted(value.keys() - set(known)) if isinstance(value, dict) else []
     if unknown:
         raise ValueError(f"has the unknown key {unknown[0]!r}; allowed are {known}")
     return value
 
 
-@typing.dataclass_transform(frozen_default=True)
+@typing.dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def table(cls: type) -> type:
     """Class decorator for what `build` reads from a file: makes a frozen dataclass that refuses unknown and missing
     keys."""
@@ -178,8 +179,7 @@ def read(path: Path) -> Any:
     when it cannot be read or is empty."""
     kind = "JSON" if path.suffix in (".json", ".ipynb") else "TOML"
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text) if kind == "JSON" else tomllib.loads(text)
+        content = pickle.loads(_parsed(path.read_text(encoding="utf-8"), kind))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path.name}: cannot be read as {kind} ({error})") from error
     if not content:
@@ -187,7 +187,14 @@ def read(path: Path) -> Any:
     return content
 
 
+@functools.lru_cache(maxsize=32)
+def _parsed(text: str, kind: str) -> bytes:
+    """Content of a file, packed: its reader may change what it gets, and every run reads the same few files."""
+    return pickle.dumps(json.loads(text) if kind == "JSON" else tomllib.loads(text))
+
+
 _adapter = functools.lru_cache(pydantic.TypeAdapter)
+_hints = functools.cache(typing.get_type_hints)
 
 
 def build(kind: type, content: Any, where: str) -> Any:

@@ -11,6 +11,7 @@ Environment.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -281,8 +282,13 @@ def rest(table: ContactTable) -> ca.Function:
     is the wheel-rail contact, from which radius and sinking of the wheels follow. Source: Johnson 1985, Contact
     Mechanics, section 4.2 (approach of the wheel under its load).
     """
+    return _rest(tuple(table.cells()[table.frame["shift_m"].abs().argmin()].tolist()))
+
+
+@lru_cache
+def _rest(centred: tuple[float, ...]) -> ca.Function:
     (par, vehicle), speed = symbols(CarParameters, "par"), ca.SX.sym("speed")
-    cell = dict(zip(CELL_COLUMNS, table.cells()[table.frame["shift_m"].abs().argmin()], strict=True))
+    cell = dict(zip(CELL_COLUMNS, centred, strict=True))
     contact = in_cell(cell, 0.0 - cell["shift"])
     cos_angle = 1 / np.hypot(1, contact["slope"])
     load = (vehicle.body.mass / 4 + vehicle.gear.mass / 2) * vehicle.gravity / cos_angle

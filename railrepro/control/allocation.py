@@ -10,7 +10,7 @@ import casadi as ca
 def allocate(u_d, du, tau_max, fixed_share=0.0):
     """Motor torques of one running gear from base torque and differential torque.
 
-    The differential torque is limited first; the longitudinal torque takes what is left of the limit. So a jump of
+    The differential torque is limited first; the longitudinal torque takes the rest of the limit. So a jump of
     `u_d` cannot disturb the guidance. Source: eqs. (41), (42) of the paper.
 
     Args:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -95,6 +96,7 @@ def lateral_filter(vehicle: Vehicle, loop: Loop, speed: float) -> tuple[np.ndarr
     return _stationary(*lateral_matrices(vehicle, speed), wander, readings)
 
 
+@lru_cache(maxsize=16)
 def stationary_gains(vehicle: Vehicle, loop: Loop) -> Any:
     """`FilterGains` of one gear, for the noise and latencies of `loop` and the vehicle parameters that the filter
     assumes."""

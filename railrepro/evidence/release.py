@@ -33,18 +33,19 @@ FIGURES = {
 def exchanged(scenario: Scenario, controller: str) -> pd.DataFrame:
     """Simulate a controller with its tuned set of the setting `paper`; returns one row per millisecond.
 
-    `controller` is a key of `registry.CONTROLLERS`, or `TEN_TIMES`: NMPC with ten times its weight R. Columns t_s (s);
-    tau_front_le, tau_front_ri, tau_rear_le and tau_rear_ri, torque commands of the wheels (N m), as the inputs of the
-    car's FMU are called; front.y and rear.y, lateral positions of the gears (m).
+    `controller` is a key of `registry.CONTROLLERS`, or `TEN_TIMES`: NMPC with ten times its weight R. Columns: time
+    (s), torque commands of the wheels as the FMU's inputs (N m), lateral positions of the gears (m).
     """
     name, factor = ("nmpc", 10.0) if controller == TEN_TIMES else (controller, 1.0)
     tuned = parameters(name)
     series = Experiment(scenario, name, parameters=with_r_times(tuned, factor) if "r" in tuned else tuned).run().series
-    found = {"t_s": series["t_s"]}
-    for gear in ("front", "rear"):
-        for side, sign in (("le", 1), ("ri", -1)):
-            found[f"tau_{gear}_{side}"] = series[f"{gear}.tau_long"] + sign * series[f"{gear}.du"]
-    return pd.DataFrame(found | {name: series[name] for name in ("front.y", "rear.y")})
+    torques = {
+        "tau_front_le": series["front.tau_long"] + series["front.du"],
+        "tau_front_ri": series["front.tau_long"] - series["front.du"],
+        "tau_rear_le": series["rear.tau_long"] + series["rear.du"],
+        "tau_rear_ri": series["rear.tau_long"] - series["rear.du"],
+    }
+    return pd.DataFrame({"t_s": series["t_s"]} | torques | series[["front.y", "rear.y"]].to_dict("series"))
 
 
 def write_runs(folder: Path) -> list[Path]:

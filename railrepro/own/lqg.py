@@ -191,18 +191,12 @@ def riccati(a: np.ndarray, b: np.ndarray, q: np.ndarray, units: np.ndarray) -> n
     return p / np.outer(units, units)
 
 
-_DESIGNED: dict[tuple, np.ndarray] = {}
-
-
-def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[Design, np.ndarray]:
-    """Designs at all `SPEEDS`; `loop` None: without sensors. Returns the `Design` at the first speed, and an array (46,
-    n) with `Design.table` at each speed."""
-    first = Design(vehicle, SPEEDS[0], settings, loop)
-    key = repr(vehicle), settings, first.late, *first.noise, *first.drift
-    if key not in _DESIGNED:
-        _DESIGNED.clear()  # one vehicle at a time
-        _DESIGNED[key] = np.array([Design(vehicle, v, settings, loop).table() for v in SPEEDS])
-    return first, _DESIGNED[key]
+@lru_cache(maxsize=1)
+def designs(vehicle: Vehicle, settings: LqgPreview, loop: Loop | None) -> tuple[int, np.ndarray]:
+    """Designs at all `SPEEDS`; `loop` None: without sensors. Returns `Design.late`, and an array (46, n) with
+    `Design.table` at each speed."""
+    found = [Design(vehicle, speed, settings, loop) for speed in SPEEDS]
+    return found[0].late, np.array([design.table() for design in found])
 
 
 _SOURCE = Path(__file__).with_suffix(".c").read_text()
@@ -241,9 +235,9 @@ class LqgGear:
     def compiled(self, loop: Loop | None, leader: LqgGear | None = None) -> tuple[int, int]:
         """Addresses (C function of a sample, its memory), see `lateral.SlowController`. `loop` are the sensors, None
         without. `leader` is given for the rear gear: the front controller, which passes on the rails that it finds."""
-        (first, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
+        (late, table), vehicle, cells = designs(self.vehicle, self.settings, loop), self.vehicle, self.route.cells
         acceleration, partner, _ = nominal_values(vehicle, self.gear)
-        self.sizes = first.late, round(self.settings.preview / TAP) + 1
+        self.sizes = late, round(self.settings.preview / TAP) + 1
         self.library, of_gear = library(*self.sizes)
         rows = round(len(cells) * CELL / PITCH)
         self.tables = {"designs": table, "route": np.ascontiguousarray(cells), "rails": np.zeros((rows, 2))}
@@ -251,7 +245,7 @@ class LqgGear:
             speeds=len(table),
             cells=len(cells),
             rows=rows,
-            behind=max(first.late - 1, 0) * CONTROL_PERIOD,
+            behind=max(late - 1, 0) * CONTROL_PERIOD,
             torque_limit=vehicle.drive.torque_limit,
             acceleration=acceleration,
             gravity=vehicle.gravity,

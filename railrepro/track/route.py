@@ -212,22 +212,13 @@ amplitude rises over the length `fade` after `start` and falls over it before `e
 def reference(of: Any) -> ca.Function:
     """Sine or sweep of a `SetPoint` as a CasADi function from track coordinate p (m) to y* (m)."""
     s = ca.SX.sym("p")
-    return ca.Function("reference", [s], [_sine(s, of) if of.kind == 1 else _sweep(s, of)])
-
-
-def _sine(s: ca.SX, of: Any) -> ca.SX:
-    return of.amplitude * _within(s, of) * ca.sin(2 * np.pi * (s - of.start) / of.period_start)
-
-
-def _sweep(s: ca.SX, of: Any) -> ca.SX:
-    d, wavenumber = ca.fmin(ca.fmax(s - of.start, 0), of.end - of.start), 1 / of.period_end - 1 / of.period_start
-    phase = 2 * np.pi * (d / of.period_start + wavenumber * d**2 / (2 * (of.end - of.start)))
-    return of.amplitude * _within(s, of) * ca.sin(phase)
-
-
-def _within(s: ca.SX, of: Any) -> ca.SX:
-    """1 between start and end, 0 outside."""
-    return _fade(s - of.start, of.fade) * (1 - _fade(s - of.end + of.fade, of.fade))
+    inside = _fade(s - of.start, of.fade) * (1 - _fade(s - of.end + of.fade, of.fade))
+    if of.kind == 1:
+        phase = 2 * np.pi * (s - of.start) / of.period_start
+    else:
+        d, wavenumber = ca.fmin(ca.fmax(s - of.start, 0), of.end - of.start), 1 / of.period_end - 1 / of.period_start
+        phase = 2 * np.pi * (d / of.period_start + wavenumber * d**2 / (2 * (of.end - of.start)))
+    return ca.Function("reference", [s], [of.amplitude * inside * ca.sin(phase)])
 
 
 def _fade(s: ca.SX, length: Any) -> ca.SX:

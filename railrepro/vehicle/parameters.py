@@ -7,7 +7,7 @@ import math
 import reprlib
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -244,7 +244,9 @@ class Vehicle:
     suspension: Suspension
     drive: Drive
     contact: WheelRail
-    adhesion: Annotated[dict[str, AdhesionSet], AfterValidator(lambda sets: dict(sorted(sets.items())))]
+    adhesion: Annotated[dict[str, AdhesionSet], AfterValidator(lambda sets: dict(sorted(sets.items())))] = field(
+        hash=False
+    )
     environment: Environment
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ import pytest
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
 from railrepro.clock import CONTROL_PERIOD
+from railrepro.contact.table import contact_table
 from railrepro.control import law
 from railrepro.simulation import closed_loop
 from railrepro.vehicle.parameters import load_vehicle
@@ -64,3 +65,12 @@ def test_time_counts_the_steps_torques_are_held_and_the_state_that_leaves_all_bo
     named = r"w\.rear_ri = -1\.2e\+07 left all bounds at t = 0\.010 s, p = 0\.5 m"
     with pytest.raises(ArithmeticError, match=named):
         car.step(steps=3)
+
+
+def test_an_edited_contact_table_moves_the_wheels_at_rest():
+    """The state at rest is kept between runs by the content of the table, not by the object."""
+    table = contact_table("cone", load_vehicle())
+    before = SteppedCar("T1", 20.0, table=table).state.copy()
+    table.frame["normal_stiffness"] *= 0.5
+    sunk = SteppedCar("T1", 20.0, table=table).state - before
+    assert 1e-5 < sunk[equations.STATES.index("body.z")] < 1e-3

@@ -343,7 +343,7 @@ def figures(names: Sequence[str] = ()) -> int:
 
 def _run_all(names: Collection[str], task: Callable[[Notebook], object]) -> dict[str, str]:
     """Call `task` with notebooks side by side; returns name -> message of those that failed, which stop no other."""
-    notebooks = [chain()[name] for name in names]
+    notebooks = sorted((n for n in chain().values() if n.name in names), key=lambda n: -n.minutes)  # longest first
     left = {notebook.name: notebook.minutes for notebook in notebooks}
     processors = os.cpu_count() or 1
     jobs = max(1, min(processors, 4, len(left)))
@@ -355,8 +355,7 @@ def _run_all(names: Collection[str], task: Callable[[Notebook], object]) -> dict
         task(notebook)
 
     pool = ThreadPoolExecutor(jobs)
-    longest_first = sorted(notebooks, key=lambda notebook: -notebook.minutes)
-    futures = {pool.submit(one, notebook): notebook.name for notebook in longest_first}
+    futures = {pool.submit(one, notebook): notebook.name for notebook in notebooks}
     try:
         for future in as_completed(futures):
             name, error = futures[future], future.exception()
