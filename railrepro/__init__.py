@@ -3,7 +3,9 @@
 What a first program needs (`from railrepro import simulate, tuned`); a name is loaded when it is used first, so that
 the import costs nothing:
 
-- `simulate`: simulate the car in a scenario, see `railrepro.simulation.simulate.run`
+- `simulate`: simulate the car in a scenario, see `railrepro.simulation.simulate.run`; the `Run` has `plot`
+- `compare`: simulate several controllers side by side; the `Comparison` has `table` and `plot`
+- `tune`: tune a controller by particle swarm
 - `load_scenario`, `Scenario`: data/scenarios.toml
 - `load_vehicle`, `Vehicle`: data/vehicle.toml
 - `load_track`, `lay`: data/tracks.toml, and a track as a route with set point and rails
@@ -16,8 +18,8 @@ the import costs nothing:
 - `InputError`: exception for wrong input, its message one sentence
 """
 
-import pkgutil
 import sys
+from importlib import import_module
 from typing import Any
 
 if sys.platform == "win32":
@@ -29,6 +31,8 @@ __version__ = "2.0.0"
 
 FACADE = {
     "simulate": "railrepro.simulation.simulate.run",
+    "compare": "railrepro.studies.compare.compare",
+    "tune": "railrepro.tuning.tune.tune",
     "load_scenario": "railrepro.simulation.scenarios.load_scenario",
     "Scenario": "railrepro.simulation.scenarios.Scenario",
     "load_vehicle": "railrepro.vehicle.parameters.load_vehicle",
@@ -49,14 +53,21 @@ FACADE = {
     "InputError": "railrepro.data.InputError",
 }
 """Public name of `railrepro` -> dotted path of the module, or of the object in a module, that it imports."""
+_MODULES = ("metrics",)
 __all__ = ["FACADE", "__version__", *FACADE]
 
 
 def __getattr__(name: str) -> Any:
     if name not in FACADE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = pkgutil.resolve_name(FACADE[name])
-    return globals()[name]
+    module, _, entry = FACADE[name].rpartition(".")
+    try:
+        found = import_module(FACADE[name]) if name in _MODULES else getattr(import_module(module), entry)
+    except ModuleNotFoundError as error:
+        error.add_note("railrepro needs the Python of its installation: in a clone .venv/bin/python (`make setup`)")
+        raise
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:

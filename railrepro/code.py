@@ -18,8 +18,10 @@ from pathlib import Path
 PACKAGES = ("numpy", "scipy", "casadi", "pandas", "sympy", "matplotlib", "pillow")
 """Packages whose version may change a number or a figure; others only check, start or show the computations."""
 _FOLDER = os.path.dirname(__file__)
-_ABOVE = "railrepro/evidence/"
-"""Folder of modules that import the library and are not imported by it."""
+_ABOVE = ("railrepro/evidence/", "railrepro/tuning/", "railrepro/studies/")
+"""Folders of modules that ask for runs. What they compute from a run is known by the code that it can reach."""
+DRAWING = ("railrepro/figures.py", "railrepro/simulation/plot.py")
+"""Modules that draw a run, which no number depends on."""
 _TOKEN = re.compile(  # `++`, for a quote that nothing closes would take exponential time
     r"""(?P<start>(?<!\\\n)^[ \t]*[rR]?)?(?P<quote>"{3}|'{3}|"|')(?:[^\\"']++|\\.|(?!(?P=quote))["'])*+(?P=quote)"""
     r"(?P<end>(?=[ \t]*(?:$|\#)))?|(?P<comment>\#[^\n]*)|(?P<open>[(\[{])|(?P<close>[)\]}])",
@@ -141,9 +143,9 @@ def reached(*texts: str) -> dict[str, str]:
 
 @cache
 def version() -> str:
-    """SHA-256 over all sources of this package except `railrepro.evidence`; the same on all machines. It is the state
+    """SHA-256 over the sources of this package by which a run is computed; the same on all machines. It is the state
     at import. Before using it as the key of a cache, check `unchanged`."""
-    lines = [f"{name} {_source_hash(name)}" for name in _BYTES if not name.startswith(_ABOVE)]
+    lines = [f"{name} {_source_hash(name)}" for name in _BYTES if not name.startswith(_ABOVE) and name not in DRAWING]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 

@@ -12,16 +12,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from railrepro import paths
+from railrepro.control import registry
+from railrepro.control.registry import SETTINGS
 from railrepro.data import InputError
 from railrepro.data import read as read_file
 from railrepro.estimation.sensors import load_loop
 from railrepro.evidence.chain import chain
 from railrepro.evidence.claims import statements
-from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import load_scenarios
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import track_quality
 from railrepro.track.table import read_table
+from railrepro.tuning.task import load_task
 from railrepro.vehicle.parameters import load_vehicle
 
 READERS = {
@@ -29,10 +31,10 @@ READERS = {
     "data/sensors.toml": load_loop,
     "data/tracks.toml": alignments,
     "data/scenarios.toml": load_scenarios,
-    "data/tuning.toml": lambda file: [tuning.load_task(file, setting) for setting in tuning.SETTINGS],
+    "data/tuning.toml": lambda file: [load_task(file, setting) for setting in SETTINGS],
     "data/claims.toml": statements.load,
     "notebooks/chain.toml": chain.load,
-    "data/tuned/equal/ndi.json": lambda file: tuning.read("ndi", "equal", file.parent),
+    "data/tuned/equal/ndi.json": lambda file: registry.read("ndi", "equal", file.parent),
     "data/tracks/T3.csv": read_table,
 }
 RANGED = {name: READERS[name] for name in [*READERS][:5]} | {"data/irregularities.toml": lambda file: track_quality()}

@@ -33,15 +33,17 @@ from railrepro.control import lateral
 from railrepro.control.registry import CONTROLLERS, EQUAL, LOOP, NOTHING, SHOWN, Controller
 from railrepro.data import InputError
 from railrepro.estimation.sensors import Loop, readings
-from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import ordered_map, work
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.uncertainty import limit as bound
 from railrepro.simulation.ride import Y_OVER_Q_LIMIT
 from railrepro.simulation.scenarios import Scenario, load_scenario
 from railrepro.simulation.simulate import Run
+from railrepro.studies import store
+from railrepro.studies.executor import ordered_map, work
+from railrepro.studies.experiment import Experiment
 from railrepro.track.irregularity import CHANNELS
 from railrepro.track.route import INDEX, Route
+from railrepro.tuning.cost import evaluate
+from railrepro.tuning.task import load_task
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 MISMATCH = ("body.mass", "gear.mass", "gear.inertia_z", "wheel.spin_inertia", "suspension.k_x")
@@ -331,15 +333,15 @@ def ranking(cards: pd.DataFrame) -> pd.DataFrame:
 
 
 def tuning_cost(own: type, setting: str, runs: Sequence[str]) -> Callable[[list[dict], list[float]], list[float]]:
-    """Make the cost function with which `pso.minimise` tunes a controller class `own`.
+    """Make the cost function with which `swarm.minimise` tunes a controller class `own`.
 
     `runs` are names of runs in data/tuning.toml for the `setting`. The function takes a list of dicts of gains and a
-    list of limits, and returns per dict the mean of `tuning.run_cost` over the runs (-). Once a cost is above its limit
+    list of limits, and returns per dict the mean of `run_cost` over the runs (-). Once a cost is above its limit
     the other runs are left out: it is then a lower bound.
     """
-    name, task = _registered(own), tuning.load_task(setting=setting)
+    name, task = _registered(own), load_task(setting=setting)
     chosen = replace(task, runs={each: task.runs[each] for each in task.runs if each in runs})
-    return lambda sets, limits: [tuning.evaluate(name, chosen, *pair)[0] for pair in zip(sets, limits, strict=True)]
+    return lambda sets, limits: [evaluate(name, chosen, *pair)[0] for pair in zip(sets, limits, strict=True)]
 
 
 def main(controller: str, seed: int | None = None) -> None:

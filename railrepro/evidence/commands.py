@@ -98,7 +98,7 @@ _CALLS = {
     "drive": ("evidence.chain.chain:drive", "run the chapters 00 to 09 with a car of one's own"),
     "verify": ("evidence.chain.chain:verify", "rerun all notebooks and compare with the committed products"),
     "html": ("evidence.chain.book:html", "executed notebooks as a book in build/html"),
-    "tune": ("evidence.runs.tuning:main", "tune controllers by particle swarm, write data/tuned (long, resumes)"),
+    "tune": ("tuning.tune:main", "tune controllers by particle swarm, write data/tuned (long, resumes)"),
     "probe": ("evidence.report.flips:main", "metrics of the nominal car (long), or verdicts that answers flip"),
     "calibrated": ("evidence.claims.calibrated:main", "judge the calibrated car, data/paper_like.toml (long)"),
     "robustness": ("evidence.uncertainty.robustness:main", "robustness of the verdicts over samples (long, resumes)"),

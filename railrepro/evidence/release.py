@@ -15,9 +15,9 @@ import pandas as pd
 from railrepro import __version__, paths
 from railrepro.control.registry import PAPER_TRIO, parameters, with_r_times
 from railrepro.data import InputError
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.export.car import export_fmu
 from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.studies.experiment import Experiment
 
 TEN_TIMES = "nmpc_r10"
 """Name of NMPC with ten times its tuned weight R."""

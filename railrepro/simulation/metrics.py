@@ -41,6 +41,44 @@ class Part:
         return series[column].to_numpy()
 
 
+_OF_GEAR = {
+    **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
+    **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
+    **{"creep_angle": "creep_rad", "ri.tau": "tau_ri_Nm", "ri.adhesion": "fx_ri", "ri.sx": "sx_ri"},
+    **{"le.tau": "tau_le_Nm", "le.adhesion": "fx_le", "le.sx": "sx_le", "error": "error_m"},
+}
+"""Quantities of `gear_series`, and their names with units in the tables of data/ and figures/."""
+
+
+def column(gear: str, quantity: str) -> str:
+    """Column of a series: "front.y" for the quantity "y" of a gear, "front_ri.tau" for "ri.tau" of its right wheel."""
+    part, dot, name = quantity.partition(".")
+    return f"{gear}_{part}.{name}" if dot else f"{gear}.{part}"
+
+
+FILE_COLUMNS = {column("front", quantity): name for quantity, name in _OF_GEAR.items()}
+"""Column of a series of the front running gear -> its name, with the unit, in the tables of figures/."""
+
+
+def gear_series(series: pd.DataFrame, gear: str = "front", stride: int = 1) -> pd.DataFrame:
+    """Every `stride`-th row of the series of a run (`simulate.Run.series`) with the quantities of one running gear.
+
+    The columns keep their names. They are t_s (s) and, for the front gear (SI): front.p, front.v along the track;
+    front.y and its set point front.y_ref; yaw front.psi_Ax (absolute) and front.psi_TrAx (against the track); torques
+    front.du, front.u_d, front.tau_long; adhesion set point front.f_star; front.segment of the adhesion law; torque,
+    adhesion and slip of each wheel, as front_ri.tau, front_ri.adhesion, front_ri.sx. Two are added: front.creep_angle
+    between heading and motion (rad), and the lateral error front.error = y - y_ref (m).
+    """
+    rows, of_gear = series.iloc[::stride], Part(series.iloc[::stride], gear)
+    creepage = Part(rows, f"{gear}_ri").nu_y + Part(rows, f"{gear}_le").nu_y
+    added = {"creep_angle": -creepage / 2, "error": of_gear.y - of_gear.y_ref}
+    found = {"t_s": rows["t_s"]}
+    for quantity in _OF_GEAR:
+        name = column(gear, quantity)
+        found[name] = added[quantity] if quantity in added else rows[name]
+    return pd.DataFrame(found)
+
+
 def lateral_error(series: pd.DataFrame, gear: str = "front") -> np.ndarray:
     """Lateral error y - y* of a gear in each row of a run (m): displacement from the ideal track minus set point.
     `series` is `simulate.Run.series`, `gear` is "front" or "rear"."""

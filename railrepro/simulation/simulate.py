@@ -9,7 +9,7 @@ import math
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,6 +29,9 @@ from railrepro.simulation.metrics import FLANGE_ANGLE, FLANGEWAY, Part
 from railrepro.simulation.scenarios import Scenario
 from railrepro.track.route import Route
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,28 @@ class Run:
     warnings: tuple[str, ...]
     controllers: tuple = ()
     memory: dict[str, float] = field(default_factory=dict, repr=False)
+
+    def plot(self, *panels: str, gear: str = "front") -> Figure:
+        """Figure of the run over the track coordinate (m), set points dotted; it is not saved.
+
+        `panels` are keys of `railrepro.simulation.plot.PANELS`, one per row: "y", "error", "du", "torques", "adhesion",
+        "slip", "speed", …; `gear` is "front" or "rear". Needs the package matplotlib.
+        """
+        from railrepro.simulation import plot  # a run needs no Matplotlib
+
+        return plot.figure_of(self.series, panels or ("y", "error"), gear)
+
+    def __getstate__(self) -> dict:
+        """State to pickle: of each slower controller, which may hold compiled code, a `PastController` is kept."""
+        past = tuple(PastController(type(one).__name__, getattr(one, "fallbacks", 0)) for one in self.controllers)
+        return vars(self) | {"controllers": past}
+
+
+class PastController(NamedTuple):
+    """What a pickled `Run` keeps of a slower lateral controller: its class by name, and samples without solution."""
+
+    name: str
+    fallbacks: int
 
 
 def run(

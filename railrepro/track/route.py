@@ -126,7 +126,7 @@ def lay(
             p_m. A cubic spline joins the rows; outside of them the irregularities are 0.
         line (pair of ndarray, optional): Planned set point, which is added to `reference`: track coordinates (m), shape
             (m,); the set point (m) there and its first three derivatives over p, shape (4, m). It is a cubic from one
-            coordinate to the next, 0 outside. See `railrepro.evidence.runs.preview.plan`.
+            coordinate to the next, 0 outside. See `railrepro.studies.preview.plan`.
     """
     require("track", track, Track)
     columns = dict(_geometry(track))

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from railrepro.car import equations
 from railrepro.car.component import SteppedCar
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies.experiment import Experiment
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS
 from railrepro.track.table import load_track

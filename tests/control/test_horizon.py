@@ -12,10 +12,10 @@ from railrepro.control.problem import MPCSettings, Tuning, dynamics
 from railrepro.control.registry import guidance
 from railrepro.control.solvers.ipopt import COST, SLACK, UNIT
 from railrepro.control.solvers.riccati import MOST_SETS, Horizon
-from railrepro.evidence.runs import tuning
 from railrepro.model.control_model import STATES, parameter_vector
 from railrepro.model.forecast import nominal_values
 from railrepro.simulation import scenarios, simulate
+from railrepro.tuning import sets
 from railrepro.vehicle.parameters import load_vehicle
 
 Q = (2e-3, 3e2, 5e-3, 7e1, 1.0, 1.1e2)
@@ -145,7 +145,7 @@ def test_the_linearised_problem_is_that_of_the_model_and_its_minimiser_is_found_
 @pytest.mark.parametrize(("name", "solver"), [("nmpc", "gauss_newton"), ("nmpc_observer", "rti")])
 def test_no_sample_on_poor_rail_falls_back(name, solver):
     """With tuning for dry rail the gear leaves the poor one, nearly all torques and positions at their bounds."""
-    built, most = guidance(name, tuning.load(name, "paper")["parameters"], {"solver": solver}), []
+    built, most = guidance(name, sets.load(name, "paper")["parameters"], {"solver": solver}), []
 
     class Counting(NMPC):
         def plan(self, x_hat, u_d):

@@ -33,22 +33,25 @@ BOUNDS = '\n[controller.own]\npole = [10, 40, "log"]\n'
 CONTROLLER = 'CONTROLLERS["own"] = Controller(lambda settings: settings, lambda p: StateFeedback(**p), False)\n'
 DRIVE = """
 import numpy as np
+from railrepro.control.registry import tuned
 from railrepro.simulation import simulate
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.experiment import Experiment
+from railrepro.studies.experiment import Experiment
 from railrepro.track.irregularity import irregularities
+from railrepro.tuning import sets
+from railrepro.tuning.task import load_task
+from railrepro.tuning.tune import tune
 from dataclasses import replace
 from pathlib import Path
 
 if __name__ == "__main__":
     for name in ("own", "own_csv"):
         scenario, rough = load_scenario(name), irregularities(np.arange(60.0), "own")
-        assert not simulate.run(scenario, tuning.tuned("ndi"), irregularities=rough).failed
-    task = tuning.load_task()
+        assert not simulate.run(scenario, tuned("ndi"), irregularities=rough).failed
+    task = load_task()
     run = Experiment(scenario, "own")
     small = replace(task, runs={"own": run}, budget=task.budget | {"particles": 1, "iterations": 1, "seeds": [1]})
-    tuning.save(tuning.tune("own", small, quiet=True), Path("build/tuned"))
+    sets.save(tune("own", small, quiet=True), Path("build/tuned"))
 """
 
 

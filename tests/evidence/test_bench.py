@@ -4,12 +4,12 @@ import numpy as np
 
 from railrepro.control.registry import mpc_settings
 from railrepro.evidence.bench import speed
-from railrepro.evidence.runs import tuning
+from railrepro.tuning import sets
 from railrepro.vehicle.parameters import load_vehicle
 
 
 def test_same_optimum_as_ipopt_and_one_iteration_meets_the_bounds():
-    vehicle, settings = load_vehicle(), mpc_settings(tuning.load("nmpc", "equal")["parameters"])
+    vehicle, settings = load_vehicle(), mpc_settings(sets.load("nmpc", "equal")["parameters"])
     # few problems, as Ipopt takes a second for one whose bounds are active
     plain = [speed.record(name, settings, vehicle, 3) for name in speed.SCENARIOS]
     recordings = [recording for one in plain for recording in (one, speed.tightened(one))]

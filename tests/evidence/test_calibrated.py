@@ -9,7 +9,7 @@ import pytest
 from railrepro import paths
 from railrepro.control.registry import PAPER_TRIO, with_r_times
 from railrepro.evidence.claims import calibrated, statements
-from railrepro.evidence.runs import tuning
+from railrepro.tuning import sets
 
 CHOICES = calibrated.load()
 
@@ -22,10 +22,10 @@ def test_every_choice_names_known_statements_and_a_source():
 def test_the_uncalibrated_car_is_the_nominal_one_on_s1002_with_the_sets_of_paper():
     setup = calibrated.setup({})
     assert setup.car().contact.profile == "s1002" and not setup.vehicle and setup.r_loss == setup.r_brake == 1
-    assert setup.parameters == {name: tuning.load(name, "paper")["parameters"] for name in PAPER_TRIO}
+    assert setup.parameters == {name: sets.load(name, "paper")["parameters"] for name in PAPER_TRIO}
     nominal = {name: choice.nominal for name, choice in CHOICES.items() if name not in ("ltv_mpc_printed.r",)}
     as_given = calibrated.setup(nominal)
-    assert replace(as_given, profile="", vehicle={}, brake_sweep={}) == setup
+    assert replace(as_given, plant={}, vehicle={}, brake_sweep={}) == setup
     sweep = {"brake_sweep": {"amplitude_mm": 2.0, "end_m": 800.0}, "brake_sweep:end_m": 700.0}
     assert calibrated.setup(sweep).brake_sweep == {"amplitude_mm": 2.0, "end_m": 700.0}
     assert as_given.car() == setup.car() and as_given.scenario("braking") == setup.scenario("braking")

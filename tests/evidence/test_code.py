@@ -26,7 +26,7 @@ def test_the_content_of_a_text_has_no_comment_docstring_or_empty_line():
     assert {text: code.content(text) for text in SNIPPETS} == SNIPPETS
 
 
-RUNS = "from railrepro.evidence.runs import experiment"
+RUNS = "from railrepro.studies import experiment"
 LED = [
     ("simulation/simulate.py", "from railrepro import simulate"),
     ("simulation/simulate.py", "import os, railrepro as r"),
@@ -51,13 +51,15 @@ def test_imports_lead_no_further_than_they_must():
     assert not any(name.startswith("railrepro/own") for name in code.reached("from railrepro.car import equations"))
 
 
-def test_every_source_of_the_library_is_in_its_version_and_no_evidence(monkeypatch):
+def test_the_version_holds_every_source_that_computes_a_run_and_none_that_asks_for_it(monkeypatch):
     before, own = code.version(), code._source_hash
     changed = {}
     for name in code._FILES:
         monkeypatch.setattr(code, "_source_hash", lambda one, name=name: own(one) if one != name else "other")
         changed[name] = code.version.__wrapped__() != before
-    assert changed == {name: "/evidence/" not in name for name in changed}
+    asking = ("evidence", "studies", "tuning")
+    assert changed == {name: not (name.split("/")[1] in asking or name in code.DRAWING) for name in changed}
+    assert set(code.DRAWING) <= set(changed)
 
 
 @pytest.fixture
@@ -91,7 +93,7 @@ import sys
 import casadi as ca
 from railrepro import code
 from railrepro.compile import codegen
-from railrepro.evidence.runs import store
+from railrepro.studies import store
 def wait(moment):
     if moment == sys.argv[1]:
         print("now", flush=True)

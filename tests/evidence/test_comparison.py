@@ -3,10 +3,11 @@
 import pandas as pd
 import pytest
 
+from railrepro.data import InputError
 from railrepro.evidence.claims import calibrated
-from railrepro.evidence.report import comparison
-from railrepro.evidence.report.comparison import compare
-from railrepro.evidence.runs import tuning
+from railrepro.studies import compare as comparison
+from railrepro.studies.compare import compare
+from railrepro.tuning import sets
 
 
 @pytest.fixture
@@ -17,7 +18,7 @@ def asked(monkeypatch):
     def run_all(experiments, _title):
         found.extend(experiments)
         rows = [{"controller": one.controller, **one.label, "rmse_y": i} for i, one in enumerate(experiments)]
-        zeros = dict.fromkeys(("p_m", "y_m", "y_ref_m", "tau_ri_Nm", "tau_le_Nm"), 0.0)
+        zeros = dict.fromkeys(("front.p", "front.y", "front.y_ref", "front_ri.tau", "front_le.tau"), 0.0)
         return pd.DataFrame(rows), pd.DataFrame([row | zeros for row in rows])
 
     monkeypatch.setattr(comparison, "run_all", run_all)
@@ -29,10 +30,24 @@ def test_a_list_drives_each_of_its_values_and_labels_the_numbers(asked):
     assert len(asked) == 8 and {one.scenario.end_m for one in asked} == {30.0}
     last = asked[-1]
     assert (last.controller, last.setting, last.scenario.speed_kmh) == ("ndi", "equal", 160)
-    assert last.parameters == tuning.load("ndi", "equal")["parameters"]
+    assert last.parameters == sets.load("ndi", "equal")["parameters"]
     assert runs.labels == ("setting", "speed_kmh", "controller")
     assert runs["rmse_mm"].loc[("equal", 160, "ndi")] == 7e3
     assert list(runs.table("rmse_mm").xs("ndi", level="controller")["rmse_mm"]) == [1e3, 3e3, 5e3, 7e3]
+
+
+def test_a_list_with_one_value_is_a_label_as_with_two(asked):
+    runs = compare(["sine_tracking"], {"NDI": "ndi"}, ["paper"], end_m=[30.0])
+    assert runs.labels == ("setting", "scenario", "end_m", "case")
+    assert list(runs["rmse_mm"].unstack("scenario")) == ["sine_tracking"]
+    assert compare("sine_tracking", "ndi", end_m=30.0).labels == ("controller",)
+
+
+@pytest.mark.parametrize("ask", [lambda runs: runs["rmse"], lambda runs: runs.plot("z"), lambda runs: runs.data("z")])
+def test_an_unknown_quantity_or_panel_is_refused_with_the_known_ones(asked, ask):
+    runs = compare("sine_tracking", ["ndi"])
+    with pytest.raises(InputError, match="'(rmse|z)' is not known; there are"):
+        ask(runs)
 
 
 def test_a_variant_has_its_factor_on_r_and_its_own_fields(asked):
@@ -57,6 +72,6 @@ def test_sensors_belong_to_the_setting_loop_the_solver_to_nmpc_and_the_car_to_th
 
 def test_a_figure_has_a_column_per_car_and_both_wheels_where_a_panel_shows_them(asked):
     runs = compare("curve_entry_T3", ["nmpc", "ndi"], car=calibrated.cars())
-    figure, axes = runs.plot("y", "torques", columns="car")
-    assert axes.shape == (2, 2) and len(axes[0, 0].lines) == 3 and len(axes[1, 1].lines) == 4
+    axes = runs.plot("y", "torques", columns="car").axes
+    assert len(axes) == 4 and len(axes[0].lines) == 3 and len(axes[3].lines) == 4
     assert list(runs.data("y")) == ["car", "setting", "controller", "p_m", "y_ref_m", "y_m"]

@@ -16,8 +16,14 @@ from program import python
 
 from railrepro import code, numerics, paths
 from railrepro.data import InputError
-from railrepro.evidence.runs import executor as executors
-from railrepro.evidence.runs.executor import executor, ordered_map, work
+from railrepro.studies import executor as executors
+from railrepro.studies.executor import executor, ordered_map, work
+
+
+@pytest.fixture(autouse=True)
+def processes(monkeypatch):
+    """Studies of any size have processes of their own."""
+    monkeypatch.setattr(executors, "_FEW", 0)
 
 
 def killed_once(task):
@@ -74,6 +80,7 @@ def test_tasks_run_one_at_a_time_but_wait_side_by_side(monkeypatch):
         work(meeting.wait, 20)  # passes when all four tasks wait
         return busy(number)
 
+    monkeypatch.setenv("RAILREPRO_WORKERS", "4")
     monkeypatch.setattr(executors, "executor", lambda: ThreadPoolExecutor(4))
     assert ordered_map(task, range(4), "outer", quiet=True) == [0, 1, 2, 3]
     assert set(crowds) == {1}, "two tasks ran side by side"
@@ -98,22 +105,25 @@ def test_workers_of_other_code_are_refused(monkeypatch):
 def test_a_script_without_guard_is_told_what_to_do(tmp_path):
     script = tmp_path / "own.py"
     script.write_text(
-        "from railrepro.evidence.runs.executor import ordered_map, work\n"
-        "ordered_map(lambda x: work(abs, x), [1, 2], 'own', quiet=True)\n"
+        "from railrepro.studies.executor import ordered_map, work\n"
+        "ordered_map(lambda x: work(abs, x), range(8), 'own', quiet=True)\n"
     )
     done = python(str(script), RAILREPRO_WORKERS="2")
     assert done.returncode == 1 and 'calls the library outside of if __name__ == "__main__":' in done.stderr
+    assert done.stderr.count("Traceback") <= 3, "the processes of the study say nothing"
+    script.write_text(script.read_text().replace("range(8)", "range(4)"))
+    assert python(str(script)).returncode == 0, "a few runs need no process of their own"
 
 
 HOLDING = """
 import os, time
 from functools import partial
-from railrepro.evidence.runs.executor import ordered_map, work
+from railrepro.studies.executor import ordered_map, work
 def hold(_):
     print(os.getpid(), flush=True)
     time.sleep(600)
 if __name__ == "__main__":
-    ordered_map(partial(work, hold), [1, 2], "hold", quiet=True)
+    ordered_map(partial(work, hold), range(5), "hold", quiet=True)
 """
 
 

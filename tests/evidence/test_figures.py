@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
+from railrepro import figures
 from railrepro.evidence.chain import chain, compare
-from railrepro.evidence.report import figures
 
 
 @pytest.mark.parametrize(("shift", "outcome"), [(0.0, "same"), (1e-6, "within tolerance"), (0.01, "different")])

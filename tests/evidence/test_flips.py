@@ -12,7 +12,7 @@ from railrepro.evidence.claims import probe
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.report import flips
-from railrepro.evidence.runs import tuning
+from railrepro.tuning import sets
 
 
 def answered(**given):
@@ -36,14 +36,14 @@ def test_answers_reach_the_probe_which_drives_only_what_depends_on_them(driven):
     (world, _), (equal, _), (_, parts) = driven
     assert world.car().adhesion["poor"].mu0 == 0.11 and world.parameters["ndi"]["frequency"] == 42.0
     assert (world.amplitude_mm, world.period_start_m, world.period_end_m, equal.r_second) == (4.0, 160.0, 70.0, 4.0)
-    assert world.parameters["nmpc"] == tuning.load("nmpc", "paper")["parameters"], "what is not answered stays"
+    assert world.parameters["nmpc"] == sets.load("nmpc", "paper")["parameters"], "what is not answered stays"
     assert equal.scenario("braking").set_point["period_end_m"] == 20.0
-    assert equal.parameters == {name: tuning.load(name, "equal")["parameters"] for name in PAPER_TRIO}
+    assert equal.parameters == {name: sets.load(name, "equal")["parameters"] for name in PAPER_TRIO}
     assert parts == ["loss", "brake"]
 
 
 def test_each_question_sets_what_there_is():
-    of_probe = {field.name: field.default for field in fields(probe.ProbeSetup)}
+    of_probe = {field.name: field.default for field in fields(probe.ProbeSetup)} | {"profile": "cone"}
     for question in flips.load().values():
         for target in set(question.sets) - {"setting"}:
             setup({target: of_probe.get(target, 0.5)}).car()

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty import loop
+from railrepro.tuning.task import load_task
 
 
 def test_seeds_and_held_out_kinds_are_none_of_tuning():
-    task = tuning.load_task(setting="loop")
+    task = load_task(setting="loop")
     assert not {run.sensors["seed"] for run in task.runs.values()} & set(loop.SEEDS) and len(set(loop.SEEDS)) == 24
     tuned = [(run.scenario.but(end_m=1.0), run.plant, run.irregular) for run in task.runs.values()]
     for one in loop.experiments():

@@ -10,6 +10,7 @@ from railrepro.car.component import SteppedCar
 from railrepro.control.ndi import NDI
 from railrepro.control.registry import tuned
 from railrepro.evidence.uncertainty import margins
+from railrepro.tuning import margin
 from railrepro.vehicle.parameters import load_vehicle
 
 SPEED = 300.0
@@ -19,32 +20,32 @@ CONE = load_vehicle(**{"contact.profile": "cone"})  # linear, and it does not le
 def test_sensitivity_is_that_of_the_loop_with_the_linear_car():
     """Torque -gain psi' of the front gear over a disturbance of both gears; the car is sampled at 1 kHz."""
     gain, turn = 6e4, {"le": 1.0, "ri": -1.0}
-    found = margins.sensitivity(SimpleNamespace(torque=lambda q: -gain * q.yaw_rate), SPEED, vehicle=CONE)
+    found = margin.sensitivity(SimpleNamespace(torque=lambda q: -gain * q.yaw_rate), SPEED, vehicle=CONE)
     car = SteppedCar("T5", SPEED / 3.6, CONE)
     car.step([0.0] * 4, steps=300)
     model = car.linearise()
     b = np.stack([sum(turn[s] * model.b[f"{gear}_{s}"].to_numpy() for s in turn) for gear in ("front", "rear")], axis=1)
     c = model.c.loc[["front.psidot_Ax", "rear.psidot_Ax"]].to_numpy()
     a, b, *_ = signal.cont2discrete((model.a.to_numpy(), b, c, np.zeros((2, 2))), 1e-3)
-    for frequency, value in zip(margins.FREQUENCIES, found, strict=True):
+    for frequency, value in zip(margin.FREQUENCIES, found, strict=True):
         plant = c @ np.linalg.solve(np.exp(2j * np.pi * frequency * 1e-3) * np.eye(len(a)) - a, b)
         assert value == pytest.approx(np.linalg.solve(np.eye(2) + gain * plant, np.ones(2))[0], abs=0.01)
     assert np.abs(found - 1).max() > 0.3
 
 
 def test_a_loop_that_is_unstable_has_none():
-    assert margins.sensitivity(NDI(150.0, 150.0), 400.0) is None
+    assert margin.sensitivity(NDI(150.0, 150.0), 400.0) is None
 
 
 def test_slow_controllers_are_disturbed_at_the_same_place():
-    found = margins.sensitivity(tuned("nmpc", {"solver": "rti"}, "equal"), SPEED)
+    found = margin.sensitivity(tuned("nmpc", {"solver": "rti"}, "equal"), SPEED)
     assert 1.0 < np.abs(found).max() < 4.0
     assert abs(found[0]) < 0.7  # slow disturbances are countered
 
 
 def test_margins_of_hand_made_curves():
     loop = np.array([-0.5, 1j, 3.0])
-    assert margins.disk_margin(1 / (1 + loop)) == pytest.approx(1 / 1.5)  # the gain may double: (2 + a) / (2 - a) = 2
+    assert margin.disk_margin(1 / (1 + loop)) == pytest.approx(1 / 1.5)  # the gain may double: (2 + a) / (2 - a) = 2
 
 
 @pytest.mark.parametrize(("setting", "perfect"), [("equal", True), ("loop", False)])

@@ -12,7 +12,7 @@ from chapters import CELLS, write_notebook
 from railrepro import code, paths
 from railrepro.data import InputError
 from railrepro.evidence.chain import chain
-from railrepro.evidence.runs import store
+from railrepro.studies import store
 
 SCENARIOS = "data/scenarios.toml"
 

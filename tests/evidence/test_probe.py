@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.control.registry import PAPER_TRIO
+from railrepro.control.registry import LOOP, PAPER_TRIO, SETTINGS
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.setup import setup
-from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.tuning import sets
 from railrepro.vehicle.parameters import load_vehicle
 
 
@@ -23,7 +23,7 @@ def torques(later, noise=0.0):
         return np.sin(place / 15 + 4 * np.sin(place / 100))
 
     pairs = (shape(p), shape(p - later) + scatter)
-    return [pd.DataFrame({"p_m": p, "du_Nm": du}) for du in pairs]
+    return [pd.DataFrame({"front.p": p, "front.du": du}) for du in pairs]
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_torque_over_the_first_wave_less_that_before(side):
     p = np.arange(0.0, 400.0)
     reference = side * np.where(p < 20, 0.0, np.sin(2 * np.pi * (p - 19.5) / 100))
     du = np.select([p < 20, p < 120], [30.0, 10.0 + 500 * reference], -1e4)
-    found = probe.torque_step(pd.DataFrame({"p_m": p, "y_ref_m": reference, "du_Nm": du}))
+    found = probe.torque_step(pd.DataFrame({"front.p": p, "front.y_ref": reference, "front.du": du}))
     assert found == pytest.approx(-20.0, abs=2)
 
 
@@ -49,15 +49,15 @@ def test_torque_over_the_first_wave_less_that_before(side):
 def test_shortfall_at_the_crests_of_the_worse_side(side):
     reference = side * 1e-3 * np.array([3.0, 2.6, -3.0, -2.6, 2.4, 0.0])
     y = reference - side * 1e-3 * np.array([0.5, 0.7, -0.1, -0.3, 9.0, 9.0])
-    assert probe.shortfall(pd.DataFrame({"y_ref_m": reference, "y_m": y})) == pytest.approx(0.6e-3)
-    assert probe.shortfall(pd.DataFrame({"y_ref_m": reference, "y_m": 1.1 * reference})) < 0
+    assert probe.shortfall(pd.DataFrame({"front.y_ref": reference, "front.y": y})) == pytest.approx(0.6e-3)
+    assert probe.shortfall(pd.DataFrame({"front.y_ref": reference, "front.y": 1.1 * reference})) < 0
 
 
 def test_yaw_against_the_track_over_its_heading():
     heading = np.linspace(0.0, 0.1, 50)
-    rows = pd.DataFrame({"psi_ax_rad": heading, "psi_trax_rad": 0 * heading})
+    rows = pd.DataFrame({"front.psi_Ax": heading, "front.psi_TrAx": 0 * heading})
     assert probe.path_error(rows) == 0.0
-    assert probe.path_error(rows.assign(psi_ax_rad=0.0, psi_trax_rad=-heading)) == pytest.approx(1.0)
+    assert probe.path_error(rows.assign(**{"front.psi_Ax": 0.0, "front.psi_TrAx": -heading})) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("gain", "noise", "growth"), [(1.0, 1.0, 1.0), (0.0, 0.0, 1.0), (0.7, 2.0, 2.0)])
@@ -67,7 +67,7 @@ def test_an_oscillation_about_the_set_point(gain, noise, growth):
     reference = 2e-3 * np.sin(2 * np.pi * p / 150)
     wobble = 1e-3 * noise * np.sin(2 * np.pi * p / 15) * np.where(p < 465, 1.0, growth)
     y = np.where(p < 240, 9.0, gain * reference + wobble)
-    found = probe.oscillation(pd.DataFrame({"p_m": p, "y_ref_m": reference, "y_m": y}))
+    found = probe.oscillation(pd.DataFrame({"front.p": p, "front.y_ref": reference, "front.y": y}))
     assert found["set_point_gain"] == pytest.approx(gain, abs=0.02)
     assert found["error_growth"] == pytest.approx(growth, rel=0.15)
 
@@ -104,8 +104,14 @@ def test_a_run_that_does_not_stop_has_no_stopping_distance(speed, failed, way):
 def approaching(adhesion, slip, torque):
     """4 s at 100 m/s from 240 m on, a row per 10 ms; adhesion of both wheels, slip of the left one."""
     time = 0.01 * np.arange(400)
-    columns = {"p_m": 240 + 100 * time, "t_s": time, "u_d_Nm": torque(time), "sx_ri": 0.0, "sx_le": -slip(time)}
-    return pd.DataFrame(columns | {"fx_ri": adhesion(time), "fx_le": adhesion(time)})
+    columns = {
+        "front.p": 240 + 100 * time,
+        "t_s": time,
+        "front.u_d": torque(time),
+        "front_ri.sx": 0.0,
+        "front_le.sx": -slip(time),
+    }
+    return pd.DataFrame(columns | {"front_ri.adhesion": adhesion(time), "front_le.adhesion": adhesion(time)})
 
 
 def macro_slips(adhesion, slip, torque=lambda t: 1000.0 - 200 * (t > 1) - 200 * (t > 2)):
@@ -148,9 +154,16 @@ def test_excessive_slip_lies_on_the_falling_branch():
 
 def test_deviation_in_regular_operation():
     p = np.array([10.0, 110.0, 129.0, 130.0])
-    rows = pd.DataFrame({"p_m": p, "fx_ri": [9.0, 0.05, 0.06, 9.0], "fx_le": [9.0, 0.04, 0.07, 9.0], "f_star": 0.05})
+    rows = pd.DataFrame(
+        {
+            "front.p": p,
+            "front_ri.adhesion": [9.0, 0.05, 0.06, 9.0],
+            "front_le.adhesion": [9.0, 0.04, 0.07, 9.0],
+            "front.f_star": 0.05,
+        }
+    )
     assert probe.deviation(rows, 110.0, 130.0) == pytest.approx((0.1 + 0.3) / 2)
-    assert probe.deviation(rows[rows["p_m"] < 80], 110.0, 130.0) == np.inf
+    assert probe.deviation(rows[rows["front.p"] < 80], 110.0, 130.0) == np.inf
 
 
 def test_what_doing_nothing_gives():
@@ -175,7 +188,7 @@ SCALED = {"r", "pole", "frequency", "damping"}
 """What sweeps change of a tuned set."""
 
 
-@pytest.mark.parametrize("setting", tuning.SETTINGS)
+@pytest.mark.parametrize("setting", SETTINGS)
 def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting, monkeypatch):
     made = []
     names = ("rmse_y", "stopping_distance", "regular_deviation", "largest_slip", "set_point_gain", "error_growth")
@@ -191,8 +204,8 @@ def test_a_probe_runs_the_controllers_of_the_setting_that_its_rows_name(setting,
     assert set(braked["swarm"]) == {0} and braked["seed"].nunique() == 1, "once per setting"
     assert {e.controller for e in made} == set(PAPER_TRIO)
     for experiment in made:
-        tuned = tuning.load(experiment.controller, setting)
-        sets = [tuned["parameters"], *(swarm["parameters"] for swarm in tuned.get("swarms", []))]
+        tuned = sets.load(experiment.controller, setting)
+        known = [tuned["parameters"], *(swarm["parameters"] for swarm in tuned.get("swarms", []))]
         kept = {key: value for key, value in experiment.parameters.items() if key not in SCALED}
-        assert experiment.setting == setting and any(kept.items() <= one.items() for one in sets)
-        assert bool(experiment.sensors) == (setting == tuning.LOOP)
+        assert experiment.setting == setting and any(kept.items() <= one.items() for one in known)
+        assert bool(experiment.sensors) == (setting == LOOP)

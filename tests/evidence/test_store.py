@@ -12,12 +12,14 @@ from railrepro import code
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.control.registry import CONTROLLERS
 from railrepro.evidence.claims import probe
-from railrepro.evidence.runs import executor as executors
-from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import executor, ordered_map
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies import executor as executors
+from railrepro.studies import store
+from railrepro.studies.executor import executor, ordered_map
+from railrepro.studies.experiment import Experiment
 from railrepro.track.alignment import alignments
+from railrepro.tuning.cost import evaluate
+from railrepro.tuning.task import load_task
 
 SHORT = Experiment(load_scenario("curve_entry_T3").but(end_m=8.0), "ndi", stride=100)
 
@@ -94,13 +96,13 @@ def test_what_is_computed_while_code_is_edited_is_not_stored(folder, monkeypatch
 
 
 def test_the_runs_of_an_evaluation_are_stored_one_by_one(folder, runs):
-    task = tuning.load_task()
+    task = load_task()
     run = replace(task.runs["T3"], scenario=task.runs["T3"].scenario.but(end_m=20.0))
     task = replace(task, runs={"T3": run, "seen": replace(run, sensors={"seed": 1})})
     poles = {"pole": 20.0, "frequency": 20.0, "damping": 1.0}
-    cost = tuning.evaluate("ndi", task, poles)
+    cost = evaluate("ndi", task, poles)
     next(folder.rglob("*.json")).unlink()
-    assert tuning.evaluate("ndi", task, poles) == cost and math.isfinite(cost[0]) and len(runs) == 3
+    assert evaluate("ndi", task, poles) == cost and math.isfinite(cost[0]) and len(runs) == 3
 
 
 def test_what_a_worker_computes_is_stored_by_who_asked_and_asked_of_no_worker_again(folder, monkeypatch):

@@ -9,49 +9,53 @@ import pytest
 
 from railrepro import paths
 from railrepro.control.ndi import NDI
-from railrepro.control.registry import SHOWN
+from railrepro.control.registry import SETTINGS, SHOWN, TUNED, read
 from railrepro.data import InputError
-from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation import simulate
+from railrepro.studies.experiment import Experiment
+from railrepro.tuning import sets
+from railrepro.tuning.cost import driven as measured
+from railrepro.tuning.cost import evaluate, run_cost
+from railrepro.tuning.task import load_task
+from railrepro.tuning.tune import tune
 
 
-@pytest.mark.parametrize("setting", tuning.SETTINGS)
+@pytest.mark.parametrize("setting", SETTINGS)
 def test_tuned_sets_belong_to_the_model_and_carry_their_origin(setting):
-    task = tuning.load_task(setting=setting)
+    task = load_task(setting=setting)
     for name in SHOWN:
-        tuned = tuning.load(name, setting)
+        tuned = sets.load(name, setting)
         if name in task.designed:
             assert tuned["parameters"] == task.designed[name]
             continue
         assert set(tuned["parameters"]) == {d.name for d in task.dimensions[name]}
-        found = tuning.particles(name, setting).groupby("seed")["cost"].min()
+        found = sets.particles(name, setting).groupby("seed")["cost"].min()
         assert found.to_dict() == pytest.approx({one["seed"]: one["cost"] for one in tuned["swarms"]}, rel=1e-5)
         assert list(found.index) == task.budget["seeds"] and tuned["cost"] == pytest.approx(found.min(), rel=1e-5)
 
 
 def test_tuned_sets_of_another_controller_or_setting_are_refused(tmp_path):
-    shutil.copy(paths.source(tuning.TUNED) / "equal" / "ndi.json", tmp_path)
+    shutil.copy(paths.source(TUNED) / "equal" / "ndi.json", tmp_path)
     with pytest.raises(InputError, match="no tuned set for 'nmpc'"):
-        tuning.read("nmpc", "equal", tmp_path)
+        read("nmpc", "equal", tmp_path)
     with pytest.raises(InputError, match="holds a tuned set of 'ndi' in the setting 'equal'"):
-        tuning.read("ndi", "loop", tmp_path)
+        read("ndi", "loop", tmp_path)
     file = tmp_path / "ndi.json"
     file.write_text(file.read_text().replace('"pole": ', '"pole": NaN, "other": '))
     with pytest.raises(InputError, match=r"ndi.json: pole has .*nan, finite numbers are needed"):
-        tuning.read("ndi", "equal", tmp_path)
+        read("ndi", "equal", tmp_path)
 
 
 @pytest.fixture(scope="module")
 def driven():
     """A run of 60 m, its scenario and the cost."""
-    scenario = tuning.load_task().runs["T3"].scenario
-    return simulate.run(scenario.but(end_m=60.0), NDI()), scenario, tuning.load_task().cost
+    scenario = load_task().runs["T3"].scenario
+    return simulate.run(scenario.but(end_m=60.0), NDI()), scenario, load_task().cost
 
 
 def cost_and_parts(run, scenario, cost, **around):
-    parts, _ = tuning.driven(run, Experiment(scenario, "ndi", **around))
-    return tuning.run_cost(parts, cost), parts
+    parts, _ = measured(run, Experiment(scenario, "ndi", **around))
+    return run_cost(parts, cost), parts
 
 
 def test_failures_cost_more_the_earlier_they_happen(driven):
@@ -91,9 +95,9 @@ def test_behind_sensors_the_error_counts_from_the_rails(driven):
 
 
 def test_an_evaluation_beyond_its_limit_stops():
-    task = tuning.load_task()
+    task = load_task()
     runs = {name: replace(run, scenario=run.scenario.but(end_m=60.0)) for name, run in task.runs.items()}
-    evaluation = partial(tuning.evaluate, "ndi", replace(task, runs={name: runs[name] for name in ("T3", "poor")}))
+    evaluation = partial(evaluate, "ndi", replace(task, runs={name: runs[name] for name in ("T3", "poor")}))
     poles = {"pole": 40.0, "frequency": 30.0, "damping": 1.0}
     whole, parts = evaluation(poles)
     assert [part["run"] for part in parts] == ["poor", "T3"]
@@ -103,12 +107,12 @@ def test_an_evaluation_beyond_its_limit_stops():
 
 
 def test_results_do_not_depend_on_the_number_of_workers(monkeypatch):
-    task, found = tuning.load_task(), []
+    task, found = load_task(), []
     runs = {"T3": replace(task.runs["T3"], scenario=task.runs["T3"].scenario.but(end_m=80.0))}
     small = replace(task, runs=runs, budget=task.budget | {"particles": 3, "iterations": 2, "seeds": [5, 6]})
     for workers in ("1", "2"):
         monkeypatch.setenv("RAILREPRO_WORKERS", workers)
-        found.append(tuning.tune("ndi", small, quiet=True))
+        found.append(tune("ndi", small, quiet=True))
     tables = [each.pop("history") for each in found]
     assert tables[0].equals(tables[1]) and found[0] == found[1]
     assert found[0]["cost"] == tables[0]["cost"].min() and len(tables[0]) == 2 * 3 * 2

@@ -5,16 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from railrepro import NDI, load_scenario, load_track, load_vehicle, paths, simulate
+from railrepro import NDI, figures, load_scenario, load_track, load_vehicle, paths, simulate
 from railrepro.contact.table import contact_table
+from railrepro.control import registry
 from railrepro.control.registry import guidance
 from railrepro.evidence.claims import statements
-from railrepro.evidence.report import figures, flips
-from railrepro.evidence.runs import preview, pso, tuning
+from railrepro.evidence.report import flips
+from railrepro.studies import preview
 from railrepro.track.alignment import alignments
 from railrepro.track.irregularity import irregularities
 from railrepro.track.rough import rough_track
 from railrepro.track.table import build_table
+from railrepro.tuning import swarm, task
 
 nan, inf = np.nan, np.inf
 WAY = np.arange(0.0, 100.0, 0.5)

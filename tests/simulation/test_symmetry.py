@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from railrepro.control.registry import CONTROLLERS, OURS, SHOWN
-from railrepro.evidence.runs.tuning import tuned
+from railrepro.control.registry import CONTROLLERS, OURS, SHOWN, tuned
 from railrepro.simulation import metrics, scenarios, simulate
 from railrepro.track.route import INDEX
 

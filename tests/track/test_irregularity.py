@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.runs.preview import known, plan
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies.experiment import Experiment
+from railrepro.studies.preview import known, plan
 from railrepro.track import route
 from railrepro.track.irregularity import CHANNELS, D1, irregularities, irregularity_spectrum, track_quality
 from railrepro.track.rough import rough_track

@@ -27,15 +27,15 @@ from railrepro import paths
 from railrepro.car.component import DERAILED
 from railrepro.clock import CONTROL_PERIOD
 from railrepro.control import interface, lateral, law
-from railrepro.control.registry import CONTROLLERS, PAPER_TRIO
+from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, tuned
 from railrepro.data import write
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.commands import report_errors
-from railrepro.evidence.runs import store, tuning
 from railrepro.quantities import indices, pack
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.studies import store
 from railrepro.track.alignment import alignments
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -101,7 +101,7 @@ def driven(task: tuple[str, str, str]) -> dict:
     scenario = load_scenario(name)
     if scenario.stop_kmh is not None:
         scenario = scenario.but(stop_kmh=SLOWEST)
-    series = PLANTS[plant](scenario, tuning.tuned(controller, CONTROLLERS[controller].quick)).series
+    series = PLANTS[plant](scenario, tuned(controller, CONTROLLERS[controller].quick)).series
     row = {"scenario": name, "controller": controller, "plant": plant, "rmse_mm": 1e3 * metrics.rmse(series)}
     row |= {"delay_m": metrics.delay(series), "effort_Nm": metrics.effort(series)}
     return row | {"way_m": metrics.stopping_distance(series), "flange": metrics.reaches_flange(series)}

@@ -9,8 +9,7 @@ import pytest
 import rolling_contact
 import second_plant
 
-from railrepro.control.registry import CONTROLLERS
-from railrepro.evidence.runs import tuning
+from railrepro.control.registry import CONTROLLERS, tuned
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.vehicle.parameters import load_vehicle
@@ -63,7 +62,7 @@ def test_a_controller_drives_the_second_car_as_ours(controller):
     """The begin of the curve entry on T3; the whole one is in data/results/second_plant.csv."""
     pytest.importorskip("exudyn", reason="the group `bench` is installed by `make test-extras`")
     scenario = load_scenario("curve_entry_T3").but(end_m=150.0)
-    guidance = partial(tuning.tuned, controller, CONTROLLERS[controller].quick)
+    guidance = partial(tuned, controller, CONTROLLERS[controller].quick)
     ours, theirs = (drive(scenario, guidance()).series for drive in (simulate.run, second_plant.run))
     assert len(theirs) == len(ours) and not metrics.reaches_flange(theirs)
     assert metrics.rmse(theirs) == pytest.approx(metrics.rmse(ours), rel=0.03)

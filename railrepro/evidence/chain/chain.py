@@ -26,7 +26,7 @@ from railrepro import code, data, numerics, paths
 from railrepro.data import InputError, Number, above, alone, between, write
 from railrepro.evidence.chain import compare
 from railrepro.evidence.report.sentences import false_in
-from railrepro.evidence.runs import store
+from railrepro.studies import store
 from railrepro.vehicle.parameters import load_vehicle
 
 Reads = dict[str, list[str]]

@@ -22,7 +22,7 @@ from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.probe import probe
 from railrepro.evidence.claims.setup import ProbeSetup, setup
 from railrepro.evidence.claims.statements import REPRODUCED, Evidence
-from railrepro.evidence.runs.executor import ordered_map
+from railrepro.studies.executor import ordered_map
 
 PARTS = ("curve", "sine", "loss", "brake")
 """What Figs. 6 to 9 show, see `probe.PARTS`."""

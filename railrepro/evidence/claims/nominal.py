@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
+from railrepro.control.registry import SETTINGS
 from railrepro.evidence.claims.statements import Evidence
-from railrepro.evidence.runs import tuning
 
 Key = tuple[str, str, str]
 METRICS = "nominal_metrics"
@@ -36,8 +36,8 @@ class Nominal:
         self._rows = {} if found is None else dict(list(found.groupby("setting")))
 
     def settings(self) -> list[str]:
-        """Settings of comparison for which there are metrics, in the order of `tuning.SETTINGS`."""
-        return [setting for setting in tuning.SETTINGS if setting in self._rows]
+        """Settings of comparison for which there are metrics, in the order of `SETTINGS`."""
+        return [setting for setting in SETTINGS if setting in self._rows]
 
     def evidence(self, setting: str) -> Evidence:
         """Metrics and tables of "paper", "equal" or "loop"; for "" the tables that depend on no setting, no metrics."""

@@ -18,16 +18,16 @@ from railrepro import paths
 from railrepro.contact.creep import adhesion_maximum, polach
 from railrepro.contact.table import middle_patch
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.control.registry import EMPHASIS, PAPER_TRIO, with_r_times
+from railrepro.control.registry import EMPHASIS, LOOP, PAPER_TRIO, SETTINGS, with_r_times
 from railrepro.data import InputError, write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.setup import ProbeSetup, setup, triple_pole
 from railrepro.evidence.claims.statements import BETWEEN, BRAKE, LOSS, NDI, NOTHING, SOFT, SOFTEST, T3
-from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import ordered_map
-from railrepro.evidence.runs.experiment import Experiment, tidy
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.studies import store
+from railrepro.studies.executor import ordered_map
+from railrepro.studies.experiment import Experiment
 from railrepro.track.table import Track, build_table, load_track
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
 
@@ -110,12 +110,12 @@ def entering(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """Metrics of a run of Fig. 6; a measure for `Experiment.measured`, so it returns a pair (dict, DataFrame).
 
     Keys: those of `following`; delay of y behind y* and `shortfall` (m); `torque_step` (N m); `path_error` (-). The
-    DataFrame is `tidy` with stride 10. A failed run has only the key failed, and None for the DataFrame.
+    DataFrame is `metrics.gear_series` with stride 10. A failed run has only the key failed, and None for the DataFrame.
     """
     values, _ = following(run, experiment)
     if run.failed:
         return values, None
-    series = tidy(run.series, 10)
+    series = metrics.gear_series(run.series, stride=10)
     values |= {"delay": metrics.delay(run.series), "shortfall": shortfall(series)}
     return values | {"torque_step": torque_step(series), "path_error": path_error(series)}, series
 
@@ -127,7 +127,7 @@ def losing(run: simulate.Run, experiment: Experiment) -> store.Entry:
     adhesion over the adhesion maximum from p = 240 m on (-); flange, 1 if a flange touches a rail, else 0;
     regular_deviation from 110 to 130 m, see `deviation` (-). A failed run has only failed and regular_deviation.
     """
-    (values, _), series = following(run, experiment), tidy(run.series, 10)
+    (values, _), series = following(run, experiment), metrics.gear_series(run.series, stride=10)
     if not run.failed:
         scenario, car = experiment.scenario, experiment.car()
         whole, late = (
@@ -146,11 +146,12 @@ def slipping(run: simulate.Run, experiment: Experiment) -> store.Entry:
     Keys largest_slip of all wheels (-); utilisation, mean adhesion of the left front wheel on the patch over the
     adhesion maximum there (-); regular_deviation before the patch, see `deviation` (-); failed (0 or 1).
     """
-    scenario, car, series = experiment.scenario, experiment.car(), tidy(run.series, 10)
-    patch = series[series["p_m"].between(*PATCH)]
+    scenario, car, series = experiment.scenario, experiment.car(), metrics.gear_series(run.series, stride=10)
+    patch = series[series["front.p"].between(*PATCH)]
     values = {
         "largest_slip": metrics.longitudinal(run.series, scenario, car)["largest_slip"][0],
-        "utilisation": float((np.sign(patch["f_star"]) * patch["fx_le"]).mean()) / adhesion_peak(scenario, car)[0],
+        "utilisation": float((np.sign(patch["front.f_star"]) * patch["front_le.adhesion"]).mean())
+        / adhesion_peak(scenario, car)[0],
         "regular_deviation": deviation(series, PATCH[0] - CHECKED, PATCH[0] - 1),
     }
     return values | {"failed": float(run.failed)}, None
@@ -355,26 +356,26 @@ _DRIVE: dict[str, Callable[[ProbeSetup], Measured]] = {
 def torque_step(series: pd.DataFrame) -> float:
     """Mean differential torque over the first wave of the set point less the mean before that wave (N m).
 
-    `series` has the columns y_ref_m and du_Nm. The wave lasts from the first set point other than 0 to the end of its
-    second half; NaN without a whole wave.
+    `series` has the columns front.y_ref and front.du. The wave lasts from the first set point other than 0 to the end
+    of its second half; NaN without a whole wave.
     """
-    reference = series["y_ref_m"].to_numpy()
+    reference = series["front.y_ref"].to_numpy()
     begin = int(np.argmax(reference != 0))
     first_half = reference * reference[begin] > 0
     middle = begin + int(np.argmin(first_half[begin:]))
     end = middle + int(np.argmax(first_half[middle:]))
-    torque = series["du_Nm"]
+    torque = series["front.du"]
     return float(torque[begin:end].mean() - torque[:begin].mean())
 
 
 def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
     """Lag of the differential torque in the run `second` behind the one in the run `first`, as a dict.
 
-    Both have the columns p_m and du_Nm. Keys ndi_later, the lag along the track at which the torques correlate best (m,
-    -15 to 40 m), and ndi_alike, their correlation at this lag (-).
+    Both have the columns front.p and front.du. Keys ndi_later, the lag along the track at which the torques correlate
+    best (m, -15 to 40 m), and ndi_alike, their correlation at this lag (-).
     """
     grid = np.arange(60.0, 590.0, 0.25)
-    one, other = (np.interp(grid, rows["p_m"], rows["du_Nm"]) for rows in (first, second))
+    one, other = (np.interp(grid, rows["front.p"], rows["front.du"]) for rows in (first, second))
     shifts = np.arange(-60, 161)
     alike = np.array([np.corrcoef(other[60 + k : 60 + k + 1800], one[60:1860])[0, 1] for k in shifts])
     best = int(np.argmax(alike))
@@ -384,53 +385,54 @@ def torque_shift(first: pd.DataFrame, second: pd.DataFrame) -> dict[str, float]:
 def shortfall(series: pd.DataFrame) -> float:
     """Mean amount by which y falls short of the crests of its set point y* (m): the larger of right and left.
 
-    `series` has the columns y_m and y_ref_m (y*). Crests are rows in which |y*| exceeds 5/6 of its maximum.
+    `series` has the columns front.y and front.y_ref (y*). Crests are rows in which |y*| exceeds 5/6 of its maximum.
     """
-    reference = series["y_ref_m"]
-    short, crest = reference - series["y_m"], reference.abs().max() * 5 / 6
+    reference = series["front.y_ref"]
+    short, crest = reference - series["front.y"], reference.abs().max() * 5 / 6
     return float(max(short[reference > crest].mean(), -short[reference < -crest].mean()))
 
 
 def path_error(series: pd.DataFrame) -> float:
     """RMS yaw of a gear against the track over the RMS heading of the track (-); 1 if the gear keeps its direction.
 
-    `series` has the columns psi_trax_rad, yaw against the track, and psi_ax_rad, yaw of the gear.
+    `series` has the columns front.psi_TrAx, yaw against the track, and front.psi_Ax, yaw of the gear.
     """
-    heading = series["psi_ax_rad"] - series["psi_trax_rad"]
-    return float(np.sqrt((series["psi_trax_rad"] ** 2).mean() / (heading**2).mean()))
+    heading = series["front.psi_Ax"] - series["front.psi_TrAx"]
+    return float(np.sqrt((series["front.psi_TrAx"] ** 2).mean() / (heading**2).mean()))
 
 
 def oscillation(series: pd.DataFrame) -> dict[str, float]:
-    """How y follows its set point in Fig. 8 from p = 240 m on, as a dict; `series` has the columns p_m, y_m, y_ref_m.
+    """How y follows its set point in Fig. 8 from p = 240 m on, as a dict; `series` has the columns of
+    `metrics.gear_series`.
 
     set_point_gain: slope of the regression of y on the set point through the origin (-). error_growth: RMS error on the
     second half of this way over the RMS error on its first half (-).
     """
-    rows = series[series["p_m"] >= REACHED]
-    error, half = rows["y_m"] - rows["y_ref_m"], rows["p_m"] >= rows["p_m"].iloc[[0, -1]].mean()
+    rows = series[series["front.p"] >= REACHED]
+    error, half = rows["front.y"] - rows["front.y_ref"], rows["front.p"] >= rows["front.p"].iloc[[0, -1]].mean()
     growth = np.sqrt((error[half] ** 2).mean() / (error[~half] ** 2).mean())
-    gain = (rows["y_m"] * rows["y_ref_m"]).sum() / (rows["y_ref_m"] ** 2).sum()
+    gain = (rows["front.y"] * rows["front.y_ref"]).sum() / (rows["front.y_ref"] ** 2).sum()
     return {"set_point_gain": float(gain), "error_growth": float(growth)}
 
 
 def deviation(series: pd.DataFrame, begin: float, end: float) -> float:
     """Mean relative deviation |f - f*| / |f*| (-) of the adhesion f of a gear from its set point f*.
 
-    The mean is over the rows of `series` from p = `begin` to p = `end` (m), inf without rows. Columns p_m, f_star (f*),
-    fx_ri and fx_le (adhesion of both wheels, f is their mean).
+    The mean is over the rows of `series` from p = `begin` to p = `end` (m), inf without rows. f is the mean
+    adhesion of both wheels; `series` has the columns of `metrics.gear_series`.
     """
-    rows = series[series["p_m"].between(begin, end, inclusive="left")]
+    rows = series[series["front.p"].between(begin, end, inclusive="left")]
     if rows.empty:
         return float("inf")
-    f = (rows["fx_ri"] + rows["fx_le"]) / 2
-    return float(((f - rows["f_star"]).abs() / rows["f_star"].abs()).mean())
+    f = (rows["front_ri.adhesion"] + rows["front_le.adhesion"]) / 2
+    return float(((f - rows["front.f_star"]).abs() / rows["front.f_star"].abs()).mean())
 
 
 def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, float]:
     """Count macro slips and approaches to the adhesion peak in a run of Fig. 8 from p = 240 m on.
 
     Args:
-        series (DataFrame): Run as made by `experiment.tidy`: p_m, t_s, u_d_Nm, fx_ri, fx_le, sx_ri, sx_le.
+        series (DataFrame): Series of `metrics.gear_series`.
         peak (float): Adhesion at the peak (-).
         slip (float): Slip at the peak (-). A macro slip begins where the slip of a wheel exceeds this value.
 
@@ -440,10 +442,10 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
             before each macro slip and one after the last. approached: approaches in which the adhesion reaches
             0.9 `peak`. A last approach shorter than 110 m counts only if the adhesion reaches this value.
     """
-    rows = series[series["p_m"] >= REACHED]
-    time, torque = rows["t_s"].to_numpy(), rows["u_d_Nm"].to_numpy()
-    beyond = (rows[["sx_ri", "sx_le"]].abs() > slip).any(axis=1).to_numpy()
-    near = ((rows["fx_ri"] + rows["fx_le"]) / 2 >= APPROACH * peak).to_numpy()
+    rows = series[series["front.p"] >= REACHED]
+    time, torque = rows["t_s"].to_numpy(), rows["front.u_d"].to_numpy()
+    beyond = (rows[["front_ri.sx", "front_le.sx"]].abs() > slip).any(axis=1).to_numpy()
+    near = ((rows["front_ri.adhesion"] + rows["front_le.adhesion"]) / 2 >= APPROACH * peak).to_numpy()
     entries = np.flatnonzero(np.diff(beyond.astype(int), prepend=0) > 0)
     judged = recovered = 0
     for entry in entries[time[-1] - time[entries] > RECOVERY]:
@@ -452,7 +454,7 @@ def macro_slips(series: pd.DataFrame, peak: float, slip: float) -> dict[str, flo
         recovered += not beyond[soon].all() and torque[soon].min() < (1 - FALL) * torque[entry]
     bounds = [0, *entries, time.size]
     approaches = [bool((near & ~beyond)[begin:end].any()) for begin, end in pairwise(bounds) if end > begin]
-    last = rows["p_m"].iloc[-1] - rows["p_m"].iloc[bounds[-2]]
+    last = rows["front.p"].iloc[-1] - rows["front.p"].iloc[bounds[-2]]
     if not approaches[-1] and len(approaches) > 1 and last < REACHED - DEMANDED:
         approaches.pop()
     return {
@@ -478,7 +480,7 @@ def excessive_slip(scenario: Scenario, car: Vehicle) -> float:
     return float(slips[force / car.wheel_load > APPROACH * peak].max())
 
 
-def nominal(settings: Iterable[str] = tuning.SETTINGS) -> pd.DataFrame:
+def nominal(settings: Iterable[str] = SETTINGS) -> pd.DataFrame:
     """Simulate the runs of `probe` with the nominal car in settings of comparison: one row per metric of a run.
 
     Columns scenario, controller, metric, value (in `unit`), unit, setting, swarm (rank of the parameter set by cost, 0
@@ -486,7 +488,7 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS) -> pd.DataFrame:
     """
     tasks = []
     for each in settings:
-        seeds = SEEDS if each == tuning.LOOP else (0,)
+        seeds = SEEDS if each == LOOP else (0,)
         for rank, seed in [(0, seed) for seed in seeds] + [(rank, seeds[0]) for rank in (1, 2)]:
             # braking takes most of the time: once per setting
             parts = (*PARTS, *ONCE) if rank == 0 and seed == seeds[0] else PARTS[:-1]
@@ -504,8 +506,8 @@ def nominal(settings: Iterable[str] = tuning.SETTINGS) -> pd.DataFrame:
 
 def main(settings: Sequence[str] = ()) -> None:
     """Write data/results/nominal_metrics.csv: `nominal` in some settings (default all), InputError for others."""
-    unknown = set(settings) - set(tuning.SETTINGS)
+    unknown = set(settings) - set(SETTINGS)
     if unknown:
-        raise InputError(f"setting {min(unknown)!r} is not known; there are {tuning.SETTINGS}")
-    table = nominal(settings or tuning.SETTINGS)
+        raise InputError(f"setting {min(unknown)!r} is not known; there are {SETTINGS}")
+    table = nominal(settings or SETTINGS)
     write(paths.product("data/results/nominal_metrics.csv"), table.to_csv(index=False, float_format="%.6g"))

@@ -6,66 +6,46 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from railrepro.control.registry import CONTROLLERS, PAPER_TRIO, with_r_times
+from railrepro.control.registry import LOOP, PAPER, PAPER_TRIO, with_r_times
 from railrepro.data import InputError
 from railrepro.evidence.claims.statements import BRAKE, MPC, NDI, T3
-from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.studies.world import World
 from railrepro.track.alignment import Alignment, alignments
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
+from railrepro.tuning import sets
 
 
 @dataclass(frozen=True)
-class ProbeSetup:
-    """A car, its controllers, and the choices for the paper's experiments that the paper leaves open.
+class ProbeSetup(World):
+    """A `World` with the choices for the paper's experiments that the paper leaves open.
 
     Attributes:
-        parameters (dict): Controller -> its tuning parameters by name.
-        setting (str): Setting of comparison that `parameters` belong to, one of `tuning.SETTINGS`.
-        vehicle (dict): Changed vehicle parameters, dotted key -> value (SI), known to car and controllers.
-        profile (str): Wheel profile of the car ("" for that of data/vehicle.toml).
         amplitude_mm, period_start_m, period_end_m, clothoid_factor (float): Set point of Fig. 6: amplitude, first and
             last period (mm, m); factor on the clothoid length of T3 (-).
-        sensors (dict): Arguments of `estimation.sensors.readings`; empty gives the controllers the true signals.
-        r_loss, r_brake (float): Factors on the weight R of NMPC in Fig. 8 and in Fig. 9 (-).
         r_second (float): Further factor on R, besides r_brake, for the second NMPC of Fig. 9 (-).
+        r_loss, r_brake (float): Factors on the weight R of NMPC in Fig. 8 and in Fig. 9 (-).
         brake_sweep (dict): Changed entries of the set point of Fig. 9, as {"period_end_m": 30.0}.
         ltv (str): Controller that stands for LTV-MPC: "ltv_mpc_printed", or "ltv_mpc", which keeps its affine term.
     """
 
-    parameters: dict[str, dict]
-    setting: str = tuning.PAPER
-    vehicle: dict = field(default_factory=dict)
-    profile: str = ""
     amplitude_mm: float = 3.0
     period_start_m: float = 150.0
     period_end_m: float = 40.0
     clothoid_factor: float = 1.0
-    sensors: dict = field(default_factory=dict)
     r_second: float = 10.0
     r_loss: float = 1.0
     r_brake: float = 1.0
     brake_sweep: dict = field(default_factory=dict)
     ltv: str = "ltv_mpc_printed"
 
-    def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
-        """`Experiment` of a scenario with a controller (key of `registry.CONTROLLERS`) on this car.
+    @property
+    def profile(self) -> str:
+        """Wheel profile of the simulated car, "" for that of data/vehicle.toml."""
+        return self.plant.get("contact.profile", "")
 
-        `parameters` are its tuning parameters (default those of this setup), `more` further fields of `Experiment`.
-        """
-        driver = self.ltv if controller == MPC[1] else controller
-        given = {"options": CONTROLLERS[controller].quick, "sensors": self.sensors} | more
-        changed = {"vehicle": self.vehicle | given.pop("vehicle", {}), "plant": self._plant() | given.pop("plant", {})}
-        tuned = parameters or self.parameters[controller]
-        return Experiment(scenario, driver, parameters=tuned, setting=self.setting, **given, **changed)
-
-    def car(self) -> Vehicle:
-        """Vehicle parameters of the simulated car, with the changes of `vehicle` and `profile`."""
-        return load_vehicle(**self.vehicle, **self._plant())
-
-    def _plant(self) -> dict[str, str]:
-        return {"contact.profile": self.profile} if self.profile else {}
+    def driver(self, controller: str) -> str:
+        """Key of `registry.CONTROLLERS` that drives under the name `controller`: for LTV-MPC it is `ltv`."""
+        return self.ltv if controller == MPC[1] else controller
 
     def scenario(self, name: str) -> Scenario:
         """Scenario of data/scenarios.toml by name; those of Figs. 6 and 9 have the set points of this setup."""
@@ -85,8 +65,10 @@ class ProbeSetup:
 
 
 LTV_R, POLE = "ltv_mpc_printed.r", "ndi.pole"
-_FIELDS = {one.name for one in fields(ProbeSetup)} - {"parameters", "setting", "vehicle", "sensors"}
+_CHOICES = {one.name for one in fields(ProbeSetup)} - {one.name for one in fields(World)}
 """Fields of `ProbeSetup` that may be keys of the argument `values` of `setup`."""
+PROFILE = "profile"
+"""Key of `values` for the wheel profile of the simulated car, which its controllers do not know."""
 
 
 def triple_pole(pole: float) -> dict[str, float]:
@@ -96,7 +78,7 @@ def triple_pole(pole: float) -> dict[str, float]:
 
 def setup(
     values: Mapping[str, Any],
-    setting: str = tuning.PAPER,
+    setting: str = PAPER,
     *,
     controllers: Iterable[str] = PAPER_TRIO,
     rank: int = 0,
@@ -105,9 +87,9 @@ def setup(
     """Make a `ProbeSetup` from values by name; all that is not named is as on the uncalibrated car.
 
     Args:
-        values (mapping): Keys: fields of `ProbeSetup`; "brake_sweep:ENTRY", as "brake_sweep:period_end_m" (set point of
-            Fig. 9); "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s); "ltv_mpc_printed.r" (LTV-MPC
-            takes the weights of NMPC with R times this); dotted keys of the vehicle.
+        values (mapping): Keys: choices of `ProbeSetup`; "profile"; "brake_sweep:ENTRY", as "brake_sweep:period_end_m"
+            (set point of Fig. 9); "CONTROLLER:PARAMETER", as "nmpc:r"; "ndi.pole" (triple pole, rad/s);
+            "ltv_mpc_printed.r" (LTV-MPC takes the weights of NMPC with R times this); dotted keys of the vehicle.
         setting (str): Setting of comparison from which tuning parameters are taken.
         controllers (iterable of str): Controllers whose tuning parameters are taken.
         rank (int): Rank of the parameter set among the swarms by cost; 0, or a rank beyond them, is the tuned set.
@@ -122,15 +104,16 @@ def setup(
         parameters[MPC[1]] = with_r_times(parameters["nmpc"], values[LTV_R])
     if POLE in values:
         parameters[NDI] = triple_pole(values[POLE])
-    sensors = {"seed": seed} if seed is not None and setting == tuning.LOOP else {}
+    sensors = {"seed": seed} if seed is not None and setting == LOOP else {}
     vehicle: dict[str, Any] = {}
+    plant = {"contact.profile": values[PROFILE]} if values.get(PROFILE) else {}
     own: dict[str, Any] = {"brake_sweep": dict(values.get("brake_sweep", {}))}
     parts = parameters | {"brake_sweep": own["brake_sweep"]}
     for name, value in values.items():
         part, colon, key = name.partition(":")
-        if name in (LTV_R, POLE, "brake_sweep"):
+        if name in (LTV_R, POLE, PROFILE, "brake_sweep"):
             continue  # set above, before single parameters and entries of these
-        if name in _FIELDS:
+        if name in _CHOICES:
             own[name] = value
         elif colon and part in parts:
             parts[part][key] = value
@@ -138,10 +121,10 @@ def setup(
             vehicle[name] = value
         else:
             raise InputError(f"{name!r} is set, which nothing has")
-    return ProbeSetup(parameters, setting, vehicle=vehicle, sensors=sensors, **own)
+    return ProbeSetup(parameters, setting, vehicle, plant, sensors, **own)
 
 
 def _tuned(controller: str, setting: str, rank: int) -> dict[str, Any]:
-    found = tuning.load(controller, setting)
+    found = sets.load(controller, setting)
     swarms = sorted(found.get("swarms", []), key=lambda swarm: swarm["cost"])
     return dict(swarms[rank]["parameters"] if 0 < rank < len(swarms) else found["parameters"])

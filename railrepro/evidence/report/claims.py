@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from railrepro.control.registry import PAPER
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.statements import NOT, PARTLY, REPRODUCED, TIE, UNTESTABLE
-from railrepro.evidence.runs import tuning
 from railrepro.evidence.uncertainty.robustness import shares
 
 FILE = "data/results/claims.csv"
-HEADLINE = tuning.PAPER
+HEADLINE = PAPER
 """Setting of comparison whose verdict is the headline verdict."""
 FRAGILE, NO_VERDICT = "fragile", "no verdict"
 ORDER = (REPRODUCED, FRAGILE, PARTLY, TIE, NOT, UNTESTABLE)

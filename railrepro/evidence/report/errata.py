@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.experiment import Experiment, run_all
 from railrepro.simulation.scenarios import Scenario
+from railrepro.studies.experiment import Experiment, run_all
+from railrepro.tuning import sets
 
 _TRIPLED = 2
 """Change of the error from which a run is lost."""
@@ -35,7 +35,7 @@ def linearisations(scenarios: Sequence[Scenario]) -> pd.DataFrame:
     All have the weights of NMPC in the setting `equal`. Returns a row of metrics per run (`run_all`) with the columns
     scenario, controller and flange (whether a wheel touched its flange or lifted).
     """
-    weights = tuning.load("nmpc", "equal")["parameters"]
+    weights = sets.load("nmpc", "equal")["parameters"]
     table, _ = run_all([
         Experiment(s, controller, parameters=weights)
         for s in scenarios for controller in ("nmpc", "ltv_mpc", "ltv_mpc_printed")

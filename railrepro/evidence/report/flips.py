@@ -13,12 +13,12 @@ from typing import Annotated, Literal
 import pandas as pd
 
 from railrepro import data, paths
+from railrepro.control.registry import PAPER
 from railrepro.data import InputError
 from railrepro.evidence.claims import probe, statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.setup import setup
 from railrepro.evidence.claims.statements import Evidence
-from railrepro.evidence.runs import tuning
 
 
 @data.table
@@ -56,12 +56,12 @@ def flips(answered: Mapping[str, Question]) -> pd.DataFrame:
     given = {
         key: value for each in answered.values() for key, value in zip(each.sets, cycle(each.answer), strict=False)
     }
-    setting = given.pop("setting", tuning.PAPER)
+    setting = given.pop("setting", PAPER)
     probed = setup(given, setting)
     probed.car()  # so that a value which the car refuses stops it before anything runs
     needed = {part for question in answered.values() for part in question.parts}
     rows = probe.probe(probed, [part for part in probe.PARTS if part in needed])
-    known = Nominal().evidence(tuning.PAPER)
+    known = Nominal().evidence(PAPER)
     scenarios, told = {scenario for scenario, *_ in rows}, {key.partition(":")[0] for key in given}
     metrics = {key: value for key, value in dict(known.metrics).items() if key[0] not in scenarios}
     # seeds of a swarm leave nothing open where the authors say what theirs found

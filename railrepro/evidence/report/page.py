@@ -17,14 +17,15 @@ import numpy as np
 import pandas as pd
 
 from railrepro import data, paths
-from railrepro.control.registry import parameters
+from railrepro.control.registry import PAPER, SETTINGS, parameters
 from railrepro.data import write
 from railrepro.evidence.claims import calibrated, statements
 from railrepro.evidence.claims.nominal import METRICS, Nominal
 from railrepro.evidence.claims.statements import REPRODUCED, Finding, MissingEvidence
 from railrepro.evidence.report import claims, flips
-from railrepro.evidence.runs import tuning
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.tuning import sets
+from railrepro.tuning.task import load_task
 
 MARKS = {"reproduced": "✓", "fragile": "✓?", "partly": "◐", "tie": "=", "not reproduced": "✗", "not testable": "–"}
 BEGIN, END = "<!-- written by `make report` from data/readme.md.j2 -->\n", "<!-- end of what is written -->\n"
@@ -99,11 +100,11 @@ class Page:
         self._jinja.globals |= {
             "mark": {identity: MARKS.get(verdict) for identity, verdict in self.verdicts.items()},
             "calibrated": judged.set_index("id")["calibrated"].map({"yes": "✓", "no": "✗", "": ""}).to_dict(),
-            "settings": tuning.SETTINGS,
-            "task": tuning.load_task(),
+            "settings": SETTINGS,
+            "task": load_task(),
             "choices": calibrated.load(),
             "tuned": parameters,
-            "swarm": partial(tuning.load, searched=True),
+            "swarm": partial(sets.load, searched=True),
             "scenario": load_scenario,
             "csv": csv,
             "marks": MARKS,
@@ -200,18 +201,18 @@ class Page:
 
     def tuned_rmse(self, controller: str, setting: str) -> float:
         """RMSE of y (m) on T3 with the tuned set of a controller in a setting, from settings_metrics.csv."""
-        seed = min(tuning.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
+        seed = min(sets.load(controller, setting)["swarms"], key=lambda swarm: swarm["cost"])["seed"]
         where = {"scenario": "curve_entry_T3", "setting": setting, "controller": controller, "swarm": seed}
         return self.cell("settings_metrics", "value", metric="rmse_y", **where)
 
     def time(self, solver: str, column: str = "median_ms") -> float:
         """Median over the scenarios of a `column` of solve_times.csv (ms) for a `solver`, in the setting "paper"."""
-        return float(statements.usual_times(self.nominal.evidence(tuning.PAPER), solver, column).median())
+        return float(statements.usual_times(self.nominal.evidence(PAPER), solver, column).median())
 
     def figure(self, name: str, car: str) -> pd.DataFrame:
         """Read figures/NAME.csv: its rows in the setting "paper" for a `car`, "uncalibrated" or "calibrated"."""
         table = pd.read_csv(paths.source(f"figures/{name}.csv"))
-        return table[(table["setting"] == tuning.PAPER) & (table["car"] == car)]
+        return table[(table["setting"] == PAPER) & (table["car"] == car)]
 
     def value(self, identity: str) -> str:
         """Value behind the headline verdict of a statement (id, as "C05") as Markdown: "[value unit](its table)"."""

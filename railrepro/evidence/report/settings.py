@@ -7,10 +7,10 @@ from itertools import product
 
 import pandas as pd
 
-from railrepro.control.registry import CONTROLLERS, LOOP
-from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.experiment import Experiment
+from railrepro.control.registry import CONTROLLERS, LOOP, SETTINGS
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies.experiment import Experiment
+from railrepro.tuning import sets
 
 CASES: dict[str, tuple[str, str, float, dict]] = {
     "curve_entry_T1": ("T1, 40 km/h", "curve_entry_T1", 80, {}),
@@ -44,8 +44,8 @@ def experiments(
         stress (mapping): Changes of data/sensors.toml in cases that end with "stressed", as {"inverter.gain": 1.2}.
     """
     found = []
-    for setting, name in product(tuning.SETTINGS, names):
-        tuned = tuning.load(name, setting)
+    for setting, name in product(SETTINGS, names):
+        tuned = sets.load(name, setting)
         designed = [{"seed": 0, "parameters": tuned["parameters"], "cost": 0.0}]
         ranked = sorted(tuned.get("swarms", designed), key=lambda swarm: swarm["cost"])[:swarms]
         for rank, swarm in enumerate(ranked):

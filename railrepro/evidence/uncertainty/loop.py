@@ -14,15 +14,15 @@ import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, OURS
+from railrepro.control.registry import CONTROLLERS, LOOP, OURS
 from railrepro.data import write
 from railrepro.estimation.sensors import load_loop
-from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import ordered_map
-from railrepro.evidence.runs.experiment import Experiment
 from railrepro.evidence.uncertainty import limit
 from railrepro.simulation import metrics, simulate
 from railrepro.simulation.scenarios import load_scenario
+from railrepro.studies import store
+from railrepro.studies.executor import ordered_map
+from railrepro.studies.experiment import Experiment
 from railrepro.vehicle.parameters import load_vehicle
 
 SEEDS = tuple(range(201, 225))
@@ -84,7 +84,7 @@ def row(kind: str, case: str, scenario: str, change: dict, **more) -> list[Exper
         if kind == "irregular":
             changed["irregular"] = more["irregular"] | {"seed": seed}
         quick = CONTROLLERS[name].quick
-        runs.append(Experiment(driven, name, label, options=quick, setting=tuning.LOOP, **changed))
+        runs.append(Experiment(driven, name, label, options=quick, setting=LOOP, **changed))
     return runs
 
 

@@ -1,114 +1,28 @@
-"""Stability margins and measured sensitivity of each tuned controller, in the loop as it is: nothing is linearised."""
+"""Stability margins of all tuned sets: the longest added delay, and the disk margin at four speeds."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable
 from itertools import product
-from types import SimpleNamespace
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 
 from railrepro import paths
-from railrepro.clock import CONTROL_PERIOD
-from railrepro.control import lateral
-from railrepro.control.registry import CONTROLLERS, SHOWN
+from railrepro.control.registry import CONTROLLERS, LOOP, SETTINGS, SHOWN, parameters, tuned
 from railrepro.data import write
-from railrepro.estimation.sensors import load_loop, readings
-from railrepro.evidence.runs import store, tuning
-from railrepro.evidence.runs.executor import ordered_map, work
-from railrepro.evidence.runs.experiment import Experiment
-from railrepro.evidence.runs.tuning import driven
-from railrepro.simulation import simulate
+from railrepro.estimation.sensors import load_loop
 from railrepro.simulation.scenarios import load_scenario
-from railrepro.vehicle.parameters import Vehicle, load_vehicle
+from railrepro.studies import store
+from railrepro.studies.executor import ordered_map, work
+from railrepro.studies.experiment import Experiment
+from railrepro.tuning.cost import driven
+from railrepro.tuning.margin import disk_margin, sensitivity
+from railrepro.vehicle.parameters import load_vehicle
 
-WINDOW, SETTLED = 4.0, 2.0
-"""Length of the window that is analysed and time before it (s); all frequencies are whole multiples of 1 / WINDOW."""
-FREQUENCIES = (
-    *(0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 14.0, 16.0),
-    *(18.0, 20.0, 24.0, 28.0, 32.0),
-)
-"""Frequencies of the disturbance (Hz)."""
-AMPLITUDE = 20.0
-"""Amplitude of each sine of the disturbance (N m), well above resolution and well below limits."""
-LINEAR = 0.5
-"""Least share of the power of the response that lies at the disturbed frequencies in a stable loop."""
 LONGEST_MS = 15
 """Longest delay that is tried (ms)."""
 _KMH = (100.0, 200.0, 300.0, 400.0)
-
-
-class _Probed:
-    """Law of a guidance that adds `multisine` times `amplitude` (N m) to its differential torque."""
-
-    def __init__(self, guidance: lateral.Guidance, amplitude: float):
-        (self._law, self._factory), self._amplitude = lateral.split(guidance), amplitude
-        self.memory = (*getattr(self._law, "memory", ()), "probe_ticks")
-
-    def gains(self) -> dict[str, float]:
-        return {**lateral.gains_of(self._law), "probe_amplitude": self._amplitude}
-
-    def torque(self, q: SimpleNamespace) -> tuple[ca.SX, dict]:
-        du, following = lateral.answer(self._law, q)
-        signal = q.probe_amplitude * multisine(q.probe_ticks * CONTROL_PERIOD, ca.sin)
-        return du + signal, following | {"probe_ticks": q.probe_ticks + 1}
-
-
-class _ProbedFactory(_Probed):
-    """One that holds the torque of slower controllers, whose factory it is."""
-
-    def __call__(self, *of_gear) -> lateral.SlowController:
-        return self._factory(*of_gear)
-
-
-def multisine(t, sine: Callable = np.sin):
-    """Disturbance for `sensitivity` (-): sum over `FREQUENCIES` f of sine(2 pi f t - phase), in type and shape of t.
-
-    `t` is a number, array or CasADi expression (s); `sine` is its sine function. Source: Schroeder 1970 (phases).
-    """
-    count = len(FREQUENCIES)
-    return sum(sine(2 * np.pi * f * t - np.pi * k * (k + 1) / count) for k, f in enumerate(FREQUENCIES))
-
-
-def disk_margin(values: np.ndarray) -> float:
-    """Symmetric disk margin a = 1 / max |S - 1/2| (-) from the complex `sensitivity` S at several frequencies.
-
-    The gain may change by (2 - a) / (2 + a) to (2 + a) / (2 - a), or the phase by 2 atan(a / 2) (rad). Source: Seiler,
-    Packard and Gahinet 2020.
-    """
-    return float(1 / np.abs(values - 0.5).max())
-
-
-def sensitivity(
-    guidance, speed_kmh: float, sensors: dict | None = None, vehicle: Vehicle | None = None
-) -> np.ndarray | None:
-    """Measure the sensitivity S = 1 / (1 + L) at the differential torque of the front gear, on straight dry track.
-
-    It compares runs at `speed_kmh` with and without the disturbance `multisine`. Returns the complex ratio of torque to
-    disturbance at `FREQUENCIES`, or None when a run fails or the loop is unstable. `guidance` and `vehicle` are as in
-    `simulate.run`. `sensors` are arguments of `sensors.readings`; their noise is equal in both runs and cancels.
-    """
-    end = (WINDOW + SETTLED + 0.1) * speed_kmh / 3.6
-    scenario = load_scenario("sine_tracking").but(set_point={"kind": "none"}, speed_kmh=speed_kmh, end_m=end)
-    seen = readings(**sensors) if sensors else None
-    kind = _ProbedFactory if callable(guidance) else _Probed
-    first, count, found = round(SETTLED / CONTROL_PERIOD), round(WINDOW / CONTROL_PERIOD), []
-    for amplitude in (0.0, AMPLITUDE):
-        run = simulate.run(scenario, kind(guidance, amplitude), vehicle=vehicle, sensors=seen)
-        if run.failed:
-            return None
-        found.append(run.series["front.du"].to_numpy()[: first + count])
-    answer = (found[1] - found[0])[first:] / AMPLITUDE
-    early, late = (np.sqrt(np.mean(half**2)) for half in np.split(answer, 2))
-    torque = np.fft.rfft(answer)
-    disturbance = np.fft.rfft(multisine((first + np.arange(count)) * CONTROL_PERIOD))
-    lines = np.round(np.array(FREQUENCIES) * WINDOW).astype(int)
-    answered = np.sum(np.abs(torque[lines]) ** 2) / np.sum(np.abs(torque) ** 2)
-    stable = answered > LINEAR and late < 2 * early
-    return torque[lines] / disturbance[lines] if stable else None
 
 
 def delay_margin(setting: str, controller: str) -> float:
@@ -117,7 +31,7 @@ def delay_margin(setting: str, controller: str) -> float:
     Whole milliseconds up to `LONGEST_MS` are tried, by bisection. NaN if a flange is touched without added delay.
     `setting` ("paper", "equal", "loop") and `controller` (key of `registry.CONTROLLERS`) select the tuned set.
     """
-    sensors = {"seed": 101} | ({} if setting == tuning.LOOP else {"perfect": True})
+    sensors = {"seed": 101} | ({} if setting == LOOP else {"perfect": True})
     scenario, quick = load_scenario("adhesion_loss").but(end_m=600.0), CONTROLLERS[controller].quick
 
     def fails(delay_ms: int) -> bool:
@@ -132,22 +46,22 @@ def delay_margin(setting: str, controller: str) -> float:
 
 def peaks(setting: str, controller: str, speed_kmh: float) -> dict:
     """Dict peak_sensitivity (max |S| at the torque), disk_margin (-) of a tuned controller; inf and 0 if unstable."""
-    around = load_loop() if setting == tuning.LOOP else None
-    read = controller, speed_kmh, tuning.load(controller, setting)["parameters"], around, load_vehicle()
+    around = load_loop() if setting == LOOP else None
+    read = controller, speed_kmh, parameters(controller, setting), around, load_vehicle()
     key = store.key(__name__, "sensitivity", read)
     return store.entry(key, lambda: work(_peaks, setting, controller, speed_kmh))[0]
 
 
 def _peaks(setting: str, controller: str, speed_kmh: float) -> store.Entry:
-    guidance = tuning.tuned(controller, CONTROLLERS[controller].quick, setting)
-    found = sensitivity(guidance, speed_kmh, {"seed": 101} if setting == tuning.LOOP else None)
+    guidance = tuned(controller, CONTROLLERS[controller].quick, setting)
+    found = sensitivity(guidance, speed_kmh, {"seed": 101} if setting == LOOP else None)
     largest, margin = (float("inf"), 0.0) if found is None else (float(np.abs(found).max()), disk_margin(found))
     return {"peak_sensitivity": largest, "disk_margin": margin}, None
 
 
 def main() -> None:
     """Write data/results/margins.csv (`delay_margin`) and sensitivity.csv (`peaks`) of the controllers `SHOWN`."""
-    pairs = [*product(tuning.SETTINGS, SHOWN)]
+    pairs = [*product(SETTINGS, SHOWN)]
     loops = [(*pair, speed) for pair in pairs for speed in _KMH]
     delays = ordered_map(lambda pair: delay_margin(*pair), pairs, "delay margins")
     found = ordered_map(lambda case: peaks(*case), loops, "sensitivity")

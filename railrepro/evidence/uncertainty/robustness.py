@@ -13,16 +13,17 @@ import pandas as pd
 from scipy import stats
 
 from railrepro import paths
-from railrepro.control.registry import CONTROLLERS, PAPER_TRIO
+from railrepro.control.registry import CONTROLLERS, PAPER, PAPER_TRIO, SETTINGS
 from railrepro.data import write
 from railrepro.evidence.claims import statements
 from railrepro.evidence.claims.nominal import Nominal
 from railrepro.evidence.claims.probe import ONCE, PARTS, probe
 from railrepro.evidence.claims.setup import POLE, ProbeSetup, setup
-from railrepro.evidence.runs import tuning
-from railrepro.evidence.runs.executor import ordered_map
-from railrepro.evidence.runs.pso import Dimension
-from railrepro.evidence.runs.tuning import driven, run_cost
+from railrepro.studies.executor import ordered_map
+from railrepro.tuning import sets
+from railrepro.tuning.cost import driven, run_cost
+from railrepro.tuning.swarm import Dimension
+from railrepro.tuning.task import load_task
 from railrepro.vehicle.parameters import load_vehicle, sample_ranges
 
 SAMPLES, LONG, SEED = 128, 32, 2026
@@ -61,7 +62,7 @@ class Sample:
 
     Attributes:
         number (int): Index in the Sobol sequence of `draw`.
-        setting (str): Setting of comparison, one of `tuning.SETTINGS`.
+        setting (str): Setting of comparison, one of `SETTINGS`.
         values (tuple): Pairs of dimension name (see `prior`) and value in its unit; dimensions not named stay nominal.
     """
 
@@ -80,7 +81,7 @@ class Sample:
         return setup(v, self.setting, seed=seed)
 
 
-def draw(count: int = SAMPLES, settings: Sequence[str] = tuning.SETTINGS) -> list[Sample]:
+def draw(count: int = SAMPLES, settings: Sequence[str] = SETTINGS) -> list[Sample]:
     """Draw `count` quasi-random samples of `prior` (scrambled Sobol sequence) per setting, the same values in each."""
     dimensions = prior()
     points = stats.qmc.Sobol(len(dimensions), seed=SEED).random(count)
@@ -96,14 +97,15 @@ def evaluate(sample: Sample) -> dict:
     """
     world = sample.world(JUDGING)
     tuned = {name: _retuned(sample, name) for name in PAPER_TRIO}
-    labels = {"number": sample.number, "setting": sample.setting, "profile": world.profile, "ltv": world.ltv}
+    labels = {"number": sample.number, "setting": sample.setting}
+    labels |= {"profile": world.profile, "ltv": world.ltv}
     rows = probe(replace(world, parameters=tuned), (*PARTS, *ONCE) if sample.number < LONG else PARTS)
     return labels | dict(sample.values) | {"/".join(key): value for *key, value in rows}
 
 
 def _retuned(sample: Sample, name: str) -> dict:
     """The best of three scales of a controller's tuned set, by the cost of tuning; designed sets stay as they are."""
-    task, base = tuning.load_task(setting=sample.setting), tuning.load(name, sample.setting)["parameters"]
+    task, base = load_task(setting=sample.setting), sets.load(name, sample.setting)["parameters"]
     if name in task.designed:
         return base
     runs = [run for run_name, run in task.runs.items() if run_name in ("T3", "sine", "poor")]
@@ -199,8 +201,8 @@ def over_poles() -> pd.DataFrame:
     One row per pole and statement. Columns poles (rad/s, as text; "swarm" for the parameters found by the swarm), id
     (of the statement), value (in the unit of the statement), verdict (text of `Statement.judge`).
     """
-    spread, known = Nominal().evidence(tuning.PAPER).spread, statements.load()
-    swarm = tuning.load(statements.NDI, tuning.PAPER, searched=True)["parameters"]
+    spread, known = Nominal().evidence(PAPER).spread, statements.load()
+    swarm = sets.load(statements.NDI, PAPER, searched=True)["parameters"]
     worlds = {str(pole): setup({POLE: float(pole)}) for pole in POLES}
     worlds["swarm"] = setup({f"{statements.NDI}:{name}": value for name, value in swarm.items()})
 
@@ -218,7 +220,7 @@ def main() -> None:
     """Write pole_verdicts (`over_poles`), robustness_samples (`evaluate`), robustness_claims (`decided`) as csv."""
     write(paths.product("data/results/pole_verdicts.csv"), over_poles().to_csv(index=False, float_format="%.6g"))
     finished = []
-    for setting in tuning.SETTINGS:
+    for setting in SETTINGS:
         drawn = draw(SAMPLES, settings=(setting,))
         finished.append(pd.DataFrame(ordered_map(evaluate, drawn, f"robustness, {setting}")))
         table, found = pd.concat(finished), pd.concat([decided(each) for each in finished])

@@ -38,10 +38,20 @@ _OTHER_CODE = (
     "meanwhile or another machine has another version; restart (in Jupyter the kernel) and run again to resume"
 )
 
+_FEW = 4
+"""Number of tasks up to which this process computes them itself: processes of its own would start for longer."""
 _around = threading.local()
 """In a thread of `ordered_map`: its `pool`."""
 _turn = threading.Lock()
 """Held by the thread of `ordered_map` that runs: reference counts of CasADi's objects are not atomic."""
+
+
+def workers() -> int:
+    """Number of local processes: RAILREPRO_WORKERS, default one per core. InputError unless it is 1 to 4096."""
+    given = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
+    if not (given.isascii() and given.isdigit() and 1 <= int(given) <= 4096):
+        raise InputError(f"RAILREPRO_WORKERS={given!r}, a whole number from 1 to 4096 is needed")
+    return int(given)
 
 
 @contextmanager
@@ -49,17 +59,16 @@ def executor() -> Iterator[Executor]:
     """Context manager of the processes that compute simulations, as an `Executor`.
 
     With the environment variable RAILREPRO_DASK, an address, the processes are those of this Dask scheduler. Else they
-    are local, RAILREPRO_WORKERS of them (default one per core); they stay for the next study, and an exception (also
-    Ctrl-C) ends them. InputError if RAILREPRO_WORKERS is no whole number from 1 to 4096, or the scheduler is silent.
+    are local (`workers`); they stay for the next study, and an exception (also Ctrl-C) ends them. InputError if the
+    scheduler is silent.
     """
     if address := os.environ.get("RAILREPRO_DASK"):
         with _cluster(address) as pool:
             yield pool
         return
-    workers = os.environ.get("RAILREPRO_WORKERS", str(os.cpu_count() or 1))
-    if not (workers.isascii() and workers.isdigit() and 1 <= int(workers) <= 4096):
-        raise InputError(f"RAILREPRO_WORKERS={workers!r}, a whole number from 1 to 4096 is needed")
-    pool = _processes(int(workers))
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        os._exit(1)  # a process of a study that reads a script without guard; `_ENDED` says what to do
+    pool = _processes(workers())
     try:
         yield pool
     except BaseException:
@@ -105,11 +114,14 @@ def _follow_the_parent() -> None:
 def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = False) -> list:
     """Call `task` with each of `arguments` in parallel; returns the results in the order of the arguments.
 
-    Each call has a thread of its own; the processes of `executor` compute what it hands to `work`. `title` names the
-    progress bar, `quiet` leaves it out. A task must not call `ordered_map`. InputError when a process ended or imported
-    another version of railrepro.
+    Each call has a thread of its own; the processes of `executor` compute what it hands to `work`. A few tasks, and all
+    of them where there is one process, are computed here. `title` names the progress bar, `quiet` leaves it out. A task
+    must not call `ordered_map`. InputError when a process ended or imported another version of railrepro.
     """
     assert not hasattr(_around, "pool"), "a task would wait for itself"
+    local = not os.environ.get("RAILREPRO_DASK") and not _processes.cache_info().currsize
+    if local and (len(arguments) <= _FEW or workers() == 1):
+        return [task(argument) for argument in tqdm(arguments, title, leave=False, disable=quiet, delay=2.0)]
 
     def called(argument):
         with _turn:
@@ -117,8 +129,8 @@ def ordered_map(task: Callable, arguments: Sequence, title: str, quiet: bool = F
 
     with executor() as pool:
         cluster = getattr(pool, "_client", None)
-        workers = max(len(cluster.ncores()), 1) if cluster else getattr(pool, "_max_workers", 1)
-        count = 2 * workers  # so that each process finds its next run waiting
+        processes = max(len(cluster.ncores()), 1) if cluster else getattr(pool, "_max_workers", 1)
+        count = 2 * processes  # so that each process finds its next run waiting
         threads = ThreadPoolExecutor(count, initializer=setattr, initargs=(_around, "pool", pool))
         try:
             futures = [threads.submit(called, argument) for argument in arguments]

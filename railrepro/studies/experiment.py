@@ -19,21 +19,15 @@ from railrepro.control import registry
 from railrepro.control.adhesion import AdhesionSettings
 from railrepro.data import InputError, require
 from railrepro.estimation import sensors
-from railrepro.evidence.runs import preview, store
-from railrepro.evidence.runs.executor import ordered_map, work
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
+from railrepro.studies import preview, store
+from railrepro.studies.executor import ordered_map, work
 from railrepro.track.alignment import Alignment
 from railrepro.track.rough import rough_track
 from railrepro.track.route import CELL
 from railrepro.track.table import build_table, load_track, write_table
 from railrepro.vehicle.parameters import Vehicle, load_vehicle
-
-_SERIES = {
-    **{"p": "p_m", "v": "v_mps", "y_ref": "y_ref_m", "y": "y_m", "psi_Ax": "psi_ax_rad", "psi_TrAx": "psi_trax_rad"},
-    **{"du": "du_Nm", "u_d": "u_d_Nm", "tau_long": "tau_long_Nm", "f_star": "f_star", "segment": "segment"},
-}
-_WHEEL = {"tau": "tau_{}_Nm", "adhesion": "fx_{}", "sx": "sx_{}"}
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,7 @@ class Experiment:
         setting: Setting of comparison whose tuned parameters are taken: "paper", "equal" or "loop".
         substeps: Integration steps of the car per ms; None is 2 for ride figures on irregular rails, else 1.
         ride: Whether the row also has the comfort and force figures of `ride.ride_summary`.
-        stride: Every n-th control cycle (1 ms) of the front gear is kept as a series (`tidy`); 0 keeps none.
+        stride: Every n-th control cycle (1 ms) of the front gear is kept (`metrics.gear_series`); 0 keeps no series.
     """
 
     scenario: Scenario
@@ -172,7 +166,7 @@ class Experiment:
         """Simulate the run, or read its result from the store; returns a pair (row, series).
 
         row: dict with the keys scenario, controller, those of `label` and those of `values`. series: DataFrame of
-        `tidy` with the `label` as columns, None for a `stride` of 0.
+        `metrics.gear_series` with the `label` as columns, None for a `stride` of 0.
         """
         values, series = self.measured(_values)
         row = {"scenario": self.scenario.name, "controller": self.controller, **self.label, **values}
@@ -207,22 +201,6 @@ def _rails(end: float, irregular: str, known: str) -> tuple[pd.DataFrame, tuple[
     return rough, preview.plan(rough, **json.loads(known))
 
 
-def tidy(series: pd.DataFrame, stride: int) -> pd.DataFrame:
-    """Every `stride`-th row of the series of a run (`Run.series`), front gear only.
-
-    Columns: t_s; p_m and v_mps along the track; lateral y_ref_m and y_m; yaw psi_ax_rad (gear) and psi_trax_rad
-    (against the track); torques du_Nm, u_d_Nm, tau_long_Nm; f_star, set point of the adhesion (-); segment of the
-    adhesion law; creep_rad, angle between heading and motion. Right wheel: torque tau_ri_Nm, adhesion fx_ri (-), slip
-    sx_ri (-); the left wheel has le for ri.
-    """
-    rows = series.iloc[::stride]
-    columns = {"t_s": rows["t_s"]} | {new: rows[f"front.{old}"] for old, new in _SERIES.items()}
-    creepage = rows["front_ri.nu_y"] + rows["front_le.nu_y"]
-    columns |= {"creep_rad": -creepage / 2}  # the angle between heading and motion
-    columns |= {name.format(side): rows[f"front_{side}.{old}"] for side in ("ri", "le") for old, name in _WHEEL.items()}
-    return pd.DataFrame(columns)
-
-
 def _is_ours(controller: str) -> bool:
     """Whether the factory of a controller, with what it is given, comes from this package."""
     if controller not in registry.CONTROLLERS:
@@ -237,7 +215,8 @@ Measure = Callable[[simulate.Run, Experiment], store.Entry]
 
 def _values(run: simulate.Run, experiment: Experiment) -> store.Entry:
     """What the row of an experiment has, and the kept series."""
-    return experiment.values(run), tidy(run.series, experiment.stride) if experiment.stride else None
+    stride = experiment.stride
+    return experiment.values(run), metrics.gear_series(run.series, stride=stride) if stride else None
 
 
 def _measured(experiment: Experiment, measure: Measure) -> store.Entry:
@@ -252,8 +231,8 @@ def run_all(
     Returns:
         table (DataFrame): One row per experiment, in order: scenario, controller, labels and metrics (SI) of
             `Experiment.values`.
-        series (DataFrame or None): Series (`tidy`) below each other, with labels and the column controller; None when
-            no experiment keeps one.
+        series (DataFrame or None): Series (`metrics.gear_series`) below each other, with labels and the column
+            controller; None when no experiment keeps one.
     """
     results = ordered_map(call, experiments, title, quiet)
     stored = [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from railrepro.evidence.runs.pso import Dimension, Swarm, minimise
+from railrepro.tuning.swarm import Dimension, Swarm, minimise
 
 
 def sphere(sets, limits=()):

@@ -60,7 +60,8 @@ def key(module: str, *parts) -> str | None:
     arrays, DataFrames, dataclasses, lists and dicts of these. None with a part of another type, for a module outside of
     railrepro, and when files of railrepro were edited after their import.
     """
-    made_by = code.version(), code.reached(f"from {module} import {module}")
+    reached = code.reached(f"from {module} import {module}")
+    made_by = code.version(), {file: content for file, content in reached.items() if file not in code.DRAWING}
     if not module.startswith("railrepro.") or not code.unchanged():
         return None
     try:

@@ -1,0 +1,87 @@
+"""Panels of runs over the track coordinate, as the chapters draw them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from railrepro import figures
+from railrepro.data import InputError
+from railrepro.simulation import metrics
+
+
+class Panel(NamedTuple):
+    """Quantities of one running gear that a panel shows, by their names in `metrics.column`.
+
+    Attributes:
+        label (str): Label of the ordinate.
+        columns (tuple of str): Drawn quantities, that of the right wheel first.
+        factor (float): Factor from SI units to the unit of the label.
+        reference (str): Set point; "" for none.
+    """
+
+    label: str
+    columns: tuple[str, ...]
+    factor: float
+    reference: str = ""
+
+
+PANELS = {
+    "y": Panel("$y$ (mm)", ("y",), 1e3, "y_ref"),
+    "error": Panel("error (mm)", ("error",), 1e3),
+    "creep": Panel("creep angle (mrad)", ("creep_angle",), 1e3),
+    "du": Panel(r"$\Delta u$ (N m)", ("du",), 1.0),
+    "torque": Panel("right torque (N m)", ("ri.tau",), 1.0),
+    "torques": Panel("torques (kN m)", ("ri.tau", "le.tau"), 1e-3),
+    "adhesion": Panel("adhesion (-)", ("ri.adhesion", "le.adhesion"), 1.0, "f_star"),
+    "slip": Panel("slip (‰)", ("ri.sx", "le.sx"), -1e3),
+    "speed": Panel("speed (km/h)", ("v",), 3.6),
+}
+"""Panels by name."""
+
+
+def chosen(names: Sequence[str]) -> list[Panel]:
+    """Panels of `PANELS` by name; InputError for an unknown one, or for none."""
+    for name in names:
+        if name not in PANELS:
+            raise InputError(f"panel {name!r} is not known; there are {list(PANELS)}")
+    if not names:
+        raise InputError(f"no panel is named; there are {list(PANELS)}")
+    return [PANELS[name] for name in names]
+
+
+def draw(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, look: Mapping, gear: str) -> None:
+    """Draw a run over the track coordinate (m) into `axes`, one for each of `panels`; the left wheel is paler.
+
+    `series` is a table of `metrics.gear_series` for this `gear`, `look` has keyword arguments of `Axes.plot`.
+    """
+    p = series[f"{gear}.p"]
+    for axis, (_, (first, *second), factor, _) in zip(axes, panels, strict=True):
+        for column in second:
+            axis.plot(p, factor * series[metrics.column(gear, column)], **{**look, "alpha": 0.4, "label": None})
+        axis.plot(p, factor * series[metrics.column(gear, first)], **look)
+
+
+def draw_set_points(axes: Sequence[Axes], panels: Sequence[Panel], series: pd.DataFrame, gear: str) -> None:
+    """Draw the set points that `panels` have, of a run as in `draw`."""
+    for axis, panel in zip(axes, panels, strict=True):
+        if panel.reference:
+            y = panel.factor * series[metrics.column(gear, panel.reference)]
+            axis.plot(series[f"{gear}.p"], y, **figures.LOOKS["set point"].line)
+
+
+def figure_of(series: pd.DataFrame, names: Sequence[str], gear: str) -> Figure:
+    """Figure of one run with a row per panel; `series` is `simulate.Run.series`."""
+    panels, rows = chosen(names), metrics.gear_series(series, gear)
+    figure, axes = figures.new_figure(len(panels), sharex=True, squeeze=False)
+    draw(axes[:, 0], panels, rows, {"color": figures.BLUE, "label": f"{gear} running gear"}, gear)
+    draw_set_points(axes[:, 0], panels, rows, gear)
+    for axis, panel in zip(axes[:, 0], panels, strict=True):
+        axis.set_ylabel(panel.label)
+    axes[-1, 0].set_xlabel("track coordinate (m)")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), ncols=2, loc="outside upper center")
+    return figure

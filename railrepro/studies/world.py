@@ -1,0 +1,59 @@
+"""A car with its controllers and what these are given: all that the runs of one comparison have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from railrepro.control.registry import CONTROLLERS, LOOP, PAPER, parameters
+from railrepro.simulation.scenarios import Scenario, load_scenario
+from railrepro.studies.experiment import Experiment
+from railrepro.vehicle.parameters import Vehicle, load_vehicle
+
+
+@dataclass(frozen=True)
+class World:
+    """Car, controllers and sensors from which `experiment` makes runs.
+
+    Attributes:
+        parameters (dict): Controller -> its tuning parameters by name.
+        setting (str): Setting of comparison that `parameters` belong to, one of `registry.SETTINGS`.
+        vehicle (dict): Changed vehicle parameters, dotted key -> value (SI), known to car and controllers.
+        plant (dict): Changed parameters of the simulated car that its controllers do not know; keys as in `vehicle`.
+        sensors (dict): Arguments of `estimation.sensors.readings`; empty gives the controllers the true signals.
+    """
+
+    parameters: dict[str, dict]
+    setting: str = PAPER
+    vehicle: dict = field(default_factory=dict)
+    plant: dict = field(default_factory=dict)
+    sensors: dict = field(default_factory=dict)
+
+    def experiment(self, scenario: Scenario, controller: str, parameters: dict | None = None, **more) -> Experiment:
+        """`Experiment` of a scenario with a controller (key of `registry.CONTROLLERS`) on this car.
+
+        `parameters` are its tuning parameters (default those of this world), `more` further fields of `Experiment`.
+        """
+        given = {"options": CONTROLLERS[controller].quick, "sensors": self.sensors, "setting": self.setting} | more
+        changed = {name: getattr(self, name) | given.pop(name, {}) for name in ("vehicle", "plant")}
+        tuned = parameters or self.parameters[controller]
+        return Experiment(scenario, self.driver(controller), parameters=tuned, **given, **changed)
+
+    def driver(self, controller: str) -> str:
+        """Key of `registry.CONTROLLERS` that drives under the name `controller`; here the name itself."""
+        return controller
+
+    def car(self) -> Vehicle:
+        """Vehicle parameters of the simulated car, with the changes of `vehicle` and `plant`."""
+        return load_vehicle(**self.vehicle | self.plant)
+
+    def scenario(self, name: str) -> Scenario:
+        """Scenario of data/scenarios.toml by name."""
+        return load_scenario(name)
+
+
+def world(controllers: Iterable[str], setting: str = PAPER, seed: int = 101) -> World:
+    """`World` of the car of data/vehicle.toml with the tuned controllers of a setting of comparison; with sensors in
+    the setting `loop`, whose noise has the random `seed`."""
+    sets = {name: dict(parameters(name, setting)) for name in controllers}
+    return World(sets, setting, sensors={"seed": seed} if setting == LOOP else {})

@@ -1,0 +1,171 @@
+"""Tuning tasks of data/tuning.toml: for each setting of comparison runs, cost, budget, and what is searched.
+
+The ranking of controllers depends on their tuning and measurements, so there are three settings: `paper` (perfect
+measurements, predictive controllers tuned on dry rail, inversions designed), `equal` (perfect measurements, all tuned
+with the same cost and budget) and `loop` (as `equal`, with sensor noise, latency and filter). Serves the paper's
+section Multi-Body Simulation Results (PSO over Q, R, q, H, T).
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, StrictBool
+
+from railrepro import data, paths
+from railrepro.control.registry import CONTROLLERS, EQUAL, NOTHING, guidance
+from railrepro.data import AS_GIVEN, NOT_EMPTY, Free, InputError, Number, Plain, above, between
+from railrepro.estimation.sensors import load_loop
+from railrepro.simulation.scenarios import Scenario, load_scenarios
+from railrepro.studies.experiment import Experiment
+from railrepro.tuning.swarm import Dimension, Swarm
+
+COUNT = Annotated[int, between(1, 10**6)]
+SEED = Annotated[int, between(0, 2**63)]
+
+
+@dataclass(frozen=True)
+class Task:
+    """Tuning task of one setting of comparison: the runs, their cost, and the parameters that swarms search.
+
+    Attributes:
+        setting: Setting of comparison.
+        budget, cost: Tables of data/tuning.toml, see `Budget` and `Cost`.
+        runs: Name -> run without controller. The cost is the mean over these runs; the hardest is the last.
+        dimensions: Controller -> parameters that its swarms search, with bounds.
+        designed: Controller -> tuning parameters chosen by hand, name -> value.
+        start: Controller -> tuning parameters at which the first particle of each swarm begins.
+        searched_too: Controllers in `designed` that a swarm tunes as well, for comparison.
+    """
+
+    setting: str
+    budget: dict
+    cost: dict
+    runs: dict[str, Experiment]
+    dimensions: dict[str, list[Dimension]]
+    designed: dict[str, dict] = field(default_factory=dict)
+    start: dict[str, dict] = field(default_factory=dict)
+    searched_too: tuple[str, ...] = ()
+
+    @property
+    def searched(self) -> list[str]:
+        """Names of the controllers that a swarm tunes in this setting."""
+        return [name for name in self.dimensions if name not in self.designed or name in self.searched_too]
+
+
+@data.table
+class Budget:
+    """Size of a search: particles per swarm, iterations, iterations without improvement (`patience`), swarm seeds."""
+
+    particles: COUNT
+    iterations: COUNT
+    patience: COUNT
+    seeds: Annotated[tuple[SEED, ...], NOT_EMPTY]
+
+
+@data.table
+class Cost:
+    """Scales and weights of the cost of a run, see `run_cost`."""
+
+    y_scale_mm: Annotated[Number, above(0.0, 1e3, "mm")]
+    du_scale_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
+    weight: Annotated[Number, between(0.0, 1e6)]
+    activity_Nm: Annotated[Number, above(0.0, 1e6, "N m")]
+    activity_weight: Annotated[Number, between(0.0, 1e6)]
+    failure: Annotated[Number, above(0.0, 1e9)]
+
+
+@data.table
+class RunEntry:
+    """Run of the tuning task, an entry of data/tuning.toml: a scenario by name with changes.
+
+    `end_m` is the end of the run (m), `seed` the one of its sensors, `speed_kmh` its speed (None: of the scenario).
+    `irregular` and `plant` are as in `Experiment`, `inverter` has changed entries of data/sensors.toml.
+    """
+
+    scenario: str
+    end_m: Annotated[Number, between(1.0, 1e5, "m")]
+    seed: SEED
+    speed_kmh: Number | None = None
+    irregular: dict[str, Free] = field(default_factory=dict)
+    plant: dict[str, Plain] = field(default_factory=dict)
+    inverter: dict[str, Plain] = field(default_factory=dict)
+
+
+@data.table
+class SettingEntry:
+    """Setting of comparison in data/tuning.toml: whether runs have sensors, names of runs, the rest as in `Task`."""
+
+    sensors: StrictBool
+    runs: Annotated[tuple[str, ...], NOT_EMPTY]
+    designed: dict[str, dict[str, Plain]] = field(default_factory=dict)
+    searched_too: tuple[str, ...] = ()
+    start: dict[str, dict[str, Plain]] = field(default_factory=dict)
+
+
+def _dimensions(bounds: dict[str, tuple[Number, Number, str]]) -> list[Dimension]:
+    return [Dimension(name, *bound) for name, bound in bounds.items()]
+
+
+_SCALE = Literal["linear", "log", "integer"]
+_BOUNDS = Annotated[dict[str, tuple[Number, Number, _SCALE]], NOT_EMPTY, AfterValidator(_dimensions)]
+
+
+@data.table
+class TaskFile:
+    """Content of data/tuning.toml; `controller` maps a controller to the `Dimension` of each searched parameter."""
+
+    budget: Annotated[Budget, AS_GIVEN]
+    cost: Annotated[Cost, AS_GIVEN]
+    run: Annotated[dict[str, RunEntry], NOT_EMPTY]
+    setting: Annotated[dict[Literal["paper", "equal", "loop"], SettingEntry], NOT_EMPTY]
+    controller: Annotated[dict[str, _BOUNDS], NOT_EMPTY]
+
+
+def _known(names: Iterable[str], known: Iterable[str], where: str) -> None:
+    """Refuse the first name that is none of the known ones."""
+    for name in names:
+        if name not in known:
+            raise InputError(f"{where} {reprlib.repr(name)}, which is not known; there are {sorted(known)}")
+
+
+def load_task(path: Path | str | None = None, setting: str = EQUAL) -> Task:
+    """Tuning task of a setting of comparison from a TOML file (default data/tuning.toml); InputError if it is wrong."""
+    file = data.location(path, paths.source("data/tuning.toml"))
+    content = data.build(TaskFile, data.read(file), file.name)
+    _known([setting], content.setting, f"{file.name}: setting")
+    entry, where = content.setting[setting], f"{file.name}: [setting.{setting}]"
+    _known(entry.runs, content.run, f"{where} has the run")
+    runs = {name: _run(content.run[name], entry.sensors, f"{file.name}: [run.{name}]") for name in entry.runs}
+    _known(content.controller, CONTROLLERS, f"{file.name}: [controller] has")
+    dimensions = content.controller
+    _known([*entry.designed, *entry.start], dimensions, f"{where} has")
+    _known(entry.searched_too, entry.designed, f"{where} designs, and has searched_too")
+    try:
+        for name, parameters in entry.designed.items():
+            guidance(name, parameters)
+        for name, parameters in entry.start.items():
+            Swarm(dimensions[name], 1, 0, parameters)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    budget, cost = content.budget, content.cost
+    return Task(setting, budget, cost, runs, dimensions, entry.designed, entry.start, entry.searched_too)
+
+
+def _run(entry: RunEntry, sensed: bool, where: str) -> Experiment:
+    scenarios = load_scenarios()
+    _known([entry.scenario], scenarios, f"{where} has the scenario")
+    change = {"end_m": entry.end_m} | ({} if entry.speed_kmh is None else {"speed_kmh": entry.speed_kmh})
+    scenario = data.build(Scenario, vars(scenarios[entry.scenario]) | change, where)
+    inverter = {f"inverter.{key}": value for key, value in entry.inverter.items()}
+    try:
+        load_loop(**inverter)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    sensors = {"seed": entry.seed} | inverter if sensed or inverter else {}
+    sensors |= {"perfect": True} if inverter and not sensed else {}
+    return Experiment(scenario, NOTHING, irregular=entry.irregular, plant=entry.plant, sensors=sensors)
