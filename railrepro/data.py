@@ -15,13 +15,17 @@ import math
 import numbers
 import os
 import pickle
+import platform
 import reprlib
+import shutil
 import sys
+import tempfile
 import threading
 import tomllib
 import typing
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -252,3 +256,27 @@ def alone(lock: Path) -> Iterator[None]:
     with open(lock, "a") as guard:
         fcntl.flock(guard, fcntl.LOCK_EX)
         yield
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """Context manager that makes a temporary folder and removes it. Folders that killed processes left are removed by
+    the next process that makes one."""
+    _sweep()
+    with tempfile.TemporaryDirectory(prefix=f"{_prefix()}{os.getpid()}-") as folder:
+        yield Path(folder)
+
+
+def _prefix() -> str:
+    """Beginning of the names of temporary folders: ids of processes tell nothing about those of another machine."""
+    return f"railrepro-{zlib.crc32(platform.node().encode()):x}-"
+
+
+@functools.cache
+def _sweep() -> None:
+    for folder in Path(tempfile.gettempdir()).glob(f"{_prefix()}*"):
+        with suppress(ValueError, OverflowError, PermissionError):  # the last: it runs, as another user
+            try:
+                os.kill(int(folder.name.split("-")[2]), 0)
+            except ProcessLookupError:
+                shutil.rmtree(folder, ignore_errors=True)
