@@ -15,7 +15,6 @@ import math
 import numbers
 import os
 import pickle
-import platform
 import reprlib
 import shutil
 import sys
@@ -23,7 +22,6 @@ import tempfile
 import threading
 import tomllib
 import typing
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
@@ -260,23 +258,27 @@ def alone(lock: Path) -> Iterator[None]:
 
 @contextmanager
 def scratch() -> Iterator[Path]:
-    """Context manager that makes a temporary folder and removes it. Folders that killed processes left are removed by
-    the next process that makes one."""
-    _sweep()
-    with tempfile.TemporaryDirectory(prefix=f"{_prefix()}{os.getpid()}-") as folder:
-        yield Path(folder)
+    """Context manager that makes a temporary folder and removes it at the end. Folders that killed processes left are
+    removed, too: their locks ended with the processes."""
+    for left in Path(tempfile.gettempdir()).glob("railrepro-scratch-*"):
+        with suppress(OSError), _locked(left):
+            shutil.rmtree(left, ignore_errors=True)
+    hidden = Path(tempfile.mkdtemp(prefix=".railrepro-scratch-"))  # from others, until it is locked
+    folder = hidden.with_name(hidden.name[1:])
+    with _locked(hidden):
+        hidden.rename(folder)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
-def _prefix() -> str:
-    """Beginning of the names of temporary folders: ids of processes tell nothing about those of another machine."""
-    return f"railrepro-{zlib.crc32(platform.node().encode()):x}-"
-
-
-@functools.cache
-def _sweep() -> None:
-    for folder in Path(tempfile.gettempdir()).glob(f"{_prefix()}*"):
-        with suppress(ValueError, OverflowError, PermissionError):  # the last: it runs, as another user
-            try:
-                os.kill(int(folder.name.split("-")[2]), 0)
-            except ProcessLookupError:
-                shutil.rmtree(folder, ignore_errors=True)
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder. OSError if another process holds it or it is no folder."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)

@@ -20,6 +20,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -106,14 +107,13 @@ def identity(command: str, options: tuple[str, ...]) -> str:
     return "\n".join((done.stdout.partition("\n")[0], " ".join(options), platform.machine()))
 
 
-def folders(name: str) -> list[Path]:
-    """Folders `name` that this user alone can write and that are made if need be, the first choice first: that in
-    `build` of a checkout, that in the user's cache. A folder that others can write to is left out, as is one on a
-    read-only disk."""
+def folders(name: str) -> Iterator[Path]:
+    """Folders `name` that this user alone can write, made if need be: that in `build` of a checkout, then that in the
+    user's cache. One that others can write to is left out, as is one on a read-only disk."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # stays relative where there is no home
     places = [] if paths.INSTALLED else [paths.BUILD / name]
     places += [Path(home, "railrepro", name)] if os.path.isabs(home) else []
-    return [folder for folder in places if _private(folder)]
+    return filter(_private, places)
 
 
 def _private(folder: Path) -> bool:
@@ -121,8 +121,8 @@ def _private(folder: Path) -> bool:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
-        return own and os.access(folder, os.W_OK)
+        private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+        return private and os.access(folder, os.W_OK)
     return False
 
 
@@ -133,13 +133,13 @@ def cache_folder() -> Path:
 
 
 def user_folder() -> Path:
-    """Folder of what must not come with a checkout: the one in the user's cache. Where that cannot be written,
-    `cache_folder`."""
+    """Folder of what must not come from others with `build`: `compiled` in the user's cache, or `cache_folder` where
+    that cannot be written."""
     return _compiled()[-1]
 
 
 def _compiled() -> list[Path]:
-    if found := folders("compiled"):
+    if found := list(folders("compiled")):
         return found
     raise CompilerError("compiled code needs a folder that you alone can write: build or ~/.cache/railrepro")
 
@@ -173,8 +173,7 @@ def _is_sealed(target: Path) -> bool:
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
-    """Path of the object compiled from a C source text. It is compiled only if it is not in the cache
-    with its seal.
+    """Path of the object compiled from a C source text. It is compiled only if it is not in the cache with its seal.
 
     CompilerError if there is no compiler or no folder, or if the compiler refuses the source.
 

@@ -148,6 +148,7 @@ def test_processes_that_need_the_same_object_compile_it_once(tmp_path):
     slow.write_text(f'#!/bin/sh\n{wait}\nexec {cache.compiler()} "$@"\n')
     slow.chmod(0o755)
     environment = os.environ | {"CC": str(slow), "RAILREPRO_ROOT": str(tmp_path), "PYTHONPATH": str(paths.ROOT)}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path / "home")}  # the key of the user, too, is made once
     script = "from railrepro.compile import cache; print(cache.build('int shared(void) { return 4; }'))"
     command = [sys.executable, "-c", script]
     both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]

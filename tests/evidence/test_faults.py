@@ -96,7 +96,7 @@ class Toy:
         self.started().communicate()
         assert self.products() == self.whole
         assert "running" not in self.started().communicate()[1] and not list(self.folder.rglob("*.part"))
-        assert not list((self.folder / "temporary").glob("railrepro*"))
+        assert not list((self.folder / "temporary").glob("*railrepro*"))
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
 """Store of results on disk: what was computed once is read again while data and code are the same.
 
 The key of an entry is a hash of all that the computation reads, of the code that it can reach (`railrepro.code`), the
-compiler and the packages. An entry is a file of two lines, a hash of key and content and the content as JSON, in
-build/store, in the user's cache where that cannot be written, or in the folder `RAILREPRO_STORE`; with the value "off"
-nothing is read or written. What does not have its hash is computed anew.
+compiler and the packages. An entry is a file of two lines: a hash of key and content, and the content as JSON. Entries
+are in build/store, in the user's cache where that cannot be written, or in the folder `RAILREPRO_STORE`; with the value
+"off" nothing is read or written. An entry that does not fit its hash is computed anew.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def folder() -> Path | None:
         return None
     if given and not os.path.isabs(given):
         raise InputError(f"{FOLDER}={given!r}, an absolute folder or off is needed")
-    return Path(given) if given else next(iter(cache.folders("store")), None)
+    return Path(given) if given else next(cache.folders("store"), None)
 
 
 def _mark(name: str, content: bytes) -> bytes:
