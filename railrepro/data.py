@@ -16,12 +16,14 @@ import numbers
 import os
 import pickle
 import reprlib
+import shutil
 import sys
+import tempfile
 import threading
 import tomllib
 import typing
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -252,3 +254,31 @@ def alone(lock: Path) -> Iterator[None]:
     with open(lock, "a") as guard:
         fcntl.flock(guard, fcntl.LOCK_EX)
         yield
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """Context manager that makes a temporary folder and removes it at the end. Folders that killed processes left are
+    removed, too: their locks ended with the processes."""
+    for left in Path(tempfile.gettempdir()).glob("railrepro-scratch-*"):
+        with suppress(OSError), _locked(left):
+            shutil.rmtree(left, ignore_errors=True)
+    hidden = Path(tempfile.mkdtemp(prefix=".railrepro-scratch-"))  # from others, until it is locked
+    folder = hidden.with_name(hidden.name[1:])
+    with _locked(hidden):
+        hidden.rename(folder)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder. OSError if another process holds it or it is no folder."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)

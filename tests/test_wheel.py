@@ -13,7 +13,7 @@ import pytest
 
 import railrepro
 from railrepro import paths
-from railrepro.compile.cache import cache_folder
+from railrepro.compile.cache import cache_folder, user_folder
 
 PARTS = ("railrepro", "data", "pyproject.toml", "README.md", "LICENSE")
 
@@ -55,6 +55,7 @@ def test_the_first_example_runs_without_a_checkout_and_gives_the_same(site, tmp_
     shutil.copytree(
         cache_folder(), own, ignore=shutil.ignore_patterns("*.lock", "*.scratch", ".*")
     )  # saves a minute; what is found is that of the same generated source
+    shutil.copy(user_folder() / "key", own)
     own.chmod(0o700)
     before = set(own.glob("*.so"))
     ended, file = run(site, example + "\nimport railrepro\nprint(railrepro.__file__)", tmp_path).splitlines()

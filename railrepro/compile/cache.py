@@ -4,11 +4,15 @@ The key of the cache is the source text, the compiler with its version and flags
 need the same object wait for the one that compiles it. By default 256-bit registers are used where the processor has
 them, and products and sums are not fused, so that all processors round alike. Very long sources are optimised less.
 `RAILREPRO_CFLAGS` replaces these flags, for example by "-O0 -g". The source stays beside its object.
+
+An object is loaded only with its seal, a hash of its name and content that needs a secret key of the user. One that is
+damaged, or that another user or an archive brought, is compiled again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import importlib.util
 import os
 import platform
@@ -16,6 +20,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -31,6 +36,8 @@ _SLOW = 200_000
 _ALWAYS = ("-fPIC", "-shared", "-fno-math-errno", "-w")
 PACKAGED = "ziglang"
 """C compiler from a Python package (extra `compiler`); the environment variable `CC` may name it."""
+_KEY = 32
+"""Length of the user's key in bytes."""
 WEBASSEMBLY = (
     *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic", "-msimd128", "-O2"),
     *("-ffp-contract=off", "-fno-math-errno", "-w"),
@@ -68,7 +75,7 @@ def _call(command: str) -> list[str]:
     objects would be for this very processor."""
     if command != PACKAGED:
         return [command]
-    place = cache_folder() / "zig"
+    place = user_folder() / "zig"
     # zig asks CC where the headers are
     environment = ["-u", "CC", f"ZIG_GLOBAL_CACHE_DIR={place}", f"ZIG_LOCAL_CACHE_DIR={place}"]
     portable = ["-mcpu=baseline", "-fno-sanitize=undefined", "-g0"]
@@ -100,22 +107,73 @@ def identity(command: str, options: tuple[str, ...]) -> str:
     return "\n".join((done.stdout.partition("\n")[0], " ".join(options), platform.machine()))
 
 
-def cache_folder() -> Path:
-    """Folder of the compiled objects: `build/compiled` of a checkout, for an installed package in the user's cache. Its
-    content is executed. CompilerError if the folder does not belong to the user or others may write to it."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "railrepro" / "compiled"
-    folder = home if paths.INSTALLED else paths.BUILD / "compiled"
+def folders(name: str) -> Iterator[Path]:
+    """Folders `name` that this user alone can write, made if need be: that in `build` of a checkout, then that in the
+    user's cache. One that others can write to is left out, as is one on a read-only disk."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # stays relative where there is no home
+    places = [] if paths.INSTALLED else [paths.BUILD / name]
+    places += [Path(home, "railrepro", name)] if os.path.isabs(home) else []
+    return filter(_private, places)
+
+
+def _private(folder: Path) -> bool:
     with suppress(OSError):
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022:
-            return folder
-    raise CompilerError(f"{folder}: a folder that you alone can write is needed for compiled code")
+        private = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+        return private and os.access(folder, os.W_OK)
+    return False
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled objects: `build/compiled` of a checkout, or in the user's cache. CompilerError if there is
+    no such folder that the user alone can write."""
+    return _compiled()[0]
+
+
+def user_folder() -> Path:
+    """Folder of what must not come from others with `build`: `compiled` in the user's cache, or `cache_folder` where
+    that cannot be written."""
+    return _compiled()[-1]
+
+
+def _compiled() -> list[Path]:
+    if found := list(folders("compiled")):
+        return found
+    raise CompilerError("compiled code needs a folder that you alone can write: build or ~/.cache/railrepro")
+
+
+def seal(name: str, content: bytes) -> bytes:
+    """Seal of a file with this name and content: 32 bytes that only the owner of the user's key can compute (HMAC).
+
+    The key is made at the first use and stays in the user's cache. Where that cannot be written the key is in
+    `cache_folder`: then seals show damage, but not that a folder with objects and key came from others.
+    """
+    return hmac.digest(_key(user_folder() / "key"), name.encode() + b"\0" + content, "sha256")
+
+
+@lru_cache
+def _key(file: Path) -> bytes:
+    try:
+        with alone(file):  # so that processes that start together have one key
+            if file.stat().st_size != _KEY:
+                file.chmod(0o600)
+                file.write_bytes(os.urandom(_KEY))
+            return file.read_bytes()
+    except OSError as error:
+        raise CompilerError(f"{file}: cannot be made or read ({error.strerror})") from error
+
+
+def _is_sealed(target: Path) -> bool:
+    """Whether an object is there and has the seal of this user."""
+    with suppress(OSError):
+        return hmac.compare_digest(target.with_suffix(".seal").read_bytes(), seal(target.name, target.read_bytes()))
+    return False
 
 
 def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
-    """Path of the object compiled from a C source text. It is compiled only if it is not in the cache.
+    """Path of the object compiled from a C source text. It is compiled only if it is not in the cache with its seal.
 
     CompilerError if there is no compiler or no folder, or if the compiler refuses the source.
 
@@ -131,9 +189,9 @@ def build(text: str, portable: bool = False, webassembly: bool = False) -> Path:
     key = hashlib.sha256((text + "\0" + identity(command, options)).encode()).hexdigest()[:24]
     target = cache_folder() / f"{key}.so"
     lock = target.with_suffix(".lock")
-    if not target.is_file():
+    if not _is_sealed(target):
         with alone(lock):
-            if not target.is_file():  # another process may have compiled it meanwhile
+            if not _is_sealed(target):  # another process may have compiled it meanwhile
                 _compile([*_call(command), *options], text, target)
             lock.unlink(missing_ok=True)  # who waits for it finds the object
     return target
@@ -150,4 +208,5 @@ def _compile(command: list[str], text: str, target: Path) -> None:
     if done.returncode or not output.is_file():
         said = done.stderr.strip()[:300] or "no object"
         raise CompilerError(f"{command[0]} refused the generated source {source}: {said}")
+    write(target.with_suffix(".seal"), seal(target.name, output.read_bytes()))
     os.replace(output, target)

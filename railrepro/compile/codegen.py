@@ -5,20 +5,23 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import hmac
+import json
 import math
 import os
-import pickle
 import re
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 
 from railrepro import code, numerics
 from railrepro.compile import cache
@@ -131,12 +134,13 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
     """Decorator that keeps the results of a function in this process and on disk.
 
     A result on disk counts only if the version of the library (`code.version`), Python, the packages that compute, the
-    kernels of NumPy and BLAS that are asked for, and the arguments are the same. Otherwise, or if it cannot be read, it
-    is computed again.
+    kernels of NumPy and BLAS that are asked for, and the arguments are the same, and if it has the seal of this user
+    (`cache.seal`). Otherwise it is computed again.
 
     Args:
         build (callable): Function of the library outside `railrepro.evidence`. Its arguments are positional, and their
-            `repr` must tell them apart. Its result depends on arguments and code only and can be pickled.
+            `repr` must tell them apart. Its result depends on arguments and code only. The annotated type of the result
+            is one that JSON has, `casadi.Function`, `DataFrame`, or a tuple or dataclass of these.
     """
     name = f"{build.__module__}.{build.__qualname__}"
 
@@ -147,16 +151,43 @@ def stored(build: Callable[..., Built]) -> Callable[..., Built]:
             return build(*arguments)
         asked = f"{name}{arguments!r}"
         kernels = [os.environ.get(variable) for variable in numerics.WITH_AVX2]
-        key = hashlib.sha256(f"{code.version(), sys.version, code.packages(), kernels}{asked}".encode()).digest()
+        key = f"{code.version(), sys.version, code.packages(), kernels}{asked}"
         file = cache.cache_folder() / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.graph"
-        with suppress(OSError, zlib.error):
+        with suppress(OSError):
             content = file.read_bytes()
-            if content.startswith(key):
-                return pickle.loads(zlib.decompress(content[len(key) :]))
+            seal, packed = content[:32], content[32:]
+            if hmac.compare_digest(seal, cache.seal(key, packed)):
+                return _restored(get_type_hints(build)["return"], json.loads(zlib.decompress(packed)))
         built = build(*arguments)
         if code.unchanged():
+            packed = zlib.compress(json.dumps(built, default=_plain).encode(), 1)
             with suppress(InputError):  # it is built again next time
-                write(file, key + zlib.compress(pickle.dumps(built), 1))
+                write(file, cache.seal(key, packed) + packed)
         return built
 
     return look
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has in place of a value that it does not have."""
+    if isinstance(value, ca.Function):
+        return value.serialize()
+    if isinstance(value, pd.DataFrame):
+        return value.to_dict("list")
+    return {one.name: getattr(value, one.name) for one in fields(value)}
+
+
+def _restored(kind: Any, plain: Any) -> Any:
+    """Value of the type `kind` from what JSON has in its place."""
+    if kind is ca.Function:
+        return ca.Function.deserialize(plain)
+    if kind is pd.DataFrame:
+        return pd.DataFrame(plain)
+    if is_dataclass(kind):
+        hints: Any = get_type_hints(kind)
+        return kind(**{name: _restored(hints[name], entry) for name, entry in plain.items()})  # type: ignore[operator]
+    if get_origin(kind) is tuple:
+        first, *others = get_args(kind)
+        kinds = [first] * len(plain) if others == [...] else [first, *others]
+        return tuple(map(_restored, kinds, plain))
+    return plain

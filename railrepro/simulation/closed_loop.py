@@ -4,6 +4,7 @@ car and the control cycle of `railrepro.control.cycle`."""
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +20,9 @@ from railrepro.control import cycle, interface, law
 from railrepro.quantities import names
 
 _BLOCK = 10_000
-"""Control cycles whose log is allocated at once."""
+"""Most control cycles in one call of C, whose log is allocated at once."""
+_PAUSE = 0.1
+"""Time (s) after which calls of C get shorter: between them Python sees Ctrl-C."""
 _SOURCE = Path(__file__).with_name("loop.c").read_text()
 _MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
 """Outputs of the car that the law measures."""
@@ -74,15 +77,18 @@ class ClosedLoop:
         Returns an array with one row per cycle and the columns `columns` (SI), taken before the car advances. When a
         limit is reached, `ended` is True, and the last row and `state` are at the limit.
         """
-        blocks = [np.empty((0, len(self.columns)))]
-        for first in range(0, n, _BLOCK):
-            rows = np.empty((min(_BLOCK, n - first), len(self.columns)))
-            count, address = ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data)
+        blocks, block = [np.empty((0, len(self.columns)))], 1
+        while n > 0:
+            rows = np.empty((min(block, n), len(self.columns)))
+            count, address, begin = ctypes.c_longlong(len(rows)), ctypes.c_void_p(rows.ctypes.data), time.perf_counter()
             done = self._library.loop_run(ctypes.byref(self._loop), count, address)
             self.ended = done < len(rows)
             blocks.append(rows[: done + 1])
             if self.ended:
                 break
+            n -= len(rows)
+            quick = time.perf_counter() - begin < _PAUSE
+            block = min(2 * block, _BLOCK) if quick else max(block // 2, 1)
         return np.concatenate(blocks)
 
     def connect(self, planners: Sequence[tuple[int, int]], every: int) -> None:

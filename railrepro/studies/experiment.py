@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import inspect
 import json
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from operator import call
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from railrepro.control import registry
 from railrepro.control.adhesion import AdhesionSettings
-from railrepro.data import InputError, require
+from railrepro.data import InputError, require, scratch
 from railrepro.estimation import sensors
 from railrepro.simulation import metrics, ride, simulate
 from railrepro.simulation.scenarios import Scenario
@@ -127,8 +125,8 @@ class Experiment:
         if self.alignment is None:
             yield self.scenario
             return
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / f"{self.alignment.name}.csv"
+        with scratch() as folder:
+            file = folder / f"{self.alignment.name}.csv"
             write_table(build_table(self.alignment), file)
             yield self.scenario.but(track=str(file))
 

@@ -1,8 +1,9 @@
 """Store of results on disk: what was computed once is read again while data and code are the same.
 
 The key of an entry is a hash of all that the computation reads, of the code that it can reach (`railrepro.code`), the
-compiler and the packages. Entries are JSON files in build/store or the folder `RAILREPRO_STORE`; with the value "off"
-nothing is read or written. A broken file is computed anew.
+compiler and the packages. An entry is a file of two lines: a hash of key and content, and the content as JSON. Entries
+are in build/store, in the user's cache where that cannot be written, or in the folder `RAILREPRO_STORE`; with the value
+"off" nothing is read or written. An entry that does not fit its hash is computed anew.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from railrepro import code, paths
+from railrepro import code
 from railrepro.compile import cache
 from railrepro.data import InputError, write
 
@@ -85,13 +86,18 @@ def machine() -> dict[str, str]:
 
 
 def folder() -> Path | None:
-    """Folder of the stored results; None with RAILREPRO_STORE=off. InputError when the variable is no absolute path."""
+    """Folder of the stored results; None with RAILREPRO_STORE=off, or where the user can write to no folder. InputError
+    when the variable is no absolute path."""
     given = os.environ.get(FOLDER, "")
     if given == "off":
         return None
     if given and not os.path.isabs(given):
         raise InputError(f"{FOLDER}={given!r}, an absolute folder or off is needed")
-    return Path(given) if given else paths.BUILD / "store"
+    return Path(given) if given else next(cache.folders("store"), None)
+
+
+def _mark(name: str, content: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + content).hexdigest().encode()
 
 
 def _unpacked(content: bytes) -> Entry:
@@ -107,11 +113,13 @@ def entry(name: str | None, compute: Callable[[], Entry]) -> Entry:
     """
     place = None if name is None or (base := folder()) is None else base / name[:2] / f"{name[2:]}.json"
     if place is not None:
-        with suppress(OSError, ValueError, TypeError, RecursionError):  # there is none, or it is broken
-            return _unpacked(place.read_bytes())
+        with suppress(OSError):  # there is none
+            mark, _, content = place.read_bytes().partition(b"\n")
+            if mark == _mark(name, content):
+                return _unpacked(content)
     row, table = compute()
     values = [row, None if table is None else table.to_dict("list")]
     content = json.dumps(values, default=np.generic.item).encode()
     if place is not None and code.unchanged():
-        write(place, content)
+        write(place, _mark(name, content) + b"\n" + content)
     return _unpacked(content)

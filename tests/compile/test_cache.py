@@ -9,6 +9,7 @@ import pytest
 from railrepro import paths
 from railrepro.compile import cache
 from railrepro.data import InputError
+from railrepro.evidence.runs import store
 
 
 @pytest.fixture
@@ -18,24 +19,87 @@ def forgotten():
     cache.compiler.cache_clear()
 
 
-def test_compiled_code_lies_in_a_folder_that_only_this_user_can_write(tmp_path, monkeypatch):
+@pytest.fixture
+def places(tmp_path, monkeypatch):
+    """A checkout and a user's cache of one's own: their folders of compiled objects."""
+    monkeypatch.setattr(paths, "BUILD", tmp_path / "build")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    return tmp_path / "build/compiled", tmp_path / "home/railrepro/compiled"
+
+
+def test_compiled_code_lies_in_a_folder_that_only_this_user_can_write(places, tmp_path, monkeypatch):
     """What lies in it is run: not a folder that others can write, not one that cannot be made, not a link."""
-    monkeypatch.setattr(paths, "BUILD", tmp_path)
-    folder, elsewhere = tmp_path / "compiled", tmp_path / "elsewhere"
+    folder, home = places
     assert cache.cache_folder() == folder and folder.stat().st_mode & 0o777 == 0o700
     folder.chmod(0o775)
-    with pytest.raises(InputError, match="that you alone can write"):
-        cache.cache_folder()
+    assert cache.cache_folder() == home and home.stat().st_mode & 0o777 == 0o700
     folder.chmod(0o755)
-    folder.rename(elsewhere)
-    for spoil in (folder.touch, lambda: folder.symlink_to(elsewhere)):
+    folder.rename(tmp_path / "elsewhere")
+    for spoil in (folder.touch, lambda: folder.symlink_to(tmp_path / "elsewhere")):
         spoil()
-        with pytest.raises(InputError, match="that you alone can write"):
-            cache.cache_folder()
+        assert cache.cache_folder() == home
         folder.unlink()
     monkeypatch.setattr(paths, "INSTALLED", True)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
-    assert cache.cache_folder() == tmp_path / "home/railrepro/compiled"
+    assert cache.cache_folder() == home
+    home.chmod(0o775)
+    with pytest.raises(InputError, match="that you alone can write"):
+        cache.cache_folder()
+
+
+def test_a_checkout_that_one_may_only_read_uses_the_users_cache(places, monkeypatch):
+    access = os.access  # root may write all that is not on a read-only disk
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: not str(path).startswith(str(paths.BUILD)) and access(path, mode)
+    )
+    assert cache.cache_folder() == places[1]
+    monkeypatch.delenv("RAILREPRO_STORE")
+    assert store.folder() == places[1].with_name("store")
+
+
+TEXT = "static const char much[65536] = {1}; int answer(void) { return 41 + much[0] + much[65535]; }"
+LOADED = f"import ctypes; from railrepro.compile import cache; print(ctypes.CDLL(str(cache.build({TEXT!r}))).answer())"
+
+
+def answer(tmp_path):
+    """What the object says in a process of its own, which it may crash."""
+    environment = os.environ | {"RAILREPRO_ROOT": str(tmp_path), "PYTHONPATH": str(paths.ROOT)}
+    done = subprocess.run([sys.executable, "-c", LOADED], env=environment, capture_output=True, text=True)
+    return done.stdout or f"{done.returncode} {done.stderr}"
+
+
+SPOILT = {
+    "cut": lambda content: content[: len(content) // 2],
+    "flipped": lambda content: bytes(byte ^ 255 if i % 97 == 96 else byte for i, byte in enumerate(content)),
+    "empty": lambda content: b"",
+    "text": lambda content: b"an object",
+    "other": lambda content: cache.build("int other(void) { return 1; }").read_bytes(),
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILT)
+def test_a_broken_object_is_made_again_and_crashes_nobody(spoil, places, tmp_path):
+    made = cache.build(TEXT)
+    whole = made.read_bytes()
+    made.write_bytes(SPOILT[spoil](whole))
+    assert answer(tmp_path) == "42\n"
+    assert made.read_bytes() == whole
+
+
+def test_objects_of_a_prepared_folder_are_not_loaded(places, tmp_path, monkeypatch):
+    """It brings an object with the seal and the key of who prepared it, who is believed where there is no cache."""
+    made = cache.build(TEXT)
+    made.write_bytes(cache.build(TEXT.replace("41", "12")).read_bytes())
+    made.with_suffix(".seal").write_bytes(cache.seal(made.name, made.read_bytes()))
+    places[1].joinpath("key").rename(places[0] / "key")
+    assert answer(tmp_path) == "42\n"
+    key = places[1] / "key"
+    assert key.stat().st_mode & 0o777 == 0o600 and len(key.read_bytes()) == 32
+    inode = made.stat().st_ino
+    assert answer(tmp_path) == "42\n" and made.stat().st_ino == inode
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    assert [answer(tmp_path) for _ in range(2)] == ["42\n"] * 2 and made.stat().st_ino != inode
+    inode = made.stat().st_ino
+    assert answer(tmp_path) == "42\n" and made.stat().st_ino == inode
 
 
 ANSWERS = "case $* in *--version*) echo broken 1.0; exit;; esac"
@@ -84,10 +148,11 @@ def test_processes_that_need_the_same_object_compile_it_once(tmp_path):
     slow.write_text(f'#!/bin/sh\n{wait}\nexec {cache.compiler()} "$@"\n')
     slow.chmod(0o755)
     environment = os.environ | {"CC": str(slow), "RAILREPRO_ROOT": str(tmp_path), "PYTHONPATH": str(paths.ROOT)}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path / "home")}  # the key of the user, too, is made once
     script = "from railrepro.compile import cache; print(cache.build('int shared(void) { return 4; }'))"
     command = [sys.executable, "-c", script]
     both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     objects = {process.communicate()[0] for process in both}
     assert len(objects) == 1
     assert log.read_text() == "compiled\n"
-    assert sorted(file.suffix for file in (tmp_path / "build/compiled").iterdir()) == [".c", ".so"]
+    assert sorted(file.suffix for file in (tmp_path / "build/compiled").iterdir()) == [".c", ".seal", ".so"]

@@ -1,6 +1,11 @@
 """Stored graphs: the same as derived ones, for this very code, and for nothing else."""
 
+import pickle
+import zlib
+from dataclasses import dataclass
+
 import casadi as ca
+import pandas as pd
 import pytest
 
 from railrepro import code
@@ -11,6 +16,14 @@ from railrepro.control.ndi import NDI
 from railrepro.control.solvers.recursion import recursion
 
 
+@dataclass
+class Built:
+    functions: tuple[ca.Function]
+    table: pd.DataFrame
+    names: tuple[str, ...]
+    values: list
+
+
 @pytest.fixture
 def counted(tmp_path, monkeypatch):
     """A stored function, called once, that counts how often it builds, and its file."""
@@ -18,10 +31,11 @@ def counted(tmp_path, monkeypatch):
     built = []
 
     @codegen.stored
-    def look(power):
+    def look(power) -> Built:
         built.append(power)
         x = ca.SX.sym("x", 2)
-        return {"functions": (ca.Function("f", [x], [x**power]),), "names": ["a", 0.1, None, True]}
+        table = pd.DataFrame({"whole": [1, 2], "real": [0.1, float("nan")]})
+        return Built((ca.Function("f", [x], [x**power]),), table, ("a", "b"), ["a", 0.1, None, True])
 
     look(3)
     (file,) = tmp_path.glob("*.graph")
@@ -34,8 +48,9 @@ def test_what_was_built_once_is_read_by_the_next_process(counted):
     look.cache_clear()
     again = look(3)
     assert again is not first and built == [3]
-    assert again["names"] == ["a", 0.1, None, True] and isinstance(again["functions"], tuple)
-    assert codegen.source_text(again["functions"]) == codegen.source_text(first["functions"])
+    assert (again.names, again.values) == (("a", "b"), ["a", 0.1, None, True]) and isinstance(again.functions, tuple)
+    pd.testing.assert_frame_equal(again.table, first.table, check_exact=True)
+    assert codegen.source_text(again.functions) == codegen.source_text(first.functions)
     look(4)
     look.cache_clear()
     look(3), look(4)
@@ -46,7 +61,21 @@ def other_digit(content):
     return content[:-20] + bytes([content[-20] ^ 1]) + content[-19:]
 
 
-@pytest.mark.parametrize("spoil", [lambda content: content[:-1], other_digit, lambda content: b""])
+class Shout:
+    def __reduce__(self):
+        return pytest.fail, ("a pickle was executed",)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda content: content[:-1],
+        other_digit,
+        lambda content: b"",
+        lambda content: content[:32] + zlib.compress(pickle.dumps(Shout())),
+        lambda content: content[:32] + zlib.compress(b"3"),
+    ],
+)
 def test_a_broken_file_or_one_of_other_code_is_built_again(counted, spoil, monkeypatch):
     look, built, file = counted
     file.write_bytes(spoil(file.read_bytes()))

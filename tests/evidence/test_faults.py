@@ -52,7 +52,13 @@ class Toy:
     def started(self, **options):
         """A run of the chain in the environment of the caller without what this project sets."""
         kept = {key: value for key, value in os.environ.items() if not key.startswith(("RAILREPRO", "MAKE", "MFLAGS"))}
-        own = {"RAILREPRO_ROOT": str(self.folder), "RAILREPRO_CFLAGS": "-O0", "PYTHONDONTWRITEBYTECODE": "1"}
+        (self.folder / "temporary").mkdir(exist_ok=True)
+        own = {
+            "TMPDIR": str(self.folder / "temporary"),
+            "RAILREPRO_ROOT": str(self.folder),
+            "RAILREPRO_CFLAGS": "-O0",
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
         command = ["make", f"PY={sys.executable}", "VENV=build/ready", "figures"]
         around = {"cwd": self.folder, "env": kept | own, "start_new_session": True, "stdout": subprocess.DEVNULL}
         return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **around, **options)
@@ -90,6 +96,7 @@ class Toy:
         self.started().communicate()
         assert self.products() == self.whole
         assert "running" not in self.started().communicate()[1] and not list(self.folder.rglob("*.part"))
+        assert not list((self.folder / "temporary").glob("*railrepro*"))
 
 
 @pytest.fixture(scope="module")

@@ -79,12 +79,24 @@ def test_whatever_a_run_reads_and_what_chooses_the_last_digits_is_in_its_key_and
         assert before != (before := SHORT.key(probe.following))
 
 
-@pytest.mark.parametrize("content", [b"", b"3", None])
-def test_broken_entries_are_computed_anew(content, folder, runs):
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda whole: b"",
+        lambda whole: b"3",
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: whole.replace(b'"rmse_y": 0.0', b'"rmse_y": 0.1'),
+        lambda whole: whole.replace(b'"rmse_y": 0.0', b'"rmse_y": "0"'),
+        lambda whole: whole.replace(b'"rmse_y": 0.0', b'"rmse_y": NaN'),
+        lambda whole: whole.replace(b'"rmse_y": 0.0, ', b""),
+    ],
+)
+def test_broken_entries_are_computed_anew(broken, folder, runs):
     row, _ = SHORT()
     (file,) = folder.rglob("*.json")
     whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    file.write_bytes(broken(whole))
+    assert file.read_bytes() != whole
     assert repr(SHORT()[0]) == repr(row) and len(runs) == 2
     assert file.read_bytes() == whole
 

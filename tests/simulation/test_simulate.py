@@ -1,5 +1,6 @@
 """Co-simulation: whole runs, endings, warnings, scenario files."""
 
+import signal
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,3 +188,17 @@ def test_a_run_ends_before_what_is_not_finite(monkeypatch):
     monkeypatch.setattr(simulate, "_drive", broken)
     run = simulate.run(scenarios.load_scenario("curve_entry_T3").but(end_m=20), NDI())
     assert run.failed and len(run.series) == 50 and " is not a finite number at t = 0.050 s" in run.ended
+
+
+def test_ctrl_c_is_seen_while_a_second_of_the_run_takes_seconds():
+    """The interrupt comes from a clock that runs with the processor, so that a busy machine decides nothing."""
+    scenario, vehicle = scenarios.load_scenario("curve_entry_T3"), load_vehicle()
+    loop = simulate.start(scenario, NDI(), scenario.route(), vehicle, vehicle, substeps=2000)
+    before = signal.signal(signal.SIGVTALRM, signal.default_int_handler)
+    try:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.5)
+        with pytest.raises(KeyboardInterrupt):
+            loop.run(1000)
+    finally:
+        signal.signal(signal.SIGVTALRM, before)
+    assert loop.state[equations.indices("body.s")] < 0.5 * scenario.speed

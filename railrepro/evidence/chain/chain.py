@@ -13,7 +13,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Collection, Sequence
@@ -23,7 +22,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from railrepro import code, data, numerics, paths
-from railrepro.data import InputError, Number, above, alone, between, write
+from railrepro.data import InputError, Number, above, alone, between, scratch, write
 from railrepro.evidence.chain import compare
 from railrepro.evidence.report.sentences import false_in
 from railrepro.studies import store
@@ -175,7 +174,7 @@ def _kernel(staging: Path) -> type:
     if len(str(staging)) < 90:
         own |= {"transport": "ipc", "ip": str(staging / "k")}
     # nothing of the user's own settings; products go to staging
-    around = {"IPYTHONDIR": str(paths.BUILD / "ipython"), "MPLCONFIGDIR": str(paths.BUILD / "matplotlib")}
+    around = {"IPYTHONDIR": str(staging / "ipython"), "MPLCONFIGDIR": str(paths.BUILD / "matplotlib")}
     around |= {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     around |= {"PYTHONHASHSEED": "0", "PYDEVD_DISABLE_FILE_VALIDATION": "1"} | numerics.variables()
     around |= {paths.READS: str(staging / "reads"), "RAILREPRO_OUTPUT": str(staging), "RAILREPRO_ROOT": str(paths.ROOT)}
@@ -248,8 +247,7 @@ def run(notebook: Notebook, parameters: dict, root: Path) -> Reads:
     """
     import nbformat
 
-    with tempfile.TemporaryDirectory(prefix="railrepro-") as folder:
-        staging = Path(folder)
+    with scratch() as staging:
         if root != paths.ROOT:
             (staging / "data").mkdir()
             for file in (root / "data").glob("*.toml"):
