@@ -13,12 +13,39 @@ from railrepro.own.lqg import LqgPreview as LqgPreview
 from railrepro.simulation import metrics as metrics
 from railrepro.simulation.scenarios import Scenario as Scenario
 from railrepro.simulation.scenarios import load_scenario as load_scenario
+from railrepro.simulation.simulate import run as simulate
 from railrepro.studies.compare import compare as compare
 from railrepro.track.route import lay as lay
 from railrepro.track.table import load_track as load_track
 from railrepro.tuning.tune import tune as tune
 from railrepro.vehicle.parameters import Vehicle as Vehicle
 from railrepro.vehicle.parameters import load_vehicle as load_vehicle
+
+__all__ = [
+    "Export",
+    "InputError",
+    "LTVMPC",
+    "LqgPreview",
+    "NDI",
+    "NMPC",
+    "Readings",
+    "Scenario",
+    "SteppedCar",
+    "Vehicle",
+    "compare",
+    "export_fmu",
+    "lay",
+    "load_loop",
+    "load_scenario",
+    "load_track",
+    "load_vehicle",
+    "metrics",
+    "simulate",
+    "tune",
+    "tuned",
+    "FACADE",
+    "__version__",
+]
 
 FACADE: dict[str, str]
 __version__: str

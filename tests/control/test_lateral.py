@@ -40,7 +40,7 @@ def examples(*pages):
         text = (paths.NOTEBOOKS / "book" / page).read_text()
         for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
             exec(compile(block, "page", "exec"), names)
-            assert not names["run"].failed and names["run"].ended.startswith("end of the run")
+        assert not names["run"].failed and names["run"].ended.startswith("end of the run")
     return names
 
 

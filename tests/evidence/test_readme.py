@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from railrepro import __version__, paths
+import railrepro
+from railrepro import FACADE, __version__, paths
 from railrepro.evidence.report import claims
 from railrepro.evidence.report import page as page_
 
@@ -35,12 +36,21 @@ def test_the_committed_report_is_that_of_the_tables(table, tmp_path, monkeypatch
         assert (tmp_path / file).read_bytes() == (paths.ROOT / file).read_bytes()
 
 
-def test_the_first_program_prints_the_number_of_the_table(capsys):
+def test_the_first_program_draws_and_prints_the_numbers_of_the_table(monkeypatch, tmp_path):
     program = re.search(r"^```python\n(from railrepro import .*?)^```", README, re.M | re.S).group(1)
-    exec(program, {})
-    printed = float(capsys.readouterr().out.split()[-1])
-    nmpc = re.search(r"^\| \[Fig\. 6\].*\| (\d+\.\d+) /", README, re.M).group(1)
-    assert 1e3 * printed == pytest.approx(float(nmpc), abs=5.1e-3)
+    monkeypatch.chdir(tmp_path)
+    exec(program, names := {})
+    errors = re.search(r"^\| \[Fig\. 6\].*\| (\S+ / \S+ / \S+) mm", README, re.M).group(1)
+    assert list(names["runs"]["rmse_mm"]) == pytest.approx([float(one) for one in errors.split(" / ")], abs=5.1e-3)
+    assert (tmp_path / "first.png").stat().st_size > 10_000
+
+
+def test_names_of_the_package_are_listed_once_for_readers_and_once_for_type_checkers():
+    page = (paths.NOTEBOOKS / "book/api.md").read_text()
+    linked = {name: home for name, home in re.findall(r"`(\w+) <(railrepro\.[\w.]+)>`", page) if name in FACADE}
+    stub = re.findall(r"^from (\S+) import (\w+) as (\w+)$", (paths.ROOT / "railrepro/__init__.pyi").read_text(), re.M)
+    assert linked == FACADE == {name: f"{module}.{entry}" for module, entry, name in stub}
+    assert all(f"`{name}`" in railrepro.__doc__ for name in FACADE)
 
 
 def known(name):
