@@ -114,7 +114,7 @@ class GuidanceEnv(gymnasium.Env):
         """The ten numbers of a gear with measured state x (SI) and its last torque over the limit."""
         ends = self.route.start, self.route.start + self.route.length
         places = np.clip(np.nan_to_num(x[X] + x[XDOT] * np.array([0.0, *AHEAD])), *ends)
-        y_ref, slope = self.route.reference_at(places)
+        y_ref, slope, _ = self.route.reference_at(places)
         _, curvature, cant, *_ = self.route.track_at(places)
         aside = 1e3 * (y_ref - x[Y])
         yaw, turning = slope[0] - x[PSI_TRAX], x[PSIDOT_AX] - x[XDOT] * curvature[0]

@@ -20,7 +20,7 @@ MAX_CANT = 0.3
 """Largest cant angle of a track (rad), 0.44 m on the standard base: twice what railways build."""
 LONGEST = 1e5
 """Longest segment, and longest track of a CSV (m)."""
-LENGTH, RADIUS = above(0.0, LONGEST, "m"), above(50.0, math.inf, "m", signed=True)
+LENGTH, RADIUS = between(1e-6, LONGEST, "m"), above(50.0, math.inf, "m", signed=True)
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 import reprlib
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 import scipy
 
 from railrepro import data, paths
-from railrepro.data import InputError, Number, above, require
+from railrepro.data import InputError, Number, above, between, require
 
 CHANNELS = {"lateral": "lateral_m", "vertical": "vertical_m", "crosslevel": "crosslevel_rad", "gauge": "gauge_m"}
 """Channels in the order of their random generators, with their columns."""
@@ -39,6 +39,8 @@ _C, _R, _S = 0.8246, 0.0206, 0.4380
 """Corner wavenumbers (rad/m)."""
 HALF_BASE = 0.75
 """Half the distance of the rails to which a cross level refers (m)."""
+SEED = between(0, 2**63)
+"""Seeds of random irregularities."""
 
 
 @data.table
@@ -57,7 +59,8 @@ class Quality:
 
 
 def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -> np.ndarray:
-    """One-sided power spectral density of one channel of irregularities, in the shape of `wavenumber`.
+    """One-sided power spectral density of one channel of irregularities, in the shape of `wavenumber`. InputError for
+    an unknown spectrum or channel.
 
     The gauge spectrum has the form of the cross-level spectrum. Its amplitude is recalled from German high-speed
     spectra (confidence R). Source: ERRI B176.
@@ -69,7 +72,13 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
         channel (str): "lateral", "vertical", "gauge" (m^2/(rad/m)) or "crosslevel" (rad^2/(rad/m)).
         wavenumber (ndarray): Angular wavenumber (rad/m).
     """
-    amplitude = _amplitudes(spectrum)
+    if channel not in CHANNELS:
+        raise InputError(f"channel {channel!r} is not known; there are {[*CHANNELS]}")
+    return _density(_amplitudes(spectrum), channel, wavenumber)
+
+
+def _density(amplitude: dict[str, float], channel: str, wavenumber: np.ndarray) -> np.ndarray:
+    """Spectrum of a channel, see `irregularity_spectrum`."""
     w2, c2, r2, s2 = wavenumber**2, _C**2, _R**2, _S**2
     shape = c2 / ((w2 + r2) * (w2 + c2))
     if channel == "crosslevel":
@@ -81,14 +90,14 @@ def irregularity_spectrum(spectrum: str, channel: str, wavenumber: np.ndarray) -
 
 def _amplitudes(spectrum: str) -> dict[str, float]:
     """Amplitudes of lateral, vertical and gauge (m rad)."""
+    classes = track_quality()
     if spectrum in tuple(_ERRI):
         return _ERRI[spectrum]
-    classes = track_quality()
     if spectrum not in tuple(classes):
         raise InputError(f"spectrum {spectrum!r} is not known; there are {sorted(_ERRI)} and {sorted(classes)}")
     wanted, low = classes[spectrum], _ERRI["erri_low"]
     wavenumber = np.linspace(2 * np.pi / D1[1], 2 * np.pi / D1[0], 2000)
-    density = {channel: irregularity_spectrum("erri_low", channel, wavenumber) for channel in CHANNELS}
+    density = {channel: _density(low, channel, wavenumber) for channel in CHANNELS}
     level = np.trapezoid(density["vertical"] + HALF_BASE**2 * density["crosslevel"], wavenumber)
     alignment = np.trapezoid(density["lateral"] + density["gauge"] / 4, wavenumber)
     upwards, across = wanted.level_mm * 1e-3 / np.sqrt(level), wanted.alignment_mm * 1e-3 / np.sqrt(alignment)
@@ -97,9 +106,14 @@ def _amplitudes(spectrum: str) -> dict[str, float]:
 
 
 def track_quality() -> dict[str, Quality]:
-    """The `Quality` entries of data/irregularities.toml, as a dict by name."""
+    """The `Quality` entries of data/irregularities.toml, as a dict by name. InputError for a wrong entry, and for one
+    with the name of a built-in spectrum."""
     file = paths.source("data/irregularities.toml")
-    return data.build(dict[str, Quality], data.read(file), file.name)
+    classes = data.build(dict[str, Quality], data.read(file), file.name)
+    for name in _ERRI:
+        if name in classes:
+            raise InputError(f"{file.name}: {name} is a built-in spectrum, another name is needed")
+    return classes
 
 
 def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> pd.DataFrame:
@@ -112,13 +126,14 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
     Args:
         p (ndarray, shape (n,)): Track coordinates (m), increasing by steps of up to 1.5 m.
         spectrum (str): See `irregularity_spectrum`.
-        seed (int): Seed of the random phases. Each channel has its own generator.
+        seed (int): Seed of the random phases, from 0 up to 2^63. Each channel has its own generator.
 
     Returns:
         DataFrame: Columns p_m, lateral_m (right positive), vertical_m (down positive), crosslevel_rad (right rail down
             positive), gauge_m (wider positive).
     """
-    p = _coordinates(p, SHORTEST / 2)
+    require("irregularities: seed", seed, SEED, whole=True)
+    p = coordinates("irregularities", p, SHORTEST / 2)
     period = 2.0 ** math.ceil(math.log2(max(p[-1] - p[0], 32 * LONGEST)))
     # The quintic spline through sixteen points or more in the shortest wave errs by 1e-7 of it.
     step = 2.0 ** math.floor(math.log2(SHORTEST / 16))
@@ -126,10 +141,10 @@ def irregularities(p: np.ndarray, spectrum: str = "erri_low", seed: int = 1) -> 
     wave = np.arange(round(low), round(high) + 1)
     # Waves at the ends of the band stand for the part of their interval that lies inside it.
     width = (np.clip(wave + 0.5, low, high) - np.clip(wave - 0.5, low, high)) / period
-    fade = smooth_step(np.minimum(p - p[0], p[-1] - p) / 30.0)
+    fade, amplitude = smooth_step(np.minimum(p - p[0], p[-1] - p) / 30.0), _amplitudes(spectrum)
     columns = {"p_m": p}
     for i, (channel, column) in enumerate(CHANNELS.items()):
-        density = 2 * np.pi * irregularity_spectrum(spectrum, channel, 2 * np.pi * wave / period)
+        density = 2 * np.pi * _density(amplitude, channel, 2 * np.pi * wave / period)
         phase = np.random.default_rng((seed, i)).uniform(0, 2 * np.pi, wave.size)
         coefficients = np.zeros(int(period / step) // 2 + 1, dtype=complex)
         coefficients[wave] = np.sqrt(2 * density * width) * np.exp(1j * phase) / 2
@@ -148,7 +163,9 @@ def check(frame: pd.DataFrame) -> None:
     missing = sorted({"p_m", *CHANNELS.values()} - set(frame))
     if missing:
         raise InputError(f"irregularities lack the column {missing[0]}, needed are p_m and {list(CHANNELS.values())}")
-    p = _coordinates(frame["p_m"], math.inf)
+    if not frame.columns.is_unique:
+        raise InputError(f"irregularities have the column {frame.columns[frame.columns.duplicated()][0]!r} twice")
+    p = coordinates("irregularities", frame["p_m"])
     for column, (low, high) in _RANGES.items():
         values = pd.to_numeric(frame[column], errors="coerce").astype(float)
         inside = values.between(low, high).to_numpy()
@@ -158,13 +175,18 @@ def check(frame: pd.DataFrame) -> None:
             raise InputError(f"irregularities: {found}, {low:g} to {high:g} is allowed (unit?)")
 
 
-def _coordinates(p, longest: float) -> np.ndarray:
-    """Track coordinates as an array, shape (n,); InputError when they do not increase by steps up to `longest` (m)."""
-    found = pd.to_numeric(pd.Series(p), errors="coerce").to_numpy(dtype=float)
-    steps = np.diff(found)
+def coordinates(what: str, p: Any, longest: float = math.inf) -> np.ndarray:
+    """Track coordinates as an array, shape (n,). InputError, which begins with `what`, unless they are two or more and
+    increase by steps up to `longest` (m)."""
+    try:
+        found = np.asarray(p, dtype=float)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    steps = np.diff(found) if found.ndim == 1 else np.empty(0)
     if steps.size == 0 or not ((steps > 0) & (steps <= longest) & (steps < math.inf)).all():
-        needed = "a list of two or more finite track coordinates (m) that increase"
-        raise InputError(f"irregularities: p is {reprlib.repr(p)}, {needed} by up to {longest:g} m is needed")
+        steps_allowed = f" by up to {longest:g} m" if longest < math.inf else ""
+        needed = f"a list of two or more finite track coordinates (m) that increase{steps_allowed} is needed"
+        raise InputError(f"{what}: p is {reprlib.repr(p)}, {needed}")
     return found
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from railrepro import data
 from railrepro.data import InputError, Number, above, between
-from railrepro.track.irregularity import CHANNELS, HALF_BASE, LARGEST, irregularities, smooth_step
+from railrepro.track.irregularity import CHANNELS, HALF_BASE, LARGEST, SEED, irregularities, smooth_step
 
 _START = Annotated[Number, between(-1e6, 1e6, "m")]
 _LENGTH = Annotated[Number, above(0.0, 1e6, "m")]
@@ -102,7 +102,7 @@ class Rough:
 
     defects: tuple[Annotated[Dip | AlignmentFault | LateralOffset, Field(discriminator="kind")], ...] = ()
     spectrum: str = "erri_low"
-    seed: Annotated[int, between(0, 2**63)] = 1
+    seed: Annotated[int, SEED] = 1
 
 
 def rough_track(p: np.ndarray, **arguments) -> pd.DataFrame:

@@ -9,6 +9,8 @@ a kink would ring the contact springs. Controllers read the same cells, so plant
 
 from __future__ import annotations
 
+import reprlib
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,7 +23,7 @@ from scipy.interpolate import CubicSpline
 
 from railrepro.data import InputError, require
 from railrepro.quantities import group
-from railrepro.track.irregularity import CHANNELS, check
+from railrepro.track.irregularity import CHANNELS, LARGEST, check, coordinates
 from railrepro.track.table import Track, track_in
 
 CELL = 0.5
@@ -43,6 +45,9 @@ COLUMNS = (
     *("poor_le", "poor_ri", "force"),
 )
 INDEX = {name: i for i, name in enumerate(COLUMNS)}
+_RANGES = {"y_ref": (-LARGEST, LARGEST), "poor_le": (0.0, 1.0), "poor_ri": (0.0, 1.0), "force": (-5e5, 5e5)}
+"""What is allowed of set point (m), shares of the poor adhesion set (-) and force (N); else any finite number."""
+_BOUNDS = np.array([_RANGES.get(name, (-sys.float_info.max, sys.float_info.max)) for name in COLUMNS]).T
 Profile = Callable[[np.ndarray], np.ndarray]
 
 
@@ -80,8 +85,9 @@ class Route:
         return np.array(track_in(self._named(p), p))
 
     def reference_at(self, p: np.ndarray) -> np.ndarray:
-        """Lateral set point y* (m) and its slope dy*/dp (-) at track coordinates p (m, shape (n,)), shape (2, n)."""
-        return np.array(reference_in(self._named(p), p)[:2])
+        """Lateral set point at track coordinates p (m, shape (n,)), shape (3, n). The rows are y* (m), dy*/dp (-) and
+        d2y*/dp2 (1/m)."""
+        return np.array(reference_in(self._named(p), p))
 
 
 def reference_in(cell: dict, p) -> tuple:
@@ -112,21 +118,22 @@ def lay(
     irregularities: pd.DataFrame | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Route:
-    """Make a `Route` along a track with set point, adhesion, force and irregularities. InputError if one is not finite.
+    """Make a `Route` along a track with set point, adhesion, force and irregularities. InputError for an argument of
+    another form, and for a number that is not finite or out of range.
 
     Args:
         track (Track): Geometry of the track.
         reference (casadi.Function, optional): Lateral set point p (m) -> y* (m), see the function `reference`; default
-            0.
+            0. Up to 0.1 m, `line` included.
         poor (pair of callables, optional): For the left and the right rail, p (m), shape (n,) -> share of the poor
-            adhesion set, 0 to 1, shape (n,); default 0.
+            adhesion set, 0 to 1, shape (n,) or one number; default 0.
         force (callable, optional): p (m), shape (n,) -> demanded longitudinal force per running gear (N), traction
-            positive, shape (n,); default 0.
+            positive, up to 500 kN, shape (n,) or one number; default 0.
         irregularities (DataFrame, optional): Columns p_m, lateral_m, vertical_m, crosslevel_rad, gauge_m, increasing in
             p_m. A cubic spline joins the rows; outside of them the irregularities are 0.
         line (pair of ndarray, optional): Planned set point, which is added to `reference`: track coordinates (m), shape
-            (m,); the set point (m) there and its first three derivatives over p, shape (4, m). It is a cubic from one
-            coordinate to the next, 0 outside. See `railrepro.studies.preview.plan`.
+            (m,), increasing; the set point (m) there and its first three derivatives over p, shape (4, m). It is a
+            cubic from one coordinate to the next, 0 outside. See `railrepro.studies.preview.plan`.
     """
     require("track", track, Track)
     columns = dict(_geometry(track))
@@ -135,29 +142,66 @@ def lay(
     if irregularities is not None:
         columns |= _offsets(irregularities, p)
     if reference is not None:
+        require("route: reference", reference, ca.Function)
         columns |= dict(zip(_SET_POINT, _derivatives(reference, track), strict=True))
     if line is not None:
         columns |= {name: columns.get(name, 0.0) + v for name, v in zip(_SET_POINT, _sampled(line, p), strict=True)}
+    if not (poor is None or (isinstance(poor, tuple | list) and len(poor) == 2)):
+        raise InputError(f"route: poor is {reprlib.repr(poor)}, a pair of functions, left and right, is needed")
     for name, profile in zip(("poor_le", "poor_ri", "force"), (*(poor or (None, None)), force), strict=True):
         if profile is not None:
-            columns[name] = profile(p)
+            columns[name] = _profile(name, profile, p)
     for name, value in columns.items():
         cells[:, INDEX[name]] = value
-    for row, column in np.argwhere(~np.isfinite(cells))[:1]:
-        found = f"{COLUMNS[column]} at p = {p[row]} m is {cells[row, column]}"
-        raise InputError(f"route: {found}, a finite number is needed")
+    wrong = ~((cells >= _BOUNDS[0]) & (cells <= _BOUNDS[1]))
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        name, found = COLUMNS[column], cells[row, column]
+        needed = "number from {:g} to {:g} is needed (unit?)" if name in _RANGES else "finite number is needed"
+        raise InputError(f"route: {name} at p = {p[row]} m is {found}, a {needed.format(*_BOUNDS[:, column])}")
     return Route(cells, track.length)
+
+
+def _profile(name: str, profile: Profile, p: np.ndarray) -> np.ndarray:
+    """Values of a profile at p, shape (n,) or ()."""
+    if not callable(profile):
+        raise InputError(f"route: {name} is {reprlib.repr(profile)}, a function of p (m) is needed")
+    return _array(name, profile(p.copy()), p.shape, ())
+
+
+def _array(name: str, found: Any, *shapes: tuple) -> np.ndarray:
+    """`found` as an array of numbers that has one of some shapes; InputError otherwise."""
+    try:
+        values = np.asarray(found, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"route: {name} gives {reprlib.repr(found)}, an array of numbers is needed") from None
+    if values.shape not in shapes:
+        raise InputError(f"route: {name} has the shape {values.shape}, {' or '.join(map(str, shapes))} is needed")
+    return values
 
 
 @lru_cache
 def _geometry(track: Track) -> dict[str, np.ndarray]:
     """Columns of the track at its cells."""
     p = np.arange(-BEFORE, track.length + AFTER, CELL)
-    psi, kappa, phi, dphi, eps, deps = track.interpolate(p)
-    kappa_end = np.append(kappa[1:], kappa[-1])
-    columns = {"p": p, "psi": psi, "kappa": kappa, "dkappa": (kappa_end - kappa) / CELL}
-    columns |= {"phi": phi, "dphi": dphi, "eps": eps, "deps": deps}
+    psi, kappa, phi, _, eps, _ = track.interpolate(np.append(p, p[-1] + CELL))
+    start, slope = _curvature(kappa, np.diff(psi) / CELL)
+    columns = {"p": p, "psi": psi[:-1], "kappa": start, "dkappa": slope}
+    columns |= {"phi": phi[:-1], "dphi": np.diff(phi) / CELL, "eps": eps[:-1], "deps": np.diff(eps) / CELL}
     return columns | dict(zip("xyz", track.position(p), strict=True))
+
+
+def _curvature(ends: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Curvature at the start of n cells (1/m) and its slope (1/m2) from the curvature at their ends, shape (n + 1,).
+
+    Linear between the ends, unless the curvature has a step or kink inside the cell: then the slope is less, so that
+    the cell has its true mean curvature `mean` (1/m), shape (n,), and heading goes on without a jump.
+    """
+    rise, low, high = np.diff(ends), np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
+    bent = np.abs(mean - (ends[:-1] + ends[1:]) / 2) > 1e-9
+    room = np.clip(np.minimum(mean - low, high - mean), 0, None)
+    rise = np.where(bent, np.sign(rise) * np.minimum(np.abs(rise), 2 * room), rise)
+    return np.where(bent, mean - rise / 2, ends[:-1]), rise / CELL
 
 
 def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarray]:
@@ -180,7 +224,10 @@ def _offsets(irregularities: pd.DataFrame, p: np.ndarray) -> dict[str, np.ndarra
 
 def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
     """Set point and its derivatives at p from those of a planned line, shape (4, n)."""
-    at, values = line
+    if not (isinstance(line, tuple | list) and len(line) == 2):
+        raise InputError(f"route: line is {reprlib.repr(line)}, a pair (p, set point) is needed")
+    at = coordinates("line", line[0])
+    values = _array("line", line[1], (4, at.size))
     index = np.searchsorted(at, p + 1e-9, side="right") - 1
     inside, index = (index >= 0) & (p <= at[-1]), np.clip(index, 0, None)
     return inside * [*_cubic(values[:, index], p - at[index]), values[3, index]]
@@ -189,6 +236,9 @@ def _sampled(line: tuple[np.ndarray, np.ndarray], p: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=32)
 def _derivatives(reference: ca.Function, track: Track) -> np.ndarray:
     """Set point and its first three derivatives with respect to p at the cells of a track, shape (4, n)."""
+    one = (reference.n_in(), reference.n_out(), reference.numel_in(), reference.numel_out())
+    if one != (1, 1, 1, 1):
+        raise InputError(f"route: reference is {reference}, a function of one number p (m) to one number (m) is needed")
     p, s = _geometry(track)["p"], ca.SX.sym("p")
     return np.array(ca.Function("reference", [s], [_differentiated(reference(s), s)])(p[None, :]))
 
@@ -210,7 +260,10 @@ amplitude rises over the length `fade` after `start` and falls over it before `e
 
 @lru_cache
 def reference(of: Any) -> ca.Function:
-    """Sine or sweep of a `SetPoint` as a CasADi function from track coordinate p (m) to y* (m)."""
+    """Sine or sweep of a `SetPoint` as a CasADi function from track coordinate p (m) to y* (m). InputError for another
+    kind."""
+    if of.kind not in (1, 2):
+        raise InputError(f"set point: kind is {of.kind!r}, 1 (sine) or 2 (sweep) is needed")
     s = ca.SX.sym("p")
     inside = _fade(s - of.start, of.fade) * (1 - _fade(s - of.end + of.fade, of.fade))
     if of.kind == 1:

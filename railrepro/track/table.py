@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -15,25 +17,29 @@ import pandas as pd
 
 from railrepro import data, paths
 from railrepro.data import InputError
-from railrepro.track.alignment import LONGEST, MAX_CANT, Alignment, Segment, alignments
+from railrepro.track.alignment import CANT_BASE, LONGEST, MAX_CANT, Alignment, Segment, alignments
 
 STEP = 0.5
 """Step of generated tables (m)."""
+SHORTEST = 20.0
+"""Shortest track (m): a car is as long."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def build_table(alignment: Alignment, step: float = STEP, heading: float = 0.0) -> pd.DataFrame:
-    """Tabulate an alignment with a row every `step` (m) from p = 0 on. InputError if it is shorter than a step.
+    """Tabulate an alignment with a row every `step` (m) from p = 0 on, and one at each end of a segment. InputError if
+    it is shorter than `SHORTEST`.
 
     The columns are p_m, psi_rad, dpsi_dp_1pm, phi_rad, dphi_dp_1pm, eps_rad, deps_dp_1pm, x_m, y_m, z_m. The track
-    begins at the origin with the yaw angle `heading` (rad). Ends of segments at multiples of the step are met exactly.
+    begins at the origin with the yaw angle `heading` (rad). Coordinates are rounded to micrometres.
     """
-    if not alignment.length >= step:
-        raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, at least {step:g} m are needed")
-    p = step * np.arange(math.floor(alignment.length / step + 1e-9) + 1)
-    starts = np.cumsum([0.0, *(s.length for s in alignment.segments)])
+    if not alignment.length >= SHORTEST:
+        needed = f"at least {SHORTEST:g} m are needed (unit?)"
+        raise InputError(f"track {alignment.name}: is {alignment.length:g} m long, {needed}")
+    starts = np.cumsum([0.0, *(s.length for s in alignment.segments)]).round(6)
+    p = np.union1d((step * np.arange(starts[-1] // step + 1)).round(6), starts)
     angle = heading + np.cumsum([0.0, *(s.length * (s.kappa[0] + s.kappa[1]) / 2 for s in alignment.segments)])
-    index = np.clip(np.searchsorted(starts, p + 1e-9, side="right") - 1, 0, len(alignment.segments) - 1)
+    index = np.clip(np.searchsorted(starts, p, side="right") - 1, 0, len(alignment.segments) - 1)
     length = np.array([s.length for s in alignment.segments])[index]
     d = p - starts[index]
     value, slope = {}, {}
@@ -140,10 +146,20 @@ def track_in(cell: dict, p) -> tuple:
 
 def load_track(name: Path | str) -> Track:
     """`Track` of a name in data/tracks.toml. A name that ends in .csv is the path of a file for `read_table`.
-    InputError for an unknown name."""
+
+    InputError for an unknown name. Warns where the cant lowers the outer rail of a curve by 15 mm or more.
+    """
     if str(name).endswith(".csv"):
-        return Track(Path(name).stem, read_table(name))
-    return _built(str(name), paths.source("data/tracks.toml").stat().st_mtime_ns)
+        track = Track(Path(name).stem, read_table(name))
+    else:
+        track = _built(str(name), paths.source("data/tracks.toml").stat().st_mtime_ns)
+    p, kappa, phi = (track._rows[name] for name in ("p", "kappa", "phi"))
+    lowered = (np.abs(kappa) > 1e-4) & (-np.sign(kappa) * phi > 0.01)
+    if lowered.any():
+        found = f"the cant lowers the outer rail at p = {p[np.argmax(lowered)]:g} m"
+        needed = "in a right-hand curve curvature and cant are both positive, in a left-hand curve negative"
+        warnings.warn(f"track {track.name}: {found}; {needed}", stacklevel=2)
+    return track
 
 
 @lru_cache
@@ -159,45 +175,131 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     table.to_csv(path, index=False, float_format="%.17g")
 
 
-_LARGEST = {"p_m": (LONGEST, "m"), "dpsi_dp_1pm": (0.02, "1/m"), "phi_rad": (MAX_CANT, "rad"), "eps_rad": (0.2, "rad")}
-_LARGEST |= {"psi_rad": (1e3, "rad")}
-"""Columns of a track file that are read, and magnitudes beyond which the unit is wrong."""
+_ALLOWED = {
+    "p_m": (0.0, LONGEST, "m"),
+    "dpsi_dp_1pm": (0.0, 0.02, "1/m"),
+    "radius_m": (50.0, math.inf, "m"),
+    "phi_rad": (0.0, MAX_CANT, "rad"),
+    "cant_mm": (0.0, 1e3 * CANT_BASE * math.sin(MAX_CANT), "mm"),
+    "eps_rad": (0.0, 0.2, "rad"),
+    "psi_rad": (0.0, 1e3, "rad"),
+    **dict.fromkeys(("dphi_dp_1pm", "deps_dp_1pm"), (0.0, 1e3, "rad/m")),
+    **dict.fromkeys(("x_m", "y_m", "z_m"), (0.0, 1e8, "m")),
+}
+"""Columns of a track file, each with its smallest and largest magnitude and its unit."""
+_INSTEAD = {"dpsi_dp_1pm": "radius_m", "phi_rad": "cant_mm"}
+"""Columns of a table, and those that a file may have in their place."""
+_SPIKE = 5.0
+"""Longest spike (m)."""
 
 
 def read_table(path: Path | str) -> pd.DataFrame:
     """Read a track from a CSV and return a table as of `build_table`, with heading and positions integrated.
 
-    The file has one row per point; curvature, cant and inclination change linearly in between. Yaw is positive to the
-    right, roll right side down, pitch nose up. Columns (others are ignored):
+    The file has one row per point; curvature, cant and inclination change linearly in between, and a step of curvature
+    is two points 1 mm apart. Commas separate the columns. Blank lines and lines that begin with # are left out. Yaw is
+    positive to the right, roll right side down, pitch nose up. Columns:
     - p_m: distance along the line (m), increasing; the first point becomes the coordinate 0;
-    - dpsi_dp_1pm: curvature (1/m);
-    - phi_rad, eps_rad: cant angle and inclination (rad), optional, default 0;
-    - psi_rad: optional; its first value is the initial heading (rad), default 0.
+    - dpsi_dp_1pm: curvature (1/m); or radius_m: radius (m), negative in a left-hand curve, inf on a straight;
+    - phi_rad: cant angle (rad); or cant_mm: height of the left rail above the right one (mm) on a base of 1.5 m.
+      Optional, default 0;
+    - eps_rad: inclination (rad), optional, default 0;
+    - psi_rad: heading (rad), optional; its first value is the initial heading, default 0;
+    - x_m, y_m, z_m, dphi_dp_1pm, deps_dp_1pm: optional, compared only.
 
-    InputError for a missing column, a number that is not finite, points that do not increase, and magnitudes beyond
-    what railways build (wrong unit).
+    What follows from other columns has to agree with them: headings within 0.02 rad; positions, less the first one,
+    within 0.1 m and 2 % of the distance; derivatives within 1e-4 rad/m of the slope before the point, the slope behind
+    it or a value in between.
+
+    InputError for a missing, unknown or doubled column, a cell that is no number, points that do not increase, columns
+    that disagree, and what no railway builds (wrong unit): a track shorter than `SHORTEST`, too large a magnitude, a
+    curvature, cant or inclination that rises by half the largest one and falls again within 5 m.
     """
     file = data.location(path)
+    text = _cells(file)
+    refuse = partial(_refuse, file.name, text)
+    values = _numbers(text, refuse)
+    shape = (values[column] for column in ("dpsi_dp_1pm", "phi_rad", "eps_rad"))
+    segments = tuple(map(Segment, np.diff(values["p_m"]), *map(itertools.pairwise, shape)))
+    table = build_table(Alignment(file.name, segments), heading=values.get("psi_rad", [0.0])[0])
+    _compare(values, table, refuse)
+    return table
+
+
+def _cells(file: Path) -> pd.DataFrame:
+    """Cells of a track file as text, indexed by the number of their line. InputError for wrong columns."""
     try:
-        text = pd.read_csv(file, dtype=str, keep_default_na=False)
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
-        raise InputError(f"{file.name}: cannot be read as CSV ({str(error).strip()})") from error
-    missing = [column for column in ("p_m", "dpsi_dp_1pm") if column not in text]
-    if missing:
-        raise InputError(f"{file.name}: the column {missing[0]} is missing among {list(text)}")
-    if len(text) < 2:
-        raise InputError(f"{file.name}: {len(text)} rows found, at least 2 are needed")
-    values = {}
-    for column, (largest, unit) in _LARGEST.items():
-        numbers = pd.to_numeric(text.get(column, pd.Series(0.0, text.index)), errors="coerce").to_numpy(dtype=float)
-        wrong = ~(np.abs(numbers) <= largest)
-        if column == "p_m":
-            wrong |= np.diff(numbers, prepend=-np.inf) <= 0
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            needed = f"a{'n increasing' * (column == 'p_m')} number up to {largest:g} {unit} is needed (unit?)"
-            raise InputError(f"{file.name}: row {row + 2}, {column} is {text[column].iloc[row]!r}, {needed}")
-        values[column] = numbers
-    p, *shape, heading = values.values()
-    segments = tuple(map(Segment, np.diff(p), *map(itertools.pairwise, shape)))
-    return build_table(Alignment(file.stem, segments), heading=heading[0])
+        raise InputError(f"{file.name}: cannot be read as CSV ({error})") from error
+    used = {n: line for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")}
+    rows = {n: [cell.strip(' "') for cell in line.split(",")] for n, line in used.items()}
+    if len(rows) < 3:
+        raise InputError(f"{file.name}: {len(rows)} lines found, names of columns and at least 2 rows are needed")
+    (_, head), *body = rows.items()
+    if set(";\t") & set("".join(head)):
+        raise InputError(f"{file.name}: has semicolons or tabs, commas between columns and decimal points are needed")
+    for column in head:
+        if column not in _ALLOWED or head.count(column) > 1:
+            found = "twice" if column in _ALLOWED else "that is not known"
+            raise InputError(f"{file.name}: has a column {column!r} {found}; allowed are {[*_ALLOWED]}, each once")
+    for forms, least in ((("p_m",), 1), (("dpsi_dp_1pm", "radius_m"), 1), (("phi_rad", "cant_mm"), 0)):
+        given = [column for column in forms if column in head]
+        if not least <= len(given) <= 1:
+            raise InputError(f"{file.name}: one column {' or '.join(forms)} is needed, there are {given or head}")
+    for n, cells in body:
+        if len(cells) != len(head):
+            needed = f"{len(head)} are needed, one per column (decimal commas?)"
+            raise InputError(f"{file.name}: line {n} has {len(cells)} cells, {needed}")
+    return pd.DataFrame([cells for _, cells in body], columns=head, index=[n for n, _ in body])
+
+
+def _refuse(file: str, text: pd.DataFrame, column: str, wrong: np.ndarray, reason: str) -> None:
+    """Raise InputError with the first line at which `column`, or what the file has in its place, is wrong."""
+    if wrong.any():
+        cells = text[column if column in text else _INSTEAD[column]][wrong]
+        name, line = cells.name, cells.index[0]
+        raise InputError(f"{file}: line {line}, {name} is {cells.iloc[0]!r}, {reason}")
+
+
+def _numbers(text: pd.DataFrame, refuse: Callable) -> dict[str, np.ndarray]:
+    """Columns of a track file as numbers, and curvature, cant angle and inclination where it has others or none."""
+    values = dict.fromkeys(("phi_rad", "eps_rad"), np.zeros(len(text)))
+    for column in text:
+        values[column] = number = pd.to_numeric(text[column], errors="coerce").to_numpy(dtype=float)
+        low, high, unit = _ALLOWED[column]
+        bounds = f"up to {high:g}" if math.isfinite(high) else f"of {low:g} up to {high:g}"
+        inside = (np.abs(number) >= low) & (np.abs(number) <= high)
+        refuse(column, ~inside, f"a number {bounds} {unit} is needed (unit?)")
+    p = values["p_m"]
+    refuse("p_m", np.diff(p, prepend=-math.inf).round(6) <= 0, "increasing numbers are needed")
+    if "radius_m" in values:
+        values["dpsi_dp_1pm"] = 1 / values["radius_m"]
+    if "cant_mm" in values:
+        values["phi_rad"], size = np.arcsin(values["cant_mm"] / (1e3 * CANT_BASE)), np.abs(values["cant_mm"])
+        refuse("cant_mm", (size > 0.01) & (size.max() < 1.0), "and none reaches 1 mm (unit?)")
+    for column in ("dpsi_dp_1pm", "phi_rad", "eps_rad"):
+        size, half = np.abs(values[column]), _ALLOWED[column][1] / 2
+        around = np.maximum(np.interp(p - _SPIKE / 2, p, size), np.interp(p + _SPIKE / 2, p, size))
+        refuse(column, size - around > half, f"a spike shorter than {_SPIKE:g} m (unit?)")
+    return values
+
+
+def _compare(values: dict[str, np.ndarray], table: pd.DataFrame, refuse: Callable) -> None:
+    """Refuse columns of a track file that do not agree with the table that follows from the others."""
+    distance = values["p_m"] - values["p_m"][0]
+    rows = table.iloc[np.searchsorted(table["p_m"], distance - 6e-7)]
+    for column in ("psi_rad", "x_m", "y_m", "z_m", "dphi_dp_1pm", "deps_dp_1pm"):
+        if column not in values:
+            continue
+        expected, tolerance = rows[column].to_numpy(), np.full(len(rows), 0.02)
+        if column.endswith("_m"):
+            expected, tolerance = values[column][0] + expected, 0.1 + 0.02 * distance
+        if column.endswith("_1pm"):
+            ends = np.sort([np.append(0.0, expected[:-1]), np.append(expected[:-1], 0.0)], axis=0)
+            expected, tolerance = np.clip(values[column], *ends), np.full(len(rows), 1e-4)
+        off = values[column] - expected
+        if column == "psi_rad":
+            off = np.remainder(off + np.pi, 2 * np.pi) - np.pi
+        wrong = np.abs(off) > tolerance
+        refuse(column, wrong, f"{expected[np.argmax(wrong)]:.4g} follows from the other columns (unit, sign?)")

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 
 from railrepro import NDI, figures, load_scenario, load_track, load_vehicle, paths, simulate
@@ -12,14 +13,17 @@ from railrepro.control.registry import guidance
 from railrepro.evidence.claims import statements
 from railrepro.evidence.report import flips
 from railrepro.studies import preview
+from railrepro.track import route
 from railrepro.track.alignment import alignments
-from railrepro.track.irregularity import irregularities
+from railrepro.track.irregularity import irregularities, irregularity_spectrum
 from railrepro.track.rough import rough_track
 from railrepro.track.table import build_table
 from railrepro.tuning import swarm, task
 
 nan, inf = np.nan, np.inf
 WAY = np.arange(0.0, 100.0, 0.5)
+T5, PLACES = load_track("T5"), np.array([0.0, 60.0, 99.0])
+LINE = np.outer([3e-3, 0.0, 0.0, 0.0], np.ones(3))
 FAULT = {"kind": "alignment_fault", "start": 40.0, "length": 20.0, "amplitude": 4e-3}
 SWITCH = {"kind": "lateral_offset", "start": 50.0, "length": 10.0, "offset": 5e-3, "transition": 8.0}
 CONES = load_vehicle(**{"contact.profile": "cone"})

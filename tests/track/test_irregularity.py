@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from railrepro.data import InputError
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.studies.experiment import Experiment
 from railrepro.studies.preview import known, plan
@@ -53,6 +54,15 @@ def test_rails_have_the_standard_deviation_of_their_quality_class(spectrum):
     )
     assert 1e6 * level == pytest.approx(quality.level_mm**2, rel=1e-4)
     assert 1e6 * alignment == pytest.approx(quality.alignment_mm**2, rel=1e-4)
+
+
+def test_a_quality_named_as_a_built_in_spectrum_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "data").mkdir()
+    entry = 'erri_low = { level_mm = 2.0, alignment_mm = 1.0, confidence = "A" }'
+    (tmp_path / "data/irregularities.toml").write_text(entry)
+    monkeypatch.setenv("RAILREPRO_OUTPUT", str(tmp_path))
+    with pytest.raises(InputError, match=r"irregularities\.toml: erri_low is a built-in spectrum, another name"):
+        irregularities(np.arange(9.0), "erri_low")
 
 
 def test_defects_are_added_to_random_irregularities():

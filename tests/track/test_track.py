@@ -1,10 +1,14 @@
 """Tracks: exact interpolation, own tracks, set points along them."""
 
+import re
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from railrepro import paths
 from railrepro.simulation.scenarios import load_scenario
 from railrepro.track import route
 from railrepro.track.alignment import alignments
@@ -45,7 +49,9 @@ def test_a_track_of_points_is_that_of_its_segments(tmp_path):
     phi = -np.arcsin(0.08)
     rows = [(0, 0, 0), (100, 0, 0), (300, -1 / 1500, phi), (2800, -1 / 1500, phi), (3000, 0, 0), (3100, 0, 0)]
     frame = pd.DataFrame(rows, columns=["p_m", "dpsi_dp_1pm", "phi_rad"])
-    frame.assign(p_m=12000 + frame["p_m"], eps_rad=0.01, psi_rad=0.4).to_csv(tmp_path / "mine.csv", index=False)
+    turned = np.cumsum(np.diff(frame["p_m"], prepend=0) * frame["dpsi_dp_1pm"].rolling(2).mean().fillna(0))
+    columns = {"p_m": 12000 + frame["p_m"], "eps_rad": 0.01, "psi_rad": np.remainder(0.4 + turned, 2 * np.pi)}
+    frame.assign(**columns).to_csv(tmp_path / "mine.csv", index=False)
     table = load_track(tmp_path / "mine.csv").table
     s = np.linspace(0.0, 3100.0, 100_001)
     kappa = np.interp(s, frame["p_m"], frame["dpsi_dp_1pm"])
@@ -71,3 +77,105 @@ def test_a_sweep_goes_from_period_to_period_and_fades_without_a_jump_of_three_de
     turns = (place[inside] - 100) / 150 + (1 / 60 - 1 / 150) * (place[inside] - 100) ** 2 / (2 * 380)
     assert shape[inside, 0] == pytest.approx(2e-3 * np.sin(2 * np.pi * turns), abs=1e-15)
     assert way.reference_at(120.0)[0, 0] == pytest.approx(1e-3 * np.sin(2 * np.pi * (20 / 150 + 0.01 * 20**2 / 760)))
+    place, h = np.array([120.2, 205.3, 333.1]), 1e-3
+    (y, *_), after, before = (way.reference_at(place + step) for step in (0.0, h, -h))
+    numeric = (after[0] - before[0]) / (2 * h), (after[0] - 2 * y + before[0]) / h**2
+    assert np.allclose(way.reference_at(place)[1:], numeric, rtol=1e-4, atol=0)
+
+
+@pytest.fixture
+def own(tmp_path):
+    """Track of a CSV with this text."""
+
+    def read(text):
+        (tmp_path / "own.csv").write_text(text)
+        return load_track(tmp_path / "own.csv")
+
+    return read
+
+
+@pytest.mark.parametrize("begin", [30.0, 30.25, 30.499])
+def test_a_step_of_curvature_wherever_it_lies_turns_the_track_without_a_jump(own, begin):
+    """A turnout: the heading in the table and in the cells is the integral of the curvature at every place."""
+    track = own(f"p_m,dpsi_dp_1pm\n0,0\n{begin},0\n{begin + 1e-3},0.00526\n60.2,0.00526\n61.7,0\n100.3,0\n")
+    assert track.length == 100.3
+    at, step = np.linspace(0.0, 100.0, 10_001, retstep=True)
+    last = np.clip((at - 60.2) / 1.5, 0, 1)
+    heading = 0.00526 * (np.clip(at, begin + 5e-4, 60.2) - begin - 5e-4 + 1.5 * (last - last**2 / 2))
+    assert np.allclose(track.interpolate(at)[0], heading, rtol=0, atol=2e-6)
+    psi, kappa, *_ = route.lay(track).track_at(at)
+    assert np.allclose(psi, heading, rtol=0, atol=0.00526 * route.CELL / 4)
+    assert np.allclose(np.diff(psi), kappa[:-1] * step, rtol=0, atol=0.00526 * step**2)
+    assert psi[-1] == pytest.approx(heading[-1], abs=1e-9)
+    assert kappa.min() > -1e-12 and kappa.max() < 0.00526 + 1e-12
+
+
+def test_cant_ramps_between_half_metres_have_no_jump_in_the_cells(own):
+    way = route.lay(own("p_m,radius_m,cant_mm\n0,inf,0\n30.2,inf,0\n70.3,-800,-80\n100,-800,-80\n"))
+    cells = dict(zip(route.COLUMNS, way.cells.T, strict=True))
+    for name in ("phi", "eps"):
+        assert (cells[name] + route.CELL * cells["d" + name])[:-1] == pytest.approx(cells[name][1:], abs=1e-15)
+
+
+def test_radius_and_cant_in_the_units_of_the_field(own):
+    """The file of the guide, and the same track in SI."""
+    (text,) = re.findall(r"```text\n(.*?)```", (paths.NOTEBOOKS / "book/adding.md").read_text(), re.DOTALL)
+    field = own(text).table
+    cant = np.arcsin(0.1 / 1.5)
+    si = own(f"p_m,phi_rad,dpsi_dp_1pm\n0,0,0\n100,0,0\n180,{cant},{1 / 600}\n400,{cant},{1 / 600}").table
+    assert np.allclose(field, si, rtol=1e-15, atol=0) and field["y_m"].iloc[-1] > 50
+    again, made = (load_track(name).table for name in (paths.DATA / "tracks/T2.csv", "T2"))
+    assert np.allclose(again, made, rtol=1e-12, atol=1e-15)
+
+
+BUILT = {
+    "turnouts": (
+        "p_m,radius_m",
+        "0,inf",
+        "30,inf",
+        "30.001,190",
+        "57,190",
+        "57.001,inf",
+        "63,inf",
+        "63.001,-190",
+        "90,-190",
+    ),
+    "reverse curve": ("p_m,dpsi_dp_1pm", "0,.00526", "9,.00526", "9.001,-.00526", "40,-.00526"),
+    "hump": (
+        "p_m,dpsi_dp_1pm,eps_rad",
+        "0,0,.055",
+        "50,0,.055",
+        "67,0,-.065",
+        "90,0,-.065",
+        "90.001,.00667,-.02",
+        "160,0,0",
+    ),
+    "surveyed": ("# 2026", "p_m , radius_m, x_m, y_m", "", "12000,800, 5e6, 300", "12080, 800, 5000079.9,304.0"),
+    "smoothed": (
+        "p_m,dpsi_dp_1pm,phi_rad,dphi_dp_1pm",
+        "0,0,0,0",
+        "50,0,0,.00025",
+        "90,1e-3,.02,.0005",
+        "99,1e-3,.02,0",
+    ),
+}
+
+
+@pytest.mark.parametrize("text", BUILT.values(), ids=BUILT)
+def test_what_railways_build_is_taken_without_a_word(own, text):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert own("\n".join(text)).length >= 40
+
+
+def test_cant_of_the_wrong_side_and_too_fast_a_curve_are_said(own, tmp_path):
+    curve = "p_m,radius_m,cant_mm\n0,inf,0\n30,inf,0\n90,600,{0}\n300,600,{0}"
+    with pytest.warns(UserWarning, match="own: the cant lowers the outer rail at p = "):
+        own(curve.format(-100))
+    scenario = load_scenario("curve_entry_T3").but(track=str(tmp_path / "own.csv"), end_m=200.0, speed_kmh=120.0)
+    own(curve.format(100))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scenario.route()
+    with pytest.warns(UserWarning, match="2.6 m/s2 remain unbalanced at p = 90 m and 160 km/h"):
+        scenario.but(speed_kmh=160.0).route()
