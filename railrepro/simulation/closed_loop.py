@@ -20,7 +20,7 @@ from railrepro.quantities import names
 
 _BLOCK = 10_000
 """Control cycles whose log is allocated at once."""
-_SOURCE = Path(__file__).with_name("loop.c").read_text()
+_SOURCE = Path(__file__).with_name("loop.c").read_text(encoding="utf-8")
 _MEASURED = [names(Outputs).index(name) for name in interface.MEASURED]
 """Outputs of the car that the law measures."""
 

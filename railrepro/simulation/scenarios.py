@@ -105,7 +105,7 @@ class Scenario:
         set_point (dict): Lateral set point, with the fields of `NoSetPoint`, `Sine` or `Sweep`.
     """
 
-    name: str
+    name: data.Name
     track: str
     speed_kmh: Annotated[Number, between(0.5, 450.0, "km/h")]
     end_m: Annotated[Number, between(1.0, 1e5, "m")]
@@ -140,8 +140,8 @@ class Scenario:
         return self.poor_share_left or both, self.poor_share_right or both
 
     def but(self, **changes) -> Scenario:
-        """Copy with the fields in `changes` replaced. InputError for a value that data/scenarios.toml may not have."""
-        return data.build(Scenario, vars(self) | changes, "scenario")
+        """Copy with the fields in `changes` replaced. InputError as from the constructor."""
+        return replace(self, **changes)
 
     def route(self, irregularities=None, line=None) -> route.Route:
         """`Route` of length `end_m` along the track of the scenario. InputError if the track is shorter.
